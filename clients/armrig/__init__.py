@@ -1,0 +1,1 @@
+"""Record, identify and validate models of a control laboratory's rig."""

@@ -1,0 +1,103 @@
+"""The dynamics of the arm on its chassis, as matrices with the handout's values.
+
+Two inertias joined by a spring, driven through a gear by a motor whose inductance is neglected::
+
+    J_1 theta_1'' = N K_m (u - N K_m theta_1') / R_m + K_lin alpha - b_1 theta_1'
+    J_2 (theta_1'' + alpha'') = -K_lin alpha
+
+with theta_1 the chassis against the fundament and alpha the arm against the chassis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from math import isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmParameters:
+    """Parameters of the rig; the defaults are the handout's (assignment 2.2)."""
+
+    J_1: float = 1.7e-3
+    """Inertia of motor, gear and chassis, seen at the chassis, in kg m²."""
+    J_2: float = 4.8e-3
+    """Inertia of the arm, in kg m²."""
+    N: float = 64.0
+    """Gear ratio, motor turns for one turn of the chassis."""
+    K_lin: float = 1.19
+    """Stiffness of the two springs together, in Nm/rad."""
+    R_m: float = 3.21
+    """Resistance of the armature, in Ω."""
+    K_m: float = 8.39e-3
+    """Torque constant, in Nm/A, and back-EMF constant, in Vs/rad."""
+    b_1: float = 0.0
+    """Viscous friction of the chassis, in Nms/rad; the handout neglects it."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no rig can be."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not isfinite(value) or value < 0 or (value == 0 and field.name != "b_1"):
+                bound = ">= 0" if field.name == "b_1" else "> 0"
+                msg = f"{field.name}={value!r} must be finite and {bound}"
+                raise ValueError(msg)
+
+    @property
+    def torque_per_volt(self) -> float:
+        """Torque on the chassis at rest for one volt, N K_m / R_m, in Nm/V."""
+        return self.N * self.K_m / self.R_m
+
+    @property
+    def damping(self) -> float:
+        """Back-EMF and viscous friction seen at the chassis, (N K_m)² / R_m + b_1, in Nms/rad."""
+        return (self.N * self.K_m) ** 2 / self.R_m + self.b_1
+
+
+def arm_matrices(p: ArmParameters) -> tuple[Matrix, Matrix, Matrix]:
+    """Return A (4, 4), B (4, 1), C (2, 4) of the whole rig.
+
+    States theta_1, alpha in rad and their rates in rad/s; input u in V; outputs theta_1, alpha.
+    """
+    A = np.zeros((4, 4))
+    A[0, 2] = A[1, 3] = 1.0
+    A[2] = [0.0, p.K_lin / p.J_1, -p.damping / p.J_1, 0.0]
+    A[3] = -A[2]
+    A[3, 1] -= p.K_lin / p.J_2
+    B = np.array([[0.0], [0.0], [p.torque_per_volt / p.J_1], [-p.torque_per_volt / p.J_1]])
+    C = np.eye(2, 4)
+    return A, B, C
+
+
+def chassis_matrices(p: ArmParameters) -> tuple[Matrix, Matrix, Matrix]:
+    """Return A (2, 2), B (2, 1), C (1, 2) with the rotating part removed (handout, figure 6).
+
+    States theta_1 in rad and its rate in rad/s; input u in V; output theta_1.
+    """
+    A = np.array([[0.0, 1.0], [0.0, -p.damping / p.J_1]])
+    B = np.array([[0.0], [p.torque_per_volt / p.J_1]])
+    C = np.array([[1.0, 0.0]])
+    return A, B, C
+
+
+def zero_order_hold(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
+    """Return Phi (n, n) and Gamma (n, m): x(t + h) = Phi x(t) + Gamma u for a u held over `h` s.
+
+    Both come from one exponential of the block matrix [A B; 0 0], which needs no inverse of A.
+
+    References
+    ----------
+    .. [1] C. F. Van Loan, "Computing integrals involving the matrix exponential",
+       IEEE Trans. Automatic Control 23 (1978) 395-404.
+    """
+    n, m = B.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n] = A * h
+    block[:n, n:] = B * h
+    both = expm(block)
+    return both[:n, :n], both[:n, n:]

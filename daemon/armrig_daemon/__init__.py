@@ -1,0 +1,1 @@
+"""The rig interface daemon: the loop that drives the rig, and the service around it."""

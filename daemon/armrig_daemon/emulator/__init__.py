@@ -1,0 +1,1 @@
+"""A plant behind a pseudo-terminal that answers as the real rig does."""

@@ -1,0 +1,1 @@
+"""The wire of armrig: frames, messages and their decoder, in pure Python."""
