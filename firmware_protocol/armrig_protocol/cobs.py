@@ -1,0 +1,34 @@
+"""Consistent overhead byte stuffing: no 00 inside a frame, so that 00 can end one.
+
+References
+----------
+.. [1] S. Cheshire and M. Baker, "Consistent overhead byte stuffing",
+   IEEE/ACM Trans. Networking 7 (1999) 159-172.
+"""
+
+from __future__ import annotations
+
+LONGEST = 253
+"""Longest text that needs one byte of overhead and no group code FF; frames are shorter."""
+
+
+def stuff(text: bytes) -> bytes:
+    """Return `text` without any 00, one byte longer; `text` is at most `LONGEST` bytes."""
+    if len(text) > LONGEST:
+        msg = f"{len(text)} bytes are too many to stuff: at most {LONGEST}"
+        raise ValueError(msg)
+    return b"".join([bytes((len(run) + 1,)) + run for run in text.split(b"\0")])
+
+
+def unstuff(stuffed: bytes) -> bytes | None:
+    """Return what was stuffed, or None where a code points behind the end.
+
+    `stuffed` has no 00 in it: those end frames, and are gone before this.
+    """
+    runs = []
+    at, end = 0, len(stuffed)
+    while at < end:
+        code = stuffed[at]
+        runs.append(stuffed[at + 1 : at + code])
+        at += code
+    return b"\0".join(runs) if at == end else None

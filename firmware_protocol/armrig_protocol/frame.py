@@ -1,0 +1,78 @@
+"""One message to the bytes on the wire, and back."""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import Any, NamedTuple
+
+from armrig_protocol import cobs
+from armrig_protocol.crc import crc32
+from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, TYPES, Message
+
+_CRC = Struct("<I")
+_HEADER = Struct("<BBH")
+_TEXTS = {number: Struct("<B" + layout) for number, layout in LAYOUTS.items()}
+_BODIES = {number: Struct("<x" + layout) for number, layout in LAYOUTS.items()}
+
+LENGTHS = {number: text.size + _CRC.size for number, text in _TEXTS.items()}
+"""Decoded length of each type of frame, header and CRC included, in bytes."""
+
+
+def wire_length(message: type[Message]) -> int:
+    """Return how many bytes a message of this class takes on the wire, its 00 included."""
+    return LENGTHS[TYPES[message]] + 2
+
+
+class Unknown(NamedTuple):
+    """A sound frame of a type that the schema does not have."""
+
+    state: int
+    seq: int
+    type: int
+
+
+class Spoilt(NamedTuple):
+    """Bytes up to a 00 that were no frame; counted, never answered."""
+
+    reason: str
+    """`cobs`, `crc` or `length`."""
+
+
+def encode(message: Message) -> bytes:
+    """Return the bytes of `message` on the wire, its 00 included.
+
+    Raises
+    ------
+    struct.error
+        A field does not fit its type.
+    """
+    number = TYPES[type(message)]
+    fields: tuple[Any, ...] = message
+    if number in ARRAYS:  # the last field is an array
+        fields = (*fields[:-1], *fields[-1])
+    text = _TEXTS[number].pack(number, *fields)
+    return cobs.stuff(text + _CRC.pack(crc32(text))) + b"\0"
+
+
+def decode(stuffed: bytes) -> Message | Unknown | Spoilt:
+    """Return the message in the bytes between two 00, or what was wrong with them."""
+    frame = cobs.unstuff(stuffed)
+    if frame is None:
+        return Spoilt("cobs")
+    size = len(frame) - _CRC.size
+    if size < _HEADER.size:
+        return Spoilt("length")
+    if crc32(frame[:size]) != _CRC.unpack_from(frame, size)[0]:
+        return Spoilt("crc")
+    number = frame[0]
+    body = _BODIES.get(number)
+    if body is None:
+        _, state, seq = _HEADER.unpack_from(frame)
+        return Unknown(state, seq, number)
+    if body.size != size:
+        return Spoilt("length")
+    fields = body.unpack_from(frame)
+    if number in ARRAYS:
+        count = ARRAYS[number]
+        fields = (*fields[:-count], fields[-count:])
+    return MESSAGES[number]._make(fields)

@@ -1,0 +1,158 @@
+"""Frames on the wire: the golden vectors, and what holds for any bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+from struct import Struct
+from typing import Any
+
+import pytest
+from armrig_protocol import cobs
+from armrig_protocol.crc import CHECK, crc32
+from armrig_protocol.decoder import LONGEST, Received, feed
+from armrig_protocol.frame import Spoilt, Unknown, encode, wire_length
+from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, Exchange, Message, Sample, Setpoints
+from hypothesis import given
+from hypothesis import strategies as st
+
+VECTORS = json.loads(
+    (Path(__file__).parents[2] / "firmware_protocol/vectors/frames.json").read_text()
+)
+
+
+def _message(number: int, raw: bytes) -> Message:
+    fields = Struct("<" + LAYOUTS[number]).unpack(raw)
+    if number in ARRAYS:
+        fields = (*fields[: -ARRAYS[number]], fields[-ARRAYS[number] :])
+    return MESSAGES[number]._make(fields)
+
+
+@st.composite
+def messages(draw: st.DrawFn) -> Message:
+    """Any message with any field values."""
+    number = draw(st.sampled_from(sorted(MESSAGES)))
+    size = Struct("<" + LAYOUTS[number]).size
+    return _message(number, draw(st.binary(min_size=size, max_size=size)))
+
+
+def _feed_in_pieces(pieces: Iterable[bytes]) -> list[Received]:
+    pending, received = b"", []
+    for piece in pieces:
+        pending, more = feed(pending, piece)
+        received += more
+    return received
+
+
+def _event(vector: dict[str, Any]) -> Received:
+    name = vector.pop("event")
+    classes = {c.__name__: c for c in (*MESSAGES.values(), Unknown, Spoilt)}
+    fields = {k: tuple(v) if isinstance(v, list) else v for k, v in vector.items()}
+    return classes[name](**fields)
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=[v["doc"] for v in VECTORS])
+def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
+    """The wire gives the events, and a message alone gives the wire."""
+    wire = bytes.fromhex(vector["wire"])
+    expected = [_event(dict(event)) for event in vector["events"]]
+
+    _, received = feed(b"", wire)
+
+    assert received == expected
+    assert [type(r) for r in received] == [type(e) for e in expected]
+    alone = len(expected) == 1 and not isinstance(expected[0], Unknown | Spoilt)
+    if alone and not wire.startswith(b"\0"):
+        assert encode(expected[0]) == wire
+
+
+def test_every_message_has_a_vector() -> None:
+    """A message that is added needs a vector."""
+    named = {event["event"] for vector in VECTORS for event in vector["events"]}
+
+    assert {message.__name__ for message in MESSAGES.values()} <= named
+
+
+def test_the_worked_frame_stands_in_the_protocol() -> None:
+    """PROTOCOL.md section 8 shows what the code sends."""
+    text = (Path(__file__).parents[2] / "firmware_protocol/PROTOCOL.md").read_text()
+
+    wire = encode(Exchange(0, 2, 256, 32768))
+
+    assert f"\n{wire.hex(' ')}\n" in text
+
+
+def test_the_crc_is_that_of_the_catalogue() -> None:
+    """CRC-32/ISO-HDLC of 123456789 is CBF43926."""
+    assert crc32(b"123456789") == CHECK
+
+
+@given(messages())
+def test_decoding_undoes_encoding(message: Message) -> None:
+    """decode(encode(m)) == m for every message and value."""
+    assert feed(b"", encode(message)) == (b"", [message])
+
+
+@given(st.binary(max_size=cobs.LONGEST))
+def test_unstuffing_undoes_stuffing(text: bytes) -> None:
+    """No 00 is left, one byte is added, and the text comes back."""
+    stuffed = cobs.stuff(text)
+
+    assert 0 not in stuffed
+    assert len(stuffed) == len(text) + 1
+    assert cobs.unstuff(stuffed) == text
+
+
+def test_a_text_too_long_to_stuff_is_refused() -> None:
+    """From 254 bytes on a group code would be needed."""
+    with pytest.raises(ValueError, match="254 bytes are too many"):
+        cobs.stuff(bytes(cobs.LONGEST + 1))
+
+
+@given(
+    st.lists(st.one_of(messages().map(encode), st.binary(max_size=100)), max_size=6),
+    st.lists(st.integers(0, 400), max_size=12),
+)
+def test_the_same_bytes_give_the_same_events_however_they_are_cut(
+    parts: list[bytes], cuts: list[int]
+) -> None:
+    """A decoder does not see where a read ended."""
+    wire = b"".join(parts)
+    at = [0, *sorted(c for c in cuts if c < len(wire)), len(wire)]
+
+    pieces = [wire[a:b] for a, b in pairwise(at)]
+
+    assert _feed_in_pieces(pieces) == feed(b"", wire)[1]
+    assert _feed_in_pieces(wire[i : i + 1] for i in range(len(wire))) == feed(b"", wire)[1]
+
+
+@given(messages(), st.integers(0, 10_000))
+def test_one_flipped_bit_never_gives_another_message(message: Message, where: int) -> None:
+    """Any single bit error is told as spoilt, and the frame after it arrives."""
+    wire = bytearray(encode(message))
+    bit = where % (8 * (len(wire) - 1))
+    wire[bit // 8] ^= 1 << bit % 8
+    after = Exchange(0, 1, 2, 3)
+
+    _, received = feed(b"", bytes(wire) + b"\0" + encode(after))
+
+    assert received[-1] == after
+    assert received[:-1]
+    assert all(isinstance(event, Spoilt) for event in received[:-1])
+
+
+@given(st.lists(st.binary(max_size=300), max_size=20))
+def test_what_is_left_over_is_bounded(pieces: list[bytes]) -> None:
+    """A line without any 00 does not fill the memory."""
+    pending = b""
+    for piece in pieces:
+        pending, _ = feed(pending, piece.replace(b"\0", b"\x01"))
+
+        assert len(pending) <= LONGEST + 1
+
+
+def test_the_frames_take_what_the_design_of_the_budget_says() -> None:
+    """SAMPLE 36, EXCHANGE 16 and SETPOINTS 64 bytes on the wire."""
+    assert (wire_length(Sample), wire_length(Exchange), wire_length(Setpoints)) == (36, 16, 64)

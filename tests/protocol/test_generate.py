@@ -1,0 +1,71 @@
+"""What is generated is what the schema says, in Python and in C."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from armrig_protocol.generate import ROOT, generated, main
+from armrig_protocol.messages import SCHEMA_HASH
+
+CC = ("cc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic")
+
+
+def _copy(tmp_path: Path) -> Path:
+    shutil.copy(ROOT / "schema.toml", tmp_path)
+    shutil.copy(ROOT / "PROTOCOL.md", tmp_path)
+    return tmp_path
+
+
+def _generated_python(root: Path) -> str:
+    return generated(root)[root / "armrig_protocol" / "messages.py"]
+
+
+def test_the_files_are_what_the_schema_says(capsys: pytest.CaptureFixture[str]) -> None:
+    """The check mode finds nothing in a sound checkout."""
+    assert main(["--check"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_words_do_not_change_the_hash_and_fields_do(tmp_path: Path) -> None:
+    """Two ends with another wording still talk; with another field they do not."""
+    root = _copy(tmp_path)
+    schema = (root / "schema.toml").read_text()
+    ours = f"SCHEMA_HASH = 0x{SCHEMA_HASH:08X}"
+
+    (root / "schema.toml").write_text(schema.replace("Ask who is there", "Who is it"))
+    assert ours in _generated_python(root)
+
+    (root / "schema.toml").write_text(
+        schema.replace('"host_ns", type = "u64"', '"host_ns", type = "u32"')
+    )
+    assert ours not in _generated_python(root)
+
+
+def test_an_argument_that_is_not_known_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """The message says what came and what is allowed."""
+    assert main(["--chekc"]) == 2
+    assert "--chekc: only --check is allowed" in capsys.readouterr().err
+
+
+def test_the_header_compiles_and_its_sizes_hold(tmp_path: Path) -> None:
+    """A C compiler takes the header without a warning; its static asserts hold the sizes."""
+    source = tmp_path / "header.c"
+    source.write_text('#include "rig_protocol.h"\nint main(void) { return RIG_VERSION - 1; }\n')
+
+    result = subprocess.run(
+        [*CC, f"-I{ROOT / 'firmware'}", str(source), "-o", str(tmp_path / "header")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    assert result.returncode == 0, result.stderr
+    asserts = re.findall(
+        r"sizeof\((\w+)\) == (\d+)", (ROOT / "firmware/rig_protocol.h").read_text()
+    )
+    assert ("rig_sample_t", "34") in asserts
+    assert ("rig_setpoints_t", "62") in asserts
