@@ -1,0 +1,189 @@
+"""What can be asked of the daemon, and what it answers: JSON, checked field by field."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+from msgspec import Meta
+
+from armrig_core.volts import U_MAX_V
+
+Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]
+Seconds = Annotated[float, Meta(gt=0, le=1, description="s")]
+Owner = Annotated[str, Meta(min_length=1, max_length=80)]
+Lease = Annotated[str, Meta(min_length=32, max_length=32)]
+Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{1,40}$", description="a-z, 0-9 and -")]
+Counter = Annotated[int, Meta(ge=0, lt=2**53)]
+
+
+class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A command without fields."""
+
+    name: ClassVar[str]
+
+
+class Arm(Request, frozen=True, kw_only=True):
+    """Take the rig, at 0 V, for one owner; answered by a `LeaseGranted`."""
+
+    name: ClassVar[str] = "arm"
+    owner: Owner
+    """Who takes it, for a person to read."""
+    Ts: Seconds | None = None
+    """Sampling time, in s; the configured one where it is left out."""
+
+
+class Leased(Request, frozen=True, kw_only=True):
+    """A command of the owner; only a valid one renews the lease."""
+
+    lease: Lease
+    """As granted."""
+    n: Counter
+    """Strictly growing with each command of this lease."""
+
+
+class Disarm(Leased, frozen=True, kw_only=True):
+    """Give the rig back, at 0 V."""
+
+    name: ClassVar[str] = "disarm"
+
+
+class Set(Leased, frozen=True, kw_only=True):
+    """Hold a voltage until the next `set`, a stop, or the end of the lease."""
+
+    name: ClassVar[str] = "set"
+    u: Volts
+    """Motor voltage, in V."""
+
+
+class Run(Leased, frozen=True, kw_only=True):
+    """Play and record an experiment; answered by a `RunAccepted`."""
+
+    name: ClassVar[str] = "run"
+    u: Annotated[list[Volts], Meta(min_length=1, max_length=10_000_000)]
+    """Motor voltage at each sample, in V."""
+    experiment: Name = "run"
+    """Kind of experiment; part of the recording's name."""
+    details: dict[str, Any] = {}
+    """What the experiment was made of, such as its seed; kept in the recording."""
+
+
+class Stop(Request, frozen=True, kw_only=True):
+    """Go to 0 V. Taken from anybody who may command, lease or not."""
+
+    name: ClassVar[str] = "stop"
+
+
+class Reset(Request, frozen=True, kw_only=True):
+    """Leave a latched fault, disarmed."""
+
+    name: ClassVar[str] = "reset"
+
+
+class Status(Request, frozen=True, kw_only=True):
+    """Ask how things are; answered by a `StatusReport`."""
+
+    name: ClassVar[str] = "status"
+
+
+REQUESTS: dict[str, type[Request]] = {
+    r.name: r for r in (Arm, Disarm, Run, Set, Stop, Reset, Status)
+}
+"""Class of each command."""
+
+
+class LeaseGranted(msgspec.Struct, frozen=True, kw_only=True):
+    """The rig is armed, at 0 V."""
+
+    lease: str
+    """To be carried by each command."""
+    period_s: float
+    """A held voltage falls to 0 V when no valid command came for so long, in s."""
+    Ts: float
+    """Sampling time in force, in s."""
+    u_min: float
+    """Lowest voltage taken, in V."""
+    u_max: float
+    """Highest voltage taken, in V."""
+
+
+class RunAccepted(msgspec.Struct, frozen=True, kw_only=True):
+    """The experiment begins."""
+
+    run_id: str
+    """Names this run in the recording, in events and in `StatusReport`."""
+    recording: str
+    """Path of the recording once it is finished."""
+
+
+class Done(msgspec.Struct, frozen=True, kw_only=True):
+    """The command was carried out."""
+
+    done: bool = True
+
+
+class LastRun(msgspec.Struct, frozen=True, kw_only=True):
+    """The newest recording."""
+
+    run_id: str
+    recording: str
+    """Path; ends in .active while it is written."""
+    finished: bool
+    """Whether it is complete on the disk."""
+    samples: int
+    outcome: str
+    """`complete`, or why it ended early; empty while it runs."""
+
+
+class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
+    """How the daemon is."""
+
+    rig: str
+    version: str
+    phase: str
+    reason: str
+    """Why it is in a fault; empty elsewhere."""
+    owner: str
+    Ts: float
+    u_min: float
+    u_max: float
+    endpoint: str
+    """Where zenoh peers connect."""
+    device: dict[str, Any]
+    """What the device said of itself."""
+    host: dict[str, Any]
+    """What the host allows: scheduling, locked memory."""
+    last_run: LastRun | None
+    recordings: str
+    """Directory of the recordings."""
+
+
+class Refused(msgspec.Struct, frozen=True, kw_only=True):
+    """The command had no effect."""
+
+    error: str
+    """What came, what is allowed, what to do."""
+
+
+def parse(name: str, payload: bytes) -> Request:
+    """Return the command `name` with its fields from JSON.
+
+    Raises
+    ------
+    ValueError
+        No such command, no JSON, or a field that is not allowed; the message names it.
+    """
+    kind = REQUESTS.get(name)
+    if kind is None:
+        msg = f"command {name!r}: allowed are {', '.join(REQUESTS)}"
+        raise ValueError(msg)
+    try:
+        return msgspec.json.decode(payload or b"{}", type=kind)
+    except msgspec.DecodeError as err:  # ValidationError is one of them
+        msg = f"{name}: {err}"
+        raise ValueError(msg) from err
+
+
+def json_schema(name: str) -> bytes:
+    """Return the JSON Schema of a command's fields."""
+    return msgspec.json.encode(msgspec.json.schema(REQUESTS[name]))

@@ -1,0 +1,120 @@
+"""Protobuf descriptors of everything that armrig publishes, built from one table.
+
+Served under `rig/<id>/schema/**` and written into each recording, so that any protobuf library
+can read both without armrig.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+
+from armrig_core.telemetry import PACKAGE, SAMPLE_FIELDS
+
+_DISTRIBUTION = (
+    ("p50", "double"),
+    ("p90", "double"),
+    ("p99", "double"),
+    ("p999", "double"),
+    ("max", "double"),
+    ("n", "fixed64"),
+    ("missed", "fixed64"),
+)
+_MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
+    "Sample": SAMPLE_FIELDS,
+    "Gap": (
+        ("k_first", "fixed64"),
+        ("count", "fixed64"),
+        ("t_from_ns", "sfixed64"),
+        ("t_to_ns", "sfixed64"),
+        ("u_held_v", "double"),
+        ("reason", "string"),
+    ),
+    "Distribution": _DISTRIBUTION,
+    "Timing": (
+        ("t_host_ns", "sfixed64"),
+        ("wake_lateness_us", "Distribution"),
+        ("device_tick_error_us", "Distribution"),
+        ("link_round_trip_us", "Distribution"),
+    ),
+    "State": (
+        ("t_host_ns", "sfixed64"),
+        ("phase", "string"),
+        ("reason", "string"),
+        ("owner", "string"),
+        ("Ts_s", "double"),
+        ("device", "string"),
+    ),
+}
+
+SAMPLE, GAP, TIMING, STATE = (f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "State"))
+LOG = "foxglove.Log"
+LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
+"""Number of each level of a `foxglove.Log`."""
+
+
+def _armrig_file() -> descriptor_pb2.FileDescriptorProto:
+    file = descriptor_pb2.FileDescriptorProto(
+        name="armrig/v1/armrig.proto", package=PACKAGE, syntax="proto3"
+    )
+    for name, fields in _MESSAGES.items():
+        message = file.message_type.add(name=name)
+        for number, (field, kind) in enumerate(fields, 1):
+            entry = message.field.add(name=field, number=number, label="LABEL_OPTIONAL")
+            if kind in _MESSAGES:
+                entry.type = descriptor_pb2.FieldDescriptorProto.TYPE_MESSAGE
+                entry.type_name = f".{PACKAGE}.{kind}"
+                continue
+            entry.type = descriptor_pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
+            # `optional`: zeros are written too, so that a sample's length is constant.
+            entry.proto3_optional = True
+            entry.oneof_index = len(message.oneof_decl)
+            message.oneof_decl.add(name=f"_{field}")
+    return file
+
+
+def _log_file() -> descriptor_pb2.FileDescriptorProto:
+    # The well-known schema of log messages that viewers show as text.
+    file = descriptor_pb2.FileDescriptorProto(
+        name="foxglove/Log.proto",
+        package="foxglove",
+        syntax="proto3",
+        dependency=[timestamp_pb2.DESCRIPTOR.name],
+    )
+    message = file.message_type.add(name="Log")
+    level = message.enum_type.add(name="Level")
+    for number, name in enumerate(("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")):
+        level.value.add(name=name, number=number)
+    kinds = ("MESSAGE", "ENUM", "STRING", "STRING", "STRING", "FIXED32")
+    names = ("timestamp", "level", "message", "name", "file", "line")
+    for number, (name, kind) in enumerate(zip(names, kinds, strict=True), 1):
+        entry = message.field.add(name=name, number=number, label="LABEL_OPTIONAL")
+        entry.type = descriptor_pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind}")
+    message.field[0].type_name = ".google.protobuf.Timestamp"
+    message.field[1].type_name = ".foxglove.Log.Level"
+    return file
+
+
+def _files(name: str) -> list[descriptor_pb2.FileDescriptorProto]:
+    if name != LOG:
+        return [_armrig_file()]
+    timestamp = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(timestamp)
+    return [timestamp, _log_file()]
+
+
+@cache
+def descriptor_set(name: str) -> bytes:
+    """Return the serialised FileDescriptorSet that defines the message `name` (full name)."""
+    return descriptor_pb2.FileDescriptorSet(file=_files(name)).SerializeToString()
+
+
+@cache
+def message_class(name: str) -> Any:
+    """Return the protobuf class of the message `name` (full name)."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in _files(name):
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))

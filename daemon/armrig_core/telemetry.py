@@ -1,0 +1,83 @@
+"""The messages that armrig publishes and records, and the constant layout of a sample.
+
+`SAMPLE_FIELDS` are all of fixed width and always written, so the bytes of a protobuf `Sample` lie
+at constant places: the struct module makes one, numpy reads a million, and to everybody else it is
+plain protobuf. Fields are only ever appended. The unit is the end of a field's name.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import NamedTuple
+
+PACKAGE = "armrig.v1"
+
+SAMPLE_FIELDS = (
+    ("k", "fixed64"),
+    ("t_sched_ns", "sfixed64"),
+    ("t_host_ns", "sfixed64"),
+    ("t_device_us", "fixed64"),
+    ("theta_1_rad", "double"),
+    ("alpha_rad", "double"),
+    ("u_cmd_v", "double"),
+    ("u_applied_v", "double"),
+    ("theta_1_counts", "fixed32"),
+    ("alpha_counts", "fixed32"),
+    ("flags", "fixed32"),
+)
+"""Name and protobuf type of each field of `armrig.v1.Sample`, numbered from 1."""
+
+LETTERS = {"fixed64": "Q", "sfixed64": "q", "double": "d", "fixed32": "I"}
+"""Letter of the struct module for each protobuf type of fixed width."""
+
+_WIRE_TYPES = {"fixed64": 1, "sfixed64": 1, "double": 1, "fixed32": 5}
+_LAYOUT = Struct("<" + "".join("B" + LETTERS[kind] for _, kind in SAMPLE_FIELDS))
+_TAGS = tuple(number << 3 | _WIRE_TYPES[kind] for number, (_, kind) in enumerate(SAMPLE_FIELDS, 1))
+
+SAMPLE_LENGTH = _LAYOUT.size
+"""Length of an encoded sample, in bytes."""
+
+
+class Sample(NamedTuple):
+    """What the rig did at one instant, as published and recorded."""
+
+    k: int
+    """Sample index of the host, counted in sampling times; a break is a gap."""
+    t_sched_ns: int
+    """When the sample was due, on the host's monotonic clock."""
+    t_host_ns: int
+    """When the host asked for it, on the same clock."""
+    t_device_us: int
+    """When theta_1 was triggered, on the device's clock, wraps undone."""
+    theta_1_rad: float
+    """Angle of the chassis as its potentiometer shows it (it wraps); NaN at a rail."""
+    alpha_rad: float
+    """Angle of the arm against the chassis; NaN at a rail."""
+    u_cmd_v: float
+    """Voltage asked for from this sample on."""
+    u_applied_v: float
+    """Voltage that the device says it latched at this sample."""
+    theta_1_counts: int
+    """Raw reading, left-justified to 16 bit."""
+    alpha_counts: int
+    """Raw reading, left-justified to 16 bit."""
+    flags: int
+    """`armrig_protocol.messages.Flag` of the device."""
+
+
+def encode_sample(sample: Sample) -> bytes:
+    """Return a sample as protobuf `armrig.v1.Sample`, `SAMPLE_LENGTH` bytes."""
+    k, t_sched, t_host, t_device, theta_1, alpha, u_cmd, u_applied, y0, y1, flags = sample
+    a, b, c, d, e, f, g, h, i, j, m = _TAGS
+    return _LAYOUT.pack(
+        *(a, k, b, t_sched, c, t_host, d, t_device, e, theta_1, f, alpha),
+        *(g, u_cmd, h, u_applied, i, y0, j, y1, m, flags),
+    )
+
+
+def decode_sample(data: bytes) -> Sample | None:
+    """Return the sample in `data`, or None where it has not the constant layout."""
+    if len(data) != SAMPLE_LENGTH:
+        return None
+    values = _LAYOUT.unpack(data)
+    return Sample._make(values[1::2]) if values[::2] == _TAGS else None

@@ -1,0 +1,43 @@
+"""Names under which a rig is found: zenoh keys, and topics of a recording with a leading slash."""
+
+from __future__ import annotations
+
+import re
+
+STREAMS = ("sample", "gap", "event", "timing", "state")
+"""What a rig publishes."""
+COMMANDS = ("arm", "disarm", "run", "set", "stop", "reset", "status")
+"""What can be asked of a rig."""
+
+
+def check_rig_id(rig: str) -> str:
+    """Return `rig`, or raise ValueError where it cannot be part of a key."""
+    if not re.fullmatch(r"[a-z0-9-]{1,40}", rig):
+        msg = f"rig id {rig!r}: 1 to 40 of a-z, 0-9 and - are allowed"
+        raise ValueError(msg)
+    return rig
+
+
+def stream_key(rig: str, stream: str) -> str:
+    """Return the key of a stream, such as `rig/1/sample`."""
+    return f"rig/{rig}/{stream}"
+
+
+def command_key(rig: str, command: str) -> str:
+    """Return the key of a command, such as `rig/1/cmd/arm`."""
+    return f"rig/{rig}/cmd/{command}"
+
+
+def schema_key(rig: str, name: str) -> str:
+    """Return the key of a schema, such as `rig/1/schema/armrig.v1.Sample`."""
+    return f"rig/{rig}/schema/{name}"
+
+
+def alive_key(rig: str) -> str:
+    """Return the key of the liveliness token."""
+    return f"rig/{rig}/alive"
+
+
+def topic(rig: str, stream: str) -> str:
+    """Return the topic of a stream in a recording, such as `/rig/1/sample`."""
+    return "/" + stream_key(rig, stream)

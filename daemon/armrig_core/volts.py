@@ -1,0 +1,34 @@
+"""Motor voltage and its code on the wire: 0 … 65535 is 0 … 5 V."""
+
+from __future__ import annotations
+
+from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV
+
+U_MAX_V = FULL_SCALE_MV / 1000
+"""Largest motor voltage, in V. Above it, and below 0 V, the rig is destroyed."""
+
+
+def code_of(volts: float) -> int:
+    """Return the code nearest to `volts`.
+
+    Raises
+    ------
+    ValueError
+        The voltage is not a number in [0, 5]; it is never clamped.
+    """
+    if not 0.0 <= volts <= U_MAX_V:  # NaN fails this, too
+        msg = f"{volts!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed"
+        raise ValueError(msg)
+    return round(volts / U_MAX_V * CODE_FULL_SCALE)
+
+
+def volts_of(code: int) -> float:
+    """Return the voltage of a code, in V."""
+    return code / CODE_FULL_SCALE * U_MAX_V
+
+
+def applied_code(code: int, pwm_bits: int) -> int:
+    """Return the code that a device with this duty resolution latches for `code`."""
+    steps = 1 << pwm_bits
+    duty = (2 * code * steps + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
+    return (2 * duty * CODE_FULL_SCALE + steps) // (2 * steps)

@@ -1,0 +1,51 @@
+"""Commands are checked field by field; a refusal names the field and what is allowed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from armrig_core.commands import REQUESTS, Arm, Run, Set, Stop, json_schema, parse
+
+LEASE = "0" * 32
+
+
+def test_a_command_is_read_with_its_fields() -> None:
+    """JSON to a frozen value."""
+    assert parse("arm", b'{"owner": "a student", "Ts": 0.01}') == Arm(owner="a student", Ts=0.01)
+    assert parse("stop", b"") == Stop()
+
+
+@pytest.mark.parametrize(
+    ("name", "payload", "complaint"),
+    [
+        ("fly", "{}", "allowed are arm, disarm"),
+        ("arm", "{}", "missing required field `owner`"),
+        ("arm", '{"owner": "x", "Ts": 0}', r"Ts"),
+        ("arm", '{"owner": "x", "Tz": 0.01}', "unknown field `Tz`"),
+        ("arm", "not json", "arm: "),
+        ("set", f'{{"lease": "{LEASE}", "n": 1, "u": 5.01}}', r"<= 5.0.*\$.u"),
+        ("set", f'{{"lease": "{LEASE}", "n": 1, "u": -0.01}}', r">= 0.0.*\$.u"),
+        ("set", f'{{"lease": "{LEASE}", "n": 1, "u": NaN}}', "set: "),
+        ("set", f'{{"lease": "{LEASE}", "n": 1, "u": "3"}}', r"Expected `float`.*\$.u"),
+        ("set", f'{{"lease": "{LEASE}", "n": 1, "u": 1e999}}', "set: "),
+        ("set", f'{{"lease": "{LEASE}", "n": -1, "u": 1}}', r"\$.n"),
+        ("run", f'{{"lease": "{LEASE}", "n": 1, "u": []}}', r"length >= 1.*\$.u"),
+        ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1, 9]}}', r"\$.u\[1\]"),
+        ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "experiment": "../x"}}', "experiment"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str) -> None:
+    """Nothing is guessed, rounded or clamped."""
+    with pytest.raises(ValueError, match=complaint):
+        parse(name, payload.encode())
+
+
+def test_every_command_serves_its_schema() -> None:
+    """JSON Schema with the fields' bounds."""
+    assert set(REQUESTS) == {"arm", "disarm", "run", "set", "stop", "reset", "status"}
+    text = json.loads(json_schema("set"))
+
+    fields = text["$defs"][Set.__name__]["properties"]
+    assert fields["u"]["maximum"] == 5.0
+    assert json.loads(json_schema("run"))["$defs"][Run.__name__]["additionalProperties"] is False

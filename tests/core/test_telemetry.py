@@ -1,0 +1,67 @@
+"""A sample's bytes are plain protobuf, and lie at constant places."""
+
+from __future__ import annotations
+
+import math
+
+from armrig_core import protobuf
+from armrig_core.telemetry import SAMPLE_FIELDS, SAMPLE_LENGTH, Sample, decode_sample, encode_sample
+from google.protobuf import descriptor_pb2
+from hypothesis import given
+from hypothesis import strategies as st
+
+_KINDS = {
+    "fixed64": st.integers(0, 2**64 - 1),
+    "sfixed64": st.integers(-(2**63), 2**63 - 1),
+    "double": st.floats(allow_nan=False),
+    "fixed32": st.integers(0, 2**32 - 1),
+}
+samples = st.builds(Sample, *(_KINDS[kind] for _, kind in SAMPLE_FIELDS))
+
+
+@given(samples)
+def test_protobuf_reads_what_was_packed(sample: Sample) -> None:
+    """The protobuf library and ours agree on every field."""
+    message = protobuf.message_class(protobuf.SAMPLE)()
+
+    message.ParseFromString(encode_sample(sample))
+
+    assert tuple(getattr(message, name) for name, _ in SAMPLE_FIELDS) == sample
+
+
+@given(samples)
+def test_packed_is_what_protobuf_writes(sample: Sample) -> None:
+    """Zeros are written too: the bytes are the same, and so is their number."""
+    message = protobuf.message_class(protobuf.SAMPLE)(**sample._asdict())
+
+    assert message.SerializeToString(deterministic=True) == encode_sample(sample)
+    assert len(encode_sample(sample)) == SAMPLE_LENGTH == 87
+    assert decode_sample(encode_sample(sample)) == sample
+
+
+def test_an_angle_that_is_not_known_travels_as_nan() -> None:
+    """At a rail there is no angle."""
+    sample = Sample(*(0 for _ in SAMPLE_FIELDS))._replace(theta_1_rad=math.nan)
+
+    decoded = decode_sample(encode_sample(sample))
+
+    assert decoded is not None
+    assert math.isnan(decoded.theta_1_rad)
+
+
+def test_other_layouts_are_not_taken_for_a_sample() -> None:
+    """A sample with another length or other tags needs the protobuf library."""
+    data = encode_sample(Sample(*(0 for _ in SAMPLE_FIELDS)))
+
+    assert decode_sample(data + b"\x60\x00") is None
+    assert decode_sample(b"\x11" + data[1:]) is None
+
+
+def test_the_served_schemas_stand_alone() -> None:
+    """Each descriptor set names its message, with all that it depends on."""
+    for name in (protobuf.SAMPLE, protobuf.GAP, protobuf.TIMING, protobuf.STATE, protobuf.LOG):
+        files = descriptor_pb2.FileDescriptorSet.FromString(protobuf.descriptor_set(name)).file
+
+        defined = {f"{file.package}.{m.name}" for file in files for m in file.message_type}
+        assert name in defined
+        assert {d for file in files for d in file.dependency} <= {file.name for file in files}

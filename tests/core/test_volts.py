@@ -1,0 +1,40 @@
+"""Voltage, its code, and the code that a device really latches."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from armrig_core.volts import applied_code, code_of, volts_of
+from hypothesis import given
+from hypothesis import strategies as st
+
+codes = st.integers(0, 65535)
+
+
+@given(codes)
+def test_a_code_is_the_code_of_its_voltage(code: int) -> None:
+    """Code to volts and back changes nothing."""
+    assert code_of(volts_of(code)) == code
+
+
+def test_the_ends_are_the_rig_s() -> None:
+    """0 is 0 V and 65535 is 5 V, exactly."""
+    assert (volts_of(0), volts_of(65535)) == (0.0, 5.0)
+
+
+@pytest.mark.parametrize("volts", [-1e-9, 5.000001, math.nan, math.inf, -math.inf])
+def test_a_voltage_outside_the_rig_s_is_refused_never_clamped(volts: float) -> None:
+    """The message says what would happen."""
+    with pytest.raises(ValueError, match="outside 0 … 5 V"):
+        code_of(volts)
+
+
+@given(codes, st.integers(8, 16))
+def test_what_a_device_latches_is_within_half_a_step(code: int, bits: int) -> None:
+    """The nearest duty; its own code is latched as it is."""
+    applied = applied_code(code, bits)
+
+    assert abs(applied - code) <= 65535 / 2**bits / 2 + 0.5
+    assert 0 <= applied <= 65535
+    assert applied_code(applied, bits) == applied
