@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from armrig_protocol import cobs
 from armrig_protocol.crc import crc32
-from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, TYPES, Message
+from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, TYPES, Config, Message
 
 _CRC = Struct("<I")
 _HEADER = Struct("<BBH")
@@ -21,6 +21,11 @@ LENGTHS = {number: text.size + _CRC.size for number, text in _TEXTS.items()}
 def wire_length(message: type[Message]) -> int:
     """Return how many bytes a message of this class takes on the wire, its 00 included."""
     return LENGTHS[TYPES[message]] + 2
+
+
+def config_crc(config: Config) -> int:
+    """Return the CRC-32 of a CONFIG's body, by which ARM names a configuration."""
+    return crc32(_TEXTS[TYPES[Config]].pack(TYPES[Config], *config)[_HEADER.size :])
 
 
 class Unknown(NamedTuple):

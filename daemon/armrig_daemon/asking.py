@@ -1,0 +1,124 @@
+"""Requests to the device, and what the core says of itself."""
+
+from __future__ import annotations
+
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    VERSION,
+    Arm,
+    ClearFault,
+    Config,
+    Hello,
+    HelloReply,
+    Message,
+    Mode,
+    Start,
+    Stop,
+    Underrun,
+)
+
+from armrig_daemon.records import Answer, Log, Order
+from armrig_daemon.records import State as StateRecord
+from armrig_daemon.state import Action, Asked, Emit, Rules, Send, State, Want
+
+Step = tuple[State, list[Action]]
+"""What each part of the core returns: the next state, and what is to be done."""
+
+
+def log(now_ns: int, level: str, message: str) -> Action:
+    """Return a line for a person."""
+    return Emit(Log(t_host_ns=now_ns, level=level, message=message))
+
+
+def answer(order: Order | None, body: dict[str, object]) -> list[Action]:
+    """Return the answer to an order, if there was one."""
+    return [] if order is None else [Emit(Answer(order=order.order, body=body))]
+
+
+def refuse(order: Order | None, error: str) -> list[Action]:
+    """Return the refusal of an order, if there was one."""
+    return [] if order is None else [Emit(Answer(order=order.order, error=error))]
+
+
+def device_facts(device: HelloReply | None) -> dict[str, object]:
+    """Return what a device said of itself, by name, large numbers in hex."""
+    if device is None:
+        return {}
+    facts: dict[str, object] = dict(device._asdict())
+    for name in ("state", "seq", "token", "cause"):
+        del facts[name]
+    for name in ("uid", "boot_id", "schema", "firmware"):
+        facts[name] = f"{facts[name]:x}"
+    return facts
+
+
+def say_state(state: State, now_ns: int) -> Action:
+    """Return the state for whoever watches."""
+    return Emit(
+        StateRecord(
+            t_host_ns=now_ns,
+            phase=state.phase,
+            reason=state.reason,
+            owner=state.lease.owner if state.lease else "",
+            ts_us=state.ts_us,
+            device=device_facts(state.device),
+        )
+    )
+
+
+def config(rules: Rules, ts_us: int, seq: int) -> Config:
+    """Return the configuration that the device is asked for."""
+    return Config(
+        state=0,
+        seq=seq,
+        ts_us=ts_us,
+        # 0 V is always allowed: the host rests there between START and the first sample.
+        u_min=0,
+        u_max=rules.u_max,
+        u_rest=0,
+        slew=rules.slew,
+        watchdog_ms=rules.watchdog_ms,
+        mode=Mode.EXCHANGE,
+        underrun=Underrun.ZERO,
+        hold=0,
+        oversampling=1,
+        rail_ticks=rules.rail_ticks,
+        turns=rules.turns,
+    )
+
+
+def ask(
+    state: State,
+    now_ns: int,
+    want: Want,
+    order: Order | None = None,
+    ts_us: int = 0,
+    tries: int = 1,
+) -> Step:
+    """Send the request that leads to `want`, and remember it until it has had its effect.
+
+    It takes the place of what was asked for before; whoever wished that is told.
+    """
+    before = state.asked.order if state.asked else None
+    overtaken = refuse(before, f"overtaken by {want}") if before is not order else []
+    boot_id = state.device.boot_id if state.device else 0
+    request: Message
+    match want:
+        case Want.HELLO:
+            request = Hello(0, state.seq, VERSION, SCHEMA_HASH)
+        case Want.CONFIGURE:
+            request = config(state.rules, ts_us, state.seq)
+        case Want.ARM:
+            request = Arm(0, state.seq, boot_id, state.config_crc)
+        case Want.START:
+            request = Start(0, state.seq, 0)
+        case Want.STOP:
+            request = Stop(0, state.seq)
+        case Want.CLEAR:
+            request = ClearFault(0, state.seq, state.token)
+    asked = Asked(want, now_ns, state.seq, tries, ts_us, order)
+    # A frame begins with a 00 of its own where the line may hold rubbish.
+    lead = b"\0" if want is Want.HELLO else b""
+    state = state._replace(asked=asked, seq=(state.seq + 1) & 0xFFFF, any_ns=now_ns)
+    return state, [*overtaken, Send(lead + encode(request))]

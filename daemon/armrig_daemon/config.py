@@ -1,0 +1,229 @@
+"""The daemon's configuration: TOML, checked key by key, layered.
+
+Command line over `ARMRIG_<TABLE>_<KEY>` over `$XDG_CONFIG_HOME/armrig/armrig.toml` over
+`/etc/armrig/armrig.toml`; a file named on the command line takes the place of both files.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from armrig_core.calibration import Calibration
+from armrig_core.topics import check_rig_id
+from armrig_core.volts import U_MAX_V, code_of
+from armrig_protocol.messages import WATCHDOG_DEFAULT_MS, WATCHDOG_MAX_MS, WATCHDOG_MIN_MS
+from msgspec import Meta
+
+from armrig_daemon.budget import check_exchange
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.state import Rules
+from armrig_daemon.tables import TableError, convert
+
+SYSTEM = Path("/etc/armrig/armrig.toml")
+# Set for the tests and for the benefit of others; not keys of the configuration.
+_NOT_OURS = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA"}
+
+Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One table of the TOML."""
+
+
+class Rig(Table, frozen=True, kw_only=True):
+    """`[rig]`."""
+
+    id: str = "1"
+    """Names the rig in keys, topics and files: a-z, 0-9 and -."""
+
+    def __post_init__(self) -> None:
+        """Refuse a name that cannot be part of a key."""
+        check_rig_id(self.id)
+
+
+class Device(Table, frozen=True, kw_only=True):
+    """`[device]`."""
+
+    port: str = "/dev/armrig"
+    """Serial port."""
+    baud: Annotated[int, Meta(ge=9600, le=4_000_000)] = 500_000
+    """Speed of the line, in bit/s."""
+    watchdog_ms: Annotated[int, Meta(ge=WATCHDOG_MIN_MS, le=WATCHDOG_MAX_MS)] = WATCHDOG_DEFAULT_MS
+    """Silence after which the device stops the motor by itself, in ms."""
+
+
+class Timing(Table, frozen=True, kw_only=True):
+    """`[timing]`."""
+
+    Ts: Annotated[float, Meta(ge=0.0005, le=1)] = 0.01
+    """Sampling time where an experiment asks for no other, in s."""
+    priority: Annotated[int, Meta(ge=0, le=95)] = 80
+    """SCHED_FIFO priority of the loop; 0 leaves it to the ordinary policy."""
+    cpu: Annotated[int, Meta(ge=0)] | None = None
+    """Core that the loop is kept on."""
+    spin_us: Annotated[float, Meta(ge=0, le=500)] = 60
+    """How long before a deadline the loop stops sleeping and spins, in µs; under FIFO only."""
+
+
+class Limits(Table, frozen=True, kw_only=True):
+    """`[limits]`: they can only narrow what the rig stands."""
+
+    u_min_v: Volts = 0.0
+    """Lowest motor voltage that a command may ask for, in V."""
+    u_max_v: Volts = U_MAX_V
+    """Highest motor voltage that a command may ask for, in V."""
+    slew_v: Volts = 0.0
+    """Largest change of the voltage in one sample, in V; 0 is none."""
+    revolutions: Annotated[float, Meta(ge=0, le=655)] = 0.0
+    """Turns of the chassis allowed in one run; 0 is no limit."""
+
+    def __post_init__(self) -> None:
+        """Refuse an empty range."""
+        if self.u_min_v > self.u_max_v:
+            msg = f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}"
+            raise ValueError(msg)
+
+
+class Recording(Table, frozen=True, kw_only=True):
+    """`[recording]`."""
+
+    directory: str = ""
+    """Where recordings go; empty is the user's data directory."""
+
+
+class Config(Table, frozen=True, kw_only=True):
+    """The whole configuration."""
+
+    rig: Rig = Rig()
+    device: Device = Device()
+    timing: Timing = Timing()
+    limits: Limits = Limits()
+    recording: Recording = Recording()
+    calibration: Calibration = Calibration()
+    emulator: EmulatorSettings = EmulatorSettings()
+
+    @property
+    def ts_us(self) -> int:
+        """Sampling time in µs."""
+        return round(self.timing.Ts * 1e6)
+
+    def rules(self) -> Rules:
+        """Return what the core is told."""
+        limits = self.limits
+        return Rules(
+            u_min=code_of(limits.u_min_v),
+            u_max=code_of(limits.u_max_v),
+            slew=code_of(limits.slew_v),
+            ts_us=self.ts_us,
+            watchdog_ms=self.device.watchdog_ms,
+            baud=self.device.baud,
+            turns=round(limits.revolutions * 100),
+            rail_ticks=0,
+            calibration=self.calibration,
+        )
+
+
+class ConfigError(ValueError):
+    """A configuration that is refused; names file, key, value and what is allowed."""
+
+
+def load(
+    paths: list[Path], environ: Mapping[str, str], overrides: Mapping[str, Mapping[str, Any]]
+) -> Config:
+    """Return the configuration of these layers, the later over the earlier.
+
+    Parameters
+    ----------
+    paths : list of Path
+        TOML files; all must exist.
+    environ : mapping
+        Environment variables; those that begin with `ARMRIG_` count.
+    overrides : mapping
+        Tables of the command line.
+
+    Raises
+    ------
+    ConfigError
+        A file cannot be read, or a key or value is not allowed.
+    """
+    tables: dict[str, Any] = {}
+    for path in paths:
+        layer = _read(path)
+        _check(layer, str(path))
+        tables = _merged(tables, layer)
+    layer = _from_environment(environ)
+    _check(layer, "environment")
+    tables = _merged(tables, layer)
+    tables = _merged(tables, overrides)
+    config = _check(tables, ", ".join(map(str, paths)) or "configuration")
+    try:
+        check_exchange(config.ts_us, config.device.baud)
+    except ValueError as err:
+        msg = f"[timing] {err}"
+        raise ConfigError(msg) from err
+    return config
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as err:
+        msg = f"{path}: there is no such file"
+        raise ConfigError(msg) from err
+    except OSError as err:
+        msg = f"{path}: {err.strerror}"
+        raise ConfigError(msg) from err
+    except ValueError as err:  # TOMLDecodeError and UnicodeDecodeError
+        msg = f"{path}: not a TOML file: {err}"
+        raise ConfigError(msg) from err
+
+
+def _check(tables: Mapping[str, Any], where: str) -> Config:
+    try:
+        return convert(dict(tables), Config)
+    except TableError as err:
+        msg = f"{where}: {err}"
+        raise ConfigError(msg) from err
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
+
+
+def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
+    tables: dict[str, Any] = {}
+    for name, text in environ.items():
+        if not name.startswith("ARMRIG_") or name in _NOT_OURS:
+            continue
+        table, _, key = name.removeprefix("ARMRIG_").lower().partition("_")
+        known = {f.lower(): f for f in _fields_of(table)}
+        if not key or not known:
+            allowed = ", ".join(Config.__struct_fields__)
+            msg = f"environment: {name}={text!r}: must be ARMRIG_<TABLE>_<KEY>; tables: {allowed}"
+            raise ConfigError(msg)
+        tables.setdefault(table, {})[known.get(key, key)] = _value(text)
+    return tables
+
+
+def _fields_of(table: str) -> tuple[str, ...]:
+    for field in msgspec.structs.fields(Config):
+        if field.name == table:
+            kind: Any = field.type
+            return tuple(kind.__struct_fields__)
+    return ()
+
+
+def _value(text: str) -> Any:
+    """Return what TOML makes of the text, or the text itself."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

@@ -1,0 +1,208 @@
+"""The daemon's only decision maker: `step(state, now_ns, events) -> (state', actions)`.
+
+Pure: no clock, I/O, randomness, logging or threads. What it keeps, by the invariants of
+ARCHITECTURE.md: every non-zero code it sends is that of a command of the lease's holder (S5),
+within the limits (S1), while the round trip is fresh (S4); a trip latches (S6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from armrig_core.volts import volts_of
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import Spoilt, Unknown, encode
+from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
+
+from armrig_daemon import handshake, orders, replies
+from armrig_daemon.asking import Step, ask, log, say_state
+from armrig_daemon.records import Gap, RunStarted
+from armrig_daemon.state import (
+    Action,
+    Beat,
+    Emit,
+    Event,
+    Exit,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Phase,
+    Received,
+    Rules,
+    Send,
+    Sent,
+    ServiceGone,
+    State,
+    Tick,
+    Want,
+)
+from armrig_daemon.stopping import stop, trip
+
+ARMED_NS = 10_000_000_000
+"""How long the rig may be held armed without a command, at 0 V, in ns."""
+
+
+def start(rules: Rules) -> State:
+    """Return the state before anything has happened."""
+    return State(rules=rules, ts_us=rules.ts_us)
+
+
+def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
+    """Return the state after `events`, which happened by `now_ns`, and what is to be done."""
+    done: list[Action] = []
+    for event in events:
+        state, actions = _one(state, now_ns, event)
+        done += actions
+    return state, done
+
+
+def wake_ns(state: State) -> int:
+    """Return when the core wants a `Beat`, should nothing happen before."""
+    if state.asked is not None:
+        return handshake.retry_ns(state.asked)
+    return state.any_ns + _keepalive_ns(state)
+
+
+def _keepalive_ns(state: State) -> int:
+    return state.rules.watchdog_ms * 1_000_000 // 3
+
+
+def _one(state: State, now_ns: int, event: Event) -> Step:
+    match event:
+        case Received():
+            return _received(state, now_ns, event.data)
+        case Tick():
+            return _tick(state, now_ns, event)
+        case Beat():
+            return _beat(state, now_ns)
+        case Ordered():
+            return orders.take(state, now_ns, event.order)
+        case LinkUp():
+            state = state._replace(link_up=True, pending=b"", sent=(), seq=0)
+            return ask(state, now_ns, Want.HELLO)
+        case LinkDown():
+            return _link_down(state, now_ns, event.reason)
+        case ServiceGone():
+            return orders.quit_(state, now_ns)
+
+
+def _link_down(state: State, now_ns: int, reason: str) -> Step:
+    state = state._replace(link_up=False, device=None, asked=None, sent=(), pending=b"")
+    if state.quitting:
+        return state, [Exit()]
+    if state.phase in (Phase.ARMED, Phase.ACTIVE):
+        return trip(state, now_ns, f"link lost: {reason}")
+    phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
+    state = state._replace(phase=phase)
+    return state, [log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
+
+
+def _received(state: State, now_ns: int, data: bytes) -> Step:
+    pending, received = feed(state.pending, data)
+    state = state._replace(pending=pending)
+    done: list[Action] = []
+    for message in received:
+        if isinstance(message, Spoilt | Unknown):
+            # Noise on the line is the line's; the sample it cost is a gap of its own.
+            done.append(log(now_ns, "debug", f"line: {message}"))
+            continue
+        state, actions = replies.take(state, now_ns, message)
+        done += actions
+    return state, done
+
+
+def _beat(state: State, now_ns: int) -> Step:
+    if state.asked is not None:
+        return handshake.retry(state, now_ns)
+    if not state.link_up:
+        return state._replace(any_ns=now_ns), []
+    return _send(state, now_ns, encode(Keepalive(0, state.seq)))
+
+
+def _send(state: State, now_ns: int, data: bytes) -> Step:
+    return state._replace(seq=(state.seq + 1) & 0xFFFF, any_ns=now_ns), [Send(data)]
+
+
+def _tick(state: State, now_ns: int, tick: Tick) -> Step:
+    done: list[Action] = []
+    skipped = tick.k - state.k - 1
+    paused = state.k >= 0 and now_ns - state.tick_ns > state.rules.pause_ns(state.ts_us)
+    if state.k >= 0 and skipped > 0:
+        done.append(_gap(state, tick.k - skipped, skipped, now_ns, "the host was late"))
+    before_ns = state.tick_ns
+    state = state._replace(k=tick.k, tick_ns=now_ns)
+    if not state.link_up or state.device is None:
+        return state, done
+    driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
+    if driving and paused:
+        pause_ms = (now_ns - before_ns) / 1e6
+        state, actions = trip(state, now_ns, f"the host paused for {pause_ms:.0f} ms")
+        return state, done + actions
+    if now_ns - state.fresh_ns > state.rules.age_ns(state.ts_us):
+        state, actions = _stale(state, now_ns, driving=driving)
+        return state, done + actions
+    if len(state.sent) >= MAX_UNECHOED:
+        # Never more stale commands in the line than this; the age above ends it.
+        done.append(_gap(state, tick.k, 1, now_ns, "the device was late"))
+        return state, done
+    state, code, actions = _decide(state, now_ns, tick.k)
+    done += actions
+    sent = Sent(state.seq, tick.k, tick.sched_ns, now_ns, code)
+    state, actions = _send(state, now_ns, encode(Exchange(0, state.seq, tick.k & 0xFFFFFFFF, code)))
+    return state._replace(sent=(*state.sent, sent)), done + actions
+
+
+def _gap(state: State, k_first: int, count: int, now_ns: int, reason: str) -> Action:
+    return Emit(
+        Gap(
+            k_first=k_first,
+            count=count,
+            t_from_ns=state.tick_ns,
+            t_to_ns=now_ns,
+            u_held_v=volts_of(state.applied),
+            reason=reason,
+        )
+    )
+
+
+def _stale(state: State, now_ns: int, *, driving: bool) -> Step:
+    age_ms = (now_ns - state.fresh_ns) / 1e6
+    if driving:
+        return trip(state, now_ns, f"no answer from the device for {age_ms:.0f} ms")
+    if state.asked is not None:
+        return state, []
+    state = state._replace(sent=(), device=None)
+    if state.phase is not Phase.FAULT:
+        state = state._replace(phase=Phase.INIT)
+    state, actions = ask(state, now_ns, Want.HELLO)
+    text = f"no answer from the device for {age_ms:.0f} ms; asking who is there"
+    return state, [log(now_ns, "warning", text), say_state(state, now_ns), *actions]
+
+
+def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]]:
+    """Return the code for tick `k`; anything but 0 only while a valid command stands behind it."""
+    lease = state.lease
+    if lease is None or (state.asked is not None and state.asked.want is Want.STOP):
+        return state, 0, []
+    if state.phase is Phase.ARMED and now_ns - lease.renewed_ns > ARMED_NS:
+        state, actions = stop(state, now_ns, "")
+        text = "armed for 10 s without a command: disarmed"
+        return state, 0, [log(now_ns, "info", text), *actions]
+    if state.phase is not Phase.ACTIVE:
+        return state, 0, []
+    if state.run is None:
+        if now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us):
+            state, actions = trip(state, now_ns, "the lease ran out: no command from its holder")
+            return state, 0, actions
+        return state, state.code, []
+    done: list[Action] = []
+    run = state.run
+    if run.k_first < 0:
+        run = run._replace(k_first=k)
+        state = state._replace(run=run)
+        done.append(Emit(RunStarted(run_id=run.run_id, k_first=k, count=run.count)))
+    i = k - run.k_first
+    if i < run.count:
+        return state, run.code(i), done
+    state, actions = stop(state, now_ns, "complete")
+    return state, 0, done + actions

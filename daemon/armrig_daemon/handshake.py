@@ -1,0 +1,211 @@
+"""From HELLO to a running motor and back: each request, its effect, its refusal, its retry."""
+
+from __future__ import annotations
+
+from armrig_core.volts import volts_of
+from armrig_protocol.frame import config_crc
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Code, ConfigReply, HelloReply
+from armrig_protocol.messages import State as DeviceState
+
+from armrig_daemon.asking import Step, answer, ask, config, log, refuse, say_state
+from armrig_daemon.budget import check_exchange
+from armrig_daemon.records import Hold, Play, Reset, Take
+from armrig_daemon.state import Action, Asked, Exit, Lease, Phase, Repace, Run, State, Want
+from armrig_daemon.stopping import end_run, trip
+
+_RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
+_OTHER_RETRY_NS = 50_000_000
+_TRIES = 5
+_DRIVES = (DeviceState.ARMED, DeviceState.RUN)
+_LATCHED = (DeviceState.FAULT, DeviceState.ESTOP)
+
+
+def retry_ns(asked: Asked) -> int:
+    """Return when a request that had no effect is sent again."""
+    return asked.sent_ns + _RETRY_NS.get(asked.want, _OTHER_RETRY_NS)
+
+
+def retry(state: State, now_ns: int) -> Step:
+    """Send the request again, or give up: then the motor is stopped if it may turn."""
+    asked = state.asked
+    if asked is None or now_ns < retry_ns(asked):
+        return state, []
+    if not state.link_up:
+        return state._replace(asked=None), refuse(asked.order, "the link is down")
+    if asked.want is Want.HELLO or asked.tries < _TRIES:
+        return ask(state, now_ns, asked.want, asked.order, asked.ts_us, asked.tries + 1)
+    return failed(state, now_ns, f"the device does not answer {asked.want}")
+
+
+def failed(state: State, now_ns: int, error: str) -> Step:
+    """Give up what was asked for."""
+    asked = state.asked
+    state = state._replace(asked=None)
+    done = refuse(asked.order if asked else None, error)
+    if asked is not None and asked.want is Want.STOP:
+        # More cannot be done from here: the device's own watchdog is next.
+        state, actions = end_run(state)
+        done += actions
+        if state.quitting:
+            return state, [*done, Exit()]
+        if state.phase is Phase.FAULT:
+            return state, [*done, log(now_ns, "error", error)]
+        state, actions = trip(state, now_ns, error)
+        return state._replace(asked=None), done + actions
+    if state.phase in (Phase.ARMED, Phase.ACTIVE):
+        state, actions = trip(state, now_ns, error)
+        return state, done + actions
+    state, actions = ask(state, now_ns, Want.HELLO)
+    return state, [*done, log(now_ns, "warning", error), *actions]
+
+
+def seen(state: State, now_ns: int, device_state: int) -> Step:
+    """Take note of the state in a frame of the device: it is what shows that a request worked."""
+    before, state = state.device_state, state._replace(device_state=device_state)
+    if state.asked is not None:
+        reached = {
+            Want.ARM: device_state == DeviceState.ARMED,
+            Want.START: device_state == DeviceState.RUN,
+            Want.STOP: device_state not in _DRIVES,
+            Want.CLEAR: device_state == DeviceState.IDLE,
+        }
+        if reached.get(state.asked.want, False):
+            return _reached(state, now_ns, state.asked)
+    latched = device_state in _LATCHED
+    if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
+        return trip(state, now_ns, f"the device is in {DeviceState(device_state).name}")
+    return state, []
+
+
+def _reached(state: State, now_ns: int, asked: Asked) -> Step:
+    state = state._replace(asked=None)
+    match asked.want:
+        case Want.ARM:
+            return _armed(state, now_ns, asked)
+        case Want.START:
+            return _started(state, now_ns, asked)
+        case Want.CLEAR:
+            return ask(state, now_ns, Want.HELLO, asked.order)
+        case _:
+            return _stopped(state, now_ns, asked)
+
+
+def _armed(state: State, now_ns: int, asked: Asked) -> Step:
+    order = asked.order
+    if not isinstance(order, Take):
+        return trip(state, now_ns, "armed without an owner")
+    rules = state.rules
+    state = state._replace(
+        phase=Phase.ARMED, reason="", lease=Lease(order.lease, order.owner, -1, now_ns)
+    )
+    granted = {
+        "lease": order.lease,
+        "period_s": rules.lease_ns(state.ts_us) / 1e9,
+        "Ts": state.ts_us / 1e6,
+        "u_min": volts_of(rules.u_min),
+        "u_max": volts_of(rules.u_max),
+    }
+    return state, [say_state(state, now_ns), *answer(order, granted)]
+
+
+def _started(state: State, now_ns: int, asked: Asked) -> Step:
+    order = asked.order
+    if state.lease is None or not isinstance(order, Play | Hold):
+        return trip(state, now_ns, "started without an owner")
+    run = Run(order.run_id, order.codes, -1) if isinstance(order, Play) else None
+    code = order.code if isinstance(order, Hold) else 0
+    lease = state.lease._replace(renewed_ns=now_ns)
+    state = state._replace(phase=Phase.ACTIVE, run=run, outcome="", code=code, lease=lease)
+    return state, [say_state(state, now_ns), *answer(order, {"done": True})]
+
+
+def _stopped(state: State, now_ns: int, asked: Asked) -> Step:
+    state, done = end_run(state)
+    if state.quitting:
+        return state, [*done, Exit()]
+    state = state._replace(lease=None)
+    if state.phase is Phase.FAULT and not isinstance(asked.order, Reset):
+        return state, done
+    state, actions = ask(state, now_ns, Want.CONFIGURE, asked.order, state.rules.ts_us)
+    return state, done + actions
+
+
+def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
+    """Meet the device: from here on it is sampled, at 0 V."""
+    asked = state.asked
+    state = state._replace(
+        device=reply, token=reply.token, device_state=reply.state, fresh_ns=now_ns, sent=()
+    )
+    if asked is None or asked.want is not Want.HELLO:
+        return state, []
+    state = state._replace(asked=None)
+    if (reply.version, reply.schema) != (VERSION, SCHEMA_HASH):
+        error = (
+            f"the firmware speaks version {reply.version}, schema {reply.schema:08x}; "
+            f"this daemon {VERSION}, {SCHEMA_HASH:08x}: flash the firmware of this release"
+        )
+        return _latch(state, now_ns, asked, error)
+    if reply.state in _LATCHED:
+        return _latch(state, now_ns, asked, f"the device is in {DeviceState(reply.state).name}")
+    if state.phase is Phase.FAULT and asked.order is None:
+        return state, []
+    if reply.state in _DRIVES:
+        # Left over from another host: stop first.
+        return ask(state, now_ns, Want.STOP, asked.order)
+    return ask(state, now_ns, Want.CONFIGURE, asked.order, state.rules.ts_us)
+
+
+def _latch(state: State, now_ns: int, asked: Asked, error: str) -> Step:
+    done = refuse(asked.order, error)
+    if (state.phase, state.reason) == (Phase.FAULT, error):
+        return state, done
+    state = state._replace(phase=Phase.FAULT, reason=error)
+    return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
+
+
+def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
+    """Take the device's answer to CONFIG, which carries what it really accepted."""
+    asked = state.asked
+    if asked is None or asked.want is not Want.CONFIGURE:
+        return state, []
+    if reply.code != Code.OK:
+        error = f"the device refuses the configuration: {name_of(reply.code)}"
+        return failed(state, now_ns, error)
+    if reply.config_crc != config_crc(config(state.rules, asked.ts_us, 0)):
+        return failed(state, now_ns, "the device accepted another configuration than was sent")
+    before_us = state.ts_us
+    # The pace begins anew here: the ticks before it say nothing of the new period.
+    state = state._replace(
+        asked=None,
+        config_crc=reply.config_crc,
+        ts_us=asked.ts_us,
+        fresh_ns=asked.sent_ns,
+        tick_ns=now_ns,
+    )
+    done: list[Action] = [] if before_us == asked.ts_us else [Repace(asked.ts_us)]
+    if isinstance(asked.order, Take):
+        state, actions = ask(state, now_ns, Want.ARM, asked.order)
+        return state, done + actions
+    state = state._replace(phase=Phase.SAFE, reason="", lease=None)
+    return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
+
+
+def begin_arming(state: State, now_ns: int, order: Take) -> Step:
+    """Configure the device for the owner's sampling time, then arm it."""
+    device = state.device
+    ts_us = order.ts_us or state.rules.ts_us
+    if device is None:
+        return state, refuse(order, "there is no device")
+    try:
+        check_exchange(ts_us, state.rules.baud, device.skew_us)
+    except ValueError as err:
+        return state, refuse(order, str(err))
+    if ts_us < device.ts_min_us:
+        error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
+        return state, refuse(order, f"{error} {device.ts_min_us / 1e6:g} s")
+    return ask(state, now_ns, Want.CONFIGURE, order, ts_us)
+
+
+def name_of(code: int) -> str:
+    """Return the name of an answer's code, or its number where it has none."""
+    return Code(code).name if code in set(Code) else str(code)

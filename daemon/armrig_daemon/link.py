@@ -1,0 +1,85 @@
+"""The serial port, opened by pyserial and read and written without ever waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import termios
+from pathlib import Path
+
+import serial
+
+
+class LinkError(OSError):
+    """The port cannot be opened or is gone; says which and why."""
+
+
+class Link:
+    """An open port. Each failure of it is a `LinkError`."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        """Open `port` for us alone."""
+        try:
+            self._serial = serial.Serial(
+                port, baudrate=baud, timeout=0, write_timeout=0, exclusive=True
+            )
+        except (OSError, ValueError, termios.error) as err:
+            msg = f"{port} cannot be opened: {_reason(port, err)}"
+            raise LinkError(msg) from err
+        self.port = port
+        self.fd = self._serial.fileno()
+        with contextlib.suppress(OSError, ValueError, termios.error, NotImplementedError):
+            # Best effort: a pseudo-terminal has no such mode, and needs none.
+            self._serial.set_low_latency_mode(True)
+
+    def read(self) -> bytes:
+        """Return the bytes that are there."""
+        try:
+            data = os.read(self.fd, 4096)
+        except BlockingIOError:
+            return b""
+        except OSError as err:
+            msg = f"{self.port} is gone: {err.strerror}"
+            raise LinkError(msg) from err
+        if not data:
+            msg = f"{self.port} is gone: end of file"
+            raise LinkError(msg)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`, or fail: a frame is never left half sent in silence."""
+        try:
+            sent = os.write(self.fd, data)
+        except BlockingIOError:
+            sent = 0
+        except OSError as err:
+            msg = f"{self.port} is gone: {err.strerror}"
+            raise LinkError(msg) from err
+        if sent < len(data):
+            msg = f"{self.port} takes no more bytes: the device does not read"
+            raise LinkError(msg)
+
+    def close(self) -> None:
+        """Give the port back."""
+        with contextlib.suppress(OSError, termios.error):
+            self._serial.close()
+
+
+def latency_timer_ms(port: str) -> int | None:
+    """Return the latency timer of an FTDI adapter, in ms, or None for any other port."""
+    name = Path(port).resolve().name
+    with contextlib.suppress(OSError, ValueError):
+        path = Path("/sys/bus/usb-serial/devices") / name / "latency_timer"
+        return int(path.read_text(encoding="ascii"))
+    return None
+
+
+def _reason(port: str, err: Exception) -> str:
+    if not Path(port).exists():
+        return "it is not there; see that the rig is plugged in, and the name in the config"
+    text = str(err).lower()
+    if "exclusively lock" in text or "busy" in text:
+        return "it is taken by another program; end that one"
+    if "permission" in text:
+        return "not permitted; add this user to the group of the port (dialout)"
+    return str(err).splitlines()[0]

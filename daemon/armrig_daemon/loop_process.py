@@ -1,0 +1,186 @@
+"""The loop as a program of its own: `python -m armrig_daemon.loop_process FD FD`, by the service.
+
+One Python thread and nothing heavy: it must never wait for the interpreter's lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+from types import FrameType
+
+import msgspec
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import Estop
+
+from armrig_daemon import realtime
+from armrig_daemon.link import Link, LinkError, latency_timer_ms
+from armrig_daemon.loop import Loop
+from armrig_daemon.records import Log, Quit, record_bytes, take_orders
+from armrig_daemon.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
+
+REOPEN_NS = 500_000_000
+_READ = 65536
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What the service tells this program on its first line of orders."""
+
+    rules: Rules
+    port: str
+    baud: int
+    priority: int
+    cpu: int | None
+    spin_ns: int
+
+
+class ProcessPorts:
+    """The ports of the product: the monotonic clock, the serial line, the service's pipes."""
+
+    def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
+        """Take the pipes; the line is opened when the loop first waits."""
+        self._settings = settings
+        self._orders_fd = orders_fd
+        self._records_fd = records_fd
+        self._orders = bytearray()
+        self._link: Link | None = None
+        self._reopen_ns = 0
+        self._said = ""
+        self._gone = False
+        self.quit_reason = ""
+
+    def now_ns(self) -> int:
+        """Return the monotonic time."""
+        return realtime.now_ns()
+
+    def sleep_until(self, deadline_ns: int) -> int:
+        """Sleep, then spin, until the deadline."""
+        return realtime.sleep_until(deadline_ns, self._settings.spin_ns)
+
+    def wait(self, until_ns: int) -> list[Event]:
+        """Wait for the line, the service or a signal."""
+        events: list[Event] = []
+        now = realtime.now_ns()
+        if self._link is None and now >= self._reopen_ns:
+            self._reopen_ns = now + REOPEN_NS
+            events += self._open()
+        fds = [] if self._gone else [self._orders_fd]
+        if self._link is not None:
+            fds.append(self._link.fd)
+        timeout = 0 if events else max(0, until_ns - now) / 1e9
+        try:
+            ready, _, _ = select.select(fds, [], [], timeout)
+        except OSError as err:  # the port's descriptor went bad
+            return [*events, *self._lost(err)]
+        if self._link is not None and self._link.fd in ready:
+            events += self._read()
+        if self._orders_fd in ready:
+            events += self._take_orders()
+        if self.quit_reason:
+            events.append(Ordered(Quit(reason=self.quit_reason)))
+            self.quit_reason = ""
+        return events
+
+    def write(self, data: bytes) -> Event | None:
+        """Send to the device."""
+        if self._link is None:
+            return None
+        try:
+            self._link.write(data)
+        except LinkError as err:
+            return self._lost(err)[0]
+        return None
+
+    def put(self, text: bytes) -> bool:
+        """Write one record whole, or not at all: a pipe takes up to 4096 bytes as one."""
+        if self._gone:
+            return False
+        try:
+            return os.write(self._records_fd, text) == len(text)
+        except BlockingIOError:
+            return False
+        except BrokenPipeError:
+            self._gone = True
+            return False
+
+    def stop_hard(self) -> None:
+        """Send ESTOP three times: the loop itself has failed."""
+        if self._link is None:
+            return
+        with contextlib.suppress(LinkError):
+            for seq in range(3):
+                self._link.write(b"\0" + encode(Estop(0, seq)))
+
+    def _open(self) -> list[Event]:
+        try:
+            self._link = Link(self._settings.port, self._settings.baud)
+        except LinkError as err:
+            if str(err) != self._said:
+                self._said = str(err)
+                return [LinkDown(self._said)]
+            return []
+        self._said = ""
+        timer = latency_timer_ms(self._settings.port)
+        if timer is not None and timer > 1:
+            text = f"{self._settings.port} has a latency timer of {timer} ms; 1 ms is wanted"
+            self.put(record_bytes(Log(t_host_ns=self.now_ns(), level="warning", message=text)))
+        return [LinkUp()]
+
+    def _lost(self, err: OSError) -> list[Event]:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        self._reopen_ns = realtime.now_ns() + REOPEN_NS
+        self._said = str(err)
+        return [LinkDown(self._said)]
+
+    def _read(self) -> list[Event]:
+        if self._link is None:
+            return []
+        try:
+            data = self._link.read()
+        except LinkError as err:
+            return self._lost(err)
+        return [Received(data)] if data else []
+
+    def _take_orders(self) -> list[Event]:
+        try:
+            data = os.read(self._orders_fd, _READ)
+        except BlockingIOError:
+            return []
+        if not data:
+            self._gone = True
+            return [ServiceGone()]
+        self._orders += data
+        return [Ordered(order) for order in take_orders(self._orders)]
+
+
+def main(arguments: list[str]) -> int:
+    """Run the loop on the two pipes that were handed over."""
+    orders_fd, records_fd = (int(text) for text in arguments[:2])
+    settings = msgspec.json.decode(arguments[2], type=Settings)
+    os.set_blocking(orders_fd, False)
+    os.set_blocking(records_fd, False)
+    ports = ProcessPorts(settings, orders_fd, records_fd)
+
+    def quit_(number: int, _frame: FrameType | None) -> None:
+        ports.quit_reason = signal.Signals(number).name
+
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, quit_)
+    granted = realtime.prepare(settings.priority, settings.cpu)
+    text = "host: " + msgspec.json.encode(granted).decode()
+    ports.put(record_bytes(Log(t_host_ns=ports.now_ns(), level="debug", message=text)))
+    try:
+        Loop(settings.rules, ports).run()
+    except BaseException:
+        ports.stop_hard()
+        raise
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

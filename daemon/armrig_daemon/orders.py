@@ -1,0 +1,121 @@
+"""What the service asks of the core; anything that is not allowed is refused and told."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from struct import unpack
+
+from armrig_core.volts import volts_of
+from armrig_protocol.messages import State as DeviceState
+
+from armrig_daemon.asking import Step, answer, ask, refuse
+from armrig_daemon.handshake import begin_arming
+from armrig_daemon.records import Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
+from armrig_daemon.state import Exit, Phase, Rules, State, Want
+from armrig_daemon.stopping import end_run, stop
+
+
+def take(state: State, now_ns: int, order: Order) -> Step:
+    """Carry out one order, or refuse it."""
+    match order:
+        case Halt():
+            return _halt(state, now_ns, order)
+        case Quit():
+            return quit_(state, now_ns)
+        case Reset():
+            return _reset(state, now_ns, order)
+        case Take():
+            return _take(state, now_ns, order)
+        case Leased():
+            return _leased(state, now_ns, order)
+    return state, refuse(order, "not an order that this daemon knows")
+
+
+def quit_(state: State, now_ns: int) -> Step:
+    """Stop and exit; the exit waits until the device is seen stopped, or cannot be."""
+    if state.quitting:
+        return state, []
+    state = state._replace(quitting=True)
+    if not state.link_up or state.device is None:
+        state, done = end_run(state)
+        return state, [*done, Exit()]
+    return stop(state, now_ns, "the daemon was ended")
+
+
+def _halt(state: State, now_ns: int, order: Halt) -> Step:
+    may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
+    if state.device is None or state.phase is Phase.FAULT or not may_turn:
+        return state, answer(order, {"done": True})  # at 0 V, or out of our reach
+    return stop(state, now_ns, "stopped", order)
+
+
+def _reset(state: State, now_ns: int, order: Reset) -> Step:
+    if state.phase is not Phase.FAULT:
+        return state, answer(order, {"done": True})
+    if state.device is None:
+        return state, refuse(order, "there is no device: see that it is plugged in, then reset")
+    if state.asked is not None:
+        return state, refuse(order, f"busy with {state.asked.want}: try again")
+    latched = state.device_state in (DeviceState.FAULT, DeviceState.ESTOP)
+    return ask(state, now_ns, Want.CLEAR if latched else Want.HELLO, order)
+
+
+def _take(state: State, now_ns: int, order: Take) -> Step:
+    if state.quitting:
+        return state, refuse(order, "the daemon is ending")
+    if state.phase is Phase.FAULT:
+        return state, refuse(order, f"in fault ({state.reason}): mend it, then reset")
+    if state.lease is not None:
+        return state, refuse(order, f"held by {state.lease.owner}: wait, or stop it")
+    if state.phase is not Phase.SAFE or state.device is None:
+        return state, refuse(order, "there is no device yet: see that it is plugged in")
+    if state.asked is not None:
+        return state, refuse(order, f"busy with {state.asked.want}: try again")
+    return begin_arming(state, now_ns, order)
+
+
+def _leased(state: State, now_ns: int, order: Leased) -> Step:
+    lease = state.lease
+    if lease is None or order.lease != lease.lease:
+        return state, refuse(order, "not the lease in force: arm first")
+    if order.n <= lease.n:
+        return state, refuse(order, f"n={order.n} must be greater than the last, {lease.n}")
+    if state.asked is not None:
+        return state, refuse(order, f"busy with {state.asked.want}: try again")
+    error = _error(state, order)
+    if error:
+        return state, refuse(order, error)
+    state = state._replace(lease=lease._replace(n=order.n, renewed_ns=now_ns))
+    if isinstance(order, Release):
+        return stop(state, now_ns, "disarmed", order)
+    if isinstance(order, Hold) and state.phase is Phase.ACTIVE:
+        return state._replace(code=order.code), answer(order, {"done": True})
+    return ask(state, now_ns, Want.START, order)
+
+
+def _error(state: State, order: Leased) -> str:
+    """Return why the order is not allowed, or nothing."""
+    match order:
+        case Hold():
+            if state.run is not None:
+                return f"the experiment {state.run.run_id} is running: stop it first"
+            return _out_of_range([state.code, order.code], state.rules)
+        case Play():
+            if state.phase is not Phase.ARMED:
+                return "the motor is driven by hand: disarm first"
+            codes = unpack(f"<{len(order.codes) // 2}H", order.codes)
+            return _out_of_range([0, *codes], state.rules)
+    return ""
+
+
+def _out_of_range(codes: list[int], rules: Rules) -> str:
+    """Return what is wrong with `codes` behind the first, which is where the slew starts from."""
+    low, high = volts_of(rules.u_min), volts_of(rules.u_max)
+    if min(codes[1:]) < rules.u_min or max(codes[1:]) > rules.u_max:
+        i = next(i for i, c in enumerate(codes[1:]) if not rules.u_min <= c <= rules.u_max)
+        return f"u[{i}]={volts_of(codes[i + 1]):.4g} V is outside {low:g} … {high:g} V"
+    if rules.slew and max(abs(b - a) for a, b in pairwise(codes)) > rules.slew:
+        i = next(i for i, (a, b) in enumerate(pairwise(codes)) if abs(b - a) > rules.slew)
+        step = volts_of(abs(codes[i + 1] - codes[i]))
+        return f"u[{i}] steps by {step:.4g} V: at most {volts_of(rules.slew):.4g} V in a sample"
+    return ""

@@ -1,0 +1,30 @@
+"""Deadlines of the ticks, absolute, so that nothing adds up."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Pace(NamedTuple):
+    """Tick `k` is due at `origin_ns + (k - k_origin) · period_ns`."""
+
+    period_ns: int
+    origin_ns: int
+    k_origin: int
+
+    def due_ns(self, k: int) -> int:
+        """Return when tick `k` is due."""
+        return self.origin_ns + (k - self.k_origin) * self.period_ns
+
+    def current(self, k: int, now_ns: int) -> int:
+        """Return the tick to do now, where `k` is the next one: `k`, or the newest that is due.
+
+        Missed ticks are skipped. Catching up in a burst would sample at the wrong times.
+        """
+        late = now_ns - self.due_ns(k)
+        return k + max(0, late // self.period_ns)
+
+
+def change(pace: Pace, k: int, period_ns: int, now_ns: int) -> Pace:
+    """Return a pace with another period, whose next tick `k` comes one period from now."""
+    return pace if period_ns == pace.period_ns else Pace(period_ns, now_ns + period_ns, k)

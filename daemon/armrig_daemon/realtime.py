@@ -1,0 +1,90 @@
+"""What the kernel can give a loop: its clock, its priority, its memory kept in place."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import time
+from typing import Any
+
+_PR_SET_TIMERSLACK = 29
+_MCL_CURRENT_AND_FUTURE = 3
+_TIMER_ABSTIME = 1
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("tv_sec", ctypes.c_long), ("tv_nsec", ctypes.c_long))
+
+
+# ctypes gives up the interpreter lock during the call; the standard library has no such sleep.
+_libc = ctypes.CDLL(None, use_errno=True)
+_clock_nanosleep = _libc.clock_nanosleep
+_until = _Timespec()
+_until_at = ctypes.byref(_until)
+
+
+def now_ns() -> int:
+    """Return the monotonic time, which no one steps."""
+    return time.monotonic_ns()
+
+
+def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
+    """Sleep until shortly before the deadline, spin the rest, and return the time it then is."""
+    now = time.monotonic_ns()
+    wake = deadline_ns - spin_ns
+    if now < wake:
+        _until.tv_sec, _until.tv_nsec = divmod(wake, 1_000_000_000)
+        while _clock_nanosleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, _until_at, None):
+            pass  # interrupted by a signal; the deadline is absolute
+    while (now := time.monotonic_ns()) < deadline_ns:
+        pass
+    return now
+
+
+def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
+    """Ask the kernel for all that helps, and return what it gave.
+
+    Nothing here is needed to run: what is refused is told, with the way to get it.
+    """
+    _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    refused = []
+    fifo = _set_fifo(priority)
+    if priority and not fifo:
+        refused.append("SCHED_FIFO (set LimitRTPRIO= or run under systemd's unit)")
+    locked = _libc.mlockall(_MCL_CURRENT_AND_FUTURE) == 0
+    if not locked:
+        refused.append("mlockall (set LimitMEMLOCK=infinity)")
+    pinned = _pin(cpu)
+    if cpu is not None and not pinned:
+        refused.append(f"cpu {cpu} (allowed are {sorted(os.sched_getaffinity(0))})")
+    gc.collect()
+    gc.freeze()
+    gc.disable()  # nothing here makes cycles; a collection costs milliseconds
+    return {"fifo": priority if fifo else 0, "mlockall": locked, "cpu": cpu, "refused": refused}
+
+
+def _set_fifo(priority: int) -> bool:
+    if not priority:
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        return False
+    return True
+
+
+def _pin(cpu: int | None) -> bool:
+    if cpu is None:
+        return False
+    try:
+        os.sched_setaffinity(0, {cpu})
+    except OSError:
+        return False
+    return True
+
+
+def leave_fifo() -> None:
+    """Go back to the ordinary policy, which children and threads inherit from here on."""
+    if os.sched_getscheduler(0) != os.SCHED_OTHER:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

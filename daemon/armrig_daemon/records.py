@@ -1,0 +1,192 @@
+"""What passes between the loop and the service: records one way, orders the other, over pipes.
+
+Both travel as `length u32, kind u8, payload`. A sample's payload is its protobuf bytes, untouched
+from here to the subscriber and the file; everything else is msgpack, told apart by its tag.
+"""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import Any
+
+import msgspec
+
+_HEAD = Struct("<IB")
+_SAMPLE, _RECORD = 0, 1
+_ENCODER = msgspec.msgpack.Encoder()
+
+
+class Tagged(msgspec.Struct, frozen=True, kw_only=True, tag=True, gc=False):
+    """Told apart by the name of its class."""
+
+
+class Gap(Tagged, frozen=True, kw_only=True):
+    """A break in k: samples that there are not, and the input that was held meanwhile."""
+
+    k_first: int
+    count: int
+    t_from_ns: int
+    t_to_ns: int
+    u_held_v: float
+    reason: str
+
+
+class Log(Tagged, frozen=True, kw_only=True):
+    """Something for a person to read."""
+
+    t_host_ns: int
+    level: str
+    message: str
+
+
+class Distribution(Tagged, frozen=True, kw_only=True):
+    """Percentiles of one quantity over the last second, and how often it was missed."""
+
+    p50: float
+    p90: float
+    p99: float
+    p999: float
+    max: float
+    n: int
+    missed: int
+
+
+class Timing(Tagged, frozen=True, kw_only=True):
+    """How well the last second was paced."""
+
+    t_host_ns: int
+    wake_lateness_us: Distribution
+    device_tick_error_us: Distribution
+    link_round_trip_us: Distribution
+
+
+class State(Tagged, frozen=True, kw_only=True):
+    """The state of the daemon, at each change and once a second."""
+
+    t_host_ns: int
+    phase: str
+    reason: str
+    owner: str
+    ts_us: int
+    device: dict[str, Any]
+
+
+class RunStarted(Tagged, frozen=True, kw_only=True):
+    """The samples from `k_first` on belong to the run."""
+
+    run_id: str
+    k_first: int
+    count: int
+
+
+class RunEnded(Tagged, frozen=True, kw_only=True):
+    """No sample of the run comes after this."""
+
+    run_id: str
+    outcome: str
+
+
+class Answer(Tagged, frozen=True, kw_only=True):
+    """The answer to the order with this number: a body, or an error for a person."""
+
+    order: int
+    body: dict[str, Any] = {}
+    error: str = ""
+
+
+Record = Gap | Log | Timing | State | RunStarted | RunEnded | Answer
+"""What the loop tells the service, beside samples."""
+
+
+class Order(Tagged, frozen=True, kw_only=True):
+    """What the service asks of the loop; `order` numbers it."""
+
+    order: int = 0
+
+
+class Take(Order, frozen=True, kw_only=True):
+    """Arm for `owner`; the service drew the lease."""
+
+    owner: str
+    lease: str
+    ts_us: int
+
+
+class Leased(Order, frozen=True, kw_only=True):
+    """An order of the lease's holder, with a strictly growing number."""
+
+    lease: str
+    n: int
+
+
+class Release(Leased, frozen=True, kw_only=True):
+    """Disarm."""
+
+
+class Hold(Leased, frozen=True, kw_only=True):
+    """Hold this code by hand."""
+
+    code: int
+
+
+class Play(Leased, frozen=True, kw_only=True):
+    """Play an experiment."""
+
+    run_id: str
+    codes: bytes
+    """One u16, little-endian, for each sample."""
+
+
+class Halt(Order, frozen=True, kw_only=True):
+    """Stop, lease or not."""
+
+
+class Reset(Order, frozen=True, kw_only=True):
+    """Leave a latched fault."""
+
+
+class Quit(Order, frozen=True, kw_only=True):
+    """Stop and exit."""
+
+    reason: str
+
+
+Orders = Take | Release | Hold | Play | Halt | Reset | Quit
+"""What the service asks of the loop."""
+
+_RECORDS = msgspec.msgpack.Decoder(Record)
+_ORDERS = msgspec.msgpack.Decoder(Orders)
+
+
+def sample_bytes(sample: bytes) -> bytes:
+    """Return the pipe's bytes for an encoded sample."""
+    return _HEAD.pack(len(sample), _SAMPLE) + sample
+
+
+def record_bytes(record: Record | Orders) -> bytes:
+    """Return the pipe's bytes for a record or an order."""
+    payload = _ENCODER.encode(record)
+    return _HEAD.pack(len(payload), _RECORD) + payload
+
+
+def _cut(pending: bytearray) -> list[tuple[int, bytes]]:
+    at, texts = 0, []
+    while len(pending) - at >= _HEAD.size:
+        length, kind = _HEAD.unpack_from(pending, at)
+        end = at + _HEAD.size + length
+        if end > len(pending):
+            break
+        texts.append((kind, bytes(pending[at + _HEAD.size : end])))
+        at = end
+    del pending[:at]
+    return texts
+
+
+def take_records(pending: bytearray) -> list[bytes | Record]:
+    """Remove from `pending` what is whole, and return it: samples as bytes, records decoded."""
+    return [t if kind == _SAMPLE else _RECORDS.decode(t) for kind, t in _cut(pending)]
+
+
+def take_orders(pending: bytearray) -> list[Orders]:
+    """Remove from `pending` the orders that are whole, and return them."""
+    return [_ORDERS.decode(text) for _, text in _cut(pending)]

@@ -1,0 +1,235 @@
+"""The state of the core: what the daemon knows and holds, as one immutable value."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import msgspec
+from armrig_core.calibration import Calibration
+from armrig_core.telemetry import Sample
+from armrig_protocol.messages import HelloReply
+
+from armrig_daemon.records import Order, Record
+
+
+class Phase(StrEnum):
+    """Where the daemon is; see ARCHITECTURE.md."""
+
+    INIT = "init"
+    """No device that we know and that knows us."""
+    SAFE = "safe"
+    """Sampling, 0 V, nobody holds the rig."""
+    ARMED = "armed"
+    """Held by an owner, 0 V."""
+    ACTIVE = "active"
+    """The input drives the motor."""
+    FAULT = "fault"
+    """Latched at 0 V until a reset."""
+
+
+class Want(StrEnum):
+    """What was asked of the device and is not yet there."""
+
+    HELLO = "HELLO"
+    CONFIGURE = "CONFIG"
+    ARM = "ARM"
+    START = "START"
+    STOP = "STOP"
+    CLEAR = "CLEAR_FAULT"
+
+
+class Rules(msgspec.Struct, frozen=True, kw_only=True):
+    """What the core is told once, at the start."""
+
+    u_min: int
+    """Lowest code that a command may ask for."""
+    u_max: int
+    """Highest code that a command may ask for."""
+    slew: int
+    """Largest change of the code in one sample; 0 is none."""
+    ts_us: int
+    """Sampling time where no command asks for another, in µs."""
+    watchdog_ms: int
+    """The device's watchdog, in ms."""
+    baud: int
+    """Speed of the wire, in bit/s."""
+    turns: int
+    """Turns of theta_1 allowed in a run, in turns/100; 0 is no limit."""
+    rail_ticks: int
+    """Samples in a row at a rail allowed in a run; 0 is no limit."""
+    calibration: Calibration
+
+    def age_ns(self, ts_us: int) -> int:
+        """Return the age of the last round trip beyond which the motor is stopped."""
+        return max(50_000_000, 3_000 * ts_us)
+
+    def pause_ns(self, ts_us: int) -> int:
+        """Return the gap between two ticks beyond which the motor is stopped."""
+        return max(50_000_000, 5_000 * ts_us)
+
+    def lease_ns(self, ts_us: int) -> int:
+        """Return how long a voltage held by hand outlives the command for it."""
+        return max(100_000_000, 5_000 * ts_us)
+
+
+class Asked(NamedTuple):
+    """A request to the device that has not had its effect yet."""
+
+    want: Want
+    sent_ns: int
+    seq: int
+    tries: int
+    ts_us: int
+    """Sampling time that CONFIG asks for."""
+    order: Order | None
+    """Whose wish it is, and who is answered."""
+
+
+class Sent(NamedTuple):
+    """An EXCHANGE whose SAMPLE has not come."""
+
+    seq: int
+    k: int
+    sched_ns: int
+    sent_ns: int
+    code: int
+
+
+class Lease(NamedTuple):
+    """Who holds the rig."""
+
+    lease: str
+    owner: str
+    n: int
+    """Number of the newest command."""
+    renewed_ns: int
+
+
+class Run(NamedTuple):
+    """An experiment that is played."""
+
+    run_id: str
+    codes: bytes
+    """One u16, little-endian, for each sample."""
+    k_first: int
+    """Tick of its first sample; -1 before that."""
+
+    @property
+    def count(self) -> int:
+        """Return the length of the experiment in samples."""
+        return len(self.codes) // 2
+
+    def code(self, i: int) -> int:
+        """Return u[i]."""
+        return self.codes[2 * i] | self.codes[2 * i + 1] << 8
+
+
+class State(NamedTuple):
+    """All that the core knows. A named tuple: `_replace` takes a third of a dataclass' time."""
+
+    rules: Rules
+    phase: Phase = Phase.INIT
+    reason: str = ""
+    ts_us: int = 0
+    link_up: bool = False
+    quitting: bool = False
+    pending: bytes = b""
+    """Bytes of a frame that has not ended."""
+    seq: int = 0
+    """Of the next frame to the device."""
+    device: HelloReply | None = None
+    device_state: int = 0
+    token: int = 0
+    config_crc: int = 0
+    asked: Asked | None = None
+    sent: tuple[Sent, ...] = ()
+    fresh_ns: int = 0
+    """When the newest EXCHANGE was sent of which the answer has come."""
+    any_ns: int = 0
+    """When the last frame was sent."""
+    tick_ns: int = 0
+    """When the last tick was done."""
+    k: int = -1
+    """The last tick done."""
+    applied: int = 0
+    """Code that the device last said it latched."""
+    t_us: int = 0
+    """Device clock of the last sample, wraps undone."""
+    lease: Lease | None = None
+    run: Run | None = None
+    outcome: str = ""
+    """How the run ends; it has ended once the device has stopped."""
+    code: int = 0
+    """Held by hand."""
+
+
+class Send(NamedTuple):
+    """Write these bytes to the device."""
+
+    data: bytes
+
+
+class Publish(NamedTuple):
+    """Hand this sample to the service."""
+
+    sample: Sample
+
+
+class Emit(NamedTuple):
+    """Hand this record to the service."""
+
+    record: Record
+
+
+class Repace(NamedTuple):
+    """Tick with this period from now on, in µs."""
+
+    ts_us: int
+
+
+class Exit(NamedTuple):
+    """All is said; end the process."""
+
+
+Action = Send | Publish | Emit | Repace | Exit
+
+
+class Tick(NamedTuple):
+    """Tick `k`, due at `sched_ns`, is now."""
+
+    k: int
+    sched_ns: int
+
+
+class Beat(NamedTuple):
+    """Nothing happened until the time that the core asked to be woken at."""
+
+
+class Received(NamedTuple):
+    """Bytes came from the device."""
+
+    data: bytes
+
+
+class Ordered(NamedTuple):
+    """The service asks for something."""
+
+    order: Order
+
+
+class LinkUp(NamedTuple):
+    """The port is open."""
+
+
+class LinkDown(NamedTuple):
+    """The port is gone."""
+
+    reason: str
+
+
+class ServiceGone(NamedTuple):
+    """The service's pipes have ended."""
+
+
+Event = Tick | Beat | Received | Ordered | LinkUp | LinkDown | ServiceGone
