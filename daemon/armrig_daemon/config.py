@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import platformdirs
 from armrig_core.calibration import Calibration
 from armrig_core.topics import check_rig_id
 from armrig_core.volts import U_MAX_V, code_of
@@ -67,6 +68,12 @@ class Timing(Table, frozen=True, kw_only=True):
     """Core that the loop is kept on."""
     spin_us: Annotated[float, Meta(ge=0, le=500)] = 60
     """How long before a deadline the loop stops sleeping and spins, in µs; under FIFO only."""
+
+    def __post_init__(self) -> None:
+        """Refuse what the wire cannot say."""
+        if round(self.Ts * 1e6, 3) % 1:
+            msg = f"Ts = {self.Ts} must be a whole number of microseconds"
+            raise ValueError(msg)
 
 
 class Limits(Table, frozen=True, kw_only=True):
@@ -129,6 +136,19 @@ class Config(Table, frozen=True, kw_only=True):
 
 class ConfigError(ValueError):
     """A configuration that is refused; names file, key, value and what is allowed."""
+
+
+def installed() -> list[Path]:
+    """Return the configuration files that there are, the weaker first."""
+    user = Path(platformdirs.user_config_dir("armrig")) / SYSTEM.name
+    return [path for path in (SYSTEM, user) if path.exists()]
+
+
+def recordings(config: Config) -> Path:
+    """Return the directory that recordings go to."""
+    if config.recording.directory:
+        return Path(config.recording.directory).expanduser().absolute()
+    return Path(platformdirs.user_data_dir("armrig")) / "recordings"
 
 
 def load(

@@ -200,9 +200,10 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
     if run.k_first < 0:
         run = run._replace(k_first=k)
         state = state._replace(run=run)
-        done.append(Emit(RunStarted(run_id=run.run_id, k_first=k, count=run.count)))
+        started = RunStarted(run_id=run.run_id, k_first=k, count=run.samples, t_host_ns=now_ns)
+        done.append(Emit(started))
     i = k - run.k_first
-    if i < run.count:
+    if i < run.samples:
         return state, run.code(i), done
     state, actions = stop(state, now_ns, "complete")
     return state, 0, done + actions

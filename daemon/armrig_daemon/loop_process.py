@@ -19,9 +19,11 @@ from armrig_protocol.messages import Estop
 from armrig_daemon import realtime
 from armrig_daemon.link import Link, LinkError, latency_timer_ms
 from armrig_daemon.loop import Loop
-from armrig_daemon.records import Log, Quit, record_bytes, take_orders
+from armrig_daemon.records import Host, Log, Quit, record_bytes, take_orders
 from armrig_daemon.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
 
+NO_PORT = 2
+"""Exit code where the port could not be opened; why has been said."""
 REOPEN_NS = 500_000_000
 _READ = 65536
 
@@ -41,16 +43,24 @@ class ProcessPorts:
     """The ports of the product: the monotonic clock, the serial line, the service's pipes."""
 
     def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
-        """Take the pipes; the line is opened when the loop first waits."""
+        """Take the pipes and open the line; later losses of it are events, this one is not.
+
+        Raises
+        ------
+        LinkError
+            The port is not there, taken, or not permitted.
+        """
         self._settings = settings
         self._orders_fd = orders_fd
         self._records_fd = records_fd
         self._orders = bytearray()
-        self._link: Link | None = None
+        self._link: Link | None = Link(settings.port, settings.baud)
+        self._first = True
         self._reopen_ns = 0
         self._said = ""
         self._gone = False
         self.quit_reason = ""
+        self.spin_ns = 0
 
     def now_ns(self) -> int:
         """Return the monotonic time."""
@@ -58,12 +68,15 @@ class ProcessPorts:
 
     def sleep_until(self, deadline_ns: int) -> int:
         """Sleep, then spin, until the deadline."""
-        return realtime.sleep_until(deadline_ns, self._settings.spin_ns)
+        return realtime.sleep_until(deadline_ns, self.spin_ns)
 
     def wait(self, until_ns: int) -> list[Event]:
         """Wait for the line, the service or a signal."""
         events: list[Event] = []
         now = realtime.now_ns()
+        if self._first:
+            self._first = False
+            return [LinkUp()]
         if self._link is None and now >= self._reopen_ns:
             self._reopen_ns = now + REOPEN_NS
             events += self._open()
@@ -123,10 +136,6 @@ class ProcessPorts:
                 return [LinkDown(self._said)]
             return []
         self._said = ""
-        timer = latency_timer_ms(self._settings.port)
-        if timer is not None and timer > 1:
-            text = f"{self._settings.port} has a latency timer of {timer} ms; 1 ms is wanted"
-            self.put(record_bytes(Log(t_host_ns=self.now_ns(), level="warning", message=text)))
         return [LinkUp()]
 
     def _lost(self, err: OSError) -> list[Event]:
@@ -158,13 +167,24 @@ class ProcessPorts:
         return [Ordered(order) for order in take_orders(self._orders)]
 
 
+def _line(level: str, message: str) -> bytes:
+    return record_bytes(Log(t_host_ns=realtime.now_ns(), level=level, message=message))
+
+
 def main(arguments: list[str]) -> int:
     """Run the loop on the two pipes that were handed over."""
     orders_fd, records_fd = (int(text) for text in arguments[:2])
     settings = msgspec.json.decode(arguments[2], type=Settings)
     os.set_blocking(orders_fd, False)
     os.set_blocking(records_fd, False)
-    ports = ProcessPorts(settings, orders_fd, records_fd)
+    try:
+        ports = ProcessPorts(settings, orders_fd, records_fd)
+    except LinkError as err:
+        os.write(records_fd, _line("error", str(err)))
+        return NO_PORT
+    timer = latency_timer_ms(settings.port)
+    if timer is not None and timer > 1:
+        ports.put(_line("warning", f"{settings.port}: latency timer {timer} ms; 1 ms is wanted"))
 
     def quit_(number: int, _frame: FrameType | None) -> None:
         ports.quit_reason = signal.Signals(number).name
@@ -172,8 +192,9 @@ def main(arguments: list[str]) -> int:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, quit_)
     granted = realtime.prepare(settings.priority, settings.cpu)
-    text = "host: " + msgspec.json.encode(granted).decode()
-    ports.put(record_bytes(Log(t_host_ns=ports.now_ns(), level="debug", message=text)))
+    if granted["fifo"]:  # without it a spin only takes the time of who would let us run
+        ports.spin_ns = settings.spin_ns
+    ports.put(record_bytes(Host(granted=granted)))
     try:
         Loop(settings.rules, ports).run()
     except BaseException:

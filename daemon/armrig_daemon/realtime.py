@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import signal
 import time
 from typing import Any
 
+_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
 _TIMER_ABSTIME = 1
@@ -88,3 +90,11 @@ def leave_fifo() -> None:
     """Go back to the ordinary policy, which children and threads inherit from here on."""
     if os.sched_getscheduler(0) != os.SCHED_OTHER:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def end_with_parent() -> None:
+    """Have the kernel end this process, by SIGTERM, when its parent ends."""
+    parent = os.getppid()
+    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() != parent:  # it ended before we asked
+        os.kill(os.getpid(), signal.SIGTERM)

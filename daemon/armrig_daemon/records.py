@@ -77,6 +77,7 @@ class RunStarted(Tagged, frozen=True, kw_only=True):
     run_id: str
     k_first: int
     count: int
+    t_host_ns: int
 
 
 class RunEnded(Tagged, frozen=True, kw_only=True):
@@ -94,7 +95,13 @@ class Answer(Tagged, frozen=True, kw_only=True):
     error: str = ""
 
 
-Record = Gap | Log | Timing | State | RunStarted | RunEnded | Answer
+class Host(Tagged, frozen=True, kw_only=True):
+    """What the kernel gave the loop, and what it refused."""
+
+    granted: dict[str, Any]
+
+
+Record = Gap | Log | Timing | State | RunStarted | RunEnded | Answer | Host
 """What the loop tells the service, beside samples."""
 
 

@@ -116,7 +116,7 @@ class Run(NamedTuple):
     """Tick of its first sample; -1 before that."""
 
     @property
-    def count(self) -> int:
+    def samples(self) -> int:
         """Return the length of the experiment in samples."""
         return len(self.codes) // 2
 

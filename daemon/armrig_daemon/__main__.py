@@ -1,0 +1,141 @@
+"""The command `armrigd`: run the daemon, or emulate a rig."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, NoReturn
+
+import msgspec
+import typer
+from armrig_core.endpoint import endpoint, socket_directory
+
+from armrig_daemon.config import Config
+from armrig_daemon.realtime import end_with_parent
+
+_START_S = 5.0
+
+app = typer.Typer(
+    help="Drive a control laboratory's rig at a fixed sampling time.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.command()
+def run(
+    config: Annotated[
+        Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
+    ] = None,
+    emulate: Annotated[bool, typer.Option("--emulate", help="Drive an emulated rig.")] = False,
+    port: Annotated[str | None, typer.Option(help="Serial port.")] = None,
+    rig: Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.")] = None,
+) -> None:
+    """Run the daemon until SIGTERM or Ctrl-C; the motor is at 0 V whichever way it ends."""
+    from armrig_daemon import config as configuration
+    from armrig_daemon.service import Service
+
+    overrides: dict[str, dict[str, Any]] = {}
+    if port is not None:
+        overrides["device"] = {"port": port}
+    if rig is not None:
+        overrides["rig"] = {"id": rig}
+    paths = [config] if config is not None else configuration.installed()
+    try:
+        loaded = configuration.load(paths, os.environ, overrides)
+        where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
+    except ValueError as err:
+        _refuse(str(err))
+    os.umask(0o007)
+    directory = configuration.recordings(loaded)
+    if not emulate:
+        raise typer.Exit(Service(loaded, where, directory).run())
+    with _emulated(loaded) as device:
+        raise typer.Exit(Service(device, where, directory).run())
+
+
+@app.command()
+def emulate(
+    port: Annotated[Path, typer.Option(help="Link to make; pyserial opens it as a port.")],
+    config: Annotated[Path | None, typer.Option(help="TOML with a table [emulator].")] = None,
+    trace: Annotated[
+        Path | None, typer.Option(help="File for each change of the motor voltage.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all noise and of the boot ids.")] = None,
+    baud: Annotated[int | None, typer.Option(help="Speed of the emulated wire.")] = None,
+    settings: Annotated[str | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Emulate a rig behind a pseudo-terminal until SIGTERM or Ctrl-C."""
+    from armrig_daemon.emulator.pty import PortError
+    from armrig_daemon.emulator.pty import emulate as run_emulator
+    from armrig_daemon.emulator.settings import EmulatorSettings, load
+
+    try:
+        if settings is not None:  # from `armrigd run --emulate`, which we shall not outlive
+            end_with_parent()
+            chosen = msgspec.json.decode(settings, type=EmulatorSettings)
+        else:
+            chosen = EmulatorSettings() if config is None else load(config)
+        given = {"seed": seed, "baud": baud}
+        given = {key: value for key, value in given.items() if value is not None}
+        chosen = msgspec.structs.replace(chosen, **given)
+        code = run_emulator(port, chosen, trace=trace)
+    except (ValueError, PortError) as err:
+        _refuse(str(err))
+    raise typer.Exit(code)
+
+
+def _socket_directory() -> Path:
+    """Return the directory of the sockets, made for this user and group alone."""
+    path = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        owner = path.stat().st_uid
+    except OSError as err:
+        _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours")
+    if owner != os.getuid():
+        # In a temporary directory anybody could have made it, and would sit on our socket.
+        _refuse(f"{path}: belongs to another user; set XDG_RUNTIME_DIR to a directory of yours")
+    return path
+
+
+@contextmanager
+def _emulated(config: Config) -> Iterator[Config]:
+    """Start an emulator with these settings; give the configuration that drives it."""
+    link = _socket_directory() / f"{config.rig.id}.tty"
+    settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
+    program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", str(link)]
+    program += ["--settings", msgspec.json.encode(settings).decode()]
+    child = subprocess.Popen(program)
+    try:
+        until = time.monotonic() + _START_S
+        while not link.exists():
+            if child.poll() is not None or time.monotonic() > until:
+                _refuse(f"the emulator did not start behind {link}")
+            time.sleep(0.01)
+        device = msgspec.structs.replace(config.device, port=str(link))
+        yield msgspec.structs.replace(config, device=device)
+    finally:
+        child.terminate()
+        child.wait()
+
+
+def _refuse(message: str) -> NoReturn:
+    typer.echo(f"armrigd: {message}", err=True)
+    raise typer.Exit(1)
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

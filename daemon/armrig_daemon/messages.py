@@ -1,0 +1,81 @@
+"""Records of the loop as the protobuf messages that are published and recorded."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+from armrig_core import protobuf
+
+from armrig_daemon.records import Distribution, Gap, Log, State, Timing
+
+NAMES = {
+    "sample": protobuf.SAMPLE,
+    "gap": protobuf.GAP,
+    "event": protobuf.LOG,
+    "timing": protobuf.TIMING,
+    "state": protobuf.STATE,
+}
+"""Full name of the message of each stream."""
+
+
+class Outgoing(NamedTuple):
+    """One message on its way to the subscribers and the file."""
+
+    stream: str
+    t_host_ns: int
+    """Monotonic time of what it tells."""
+    t_sched_ns: int
+    """Monotonic time when that was due."""
+    sequence: int
+    data: bytes
+
+
+def outgoing(record: Gap | Log | Timing | State, clock_offset_ns: int) -> Outgoing:
+    """Return a record as a message.
+
+    Parameters
+    ----------
+    clock_offset_ns : int
+        Real-time clock less monotonic clock, for the one message that carries a wall-clock time.
+    """
+    match record:
+        case Gap():
+            message = protobuf.message_class(protobuf.GAP)(**_fields(record))
+            return _out("gap", record.t_to_ns, message.SerializeToString())
+        case Timing():
+            return _out("timing", record.t_host_ns, _timing(record))
+        case State():
+            message = protobuf.message_class(protobuf.STATE)(
+                t_host_ns=record.t_host_ns,
+                phase=record.phase,
+                reason=record.reason,
+                owner=record.owner,
+                Ts_s=record.ts_us / 1e6,
+                device=msgspec.json.encode(record.device).decode(),
+            )
+            return _out("state", record.t_host_ns, message.SerializeToString())
+        case Log():
+            message = protobuf.message_class(protobuf.LOG)(
+                level=protobuf.LEVELS[record.level], message=record.message, name="armrigd"
+            )
+            message.timestamp.FromNanoseconds(record.t_host_ns + clock_offset_ns)
+            return _out("event", record.t_host_ns, message.SerializeToString())
+
+
+def _out(stream: str, t_ns: int, data: bytes) -> Outgoing:
+    return Outgoing(stream, t_ns, t_ns, 0, data)
+
+
+def _fields(record: Gap | Distribution) -> dict[str, object]:
+    return msgspec.structs.asdict(record)
+
+
+def _timing(record: Timing) -> bytes:
+    message = protobuf.message_class(protobuf.TIMING)(t_host_ns=record.t_host_ns)
+    for name in ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us"):
+        part = getattr(message, name)
+        for field, value in _fields(getattr(record, name)).items():
+            setattr(part, field, value)
+    data: bytes = message.SerializeToString()
+    return data

@@ -1,0 +1,126 @@
+"""The zenoh session of the service: streams out, commands in, schemas served."""
+
+from __future__ import annotations
+
+import json
+import queue
+from collections.abc import Callable
+from typing import Any, Self
+
+import msgspec
+import zenoh
+from armrig_core import protobuf
+from armrig_core.commands import REQUESTS, Refused, json_schema
+from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
+
+from armrig_daemon.messages import NAMES, Outgoing
+
+MOST_WAITING = 64  # commands that nobody has looked at yet; more are refused
+
+
+def session_config(endpoint: str) -> zenoh.Config:
+    """Return the configuration of a session that only listens at `endpoint`, found by nobody."""
+    return zenoh.Config.from_json5(
+        json.dumps(
+            {
+                "mode": "peer",
+                "listen": {"endpoints": [endpoint]},
+                "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+                "adminspace": {"enabled": False},
+                "transport": {
+                    "shared_memory": {"enabled": False},
+                    "link": {
+                        "tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": 0}}}}
+                    },
+                },
+            }
+        )
+    )
+
+
+class Command:
+    """A query that waits for its answer; exactly one is given."""
+
+    def __init__(self, name: str, query: zenoh.Query) -> None:
+        self.name = name
+        self._key = str(query.key_expr)
+        self._query: zenoh.Query | None = query
+        self.payload = query.payload.to_bytes() if query.payload is not None else b""
+
+    def answer(self, body: Any) -> None:
+        """Answer with JSON."""
+        query, self._query = self._query, None
+        if query is not None:
+            query.reply(self._key, msgspec.json.encode(body), encoding="application/json")
+            query.drop()
+
+    def refuse(self, error: str) -> None:
+        """Answer with an error for a person."""
+        query, self._query = self._query, None
+        if query is not None:
+            refused = msgspec.json.encode(Refused(error=error))
+            query.reply_err(refused, encoding="application/json")
+            query.drop()
+
+
+class Session:
+    """An open session; use it in a `with` block."""
+
+    def __init__(self, endpoint: str, rig: str, wake: Callable[[], None]) -> None:
+        """Listen at `endpoint`; `wake` is called, from zenoh's thread, when a command has come.
+
+        Raises
+        ------
+        zenoh.ZError
+            The endpoint is taken or cannot be made.
+        """
+        self._commands: queue.Queue[Command] = queue.Queue(MOST_WAITING)
+        self._wake = wake
+        self._session = zenoh.open(session_config(endpoint))
+        self._publishers = {
+            stream: self._session.declare_publisher(
+                stream_key(rig, stream),
+                encoding=f"application/protobuf;{NAMES[stream]}",
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for stream in STREAMS
+        }
+        self._served = {schema_key(rig, n): protobuf.descriptor_set(n) for n in NAMES.values()}
+        for name in REQUESTS:
+            self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)
+        self._session.declare_queryable(schema_key(rig, "**"), self._serve)
+        self._session.declare_queryable(command_key(rig, "*"), self._take)
+        self._alive = self._session.liveliness().declare_token(alive_key(rig))
+
+    def __enter__(self) -> Self:
+        """Return itself, open."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close; an open session would never let the interpreter end."""
+        self._session.close()
+
+    def put(self, message: Outgoing) -> None:
+        """Publish; dropped by zenoh where a subscriber does not keep up."""
+        self._publishers[message.stream].put(message.data)
+
+    def next_command(self) -> Command | None:
+        """Return the next command that waits, or None."""
+        try:
+            return self._commands.get_nowait()
+        except queue.Empty:
+            return None
+
+    def _serve(self, query: zenoh.Query) -> None:
+        with query:
+            for key, data in self._served.items():
+                if query.key_expr.intersects(zenoh.KeyExpr(key)):
+                    query.reply(key, data)
+
+    def _take(self, query: zenoh.Query) -> None:
+        command = Command(str(query.key_expr).rsplit("/", 1)[-1], query)
+        try:
+            self._commands.put_nowait(command)
+        except queue.Full:
+            command.refuse("too many commands are waiting: try again")
+        self._wake()

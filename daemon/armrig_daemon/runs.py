@@ -1,0 +1,218 @@
+"""Runs and their recordings: planned, begun, ended; what belongs into one, and what is missing."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import secrets
+from collections.abc import Callable
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+from armrig_core.commands import LastRun, Run, RunAccepted
+from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
+from armrig_core.volts import code_of
+from armrig_protocol.messages import SCHEMA_HASH, VERSION
+
+from armrig_daemon.config import Config
+from armrig_daemon.messages import Outgoing
+from armrig_daemon.record import Recording, check_directory
+from armrig_daemon.records import Gap, Play, RunStarted, State
+
+_ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
+
+
+class Planned(NamedTuple):
+    """A run that was asked for."""
+
+    run_id: str
+    path: Path
+    request: Run
+
+
+class Runs:
+    """The run in hand, if there is one, and the last one."""
+
+    def __init__(self, config: Config, directory: Path, changed: Callable[[], None]) -> None:
+        """Record into `directory`; `changed` is called, from a writer's thread, to have a look."""
+        self._config = config
+        self._directory = directory
+        self._changed = changed
+        self._planned: Planned | None = None
+        self._recording: Recording | None = None
+        self._finishing: Recording | None = None
+        self._first = self._end = 0
+        self._missing = 0
+        self._last: LastRun | None = None
+
+    @property
+    def last(self) -> LastRun | None:
+        """The newest run, the one in hand included."""
+        if self._planned is not None:
+            return _begun(self._planned)
+        recording = self._recording or self._finishing
+        if self._last is None or recording is None:
+            return self._last
+        return msgspec.structs.replace(self._last, samples=recording.samples)
+
+    def plan(self, request: Run) -> tuple[Play, RunAccepted]:
+        """Return the order for the loop, and what to answer once the loop has taken it.
+
+        Raises
+        ------
+        ValueError
+            Another run is in hand, or there is no room for the recording.
+        """
+        if self._planned is not None or self._recording is not None or self._finishing is not None:
+            msg = "an experiment is running: stop it first, or wait for its end"
+            raise ValueError(msg)
+        error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + (1 << 20))
+        if error:
+            raise ValueError(error)
+        run_id = secrets.token_hex(4)
+        stamp = datetime.now(UTC).astimezone().strftime("%Y%m%dT%H%M%S")
+        name = f"{self._config.rig.id}-{request.experiment}-{stamp}-{run_id}.mcap"
+        self._planned = Planned(run_id, self._directory / name, request)
+        codes = b"".join(code_of(u).to_bytes(2, "little") for u in request.u)
+        order = Play(lease=request.lease, n=request.n, run_id=run_id, codes=codes)
+        return order, RunAccepted(run_id=run_id, recording=str(self._planned.path))
+
+    def forget(self) -> None:
+        """Drop what was planned: the loop has refused it."""
+        self._planned = None
+
+    def begin(
+        self, started: RunStarted, state: State, host: dict[str, Any], clock_offset_ns: int
+    ) -> Path:
+        """Open the recording of the run that starts; return its path while it is written.
+
+        Raises
+        ------
+        RecordingError
+            The file cannot be made.
+        LookupError
+            Nobody asked for this run.
+        """
+        planned, self._planned = self._planned, None
+        if planned is None or planned.run_id != started.run_id:
+            msg = f"run {started.run_id} was not asked for"
+            raise LookupError(msg)
+        manifest = self._manifest(planned, state, host, clock_offset_ns)
+        attachments = {
+            CONFIG: msgspec.json.encode(self._config),
+            CALIBRATION: msgspec.json.encode(self._config.calibration),
+            INPUT: "".join(["u_v\n", *(f"{u!r}\n" for u in planned.request.u)]).encode(),
+        }
+        self._last = _begun(planned)
+        self._first, self._end = started.k_first, started.k_first + started.count
+        self._missing = 0
+        self._recording = Recording(
+            planned.path,
+            manifest,
+            attachments,
+            t_first_ns=started.t_host_ns,
+            changed=self._changed,
+        )
+        return self._recording.active
+
+    def takes_sample(self, k: int) -> bool:
+        """Return whether sample `k` belongs into the recording."""
+        return self._recording is not None and self._first <= k < self._end
+
+    def takes(self, record: object) -> bool:
+        """Return whether a record belongs into the recording; a gap counts what is missing."""
+        if self._recording is None or not isinstance(record, Gap):
+            return self._recording is not None
+        first, end = record.k_first, record.k_first + record.count
+        missing = max(0, min(end, self._end) - max(first, self._first))
+        self._missing += missing
+        return missing > 0
+
+    def add(self, batch: list[Outgoing]) -> None:
+        """Record messages, if there is a recording."""
+        if self._recording is not None and batch:
+            self._recording.add(batch)
+
+    def end(self, outcome: str) -> None:
+        """Have the recording finished."""
+        self._planned = None
+        recording, self._recording = self._recording, None
+        if recording is None or self._last is None:
+            return
+        recording.finish(outcome, self._missing)
+        self._last = msgspec.structs.replace(self._last, outcome=outcome)
+        self._finishing = recording
+
+    def failed(self) -> bool:
+        """Return whether the disk has refused the recording in hand."""
+        return self._recording is not None and bool(self._recording.error)
+
+    def finished(self, timeout: float = 0.0) -> tuple[str, str]:
+        """Return a level and a line for a person when a recording is complete, else two "".
+
+        Parameters
+        ----------
+        timeout : float
+            How long to wait for it, in s.
+        """
+        recording = self._finishing
+        if recording is None or self._last is None:
+            return "", ""
+        if timeout:
+            recording.join(timeout)
+        if not recording.done:
+            return "", ""
+        self._finishing = None
+        path = recording.active if recording.error else recording.path
+        outcome = recording.error or self._last.outcome
+        self._last = msgspec.structs.replace(
+            self._last,
+            recording=str(path),
+            finished=True,
+            samples=recording.samples,
+            outcome=outcome,
+        )
+        if recording.error:
+            return "error", recording.error
+        missing = self._missing + recording.dropped
+        return "info", f"recorded {path}: {outcome}, {recording.samples} samples, {missing} missing"
+
+    def _manifest(
+        self, planned: Planned, state: State, host: dict[str, Any], clock_offset_ns: int
+    ) -> Manifest:
+        config = self._config
+        uname = platform.uname()
+        return Manifest(
+            rig=config.rig.id,
+            run_id=planned.run_id,
+            experiment=planned.request.experiment,
+            details=planned.request.details,
+            Ts=state.ts_us / 1e6,
+            samples=len(planned.request.u),
+            started=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+            clock_offset_ns=clock_offset_ns,
+            armrig=version("armrig"),
+            protocol=f"{VERSION} {SCHEMA_HASH:08x}",
+            device=state.device,
+            host={
+                "kernel": f"{uname.system} {uname.release} {uname.version}",
+                "python": platform.python_version(),
+                "port": config.device.port,
+                "baud": config.device.baud,
+                **host,
+            },
+            config_sha256=hashlib.sha256(msgspec.json.encode(config)).hexdigest(),
+        )
+
+
+def _begun(planned: Planned) -> LastRun:
+    return LastRun(
+        run_id=planned.run_id,
+        recording=f"{planned.path}.active",
+        finished=False,
+        samples=0,
+        outcome="",
+    )

@@ -1,0 +1,306 @@
+"""The service: starts the loop, publishes and records what it says, hands it what is asked.
+
+One thread of ours beside the recording's writer; zenoh's threads only put commands into a queue.
+It may wait for disk and network, for the loop never waits for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import select
+import signal
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import zenoh
+from armrig_core import commands
+from armrig_core.telemetry import decode_sample
+from armrig_core.volts import code_of
+
+from armrig_daemon import loop_child, realtime
+from armrig_daemon.budget import check_exchange
+from armrig_daemon.config import Config
+from armrig_daemon.loop_process import NO_PORT, Settings
+from armrig_daemon.messages import Outgoing, outgoing
+from armrig_daemon.publish import Command, Session
+from armrig_daemon.record import RecordingError, left_over
+from armrig_daemon.records import (
+    Answer,
+    Gap,
+    Halt,
+    Hold,
+    Host,
+    Log,
+    Orders,
+    Play,
+    Quit,
+    Record,
+    Release,
+    Reset,
+    RunEnded,
+    RunStarted,
+    State,
+    Take,
+    Timing,
+)
+from armrig_daemon.runs import Runs
+
+ANSWER_S = 3.0
+"""How long the loop may take to answer a command, in s."""
+_FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
+_READ = 1 << 16
+_UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})
+
+
+class Waiting(NamedTuple):
+    """A command that the loop has not answered yet."""
+
+    command: Command
+    until: float
+    order: Orders
+    body: Any
+    """What to answer instead of the loop's own body."""
+
+
+class Service:
+    """One rig's service; `run` returns the exit code."""
+
+    def __init__(self, config: Config, endpoint: str, directory: Path) -> None:
+        """Take the signals; nothing is started yet."""
+        self._config = config
+        self._endpoint = endpoint
+        self._directory = directory
+        self._runs = Runs(config, directory, self._wake)
+        self._state = _UNKNOWN
+        self._host: dict[str, Any] = {}
+        self._waiting: dict[int, Waiting] = {}
+        self._numbers = 0
+        self._quitting = False
+        self._wake_fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, lambda *_: None)
+        self._anchor_clock()
+
+    def run(self) -> int:
+        """Run until SIGTERM, SIGINT or the loop's end."""
+        config = self._config
+        self._loop = loop_child.start(
+            Settings(
+                rules=config.rules(),
+                port=config.device.port,
+                baud=config.device.baud,
+                priority=config.timing.priority,
+                cpu=config.timing.cpu,
+                spin_ns=round(config.timing.spin_us * 1000),
+            )
+        )
+        try:
+            # The loop has its priority; whatever starts from here on must not take it.
+            realtime.leave_fifo()
+            with Session(self._endpoint, config.rig.id, self._wake) as self._session:
+                self._say("info", f"rig {config.rig.id} at {self._endpoint}")
+                for path in left_over(self._directory):
+                    self._say("warning", f"{path}: left by a daemon that died; it loads")
+                self._serve()
+                self._runs.end("the loop ended")
+                self._say_finished(_FINISH_S)
+        except zenoh.ZError as err:
+            print(f"armrigd: {self._endpoint}: {_short(err)}", file=sys.stderr)
+            return 1
+        finally:
+            code = self._loop.end()
+        if not self._quitting and code != NO_PORT:
+            print(f"armrigd: the loop died with code {code}", file=sys.stderr)
+        return 0 if self._quitting and code == 0 else 1
+
+    def _serve(self) -> None:
+        """Carry records out and commands in until the loop's pipe ends."""
+        state_due = time.monotonic() + 1
+        while True:
+            timeout = max(0.0, state_due - time.monotonic())
+            sources = [self._loop.records_fd, self._wake_fd]
+            ready, _, _ = select.select(sources, [], [], timeout)
+            if self._wake_fd in ready:
+                self._woken()
+            if self._loop.records_fd in ready:
+                records = self._loop.records()
+                if records is None:
+                    self._woken()  # a signal may have ended the loop before we looked
+                    return
+                self._take(records)
+            if time.monotonic() >= state_due:
+                state_due = time.monotonic() + 1
+                self._each_second()
+
+    # -- from the loop ---------------------------------------------------------------------
+
+    def _take(self, records: list[bytes | Record]) -> None:
+        batch: list[Outgoing] = []
+        for record in records:
+            match record:
+                case bytes():
+                    message = _sample(record)
+                    self._session.put(message)
+                    if self._runs.takes_sample(message.sequence):
+                        batch.append(message)
+                case RunStarted():
+                    self._begin_run(record)
+                case RunEnded():
+                    self._runs.add(batch)
+                    batch = []
+                    self._runs.end(record.outcome)
+                case Answer():
+                    self._answered(record)
+                case Host():
+                    self._host = record.granted
+                    for what in record.granted["refused"]:
+                        self._say("warning", f"not granted: {what}; timing is less exact")
+                case Gap() | Log() | Timing() | State():
+                    message = self._publish(record)
+                    if self._runs.takes(record):
+                        batch.append(message)
+        self._runs.add(batch)
+
+    def _publish(self, record: Gap | Log | Timing | State) -> Outgoing:
+        if isinstance(record, State):
+            self._state = record
+        if isinstance(record, Log) and record.level != "debug":
+            print(f"armrigd: {record.level}: {record.message}", file=sys.stderr, flush=True)
+        message = outgoing(record, self._offset_ns)
+        self._session.put(message)
+        return message
+
+    def _say(self, level: str, message: str) -> None:
+        self._take([Log(t_host_ns=realtime.now_ns(), level=level, message=message)])
+
+    def _begin_run(self, started: RunStarted) -> None:
+        self._anchor_clock()
+        try:
+            path = self._runs.begin(started, self._state, self._host, self._offset_ns)
+        except (RecordingError, LookupError) as err:
+            self._say("error", str(err))
+            self._loop.order(Halt())
+            return
+        self._say("info", f"recording {path}")
+
+    def _say_finished(self, timeout: float = 0.0) -> None:
+        level, text = self._runs.finished(timeout)
+        if text:
+            self._say(level, text)
+
+    def _answered(self, answer: Answer) -> None:
+        waiting = self._waiting.pop(answer.order, None)
+        if waiting is None:
+            return
+        if answer.error:
+            if isinstance(waiting.order, Play):
+                self._runs.forget()
+            waiting.command.refuse(answer.error)
+        else:
+            waiting.command.answer(waiting.body or answer.body)
+
+    # -- to the loop -----------------------------------------------------------------------
+
+    def _woken(self) -> None:
+        """Take what the other threads and the signals left."""
+        with contextlib.suppress(BlockingIOError):
+            if any(os.read(self._wake_fd, _READ)):  # a signal's number; a 0 is our own
+                self._quitting = True
+                self._loop.order(Quit(reason="the service was told to end"))
+        if self._runs.failed():
+            self._loop.order(Halt())
+        self._say_finished()
+        while (command := self._session.next_command()) is not None:
+            try:
+                self._carry_out(command, commands.parse(command.name, command.payload))
+            except ValueError as err:
+                command.refuse(str(err))
+
+    def _carry_out(self, command: Command, request: commands.Request) -> None:
+        """Hand a request to the loop; raises ValueError where it is not allowed."""
+        match request:
+            case commands.Status():
+                command.answer(self._status())
+            case commands.Arm():
+                lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
+                self._ask(command, Take(owner=request.owner, lease=lease, ts_us=ts_us))
+            case commands.Disarm():
+                self._ask(command, Release(lease=request.lease, n=request.n))
+            case commands.Set():
+                code = code_of(request.u)
+                self._ask(command, Hold(lease=request.lease, n=request.n, code=code))
+            case commands.Run():
+                self._ask(command, *self._runs.plan(request))
+            case commands.Stop():
+                self._ask(command, Halt())
+            case commands.Reset():
+                self._ask(command, Reset())
+
+    def _ts_us(self, Ts: float | None) -> int:
+        """Return the sampling time asked for, in µs; 0 for the configured one."""
+        if Ts is None:
+            return 0
+        if round(Ts * 1e6, 3) % 1:
+            msg = f"Ts={Ts} must be a whole number of microseconds"
+            raise ValueError(msg)
+        check_exchange(round(Ts * 1e6), self._config.device.baud)
+        return round(Ts * 1e6)
+
+    def _ask(self, command: Command, order: Orders, body: Any = None) -> None:
+        self._numbers += 1
+        order = msgspec.structs.replace(order, order=self._numbers)
+        self._waiting[self._numbers] = Waiting(command, time.monotonic() + ANSWER_S, order, body)
+        self._loop.order(order)
+
+    def _status(self) -> commands.StatusReport:
+        config, state = self._config, self._state
+        return commands.StatusReport(
+            rig=config.rig.id,
+            version=version("armrig"),
+            phase=state.phase,
+            reason=state.reason,
+            owner=state.owner,
+            Ts=(state.ts_us or config.ts_us) / 1e6,
+            u_min=config.limits.u_min_v,
+            u_max=config.limits.u_max_v,
+            endpoint=self._endpoint,
+            device=state.device,
+            host=self._host,
+            last_run=self._runs.last,
+            recordings=str(self._directory),
+        )
+
+    # -- the service itself ----------------------------------------------------------------
+
+    def _each_second(self) -> None:
+        now = time.monotonic()
+        for number in [n for n, w in self._waiting.items() if now > w.until]:
+            self._waiting.pop(number).command.refuse("the loop does not answer: see the log")
+        if self._state is not _UNKNOWN:
+            self._publish(msgspec.structs.replace(self._state, t_host_ns=realtime.now_ns()))
+
+    def _wake(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._waker_fd, b"\0")
+
+    def _anchor_clock(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+
+def _sample(data: bytes) -> Outgoing:
+    sample = decode_sample(data)
+    if sample is None:
+        msg = "the loop sent a sample of another layout"
+        raise RuntimeError(msg)
+    return Outgoing("sample", sample.t_host_ns, sample.t_sched_ns, sample.k, data)
+
+
+def _short(err: Exception) -> str:
+    return str(err).splitlines()[0][:200]
