@@ -16,7 +16,12 @@ import platformdirs
 from armrig_core.calibration import Calibration
 from armrig_core.topics import check_rig_id
 from armrig_core.volts import U_MAX_V, code_of
-from armrig_protocol.messages import WATCHDOG_DEFAULT_MS, WATCHDOG_MAX_MS, WATCHDOG_MIN_MS
+from armrig_protocol.messages import (
+    CODE_FULL_SCALE,
+    WATCHDOG_DEFAULT_MS,
+    WATCHDOG_MAX_MS,
+    WATCHDOG_MIN_MS,
+)
 from msgspec import Meta
 
 from armrig_daemon.budget import check_exchange
@@ -124,7 +129,8 @@ class Config(Table, frozen=True, kw_only=True):
         return Rules(
             u_min=code_of(limits.u_min_v),
             u_max=code_of(limits.u_max_v),
-            slew=code_of(limits.slew_v),
+            # One code more: a step of exactly the limit may round up.
+            slew=min(code_of(limits.slew_v) + 1, CODE_FULL_SCALE) if limits.slew_v else 0,
             ts_us=self.ts_us,
             watchdog_ms=self.device.watchdog_ms,
             baud=self.device.baud,

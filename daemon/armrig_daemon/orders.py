@@ -113,7 +113,7 @@ def _out_of_range(codes: list[int], rules: Rules) -> str:
     low, high = volts_of(rules.u_min), volts_of(rules.u_max)
     if min(codes[1:]) < rules.u_min or max(codes[1:]) > rules.u_max:
         i = next(i for i, c in enumerate(codes[1:]) if not rules.u_min <= c <= rules.u_max)
-        return f"u[{i}]={volts_of(codes[i + 1]):.4g} V is outside {low:g} … {high:g} V"
+        return f"u[{i}]={volts_of(codes[i + 1]):.4g} V is outside {low:.4g} … {high:.4g} V"
     if rules.slew and max(abs(b - a) for a, b in pairwise(codes)) > rules.slew:
         i = next(i for i, (a, b) in enumerate(pairwise(codes)) if abs(b - a) > rules.slew)
         step = volts_of(abs(codes[i + 1] - codes[i]))

@@ -17,6 +17,13 @@ from armrig_daemon.state import Event, LinkUp, Ordered, Received, Rules
 
 Lateness = Callable[[], int]
 """How much later than the deadline the host wakes, in ns."""
+Line = Callable[[bytes], bytes]
+"""What a line makes of the bytes that go in."""
+
+
+def sound(data: bytes) -> bytes:
+    """Give what went in."""
+    return data
 
 
 class VirtualPorts:
@@ -26,7 +33,8 @@ class VirtualPorts:
         """Switch the device on at time 0, and plug it in."""
         self.now = 0
         self.device = Device(settings, 0)
-        self.written = bytearray()
+        self.to_device: Line = sound
+        self.from_device: Line = sound
         self._lateness = lateness
         self._line: deque[tuple[int, bytes]] = deque()
         self._inbox: deque[tuple[int, Event]] = deque([(0, LinkUp())])
@@ -53,8 +61,7 @@ class VirtualPorts:
 
     def write(self, data: bytes) -> Event | None:
         """Put bytes on the line."""
-        self.written += data
-        self.device.receive(self.now, data)
+        self.device.receive(self.now, self.to_device(data))
         return None
 
     def put(self, text: bytes) -> bool:
@@ -77,7 +84,9 @@ class VirtualPorts:
     def _ready(self) -> list[Event]:
         events: list[Event] = []
         while self._line and self._line[0][0] <= self.now:
-            events.append(Received(self._line.popleft()[1]))
+            data = self.from_device(self._line.popleft()[1])
+            if data:
+                events.append(Received(data))
         while self._inbox and self._inbox[0][0] <= self.now:
             events.append(self._inbox.popleft()[1])
         return events

@@ -1,0 +1,532 @@
+"""The loop and its core against the emulated device, in virtual time.
+
+The invariants S1 ... S6 and T1 are those of ARCHITECTURE.md.
+"""
+
+from __future__ import annotations
+
+from struct import pack
+
+import pytest
+from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.volts import code_of
+from armrig_daemon.config import Config, Device, Limits
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.records import (
+    Answer,
+    Gap,
+    Halt,
+    Hold,
+    Play,
+    Quit,
+    Release,
+    Reset,
+    RunEnded,
+    RunStarted,
+    Take,
+)
+from armrig_daemon.records import State as StateRecord
+from armrig_daemon.state import LinkDown, LinkUp, Phase
+from armrig_daemon.virtual import VirtualRig
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import Cause, HelloReply, Stop
+from armrig_protocol.messages import State as DeviceState
+
+LEASE = "a" * 32
+MS = 1_000_000
+
+
+class Bench(VirtualRig):
+    """A virtual rig with the words of these tests."""
+
+    def __init__(self, config: Config | None = None, lateness_ns: int = 0) -> None:
+        self.lateness_ns = lateness_ns
+        rules = (config or Config()).rules()
+        settings = EmulatorSettings(boot_ms=0.0, baud=rules.baud)
+        super().__init__(rules, settings, lambda: self.lateness_ns)
+        self._number = 0
+        self.run_for(300)
+
+    def run_for(self, ms: float) -> None:
+        self.run_until(self.ports.now + round(ms * MS))
+
+    def ask(self, kind: type, **fields: object) -> Answer:
+        """Give an order and return its answer."""
+        self._number += 1
+        self.order(kind(order=self._number, **fields))
+        self.run_for(100)
+        return next(a for a in self.of(Answer) if a.order == self._number)
+
+    def of(self, kind: type) -> list:  # type: ignore[type-arg]
+        return [r for r in self.records if isinstance(r, kind)]
+
+    @property
+    def samples(self) -> list[Sample]:
+        decoded = [decode_sample(r) for r in self.records if isinstance(r, bytes)]
+        return [s for s in decoded if s is not None]
+
+    @property
+    def phase(self) -> Phase:
+        return self.loop.state.phase
+
+    @property
+    def volts(self) -> float:
+        return self.ports.device.board.volts
+
+    def take(self, ts_us: int = 0) -> Answer:
+        return self.ask(Take, owner="a student", lease=LEASE, ts_us=ts_us)
+
+    def drive(self, volts: float, n: int) -> Answer:
+        return self.ask(Hold, lease=LEASE, n=n, code=code_of(volts))
+
+
+def codes(*volts: float) -> bytes:
+    """Return an experiment's codes."""
+    return pack(f"<{len(volts)}H", *map(code_of, volts))
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """Return a bench that has met its device, at 0 V."""
+    return Bench()
+
+
+@pytest.fixture
+def driven(bench: Bench) -> Bench:
+    """Return a bench whose motor is held at 3 V by hand, for as long as its lease lasts."""
+    bench.take()
+    bench.order(Hold(order=99, lease=LEASE, n=0, code=code_of(3.0)))
+    bench.run_for(20)
+    assert bench.volts == pytest.approx(3.0, abs=0.01)
+    return bench
+
+
+# -- the ordinary way ----------------------------------------------------------------------------
+
+
+def test_a_device_that_answers_is_sampled_at_0_v(bench: Bench) -> None:
+    """INIT to SAFE by HELLO and CONFIG; samples come, nobody holds the rig."""
+    assert bench.phase is Phase.SAFE
+    assert len(bench.samples) > 15
+    assert {s.u_applied_v for s in bench.samples} == {0.0}
+
+
+def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
+    """S5: u[k] at its k, k without a break, 0 V before and after."""
+    volts = [0.5, 4.5, 1.0, 5.0, 0.0, 2.5] * 50
+    bench.take()
+
+    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*volts))
+    bench.run_for(3200)
+
+    (started,), (ended,) = bench.of(RunStarted), bench.of(RunEnded)
+    run = [s for s in bench.samples if 0 <= s.k - started.k_first < started.count]
+    assert [s.k for s in run] == list(range(started.k_first, started.k_first + 300))
+    assert [s.u_cmd_v for s in run] == pytest.approx(volts, abs=1e-4)
+    assert [s.u_applied_v for s in run] == pytest.approx(volts, abs=5 / 1024)
+    assert ended.outcome == "complete"
+    assert bench.phase is Phase.SAFE
+    assert bench.volts == 0.0
+
+
+def test_the_last_sample_comes_before_the_end_of_the_run(bench: Bench) -> None:
+    """The recording ends with the end: no sample may be in flight then."""
+    bench.take()
+
+    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 10))
+    bench.run_for(200)
+
+    at = bench.records.index(bench.of(RunEnded)[0])
+    last = bench.of(RunStarted)[0].k_first + 9
+    before = [decode_sample(r) for r in bench.records[:at] if isinstance(r, bytes)]
+    assert last in {s.k for s in before if s}
+
+
+def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
+    """The owner's Ts from arming on, the configured one afterwards."""
+    answer = bench.take(ts_us=20_000)
+    assert answer.body["Ts"] == 0.02
+
+    begin = bench.samples[-1].k
+    bench.run_for(1000)
+    armed = [s for s in bench.samples if s.k > begin]
+    bench.ask(Release, lease=LEASE, n=0)
+    begin = bench.samples[-1].k
+    bench.run_for(1000)
+
+    assert len(armed) == pytest.approx(50, abs=1)
+    assert len([s for s in bench.samples if s.k > begin]) == pytest.approx(100, abs=1)
+    assert all(g.reason != "the host was late" for g in bench.of(Gap))
+
+
+def test_a_sampling_time_that_the_wire_cannot_carry_is_refused(bench: Bench) -> None:
+    """The refusal names the shortest that would do."""
+    answer = bench.take(ts_us=1000)
+
+    assert "at least 0.001248 s" in answer.error
+    assert bench.phase is Phase.SAFE
+
+
+def test_a_sampling_time_longer_than_the_watchdog_keeps_the_device_fed(bench: Bench) -> None:
+    """KEEPALIVE goes between the ticks: at Ts 0.5 s nothing trips."""
+    bench.take(ts_us=500_000)
+
+    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 2.0, 3.0)))
+    bench.run_for(2600)
+
+    assert bench.of(RunEnded)[0].outcome == "complete"
+    assert bench.phase is not Phase.FAULT
+
+
+# -- who may command, and what -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("order", "complaint"),
+    [
+        ({"lease": "b" * 32, "n": 0, "code": 100}, "not the lease in force"),
+        ({"lease": LEASE, "n": 0, "code": code_of(4.6)}, "outside 0.5 … 4.5 V"),
+        ({"lease": LEASE, "n": 0, "code": code_of(0.4)}, "outside 0.5 … 4.5 V"),
+    ],
+)
+def test_a_hold_that_is_not_allowed_is_refused_and_told(
+    order: dict[str, object], complaint: str
+) -> None:
+    """S1, S5: never clamped, never from another than the holder."""
+    bench = Bench(Config(limits=Limits(u_min_v=0.5, u_max_v=4.5)))
+    bench.take()
+
+    answer = bench.ask(Hold, **order)
+
+    assert complaint in answer.error
+    assert bench.volts == 0.0
+    assert bench.phase is Phase.ARMED
+
+
+def test_a_run_with_one_value_outside_is_refused_whole() -> None:
+    """The refusal names the first index."""
+    bench = Bench(Config(limits=Limits(u_max_v=4.5)))
+    bench.take()
+
+    answer = bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 4.5, 4.6, 5.0))
+
+    assert answer.error.startswith("u[2]=4.6 V is outside 0 … 4.5 V")
+    assert not bench.of(RunStarted)
+
+
+def test_a_step_beyond_the_slew_limit_is_refused() -> None:
+    """It counts from 0 V, where the motor rests before the run."""
+    bench = Bench(Config(limits=Limits(slew_v=1.0)))
+    bench.take()
+
+    answer = bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 2.0, 3.5))
+    first = bench.ask(Play, lease=LEASE, n=1, run_id="r", codes=codes(1.5))
+
+    assert answer.error.startswith("u[2] steps by 1.5 V: at most 1 V")
+    assert first.error.startswith("u[0] steps by 1.5 V")
+
+
+def test_a_command_that_is_played_again_is_refused(driven: Bench) -> None:
+    """The number of a command must grow."""
+    assert "must be greater than the last" in driven.drive(3.0, n=0).error
+
+
+def test_a_second_owner_is_refused(driven: Bench) -> None:
+    """The refusal names who holds the rig."""
+    answer = driven.ask(Take, owner="another", lease="c" * 32, ts_us=0)
+
+    assert "held by a student" in answer.error
+
+
+def test_a_stop_needs_no_lease(driven: Bench) -> None:
+    """S6: anybody may stop; the rig is free afterwards."""
+    driven.ask(Halt)
+
+    assert driven.volts == 0.0
+    assert driven.phase is Phase.SAFE
+
+
+def test_a_stop_ends_a_run_and_says_so(bench: Bench) -> None:
+    """What was recorded up to there is a recording."""
+    bench.take()
+    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500))
+
+    bench.ask(Halt)
+
+    assert bench.of(RunEnded)[0].outcome == "stopped"
+    assert bench.volts == 0.0
+
+
+def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
+    """Whoever was arming is told."""
+    bench.order(Take(order=7, owner="a student", lease=LEASE, ts_us=0))
+    bench.order(Halt(order=8))
+    bench.run_for(100)
+
+    answers = {a.order: a for a in bench.of(Answer)}
+    assert "overtaken by STOP" in answers[7].error
+    assert answers[8].body == {"done": True}
+    assert bench.phase is Phase.SAFE
+
+
+# -- what goes wrong -----------------------------------------------------------------------------
+
+
+def test_a_voltage_held_by_hand_dies_with_its_lease(driven: Bench) -> None:
+    """S2: 100 ms after the last valid command, then 2 Ts at most."""
+    driven.run_for(85)
+    assert driven.volts > 0
+
+    driven.run_for(40)
+
+    assert driven.volts == 0.0
+    assert driven.phase is Phase.FAULT
+    assert "lease ran out" in driven.loop.state.reason
+
+
+def test_each_command_renews_the_lease(driven: Bench) -> None:
+    """A holder that goes on commanding goes on driving."""
+    for n in range(1, 8):
+        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(2.0)))
+        driven.run_for(80)
+
+        assert driven.volts == pytest.approx(2.0, abs=0.01)
+
+
+def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
+    """S4: one-way loss; the device still hears us, and is told to stop within the age limit."""
+    driven.ports.from_device = lambda _: b""
+    for n in range(1, 4):
+        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.run_for(20)
+
+    driven.run_for(20)
+
+    assert driven.ports.device.state is DeviceState.IDLE
+    assert driven.volts == 0.0
+    assert "no answer" in driven.loop.state.reason
+
+
+def test_commands_that_do_not_arrive_stop_the_motor(driven: Bench) -> None:
+    """S3: the device's own watchdog, 100 ms after the last frame it took in."""
+    driven.ports.to_device = lambda _: b""
+
+    driven.run_for(110)
+
+    assert driven.ports.device.state is DeviceState.FAULT
+    assert driven.ports.device.cause is Cause.WATCHDOG
+    assert driven.volts == 0.0
+
+
+def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
+    """S6 and T1: sampling is back within 2 s, latched at 0 V until a reset and an arm."""
+    driven.ports.send(driven.ports.now, LinkDown("unplugged"))
+    driven.run_for(200)
+    driven.ports.device.reset(driven.ports.now)
+    driven.ports.send(driven.ports.now, LinkUp())
+    before = len(driven.samples)
+    driven.run_for(2000)
+
+    assert len(driven.samples) > before + 100
+    assert driven.phase is Phase.FAULT
+    assert "link lost: unplugged" in driven.loop.state.reason
+    assert "in fault" in driven.take().error
+
+    driven.ask(Reset)
+    assert driven.phase is Phase.SAFE
+    assert not driven.take().error
+
+
+def test_a_pause_of_the_host_trips(driven: Bench) -> None:
+    """After SIGSTOP, a suspend, a frozen machine: 0 V, and a gap that says for how long."""
+    driven.lateness_ns = 80 * MS
+    driven.run_for(50)
+    driven.lateness_ns = 0
+    driven.run_for(50)
+
+    assert driven.volts == 0.0
+    assert "the host paused for" in driven.loop.state.reason
+    assert max(g.count for g in driven.of(Gap)) >= 7
+
+
+def test_ticks_that_were_missed_are_skipped_and_told(bench: Bench) -> None:
+    """No burst catches up; the voltage held meanwhile stands in the gap."""
+    bench.take()
+    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
+    bench.run_for(300)
+    bench.lateness_ns = 25 * MS
+    bench.run_for(20)
+    bench.lateness_ns = 0
+    bench.run_for(1000)
+
+    (gap,) = bench.of(Gap)
+    run = {s.k for s in bench.samples if s.k >= bench.of(RunStarted)[0].k_first}
+    assert (gap.count, gap.reason) == (2, "the host was late")
+    assert gap.u_held_v == pytest.approx(2.0, abs=0.01)
+    assert run.isdisjoint({gap.k_first, gap.k_first + 1})
+    assert {gap.k_first - 1, gap.k_first + 2} <= run
+    assert bench.of(RunEnded)[0].outcome == "complete"
+
+
+def test_a_lost_sample_is_a_gap_with_the_voltage_that_was_held(bench: Bench) -> None:
+    """The next sample's u_km1 tells what was latched at the one that is missing."""
+    bench.take()
+    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0, 4.0] * 50)))
+    bench.run_for(200)
+    lost: list[bytes] = []
+
+    def lose_one(data: bytes) -> bytes:
+        if lost or len(data) != 36:  # a SAMPLE
+            return data
+        lost.append(data)
+        return b""
+
+    bench.ports.from_device = lose_one
+    bench.run_for(1000)
+
+    (gap,) = bench.of(Gap)
+    first = bench.of(RunStarted)[0].k_first
+    assert (gap.count, gap.reason) == (1, "a frame was lost")
+    expected = [1.0, 4.0][(gap.k_first - first) % 2]
+    assert gap.u_held_v == pytest.approx(expected, abs=0.01)
+    assert bench.of(RunEnded)[0].outcome == "complete"
+
+
+def test_noise_on_the_line_costs_samples_and_nothing_else(bench: Bench) -> None:
+    """Every tenth answer is spoilt: gaps, no trip."""
+    count = 0
+
+    def spoil(data: bytes) -> bytes:
+        nonlocal count
+        count += 1
+        return bytes([data[0] ^ 1, *data[1:]]) if count % 10 == 0 else data
+
+    bench.take()
+    bench.ports.from_device = spoil
+    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[3.0] * 200)))
+    bench.run_for(2500)
+
+    assert bench.of(RunEnded)[0].outcome == "complete"
+    assert len(bench.of(Gap)) > 15
+
+
+def test_a_device_that_was_reset_is_not_driven_on(driven: Bench) -> None:
+    """Its boot_id tells, even when it says nothing: 0 V, latched."""
+    driven.ports.device.reset(driven.ports.now)
+
+    driven.run_for(100)
+
+    assert driven.phase is Phase.FAULT
+    assert "reset" in driven.loop.state.reason
+    assert driven.volts == 0.0
+
+
+def test_a_fault_of_the_device_is_cleared_by_a_reset_alone(driven: Bench) -> None:
+    """The device's latch and ours, both: CLEAR_FAULT with its token, then SAFE."""
+    driven.ports.to_device = lambda _: b""
+    driven.run_for(150)
+    driven.ports.to_device = lambda data: data
+    driven.run_for(500)
+    assert driven.ports.device.state is DeviceState.FAULT
+    assert driven.phase is Phase.FAULT
+
+    driven.ask(Reset)
+    driven.run_for(100)
+
+    assert driven.phase is Phase.SAFE
+    assert driven.ports.device.state is DeviceState.READY
+    assert driven.volts == 0.0
+
+
+def test_other_firmware_is_read_and_never_armed(bench: Bench) -> None:
+    """A schema that is not ours: samples at most, no ARM."""
+    rig = Bench.__new__(Bench)
+    VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
+    rig._number = 0
+
+    def other(data: bytes) -> bytes:
+        from armrig_protocol.decoder import feed
+
+        _, messages = feed(b"", data)
+        return b"".join(
+            encode(m._replace(schema=1)) if isinstance(m, HelloReply) else encode(m)  # type: ignore[arg-type]
+            for m in messages
+        )
+
+    rig.ports.from_device = other
+    rig.run_for(500)
+
+    assert rig.phase is Phase.FAULT
+    assert "flash the firmware" in rig.loop.state.reason
+    assert "in fault" in rig.take().error
+    assert rig.ports.device.state is DeviceState.IDLE
+
+
+def test_a_stop_frame_that_is_lost_is_sent_again(driven: Bench) -> None:
+    """Until the device is seen stopped."""
+    stop_frame = encode(Stop(0, 0))
+    lost = 0
+
+    def lose_two(data: bytes) -> bytes:
+        nonlocal lost
+        if len(data) == len(stop_frame) and lost < 2:
+            lost += 1
+            return b""
+        return data
+
+    driven.ports.to_device = lose_two
+    driven.ask(Halt)
+
+    assert lost == 2
+    assert driven.volts == 0.0
+    assert driven.ports.device.state is not DeviceState.RUN
+
+
+# -- the end -------------------------------------------------------------------------------------
+
+
+def test_the_loop_ends_when_the_device_is_seen_stopped(driven: Bench) -> None:
+    """0 V, then exit, within 100 ms."""
+    began = driven.ports.now
+
+    driven.order(Quit(reason="SIGTERM"))
+    driven.run_for(1000)
+
+    assert driven.loop.ended
+    assert driven.ports.now - began < 100 * MS
+    assert driven.ports.device.state is DeviceState.IDLE
+    assert driven.volts == 0.0
+
+
+def test_the_loop_ends_even_when_the_device_is_gone(driven: Bench) -> None:
+    """It tries to stop the motor, and does not wait for ever."""
+    began = driven.ports.now
+    driven.ports.to_device = lambda _: b""
+
+    driven.order(Quit(reason="SIGTERM"))
+    driven.run_for(1000)
+
+    assert driven.loop.ended
+    assert driven.ports.now - began < 300 * MS
+
+
+def test_an_armed_rig_that_nobody_commands_is_given_back(bench: Bench) -> None:
+    """After 10 s at 0 V, without a fault."""
+    bench.take()
+
+    bench.run_for(10_500)
+
+    assert bench.phase is Phase.SAFE
+    assert bench.of(StateRecord)[-1].owner == ""
+
+
+def test_a_limit_of_the_configuration_reaches_the_device() -> None:
+    """S1 in three layers: the device itself refuses what the daemon would not have sent."""
+    bench = Bench(
+        Config(limits=Limits(u_max_v=2.0, revolutions=1.5), device=Device(watchdog_ms=50))
+    )
+
+    config = bench.ports.device._fw.config
+
+    assert config is not None
+    assert (config.u_max, config.watchdog_ms, config.turns) == (code_of(2.0), 50, 150)
