@@ -1,0 +1,24 @@
+"""What the wire can carry, by the figures of PROTOCOL.md."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.budget import check_exchange, exchange_us
+
+
+def test_the_budget_is_that_of_request_conversions_and_answer() -> None:
+    """52 bytes of 10 bits, and two conversions of 104 µs."""
+    assert exchange_us(500_000) == 1040 + 208
+    assert exchange_us(1_000_000) == 520 + 208
+
+
+@pytest.mark.parametrize(("ts_us", "baud"), [(2000, 500_000), (1000, 1_000_000), (5000, 115_200)])
+def test_what_fits_is_taken(ts_us: int, baud: int) -> None:
+    """500 Hz at 500 kbaud, 1 kHz at 1 Mbaud, 200 Hz at 115 200."""
+    check_exchange(ts_us, baud)
+
+
+def test_what_does_not_fit_is_refused_with_the_way_out() -> None:
+    """1 kHz at 500 kbaud does not fit."""
+    with pytest.raises(ValueError, match=r"Ts=0.001 s .* at least 0.001248 s, or a higher baud"):
+        check_exchange(1000, 500_000)

@@ -1,0 +1,91 @@
+"""The configuration is checked key by key, and layered."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig_daemon.config import Config, ConfigError, load
+
+
+def _load(tmp_path: Path, text: str, environ: dict[str, str] | None = None) -> Config:
+    path = tmp_path / "armrig.toml"
+    path.write_text(text)
+    return load([path], environ or {}, {})
+
+
+def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
+    """Every key has a default."""
+    assert _load(tmp_path, "") == Config()
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[timing]\nTz = 1", r"timing\.Tz = 1: no such key; allowed are Ts, priority"),
+        ("[timng]\nTs = 1", r"timng = .*: no such key; allowed are rig, device"),
+        ("[timing]\nTs = '10 ms'", r"timing\.Ts = '10 ms': expected `float`, got `str`"),
+        ("[timing]\nTs = 2", r"timing\.Ts = 2: expected `float` <= 1"),
+        ("[timing]\nTs = 0.0100001", r"Ts = 0.0100001 must be a whole number of microseconds"),
+        ("[timing]\nTs = 0.001", r"Ts=0.001 s cannot be carried at 500000 baud: at least 0.001248"),
+        ("[limits]\nu_max_v = 6", r"limits\.u_max_v = 6: expected `float` <= 5"),
+        ("[limits]\nu_max_v = nan", r"limits\.u_max_v = nan"),
+        ("[limits]\nu_min_v = -1", r"limits\.u_min_v = -1: expected `float` >= 0"),
+        ("[limits]\nu_min_v = 4\nu_max_v = 3", r"limits: u_min_v = 4.0 must not be above"),
+        ("[limits]\nu_min_v = 4\nu_min_v = 3", "not a TOML file"),
+        ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
+        ("[rig]\nid = '../1'", r"rig id '\.\./1': 1 to 40 of a-z, 0-9 and - are allowed"),
+        ("[emulator]\nbaud = 1", r"emulator: baud=1 must be from 9600"),
+        ("[calibration.theta_1]\nrad_per_count = 0.0", r"calibration\.theta_1: rad_per_count=0\.0"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
+    """The message names file, key, value and what is allowed."""
+    with pytest.raises(ConfigError, match=complaint) as refusal:
+        _load(tmp_path, text)
+
+    assert "armrig.toml" in str(refusal.value) or "[timing]" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+    """The path is in the message."""
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: there is no such file"):
+        load([tmp_path / "nowhere.toml"], {}, {})
+
+
+def test_the_later_layer_wins_key_by_key(tmp_path: Path) -> None:
+    """System, user, environment, command line."""
+    system, user = tmp_path / "system.toml", tmp_path / "user.toml"
+    system.write_text("[timing]\nTs = 0.02\npriority = 10\n[limits]\nu_max_v = 3.0")
+    user.write_text("[timing]\nTs = 0.03\nspin_us = 5")
+    environ = {"ARMRIG_TIMING_SPIN_US": "6", "ARMRIG_DEVICE_PORT": "/dev/x", "HOME": "/"}
+
+    config = load([system, user], environ, {"device": {"port": "/dev/y"}})
+
+    assert (config.timing.priority, config.timing.Ts, config.timing.spin_us) == (10, 0.03, 6)
+    assert (config.limits.u_max_v, config.device.port) == (3.0, "/dev/y")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "complaint"),
+    [
+        ("ARMRIG_DEVCE_PORT", "/dev/x", "must be ARMRIG_<TABLE>_<KEY>; tables: rig, device"),
+        ("ARMRIG_DEVICE_PROT", "/dev/x", "device.prot = '/dev/x': no such key; allowed are port"),
+        ("ARMRIG_DEVICE_BAUD", "fast", "device.baud = 'fast': expected `int`"),
+    ],
+)
+def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) -> None:
+    """It would else be ignored in silence."""
+    with pytest.raises(ConfigError, match=complaint) as refusal:
+        load([], {name: text}, {})
+
+    assert str(refusal.value).startswith("environment: ")
+
+
+def test_the_rules_of_the_core_are_the_configuration_s() -> None:
+    """Volts as codes; no slew limit is 0."""
+    rules = Config().rules()
+
+    assert (rules.u_min, rules.u_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
+    assert rules.ts_us == 10_000

@@ -1,0 +1,174 @@
+"""Recordings: readable by others, whole up to the last flush whatever happens."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from armrig_core import protobuf
+from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
+from armrig_core.telemetry import Sample, encode_sample
+from armrig_daemon.messages import Outgoing, outgoing
+from armrig_daemon.record import Recording, RecordingError, check_directory, left_over
+from armrig_daemon.records import Gap
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+MANIFEST = Manifest(
+    rig="1",
+    run_id="abcd",
+    experiment="test",
+    details={"seed": 3},
+    Ts=0.01,
+    samples=100,
+    started="2026-01-01T00:00:00+00:00",
+    clock_offset_ns=10**18,
+    armrig="0",
+    protocol="1",
+)
+
+
+def _sample(k: int) -> Outgoing:
+    t_ns = k * 10_000_000
+    data = encode_sample(Sample(k, t_ns, t_ns + 5, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
+    return Outgoing("sample", t_ns + 5, t_ns, k, data)
+
+
+def _recording(path: Path, changed: threading.Event | None = None) -> Recording:
+    event = changed or threading.Event()
+    files = {"input.csv": b"u_v\n1.0\n"}
+    return Recording(path, MANIFEST, files, t_first_ns=5, changed=event.set)
+
+
+def _wait_until_flushed(recording: Recording, size: int) -> None:
+    until = time.monotonic() + 5
+    while recording.active.stat().st_size <= size:
+        assert time.monotonic() < until
+        threading.Event().wait(0.01)
+
+
+def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
+    """mcap-protobuf-support, from the schemas in the file alone."""
+    path = tmp_path / "run.mcap"
+    recording = _recording(path)
+    gap = Gap(k_first=40, count=2, t_from_ns=1, t_to_ns=2, u_held_v=2.5, reason="late")
+
+    recording.add([_sample(k) for k in range(100)])
+    recording.add([outgoing(gap, 0)])
+    recording.finish("complete", 2)
+    recording.join(5)
+
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        decoded = list(reader.iter_decoded_messages())
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        (attachment,) = reader.iter_attachments()
+    assert [m.k for _, c, _, m in decoded if c.topic == "/rig/1/sample"] == list(range(100))
+    assert [m.u_held_v for _, c, _, m in decoded if c.topic == "/rig/1/gap"] == [2.5]
+    assert manifest_of(metadata[RUN]) == MANIFEST
+    assert outcome_of(metadata[OUTCOME]).missing == 2
+    assert (attachment.name, attachment.data) == ("input.csv", b"u_v\n1.0\n")
+    assert not recording.active.exists()
+
+
+def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
+    """What overtakes a sample in flight gets the time of the sample before."""
+    path = tmp_path / "run.mcap"
+    recording = _recording(path)
+    late = Gap(k_first=1, count=1, t_from_ns=0, t_to_ns=15_000_000, u_held_v=0, reason="late")
+
+    recording.add([_sample(1), outgoing(late, 0), _sample(2)])
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    with path.open("rb") as file:
+        times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
+    offset = MANIFEST.clock_offset_ns
+    assert times == [offset + 10_000_005, offset + 10_000_005, offset + 20_000_005]
+
+
+def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
+    """L1: a reader of the unfinished file finds manifest and samples; nothing was closed."""
+    recording = _recording(tmp_path / "run.mcap")
+    header = recording.active.stat().st_size
+    assert RUN.encode() in recording.active.read_bytes()  # before any sample
+
+    recording.add([_sample(k) for k in range(50)])
+    _wait_until_flushed(recording, header)
+
+    assert left_over(tmp_path) == [recording.active]
+    recording.finish("complete", 0)
+    recording.join(5)
+
+
+def test_a_disk_that_is_full_leaves_a_whole_prefix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file is cut to the last good flush, the error is told, and nothing hangs."""
+    changed = threading.Event()
+    recording = _recording(tmp_path / "run.mcap", changed)
+    recording.add([_sample(k) for k in range(50)])
+    _wait_until_flushed(recording, recording.active.stat().st_size)
+    good = recording.active.read_bytes()
+
+    def full(_fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", full)
+    assert changed.wait(5)
+    recording.add([_sample(k) for k in range(50, 60)])
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert "No space left on device; kept up to the last flush" in recording.error
+    assert recording.active.read_bytes()[: len(good)] == good
+    assert not recording.path.exists()
+
+
+def test_no_room_for_the_compact_copy_keeps_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is complete, only in smaller chunks."""
+
+    def full(source: Path, target: Path) -> None:
+        target.write_bytes(source.read_bytes()[:100])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("armrig_daemon.record.compact", full)
+    recording = _recording(tmp_path / "run.mcap")
+
+    recording.add([_sample(k) for k in range(50)])
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    with recording.path.open("rb") as file:
+        assert len(list(make_reader(file).iter_messages())) == 50
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap"]
+
+
+def test_a_recording_never_overwrites_another(tmp_path: Path) -> None:
+    """The error says where, and what to do."""
+    first = _recording(tmp_path / "run.mcap")
+
+    with pytest.raises(RecordingError, match=r"run\.mcap\.active: File exists"):
+        _recording(tmp_path / "run.mcap")
+
+    first.finish("complete", 0)
+    first.join(5)
+
+
+def test_a_directory_that_cannot_take_it_is_said_before_the_run(tmp_path: Path) -> None:
+    """Missing is made; too small is told."""
+    assert check_directory(tmp_path / "new" / "er", 1000) == ""
+    assert "MB free" in check_directory(tmp_path, 10**18)
+    file = tmp_path / "file"
+    file.touch()
+    assert "set [recording] directory" in check_directory(file / "below", 1)
+
+
+def test_every_stream_has_its_schema() -> None:
+    """A reader needs nothing but the file."""
+    for name in (protobuf.SAMPLE, protobuf.GAP, protobuf.TIMING, protobuf.STATE, protobuf.LOG):
+        assert protobuf.message_class(name).DESCRIPTOR.full_name == name

@@ -1,0 +1,52 @@
+"""Records and orders survive the pipe, in any pieces."""
+
+from __future__ import annotations
+
+from armrig_core.telemetry import SAMPLE_FIELDS, Sample, encode_sample
+from armrig_daemon.records import (
+    Answer,
+    Gap,
+    Halt,
+    Log,
+    Play,
+    Take,
+    record_bytes,
+    sample_bytes,
+    take_orders,
+    take_records,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+SAMPLE = encode_sample(Sample(*range(len(SAMPLE_FIELDS))))
+GAP = Gap(k_first=3, count=2, t_from_ns=1, t_to_ns=2, u_held_v=2.5, reason="the host was late")
+LOG = Log(t_host_ns=5, level="info", message="a rig")
+ANSWER = Answer(order=3, body={"lease": "x"})
+
+
+@given(st.lists(st.integers(1, 60), max_size=20))
+def test_records_come_out_as_they_went_in(cuts: list[int]) -> None:
+    """Samples as their bytes, the rest as values, whatever a read returns."""
+    stream = sample_bytes(SAMPLE) + record_bytes(GAP) + record_bytes(LOG)
+    stream += sample_bytes(SAMPLE) + record_bytes(ANSWER)
+    pending, records = bytearray(), []
+    for size in [*cuts, len(stream)]:
+        pending += stream[:size]
+        stream = stream[size:]
+        records += take_records(pending)
+
+    assert records == [SAMPLE, GAP, LOG, SAMPLE, ANSWER]
+    assert not pending
+
+
+def test_orders_come_out_as_they_went_in() -> None:
+    """An experiment of a million samples, too."""
+    orders = [
+        Take(order=1, owner="a student", lease="a" * 32, ts_us=0),
+        Play(order=2, lease="a" * 32, n=0, run_id="r", codes=b"\x00\x80" * 1_000_000),
+        Halt(order=3),
+    ]
+
+    pending = bytearray().join(map(record_bytes, orders))
+
+    assert take_orders(pending) == orders

@@ -1,0 +1,52 @@
+"""Percentiles within 1/32 of the truth, and stalls that count for every tick they cost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig_daemon.timing import Histogram
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+@given(st.lists(st.integers(0, 10**10), min_size=1, max_size=300), st.floats(0.01, 1.0))
+def test_a_quantile_is_exact_to_one_thirty_second(values: list[int], q: float) -> None:
+    """Never below the true one, and above it by 1/32 at most."""
+    histogram = Histogram()
+    for value in values:
+        histogram.add(value)
+
+    true = int(np.quantile(values, q, method="inverted_cdf"))
+
+    assert true <= histogram.quantile(q) <= true + true / 32 + 1
+
+
+def test_a_stall_counts_for_every_tick_that_it_cost() -> None:
+    """40 ms at 1 kHz are 40 late ticks, not one: 40 of 1000 show at p99."""
+    histogram = Histogram()
+    for _ in range(960):
+        histogram.add(10_000)
+    histogram.add(40_000_000, missed=39, period_ns=1_000_000)
+
+    timing = histogram.distribution_us()
+
+    assert (timing.n, timing.missed) == (1000, 39)
+    assert timing.p50 == pytest.approx(10, rel=0.04)
+    assert timing.p99 == pytest.approx(31_000, rel=0.05)
+    assert timing.max == 40_000
+
+
+def test_nothing_counted_is_all_zero() -> None:
+    """No division, no maximum of nothing."""
+    timing = Histogram().distribution_us()
+
+    assert (timing.n, timing.p50, timing.max) == (0, 0.0, 0.0)
+
+
+def test_a_night_asleep_is_counted_in_bounded_time() -> None:
+    """A suspend of ten hours at 1 kHz missed 36 million ticks."""
+    histogram = Histogram()
+
+    histogram.add(36_000_000_000_000, missed=36_000_000, period_ns=1_000_000)
+
+    assert histogram.missed == 36_000_000
