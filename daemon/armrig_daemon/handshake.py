@@ -148,7 +148,7 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     if reply.state in _LATCHED:
         return _latch(state, now_ns, asked, f"the device is in {DeviceState(reply.state).name}")
     if state.phase is Phase.FAULT and asked.order is None:
-        return state, []
+        return state, [say_state(state, now_ns)]
     if reply.state in _DRIVES:
         # Left over from another host: stop first.
         return ask(state, now_ns, Want.STOP, asked.order)

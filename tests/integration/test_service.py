@@ -1,0 +1,182 @@
+"""The daemon as its users meet it: zenoh, recordings, errors for people."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.rig import RefusedError
+from conftest import WITHIN_S, Bench, wait_for
+
+SUBSCRIBER = """
+import sys, zenoh
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+assert not any(name.startswith("armrig") for name in sys.modules)
+endpoint, count = sys.argv[1], int(sys.argv[2])
+config = zenoh.Config.from_json5(
+    '{mode: "client", connect: {endpoints: ["%s"]}}' % endpoint
+)
+config.insert_json5("scouting/multicast/enabled", "false")
+with zenoh.open(config) as session:
+    reply = next(iter(session.get("rig/1/schema/armrig.v1.Sample", timeout=5)))
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(reply.ok.payload.to_bytes()).file:
+        pool.Add(file)
+    Sample = message_factory.GetMessageClass(pool.FindMessageTypeByName("armrig.v1.Sample"))
+    with session.declare_subscriber("rig/1/sample") as samples:
+        ks = []
+        for sample in samples:
+            assert str(sample.encoding) == "application/protobuf;armrig.v1.Sample", sample.encoding
+            decoded = Sample.FromString(sample.payload.to_bytes())
+            assert len(decoded.ListFields()) == 11
+            ks.append(decoded.k)
+            if len(ks) == count:
+                break
+print(ks[-1] - ks[0] + 1)
+"""
+
+
+def test_a_run_comes_back_as_a_recording_that_others_read(bench: Bench) -> None:
+    """Arm, run, load: every u at its k; the independent doctor finds nothing."""
+    bench.emulate()
+    bench.serve()
+    u = armrig.telegraph(300, 0.1, low=0.0, high=5.0, seed=1)
+
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.005)
+        path = rig.run(u, experiment="blackbox", details={"seed": 1})
+
+    recording = armrig.load(path)
+    np.testing.assert_allclose(recording.samples["u_cmd_v"], u[: len(recording.samples)], atol=1e-4)
+    assert recording.manifest.details == {"seed": 1}
+    assert recording.manifest.Ts == 0.005
+    assert not recording.truncated
+    doctor = subprocess.run(
+        [Path(sys.executable).with_name("pymcap-cli"), "doctor", path],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert doctor.returncode == 0, doctor.stdout
+    assert "passed MCAP doctor checks" in doctor.stdout
+    assert "info" not in doctor.stdout
+    assert "warning" not in doctor.stdout
+
+
+def test_a_plain_zenoh_subscriber_needs_only_endpoint_and_schema(bench: Bench) -> None:
+    """No armrig in that process: the served descriptors decode live samples."""
+    bench.emulate()
+    bench.serve()
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+
+    result = subprocess.run(
+        [sys.executable, "-I", "-c", SUBSCRIBER, endpoint, "100"],
+        capture_output=True,
+        text=True,
+        timeout=WITHIN_S * 2,
+        check=False,
+    )
+
+    assert result.returncode == 0, result.stderr
+    assert int(result.stdout) >= 100
+
+
+def test_a_command_with_a_wrong_field_is_told_which(bench: Bench) -> None:
+    """The refusal crosses the network as a sentence."""
+    bench.emulate()
+    bench.serve()
+
+    with bench.rig() as rig:
+        with pytest.raises(RefusedError, match=r"at least 0.000728 s"):
+            rig.arm("a test", Ts=0.0006)
+        rig.arm("a test")
+        with pytest.raises(RefusedError, match=r"Expected `float` <= 5.0 - at `\$.u\[1\]`"):
+            rig.run(np.array([1.0, 6.0]))
+    assert bench.volts() == 0.0
+
+
+def test_the_voltage_follows_the_hand_and_the_stop(bench: Bench) -> None:
+    """The witness at the terminals sees what was set, and 0 V after a stop."""
+    bench.emulate()
+    bench.serve()
+
+    with bench.rig() as rig:
+        rig.arm("a test")
+        rig.set(2.0)
+        wait_for(lambda: abs(bench.volts() - 2.0) < 0.01)
+        rig.stop()
+        wait_for(lambda: bench.volts() == 0.0)
+
+
+def test_the_socket_is_for_the_user_and_the_group_alone(bench: Bench) -> None:
+    """A1: no TCP port, no multicast, no access for others."""
+    bench.emulate()
+    daemon = bench.serve()
+
+    socket = bench.folder / "armrig" / "1.sock"
+    assert socket.stat().st_mode & 0o007 == 0
+    assert socket.parent.stat().st_mode & 0o077 == 0
+    links = [f.readlink() for f in Path(f"/proc/{daemon.popen.pid}/fd").iterdir()]
+    inodes = {str(link)[8:-1] for link in links if str(link).startswith("socket:[")}
+    for table in ("tcp", "tcp6", "udp", "udp6"):
+        rows = Path(f"/proc/net/{table}").read_text().splitlines()[1:]
+        assert inodes.isdisjoint({row.split()[9] for row in rows}), table
+
+
+@pytest.mark.parametrize(
+    ("more", "complaint"),
+    [
+        ("[timing]\nTs = 0.0005", "at least 0.000728 s, or a higher baud rate"),
+        ("[timing]\nTz = 0.01", "timing.Tz = 0.01: no such key; allowed are Ts"),
+        ("[limits]\nu_max_v = 7", "limits.u_max_v = 7: expected `float` <= 5.0"),
+    ],
+)
+def test_a_bad_configuration_is_refused_in_one_line(
+    bench: Bench, more: str, complaint: str
+) -> None:
+    """File, key, value, what is allowed; exit code not 0."""
+    bench.configure(more=more)
+
+    daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+
+    assert daemon.popen.wait(WITHIN_S) == 1
+    assert complaint in daemon.said
+    assert daemon.said.count("\n") == 1
+
+
+def test_a_port_that_is_not_there_is_said(bench: Bench) -> None:
+    """One line, exit code not 0."""
+    daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+
+    assert daemon.popen.wait(WITHIN_S) == 1
+    assert f"{bench.port} cannot be opened: it is not there" in daemon.said
+    assert "Traceback" not in daemon.said
+
+
+def test_a_port_that_is_taken_is_said(bench: Bench) -> None:
+    """Two daemons on one port: the second gives up, the first goes on."""
+    bench.emulate()
+    bench.serve()
+
+    second = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--rig", "2")
+
+    assert second.popen.wait(WITHIN_S) == 1
+    assert "it is taken by another program" in second.said
+    assert bench.phase() == "safe"
+
+
+def test_two_daemons_of_one_rig_are_one_too_many(bench: Bench) -> None:
+    """The second finds the endpoint taken."""
+    bench.emulate()
+    bench.serve()
+
+    second = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--emulate")
+
+    assert second.popen.wait(WITHIN_S) == 1
+    assert "1.sock" in second.said
+    assert "Traceback" not in second.said
+    assert bench.phase() == "safe"
