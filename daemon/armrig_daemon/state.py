@@ -126,7 +126,7 @@ class Run(NamedTuple):
 
 
 class State(NamedTuple):
-    """All that the core knows. A named tuple: `_replace` takes a third of a dataclass' time."""
+    """All that the core knows; a named tuple for speed (docs/decisions/0003)."""
 
     rules: Rules
     phase: Phase = Phase.INIT
