@@ -60,7 +60,7 @@ class Run(Leased, frozen=True, kw_only=True):
     """Play and record an experiment; answered by a `RunAccepted`."""
 
     name: ClassVar[str] = "run"
-    u: Annotated[list[Volts], Meta(min_length=1, max_length=10_000_000)]
+    u: Annotated[list[Volts], Meta(min_length=1, max_length=1_000_000)]
     """Motor voltage at each sample, in V."""
     experiment: Name = "run"
     """Kind of experiment; part of the recording's name."""

@@ -133,12 +133,16 @@ def _stopped(state: State, now_ns: int, asked: Asked) -> Step:
 def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     """Meet the device: from here on it is sampled, at 0 V."""
     asked = state.asked
-    state = state._replace(
-        device=reply, token=reply.token, device_state=reply.state, fresh_ns=now_ns, sent=()
-    )
     if asked is None or asked.want is not Want.HELLO:
-        return state, []
-    state = state._replace(asked=None)
+        return state, []  # nobody asked: it proves no round trip
+    state = state._replace(
+        asked=None,
+        device=reply,
+        token=reply.token,
+        device_state=reply.state,
+        fresh_ns=asked.sent_ns,
+        sent=(),
+    )
     if (reply.version, reply.schema) != (VERSION, SCHEMA_HASH):
         error = (
             f"the firmware speaks version {reply.version}, schema {reply.schema:08x}; "

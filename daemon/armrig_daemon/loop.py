@@ -6,6 +6,8 @@ device, no clock and no pipe: those are its `Ports`.
 
 from __future__ import annotations
 
+from collections import deque
+
 from armrig_core.telemetry import Sample, encode_sample
 
 from armrig_daemon import core
@@ -29,6 +31,8 @@ from armrig_daemon.timing import Histogram
 
 MARGIN_NS = 150_000
 """How long before a deadline waiting for bytes ends and waiting for the time begins, in ns."""
+MOST_WAITING = 1000
+"""Records that may wait for room in the pipe; the oldest go first."""
 _SECOND_NS = 1_000_000_000
 
 
@@ -82,6 +86,7 @@ class Loop:
         # What came while the process was not running is older than this tick.
         events = self.ports.wait(now)
         self._step(now, [*events, Tick(k, sched_ns)])
+        self._outbox.flush()
         timing = self._meter.each_second(now)
         if timing is not None:
             self._outbox.put(timing)
@@ -110,22 +115,26 @@ class Loop:
 
 
 class Outbox:
-    """The way to the service: never waits; what finds no room is counted and told as a gap."""
+    """The way to the service: never waits, keeps the order, and drops nothing but samples.
+
+    Samples that find no room are counted and told as one gap. Records wait for room.
+    """
 
     def __init__(self, ports: Ports) -> None:
-        """Start with an empty pipe."""
+        """Start with nothing waiting."""
         self._ports = ports
+        self._waiting: deque[bytes] = deque(maxlen=MOST_WAITING)
         self._gap: Gap | None = None
 
     def put(self, record: Record) -> None:
-        """Hand over a record; dropped where the pipe is full."""
-        self._ports.put(record_bytes(record))
+        """Hand over a record, now or when there is room."""
+        self._close_gap()
+        self._waiting.append(record_bytes(record))
+        self.flush()
 
     def put_sample(self, sample: Sample) -> None:
-        """Hand over a sample, after the gap of those that found no room."""
-        if self._gap is not None and self._ports.put(record_bytes(self._gap)):
-            self._gap = None
-        if self._gap is None and self._ports.put(sample_bytes(encode_sample(sample))):
+        """Hand over a sample, now or never."""
+        if self._has_room_after_gap() and self._ports.put(sample_bytes(encode_sample(sample))):
             return
         first = self._gap
         self._gap = Gap(
@@ -136,6 +145,24 @@ class Outbox:
             u_held_v=sample.u_applied_v,
             reason="the service did not keep up",
         )
+
+    def _has_room_after_gap(self) -> bool:
+        """Hand over what came before the next sample; return whether all of it went."""
+        self.flush()
+        if self._gap is not None and not self._waiting and self._ports.put(record_bytes(self._gap)):
+            self._gap = None
+        return not self._waiting and self._gap is None
+
+    def flush(self) -> None:
+        """Hand over what waits, as far as there is room."""
+        while self._waiting and self._ports.put(self._waiting[0]):
+            self._waiting.popleft()
+
+    def _close_gap(self) -> None:
+        """Put the gap in its place: before what comes now."""
+        if self._gap is not None:
+            self._waiting.append(record_bytes(self._gap))
+            self._gap = None
 
 
 class Meter:

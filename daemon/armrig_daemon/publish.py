@@ -17,6 +17,8 @@ from armrig_daemon.messages import NAMES, Outgoing
 
 MOST_WAITING = 64  # commands that nobody has looked at yet; more are refused
 
+MOST_BYTES = 32 << 20  # an experiment of a million samples as JSON takes 20 MB
+
 
 def session_config(endpoint: str) -> zenoh.Config:
     """Return the configuration of a session that only listens at `endpoint`, found by nobody."""
@@ -30,7 +32,8 @@ def session_config(endpoint: str) -> zenoh.Config:
                 "transport": {
                     "shared_memory": {"enabled": False},
                     "link": {
-                        "tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": 0}}}}
+                        "rx": {"max_message_size": MOST_BYTES},
+                        "tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": 0}}}},
                     },
                 },
             }

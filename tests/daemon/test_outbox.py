@@ -1,0 +1,104 @@
+"""What the loop says to a service that does not keep up."""
+
+from __future__ import annotations
+
+from armrig_core.telemetry import SAMPLE_FIELDS, Sample, decode_sample
+from armrig_daemon.loop import MOST_WAITING, Outbox
+from armrig_daemon.records import Gap, Record, RunEnded, take_records
+from hypothesis import given
+from hypothesis import strategies as st
+
+ENDED = RunEnded(run_id="r", outcome="complete")
+
+
+class Pipe:
+    """A pipe that takes so many records, and then no more."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+        self._bytes = bytearray()
+
+    def put(self, text: bytes) -> bool:
+        """Take a record, if there is room."""
+        if self.room <= 0:
+            return False
+        self.room -= 1
+        self._bytes += text
+        return True
+
+    def taken(self) -> list[int | Record]:
+        """Return what came through, samples as their k."""
+        records = take_records(self._bytes)
+        return [decode_sample(r).k if isinstance(r, bytes) else r for r in records]  # type: ignore[union-attr]
+
+
+def _sample(k: int) -> Sample:
+    return Sample(*(0 for _ in SAMPLE_FIELDS))._replace(k=k, t_host_ns=k)
+
+
+def test_samples_without_room_become_one_gap_in_their_place() -> None:
+    """L2: count and first k; then the samples go on."""
+    pipe = Pipe(2)
+    outbox = Outbox(pipe)  # type: ignore[arg-type]
+
+    for k in range(5):
+        outbox.put_sample(_sample(k))
+    pipe.room = 10
+    outbox.put_sample(_sample(5))
+
+    zero, one, gap, five = pipe.taken()
+    assert (zero, one, five) == (0, 1, 5)
+    assert isinstance(gap, Gap)
+    assert (gap.k_first, gap.count, gap.reason) == (2, 3, "the service did not keep up")
+
+
+def test_the_end_of_a_run_waits_for_room() -> None:
+    """It comes late, after the gap before it; it is never lost."""
+    pipe = Pipe(1)
+    outbox = Outbox(pipe)  # type: ignore[arg-type]
+
+    outbox.put_sample(_sample(0))
+    outbox.put_sample(_sample(1))
+    outbox.put(ENDED)
+    pipe.room = 10
+    outbox.flush()
+
+    zero, gap, ended = pipe.taken()
+    assert zero == 0
+    assert isinstance(gap, Gap)
+    assert ended == ENDED
+
+
+@given(st.lists(st.tuples(st.sampled_from(["sample", "record"]), st.integers(0, 3)), max_size=60))
+def test_every_sample_comes_through_or_is_in_a_gap(steps: list[tuple[str, int]]) -> None:
+    """In order, none twice, whenever there is room."""
+    pipe = Pipe(0)
+    outbox = Outbox(pipe)  # type: ignore[arg-type]
+    k = 0
+    for kind, room in steps:
+        pipe.room += room
+        if kind == "sample":
+            outbox.put_sample(_sample(k))
+            k += 1
+        else:
+            outbox.put(ENDED)
+    pipe.room = 1000
+    outbox.put(ENDED)
+
+    seen: list[int] = []
+    for item in pipe.taken():
+        if isinstance(item, int):
+            seen.append(item)
+        elif isinstance(item, Gap):
+            seen += range(item.k_first, item.k_first + item.count)
+    assert seen == list(range(k))
+
+
+def test_what_waits_is_bounded() -> None:
+    """R1: a service that never comes back costs no memory."""
+    outbox = Outbox(Pipe(0))  # type: ignore[arg-type]
+
+    for _ in range(3 * MOST_WAITING):
+        outbox.put(ENDED)
+
+    assert len(outbox._waiting) == MOST_WAITING
