@@ -1,0 +1,1 @@
+"""Estimators of parametric models, one module each, and the numerical work they share."""

@@ -1,0 +1,91 @@
+"""ARX: equation-error models by linear least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armrig.dataset import Dataset
+from armrig.estimation.covariance import correlated_score
+from armrig.estimation.orders import require_order, require_samples
+from armrig.fit import Fit
+from armrig.goodness import fit_percent
+from armrig.least_squares import orthonormal
+from armrig.prediction import arx_regression
+from armrig.whiteness import default_lags, portmanteau
+
+
+def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
+    """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
+
+    By QR of the column-scaled regressors, never through the normal equations. A row whose y or
+    past y is missing is left out, and so are the first max(na, nb + nk - 1) of each experiment.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples, N > na + nb + max(na, nb + nk - 1).
+    na : int
+        Number of a's, >= 0; 0 is a finite impulse response.
+    nb : int
+        Number of b's, >= 1.
+    nk : int, default 1
+        Samples before u reaches y; 0 is a direct term.
+
+    Returns
+    -------
+    Fit
+        `covariance` is lambda (Phi^T Phi)^-1, `covariance_robust` Newey and West's.
+
+    Raises
+    ------
+    ValueError
+        N is too small for the orders asked for, or u does not excite the model.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 7.3.
+    """
+    require_order(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
+    orders = f"na={na}, nb={nb}, nk={nk}"
+    skipped = max(na, nb + nk - 1)
+    require_samples(orders, needed=na + nb + skipped + 1, got=data.N)
+    parts = [arx_regression(part, na=na, nb=nb, nk=nk) for part in data.experiments()]
+    Phi = np.vstack([p.Phi[p.usable] for p in parts])
+    y = np.concatenate([p.y[p.usable] for p in parts])
+    require_samples(f"{orders} with the gaps left out", needed=na + nb + 1, got=y.size)
+
+    basis = orthonormal(Phi)
+    if basis.rank < na + nb:
+        msg = f"{orders}: the data determine only {basis.rank} of {na + nb} parameters; "
+        msg += "lower the orders or excite with a richer input"
+        raise ValueError(msg)
+    theta = basis.coefficients(y)
+    residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
+    sse = float(sum(np.nansum(e**2) for e in residuals))
+    noise_variance = sse / (y.size - na - nb)
+
+    bread = basis.W @ basis.W.T
+    blocks = [np.where(p.usable[:, None], p.Phi, 0.0) for p in parts]
+    none = [np.zeros((p.y.size, 0)) for p in parts]
+    scores = [Psi * np.nan_to_num(e)[:, None] for Psi, e in zip(blocks, residuals, strict=True)]
+    middle = correlated_score(scores) * y.size / (y.size - na - nb)
+    return Fit(
+        structure="arx",
+        A=np.append(1.0, theta[:na]),
+        B=np.append(np.zeros(nk), theta[na:]),
+        nk=nk,
+        covariance=noise_variance * bread,
+        covariance_robust=bread @ middle @ bread,
+        noise_variance=noise_variance,
+        loss=sse / y.size,
+        N=y.size,
+        Ts=data.Ts,
+        fit_percent=fit_percent(y, sse),
+        whiteness=portmanteau(residuals, blocks, none, default_lags(y.size)),
+        output=data.output,
+        unit=data.unit,
+        input_unit=data.input_unit,
+        source=data.source,
+        history=data.history,
+        digest=data.digest,
+    )

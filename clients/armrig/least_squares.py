@@ -1,0 +1,73 @@
+"""Least squares through an orthonormal basis, never through the normal equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import qr
+
+from armrig.polynomial import Array
+
+# Below this share of the largest one, a direction of the scaled columns is rounding noise.
+RANK_TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Basis:
+    """Orthonormal basis of the columns of a matrix M (N, d) of rank r."""
+
+    Q: Array
+    """(N, r), orthonormal."""
+    W: Array
+    """(d, r): W Q^T y are the least-squares coefficients of y, W W^T is (M^T M)^-1."""
+
+    @property
+    def rank(self) -> int:
+        """Number of independent columns."""
+        return int(self.Q.shape[1])
+
+    def coefficients(self, y: Array) -> Array:
+        """Return x of least |y - M x|; a column that depends on the others gets zero."""
+        return np.asarray(self.W @ (self.Q.T @ y))
+
+    def without(self, y: Array) -> Array:
+        """Return y less its projection on the columns of M."""
+        return np.asarray(y - self.Q @ (self.Q.T @ y))
+
+
+def column_norms(M: Array) -> Array:
+    """Return the Euclidean norm of each column."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", M, M)))
+
+
+def orthonormal(M: Array) -> Basis:
+    """Return a basis of the columns of M (N, d), by QR with the columns scaled and pivoted.
+
+    Scaling makes the rank independent of units. QR, not the normal equations: squaring M
+    squares its condition number.
+    """
+    d = M.shape[1]
+    scale = column_norms(M)
+    used = np.flatnonzero(scale > 1e-100)  # the square of less underflows
+    if used.size == 0 or M.shape[0] == 0:
+        return Basis(Q=np.zeros((M.shape[0], 0)), W=np.zeros((d, 0)))
+    Q, R, order = qr(M[:, used] / scale[used], mode="economic", pivoting=True, check_finite=False)
+    diagonal = np.abs(np.diag(R))
+    r = int(np.count_nonzero(diagonal > RANK_TOLERANCE * diagonal[0]))
+    W = np.zeros((d, r))
+    kept = used[order[:r]]
+    W[kept] = upper_inverse(R[:r, :r]) / scale[kept, None]
+    return Basis(Q=Q[:, :r], W=W)
+
+
+def upper_inverse(R: Array) -> Array:
+    """Return the inverse of a small upper triangular R (n, n) by back substitution.
+
+    Not LAPACK's: OpenBLAS wakes its threads for it however small R is, which on a busy machine
+    costs milliseconds a call, a thousand times the work.
+    """
+    X = np.eye(R.shape[0])
+    for i in range(R.shape[0] - 1, -1, -1):
+        X[i] = (X[i] - R[i, i + 1 :] @ X[i + 1 :]) / R[i, i]
+    return X

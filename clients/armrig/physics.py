@@ -1,0 +1,32 @@
+"""The rig's physics as python-control systems with named signals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["ArmParameters", "arm", "chassis"]
+
+
+def arm(p: ArmParameters) -> control.StateSpace:
+    """Return the whole rig from u in V to theta_1 and alpha in rad; states and their rates."""
+    import control
+
+    A, B, C = arm_matrices(p)
+    states = ["theta_1", "alpha", "theta_1_rate", "alpha_rate"]
+    return control.ss(
+        A, B, C, 0, inputs=["u"], outputs=["theta_1", "alpha"], states=states, name="arm"
+    )
+
+
+def chassis(p: ArmParameters) -> control.StateSpace:
+    """Return the rig without its rotating part (handout, figure 6), from u in V to theta_1."""
+    import control
+
+    A, B, C = chassis_matrices(p)
+    states = ["theta_1", "theta_1_rate"]
+    return control.ss(A, B, C, 0, inputs=["u"], outputs=["theta_1"], states=states, name="chassis")

@@ -1,0 +1,69 @@
+"""Polynomials in q^-1: coefficient k stands beside q^-k, so [1, -0.5] is 1 - 0.5 q^-1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Real as a rule; complex where a derivative is checked by a complex step.
+Array = NDArray[Any]
+
+
+def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
+    """Return numerator/denominator applied to x (N,), at rest before the first sample."""
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter(np.atleast_1d(numerator), np.atleast_1d(denominator), x))
+
+
+def impulse(denominator: ArrayLike, N: int) -> Array:
+    """Return the first N samples of the impulse response of 1/denominator."""
+    pulse = np.zeros(N)
+    pulse[0] = 1.0
+    return filtered([1.0], denominator, pulse)
+
+
+def lagged(x: Array, lags: Sequence[int]) -> Array:
+    """Return (N, len(lags)): column j is q^-lags[j] x, zero before the first sample."""
+    columns = np.zeros((x.size, len(lags)), dtype=x.dtype, order="F")
+    for j, lag in enumerate(lags):
+        if lag < x.size:
+            columns[lag:, j] = x[: x.size - lag]
+    return columns
+
+
+def evaluate(p: ArrayLike, q_inverse: Array) -> Array:
+    """Return the polynomial at the points q_inverse, for example exp(-i omega Ts)."""
+    return np.asarray(np.polyval(np.atleast_1d(p)[::-1], q_inverse))
+
+
+def roots(p: ArrayLike) -> Array:
+    """Return the roots in q (not q^-1): [1, -0.5] has its root at 0.5."""
+    return np.asarray(np.roots(np.atleast_1d(p)))
+
+
+def without_integrator(F: Array) -> Array:
+    """Return F / (1 - q^-1) for an F with a root at 1."""
+    return np.asarray(np.cumsum(F)[:-1])
+
+
+def stable(p: ArrayLike) -> bool:
+    """Tell whether all roots lie strictly inside the unit circle."""
+    return bool(np.all(np.abs(roots(p)) < 1.0))
+
+
+def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
+    """Return p with each root outside the unit circle mirrored into it, for a start value.
+
+    A root on the circle, or mirrored to nearer than `radius`, is drawn in to `radius`.
+    """
+    z = roots(p)
+    magnitude = np.abs(z)
+    inside = np.where(magnitude > 1.0, 1.0 / np.maximum(magnitude, 1.0), magnitude)
+    shrink = np.minimum(inside, radius) / np.where(magnitude > 0, magnitude, 1.0)
+    # A root at 1 is computed a little beside it.
+    moved = np.where(magnitude >= 1.0 - 1e-7, z * shrink, z)
+    return np.real(np.poly(moved)) if moved.size else np.ones(1)

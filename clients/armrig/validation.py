@@ -1,0 +1,301 @@
+"""How well a model says what the rig does, on data it has or has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.estimation.covariance import exogenous_score
+from armrig.fit import Fit
+from armrig.goodness import fit_percent
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array, lagged
+from armrig.prediction import Residuals, prediction_errors, require_same_clock, spread
+from armrig.preprocess import INTEGRATING_OUTPUTS, difference
+from armrig.whiteness import (
+    autocovariance,
+    default_lags,
+    joined,
+    joint_p_value,
+    ljung_box,
+    portmanteau,
+)
+
+Vector = NDArray[np.float64]
+
+BAND_99_PERCENT = 2.58  # two-sided quantile of the normal distribution
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparison:
+    """One model's output against measured data."""
+
+    name: str
+    """Structure and orders."""
+    fit_percent: float
+    """100 (1 - |y - ŷ| / |y - mean y|) over the samples that were measured."""
+    rms_error: float
+    """Root mean square of y - ŷ, in y's unit."""
+    velocity_fit_percent: float | None
+    """The same percentage for the rates of both, None where the output does not integrate."""
+    on_estimation_data: bool
+    """The model was estimated from these very data."""
+    y: Vector
+    """ŷ, (N,)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ComparisonTable:
+    """Models side by side on one data set; iterate over it or print it."""
+
+    rows: tuple[Comparison, ...]
+    """One a model, in the order asked for."""
+    horizon: int | None
+    """Prediction horizon in samples; None is simulation."""
+    unit: str
+    """Unit of the rms error."""
+    note: str
+    """What was estimated from the compared data themselves."""
+
+    def __len__(self) -> int:
+        """Return the number of models."""
+        return len(self.rows)
+
+    def __getitem__(self, i: int) -> Comparison:
+        """Return number i."""
+        return self.rows[i]
+
+    def __repr__(self) -> str:
+        """Say it in a few lines."""
+        what = "simulation" if self.horizon is None else f"{self.horizon} samples ahead"
+        lines = [f"{what}; {self.note}"]
+        width = max(len(row.name) for row in self.rows)
+        for row in self.rows:
+            velocity = row.velocity_fit_percent
+            lines.append(
+                f"  {row.name:{width}}  fit {row.fit_percent:7.2f} %  "
+                f"rms {row.rms_error:.4g} {self.unit}".rstrip()
+                + (f"  velocity fit {velocity:7.2f} %" if velocity is not None else "")
+                + ("  (estimation data)" if row.on_estimation_data else "")
+            )
+        return "\n".join(lines)
+
+
+def compare(data: Dataset, *fits: Fit, horizon: int | None = None) -> ComparisonTable:
+    """Compare models with data, by simulation unless a horizon is given.
+
+    A model cannot know the state the rig was in when the data began, so the initial state of each
+    experiment is estimated from these data by least squares, and with an integrator its input
+    offset too. Missing samples do not count. For an integrating output the percentage flatters
+    every model, because the ramp dominates |y - mean y|: read the rms error, and the fit of the
+    velocity (measured and modelled angle both differenced, so the measured one carries the
+    noise of two samples).
+
+    Raises
+    ------
+    ValueError
+        No model was given, or one has another sampling time.
+    """
+    if not fits:
+        msg = "compare needs at least one model: compare(data, fit)"
+        raise ValueError(msg)
+    integrating = data.output in INTEGRATING_OUTPUTS or any(fit.integrator for fit in fits)
+    note = "initial state" + (" and input offset" if any(f.integrator for f in fits) else "")
+    return ComparisonTable(
+        rows=tuple(_compared(data, fit, horizon, integrating=integrating) for fit in fits),
+        horizon=horizon,
+        unit=data.unit,
+        note=f"{note} estimated from these data by least squares",
+    )
+
+
+def _compared(data: Dataset, fit: Fit, horizon: int | None, *, integrating: bool) -> Comparison:
+    y = fit.predict(data, horizon=horizon)
+    percent, rms = _misfit(data.y, y)
+    velocity = None
+    if integrating:
+        model = data.replaced(y=y, valid=np.isfinite(y), step=None)
+        velocity, _ = _misfit(difference(data).y, difference(model).y)
+    return Comparison(
+        name=f"{fit.structure.upper()}[{' '.join(str(n) for n in fit.orders.values())}]",
+        fit_percent=percent,
+        rms_error=rms,
+        velocity_fit_percent=velocity,
+        on_estimation_data=bool(fit.digest) and fit.digest == data.digest,
+        y=y,
+    )
+
+
+def _misfit(measured: Vector, modelled: Vector) -> tuple[float, float]:
+    """Return fit percent and rms error over the samples that both have."""
+    if np.isinf(modelled).any():
+        return -np.inf, np.inf
+    both = np.isfinite(measured) & np.isfinite(modelled)
+    if not both.any():
+        return float("nan"), float("nan")
+    sse = float(np.sum((measured[both] - modelled[both]) ** 2))
+    return fit_percent(measured[both], sse), sqrt(sse / np.count_nonzero(both))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ResidualTest:
+    """Correlation of the residuals with themselves and with the input."""
+
+    e: Vector
+    """Residuals one step ahead, (N,), NaN where they are not known."""
+    lags: NDArray[np.int_]
+    """0 … L."""
+    autocorrelation: Vector
+    """r_e at `lags`, 1 at lag 0."""
+    autocorrelation_band: float
+    """99 % band of each lag but 0 for white residuals, 2.58/sqrt(N)."""
+    whiteness: float
+    """p value of white residuals over all lags; this test decides."""
+    ljung_box: float
+    """p value of the Ljung-Box test, for comparison with other programs."""
+    cross_lags: NDArray[np.int_]
+    """-L … L; at a positive lag the input came first."""
+    cross_correlation: Vector
+    """Correlation of e(t) with u(t - lag) at `cross_lags`."""
+    cross_band: float
+    """99 % band of each lag for a known model, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
+    cross_std: Vector
+    """Standard deviation at each of `cross_lags` with the estimated parameters allowed for."""
+    missing_dynamics: float
+    """p value of no correlation with past and present input, lags 0 … L."""
+    feedback: float
+    """p value of no correlation with future input, lags -L … -1."""
+    on_estimation_data: bool
+    """The tests allow for parameters fitted to these very data."""
+
+    def __repr__(self) -> str:
+        """Say it in a few lines."""
+        where = "estimation" if self.on_estimation_data else "validation"
+        verdicts = (
+            ("white", "coloured", self.whiteness, "noise model or order"),
+            ("no dynamics missing", "dynamics missing", self.missing_dynamics, "orders or delay"),
+            ("no feedback", "feedback, or a delay too large", self.feedback, "experiment"),
+        )
+        lines = [f"residuals on {where} data, {np.count_nonzero(np.isfinite(self.e))} samples"]
+        for good, bad, p, look in verdicts:
+            said = good if p >= 0.05 else f"{bad}: look at the {look}"
+            lines.append(f"  p = {p:.3g}: {'too few samples to tell' if np.isnan(p) else said}")
+        return "\n".join(lines)
+
+
+def residuals(fit: Fit, data: Dataset, lags: int | None = None) -> ResidualTest:
+    """Test whether the one-step residuals are white and free of the input.
+
+    Whiteness: the portmanteau test that allows for the estimated parameters (see
+    `armrig.whiteness.portmanteau`); the Ljung-Box test stands beside it, its degrees of freedom
+    lessened by na where these are the data that A was fitted to. Input: the sums
+    s_k = sum of e(t) u(t - k) are tested jointly, s^T M^-1 s against chi-squared, with ::
+
+        M = Z_p^T R_e Z_p                                        on estimation data
+        M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
+
+    where Z holds the lagged inputs, R_e is the residuals' covariance (autoregressive estimate),
+    Psi the sensitivity of the prediction, and Z_p is Z less its projection on Psi: estimated
+    parameters make residuals less correlated with the past input than noise is.
+
+    The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k), which
+    is 1/N only where e or u is white. It holds for a known model; `cross_std`, from the diagonal
+    of M, is narrower at some lags of estimation data and wider on other data.
+
+    Parameters
+    ----------
+    lags : int, optional
+        L; 25 by default, fewer for short data.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
+    .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
+    """
+    require_same_clock(fit, data)
+    parts = list(data.experiments())
+    known = [prediction_errors(fit, part) for part in parts]
+    N = sum(int(np.count_nonzero(np.isfinite(r.e))) for r in known)
+    L = default_lags(N) if lags is None else lags
+    longest = max(N // 2, 1)
+    if not 1 <= L <= longest:
+        msg = f"lags={L} must be 1 to {longest}, half of the {N} residuals"
+        raise ValueError(msg)
+    own = bool(fit.digest) and fit.digest == data.digest
+    e = joined([r.e for r in known], L)
+    R, _ = autocovariance(e, L)
+    theta_covariance = _free_covariance(fit)
+    Z = [
+        _lagged_both_ways(part.u - np.mean(data.u), L, r)
+        for part, r in zip(parts, known, strict=True)
+    ]
+    cross: Array = np.vstack(Z).T @ np.nan_to_num(np.concatenate([r.e for r in known]))
+    past, future = slice(L, 2 * L + 1), slice(0, L)
+    M = _score_covariance(Z, known, theta_covariance, own=own)
+    u0 = [z[:, L : L + 1] for z in Z]
+    power = float(sum(np.sum(z**2) for z in u0))
+    P_N = float(exogenous_score(u0, [r.e for r in known])[0, 0])  # N P
+    scale = sqrt(power * R[0] * N) if power > 0 and R[0] > 0 else np.inf
+    return ResidualTest(
+        e=np.concatenate([r.e for r in known]),
+        lags=np.arange(L + 1),
+        autocorrelation=R / R[0] if R[0] > 0 else np.full(L + 1, np.nan),
+        autocorrelation_band=BAND_99_PERCENT / sqrt(max(N, 1)),
+        whiteness=portmanteau(
+            [r.e for r in known],
+            [r.Psi for r in known],
+            [r.span for r in known],
+            L,
+            None if own else theta_covariance,
+        ),
+        ljung_box=ljung_box(e, L, fit.A.size - 1 if own else 0),
+        cross_lags=np.arange(-L, L + 1),
+        cross_correlation=np.asarray(cross) / scale,
+        cross_band=BAND_99_PERCENT * sqrt(P_N) / scale,
+        cross_std=np.sqrt(np.maximum(np.diag(M), 0.0)) / scale,
+        missing_dynamics=joint_p_value(cross[past], M[past, past]),
+        feedback=joint_p_value(cross[future], M[future, future]),
+        on_estimation_data=own,
+    )
+
+
+def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
+    """Return u(t - k), k = -L … L, (N, 2 L + 1), zero in the rows without a residual.
+
+    The free response is projected out: it was fitted to these residuals, on any data.
+    """
+    ahead = lagged(u[::-1], range(L, 0, -1))[::-1]
+    Z = np.hstack([ahead, lagged(u, range(L + 1))])
+    rows = np.isfinite(known.e)
+    return spread(known.free.without(Z[rows]), rows)
+
+
+def _score_covariance(
+    Z: list[Array], known: list[Residuals], theta_covariance: Array, *, own: bool
+) -> Array:
+    e = [r.e for r in known]
+    if not own:
+        slope: Array = np.vstack(Z).T @ np.vstack([r.Psi for r in known])
+        return np.asarray(exogenous_score(Z, e) + slope @ theta_covariance @ slope.T)
+    basis = orthonormal(np.vstack([r.Psi for r in known]))
+    edges = np.cumsum([0, *(z.shape[0] for z in Z)])
+    free = basis.without(np.vstack(Z))
+    return exogenous_score([free[a:b] for a, b in pairwise(edges)], e)
+
+
+def _free_covariance(fit: Fit) -> Array:
+    """Return the covariance of the parameters that were free: F̃'s, where F has an integrator."""
+    if not fit.integrator:
+        return fit.covariance_robust
+    nb = fit.B.size - fit.nk
+    nf = fit.F.size - 1
+    # f̃_k = f_1 + … + f_k undoes f_k = f̃_k - f̃_(k-1).
+    summing = np.zeros((nb + nf - 1, nb + nf))
+    summing[:nb, :nb] = np.eye(nb)
+    summing[nb:, nb:] = np.tri(nf - 1, nf)
+    return summing @ fit.covariance_robust @ summing.T

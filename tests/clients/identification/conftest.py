@@ -1,0 +1,88 @@
+"""Systems whose truth is known, shared by the identification tests."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.excitation import telegraph
+from armrig.polynomial import filtered
+from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+POTENTIOMETER_RANGE = np.deg2rad(352.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandoutPlant:
+    """The handout's arm from u to theta_1, held and sampled every 10 ms."""
+
+    B: Vector
+    F: Vector
+    Ts: float = 0.01
+
+    @property
+    def theta(self) -> Vector:
+        """b1 … b4 f1 … f4."""
+        return np.concatenate([self.B[1:], self.F[1:]])
+
+    def angle(self, u: Vector) -> Vector:
+        """Return theta_1 in rad for u in V, from rest at 0."""
+        return filtered(self.B, self.F, u)
+
+    def dataset(self, seed: int, N: int = 3000, std: float = 5e-3) -> Dataset:
+        """Telegraph 0/5 V, p = 0.05, white noise on the angle."""
+        rng = np.random.default_rng(seed)
+        u = telegraph(N, 0.05, 0.0, 5.0, seed=rng)
+        y = self.angle(u) + std * rng.standard_normal(N)
+        return Dataset(u=u, y=y, Ts=self.Ts, output="theta_1", unit="rad")
+
+    def through_potentiometer(self, data: Dataset, seed: int) -> Dataset:
+        """Quantise to 10 bits of 352°, lose the 8° dead band and the sample after, and 2 %."""
+        rng = np.random.default_rng([seed, 1])
+        turn, angle = np.divmod(data.y + rng.uniform(0, 2 * np.pi), 2 * np.pi)
+        dead = angle >= POTENTIOMETER_RANGE
+        dead[1:] |= dead[:-1].copy()
+        lsb = POTENTIOMETER_RANGE / 1024
+        y = (np.floor(angle / lsb) + 0.5) * lsb + 2 * np.pi * turn
+        valid = ~dead & (rng.random(data.N) > 0.02)
+        return Dataset(u=data.u, y=y, Ts=data.Ts, valid=valid, output=data.output, unit=data.unit)
+
+    def relative_error(self, omega: Vector, G: NDArray[np.complex128]) -> float:
+        """Return the relative rms error of a frequency response."""
+        x = np.exp(-1j * omega * self.Ts)
+        truth = np.polyval(self.B[::-1], x) / np.polyval(self.F[::-1], x)
+        return float(np.sqrt(np.mean(np.abs(G / truth - 1) ** 2)))
+
+
+@pytest.fixture(scope="session")
+def plant() -> HandoutPlant:
+    """Return the exactly discretised handout plant."""
+    A, B, C = arm_matrices(ArmParameters())
+    Phi, Gamma = zero_order_hold(A, B, 0.01)
+    F = np.real(np.poly(Phi))
+    markov, x = [0.0], Gamma
+    for _ in range(4):
+        markov.append(float((C @ x)[0, 0]))
+        x = Phi @ x
+    return HandoutPlant(B=np.convolve(markov, F)[:5], F=F)
+
+
+@pytest.fixture(scope="session")
+def reference() -> Callable[[str], NDArray[np.float64]]:
+    """Return a reader of the real data sets, which skips where there are none."""
+
+    def read(name: str) -> NDArray[np.float64]:
+        beside = Path(__file__).resolve().parents[4] / "shared" / "reference"
+        folder = Path(os.environ.get("ARMRIG_REFERENCE_DATA", beside))
+        if not (folder / name).is_file():
+            pytest.skip(f"{name} is neither in ARMRIG_REFERENCE_DATA nor in ../shared/reference")
+        return np.loadtxt(folder / name)
+
+    return read

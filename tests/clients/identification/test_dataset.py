@@ -1,0 +1,104 @@
+"""A Dataset cannot exist in a bad state, and never hides a gap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def ramp(N: int, **others: object) -> Dataset:
+    """Return a Dataset whose numbers tell their place."""
+    n = np.arange(float(N))
+    return Dataset(u=n, y=-n, Ts=0.1, **others)  # type: ignore[arg-type]
+
+
+def test_the_arrays_are_read_only_copies() -> None:
+    """Neither the caller's array nor the Dataset's own can change it later."""
+    u = np.zeros(3)
+
+    data = Dataset(u=u, y=[1, 2, 3], Ts=0.1)
+    u[0] = 9.0
+
+    assert data.u[0] == 0.0
+    assert data.y.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        data.y[0] = 1.0
+
+
+def test_a_missing_output_reads_nan_whatever_it_was() -> None:
+    """No formula can use it unseen."""
+    data = Dataset(u=[0, 0, 0], y=[1, 2, 3], Ts=1, valid=[True, False, True])
+
+    assert np.isnan(data.y[1])
+    assert data.missing == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"y": [1.0, 2.0]}, "u has 3 samples and y has 2"),
+        ({"u": [0.0, np.nan, 0.0]}, "u is not finite at 1 samples, first nan at 1"),
+        ({"y": [0.0, 1.0, np.inf]}, "first inf at 2; mark them missing with valid=False"),
+        ({"Ts": 0.0}, "Ts=0.0 must be finite and > 0"),
+        ({"valid": [True]}, r"valid has shape \(1,\)"),
+        ({"u": [[1.0, 2.0, 3.0]]}, r"u has shape \(1, 3\).*ravel"),
+        ({"starts": (0, 3)}, r"starts=\(0, 3\) must begin with 0 and rise strictly, below N=3"),
+        ({"starts": (1,)}, "must begin with 0"),
+    ],
+)
+def test_a_bad_state_is_refused(arguments: dict[str, object], message: str) -> None:
+    """The message says what came and what is allowed."""
+    good = {"u": [0.0, 1.0, 2.0], "y": [0.0, 1.0, 2.0], "Ts": 0.1}
+
+    with pytest.raises(ValueError, match=message):
+        Dataset(**(good | arguments))  # type: ignore[arg-type]
+
+
+@given(st.integers(1, 40), st.integers(1, 40))
+def test_the_parts_of_a_split_join_to_the_whole(N: int, k: int) -> None:
+    """Nothing is lost, nothing twice, and the lengths differ by one at most."""
+    if k > N:
+        with pytest.raises(ValueError, match=f"1 <= k <= N={N}"):
+            ramp(N).split(k)
+        return
+
+    parts = ramp(N).split(k)
+
+    np.testing.assert_array_equal(np.concatenate([p.u for p in parts]), np.arange(N))
+    assert max(p.N for p in parts) - min(p.N for p in parts) <= 1
+
+
+def test_experiments_come_back_from_a_merge_as_they_went_in() -> None:
+    """Boundaries survive, gaps too."""
+    first, second = ramp(4, valid=[True, True, False, True]), ramp(3)
+
+    parts = list(merge([first, second]).experiments())
+
+    assert [p.N for p in parts] == [4, 3]
+    np.testing.assert_array_equal(parts[0].valid, first.valid)
+    np.testing.assert_array_equal(parts[1].y, second.y)
+
+
+def test_a_slice_keeps_the_boundaries_inside_it() -> None:
+    """The part of each experiment that is inside stays an experiment."""
+    data = merge([ramp(4), ramp(4), ramp(4)])
+
+    assert data[2:10].starts == (0, 2, 6)
+    assert data[4:8].starts == (0,)
+
+
+def test_only_a_slice_without_a_step_cuts() -> None:
+    """Thinning out changes the sampling time, which a slice cannot know."""
+    with pytest.raises(TypeError, match="cut with data"):
+        ramp(4)[::2]
+    with pytest.raises(ValueError, match="is empty: there are 4 samples"):
+        ramp(4)[4:9]
+
+
+def test_what_differs_cannot_be_merged() -> None:
+    """One sampling time, one output, one unit."""
+    with pytest.raises(ValueError, match=r"merge needs one unit, got \['deg', 'rad'\]"):
+        merge([ramp(3, unit="rad"), ramp(3, unit="deg")])

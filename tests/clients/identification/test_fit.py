@@ -1,0 +1,213 @@
+"""What a fit answers: poles, responses, prediction, and a repr that reads like a result."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.estimation.arx import arx
+from armrig.estimation.oe import oe
+from armrig.fit import Fit
+from armrig.polynomial import filtered
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
+
+
+def data(seed: int, N: int = 400, noise: float = 0.2) -> Dataset:
+    """Return y = B/F u + e."""
+    u, e = np.random.default_rng(seed).standard_normal((2, N))
+    return Dataset(u=u, y=filtered(B, F, u) + noise * e, Ts=0.1, output="speed", unit="rad/s")
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    """Return an OE fit with two samples of delay."""
+    return oe(data(1), nb=2, nf=2, nk=2)
+
+
+def test_names_values_and_deviations_belong_together(fit: Fit) -> None:
+    """Theta is in the order of names, B begins with nk zeros."""
+    assert fit.names == ("b1", "b2", "f1", "f2")
+    np.testing.assert_array_equal(fit.theta, [*fit.B[2:], *fit.F[1:]])
+    np.testing.assert_array_equal(fit.B[:2], 0)
+    np.testing.assert_array_equal(fit.A, [1])
+    np.testing.assert_allclose(fit.std**2, np.diag(fit.covariance))
+    assert fit.orders == {"nb": 2, "nf": 2, "nk": 2}
+
+
+def test_a_fit_cannot_be_changed(fit: Fit) -> None:
+    """Neither its fields nor its arrays."""
+    with pytest.raises(AttributeError):
+        fit.loss = 0.0  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        fit.F[0] = 2.0
+
+
+def test_python_control_gives_the_same_responses(fit: Fit) -> None:
+    """The exported transfer function is the model."""
+    system = fit.to_control()
+    omega = np.array([0.1, 1.0, 10.0])
+
+    G = fit.frequency_response(omega).G
+
+    np.testing.assert_allclose(system(np.exp(1j * omega * 0.1)), G, rtol=1e-10)
+    assert system.dt == 0.1
+    assert sorted(np.abs(system.poles()))[-2:] == pytest.approx(np.abs(np.array(fit.poles())))
+
+
+def test_deviations_are_carried_on_as_a_small_change_would(fit: Fit) -> None:
+    """Poles, zeros, frequency and step response: sampling theta gives the same spread."""
+    import dataclasses
+
+    rng = np.random.default_rng(0)
+    omega = np.array([0.5, 5.0, 20.0])
+    tight = dataclasses.replace(fit, covariance=1e-4 * fit.covariance)
+    poles, zeros, magnitude, phase, step = [], [], [], [], []
+    for theta in rng.multivariate_normal(fit.theta, tight.covariance, 4000):
+        moved = dataclasses.replace(fit, B=np.append([0, 0], theta[:2]), F=np.append(1, theta[2:]))
+        poles.append(moved.poles().values)
+        zeros.append(moved.zeros().values)
+        response = moved.frequency_response(omega).G
+        magnitude.append(np.abs(response))
+        phase.append(np.angle(response))
+        step.append(moved.step_response(8).y)
+    response, steps = tight.frequency_response(omega), tight.step_response(8)
+
+    def spread(samples: list[np.ndarray]) -> np.ndarray:
+        return np.std(np.array(samples), axis=0)
+
+    np.testing.assert_allclose(tight.poles().std, spread(poles), rtol=0.06)
+    np.testing.assert_allclose(tight.zeros().std, spread(zeros), rtol=0.06)
+    np.testing.assert_allclose(response.std_magnitude, spread(magnitude), rtol=0.06)
+    np.testing.assert_allclose(response.std_phase, spread(phase), rtol=0.06)
+    np.testing.assert_allclose(steps.std, spread(step), rtol=0.06, atol=1e-12)
+    np.testing.assert_array_equal(steps.y[:2], 0)
+
+
+def test_a_frequency_beyond_nyquist_is_refused(fit: Fit) -> None:
+    """The message says where it lies."""
+    with pytest.raises(ValueError, match=r"outside 0 to 31.4159 rad/s \(pi/Ts\)"):
+        fit.frequency_response([1.0, 40.0])
+
+
+def test_an_integrator_has_infinite_gain_at_rest() -> None:
+    """Not a large number made of rounding."""
+    u = np.random.default_rng(0).standard_normal(300)
+    y = filtered([0, 1], [1, -1.7, 0.7], u) + np.random.default_rng(1).standard_normal(300)
+
+    integrating = oe(Dataset(u=u, y=y, Ts=1), nb=1, nf=2, integrator=True)
+
+    assert np.isinf(np.abs(integrating.frequency_response([0.0]).G[0]))
+
+
+def test_the_criteria_are_the_textbook_s(fit: Fit) -> None:
+    """FPE, AIC and MDL from loss, N and d."""
+    assert fit.fpe == pytest.approx(fit.loss * (1 + 4 / 400) / (1 - 4 / 400))
+    deviance = 400 * (np.log(2 * np.pi * fit.loss) + 1)
+    assert fit.aic == pytest.approx(deviance + 8)
+    assert fit.mdl == pytest.approx(deviance + 4 * np.log(400))
+
+
+def test_the_repr_reads_like_a_result(fit: Fit) -> None:
+    """Equation with deviations, delay in the powers, fit, verdict."""
+    text = repr(fit)
+
+    assert "OE(nb=2, nf=2, nk=2): u [V] to speed [rad/s], Ts 0.1 s, N 400" in text
+    assert "y(t) = B(q)/F(q) u(t) + e(t)" in text
+    assert " q^-2 + 0." in text
+    assert "(±" in text
+    assert "residuals white" in text
+    assert "starts agree" in text
+
+
+def test_an_oe_model_predicts_by_simulation_at_every_horizon(fit: Fit) -> None:
+    """Its noise is white, so past outputs say only what the initial state was."""
+    fresh = data(2, noise=0.0)[37:]
+
+    ahead, simulated = fit.predict(fresh, horizon=1), fit.predict(fresh, horizon=None)
+
+    np.testing.assert_array_equal(ahead, simulated)
+    truth = oe(fresh, nb=2, nf=2, nk=2).predict(fresh)
+    np.testing.assert_allclose(truth, fresh.y, atol=1e-8)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 6), st.integers(0, 1000))
+def test_an_arx_model_predicts_k_samples_from_what_it_knew(k: int, seed: int) -> None:
+    """The same as iterating the difference equation by hand from the last k-th sample."""
+    d = data(seed, N=60)
+    fit = arx(d, na=2, nb=2, nk=1)
+
+    y = fit.predict(d, horizon=k)
+
+    for t in (20, 45):
+        known = list(d.y[: t - k + 1])
+        for s in range(t - k + 1, t + 1):
+            known.append(-fit.A[1:] @ [known[s - 1], known[s - 2]] + fit.B @ d.u[s - np.arange(3)])
+        assert y[t] == pytest.approx(known[t])
+    assert np.isnan(y[: 2 + k - 1]).all()
+    assert np.isfinite(y[2 + k - 1 :]).all()
+
+
+def test_an_arx_prediction_skips_the_update_where_y_is_missing() -> None:
+    """Noise-free data are predicted through a gap as if it were not there."""
+    u = np.random.default_rng(3).standard_normal(100)
+    y = filtered(B, F, u)
+    valid = np.ones(100, dtype=bool)
+    valid[40:55] = False
+    whole, holed = Dataset(u=u, y=y, Ts=1), Dataset(u=u, y=y, Ts=1, valid=valid)
+    fit = arx(whole, na=2, nb=2, nk=2)
+
+    np.testing.assert_allclose(fit.predict(holed)[3:], y[3:], atol=1e-8)
+    np.testing.assert_allclose(fit.predict(holed, horizon=4)[6:], y[6:], atol=1e-8)
+
+
+def test_after_a_gap_a_prediction_is_the_best_there_is() -> None:
+    """Its errors are as large as the Kalman filter's variance says, not larger."""
+    a, runs = -0.9, 4000
+    e = np.random.default_rng(4).standard_normal((runs, 8))
+    fit = Fit(
+        structure="arx", A=np.array([1, a]), B=np.array([0, 1e-9]), nk=1, Ts=1.0,
+        covariance=np.zeros((2, 2)), covariance_robust=np.zeros((2, 2)),
+        noise_variance=1.0, loss=1.0, N=100, fit_percent=0.0, whiteness=0.5,
+    )  # fmt: skip
+    valid = np.array([True, True, True, False, False, True, True, True])
+
+    errors = []
+    for noise in e:
+        y = filtered([1], [1, a], noise)
+        predicted = fit.predict(Dataset(u=np.zeros(8), y=y, Ts=1, valid=valid))
+        errors.append(y - predicted)
+
+    variance = np.var(np.array(errors)[:, 1:], axis=0)
+    expected = [1, 1, 1, 1 + 0.81, 1 + 0.81 + 0.81**2, 1, 1]
+    np.testing.assert_allclose(variance, expected, rtol=0.1)
+
+
+def test_what_follows_a_gap_tells_of_what_was_missed() -> None:
+    """With one y missing and na = 2 the next y improves its estimate: 1 + a2²/(1 + a1²)."""
+    a1, a2 = -1.5, 0.9
+    fit = Fit(
+        structure="arx", A=np.array([1, a1, a2]), B=np.array([0, 1e-9]), nk=1, Ts=1.0,
+        covariance=np.zeros((3, 3)), covariance_robust=np.zeros((3, 3)),
+        noise_variance=1.0, loss=1.0, N=100, fit_percent=0.0, whiteness=0.5,
+    )  # fmt: skip
+    valid = np.array([True, True, True, False, True, True])
+
+    errors = []
+    for noise in np.random.default_rng(5).standard_normal((4000, 6)):
+        y = filtered([1], [1, a1, a2], noise)
+        errors.append(y - fit.predict(Dataset(u=np.zeros(6), y=y, Ts=1, valid=valid)))
+
+    variance = np.var(np.array(errors)[:, 4:], axis=0)
+    np.testing.assert_allclose(variance, [1 + a1**2, 1 + a2**2 / (1 + a1**2)], rtol=0.1)
+
+
+def test_another_sampling_time_or_horizon_is_refused(fit: Fit) -> None:
+    """The message says both rates."""
+    with pytest.raises(ValueError, match=r"the model has Ts=0\.1 s and the data have Ts=0\.2 s"):
+        fit.predict(Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=0.2))
+    with pytest.raises(ValueError, match="horizon=0 must be >= 1"):
+        fit.predict(data(1), horizon=0)

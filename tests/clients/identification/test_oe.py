@@ -1,0 +1,235 @@
+"""Output error, on benign systems and on the lab's own trap: an angle that integrates."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.oe import oe
+from armrig.excitation import telegraph
+from armrig.polynomial import filtered
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
+
+OMEGA = np.geomspace(0.5, 100.0, 200)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.floats(0.1, 0.97),
+    st.floats(0.15, 2.9),
+    st.floats(-0.8, 0.8),
+    st.integers(0, 3),
+    st.integers(0, 2**32 - 1),
+)
+def test_noise_free_data_give_back_the_true_parameters(
+    radius: float, angle: float, zero: float, nk: int, seed: int
+) -> None:
+    """From any initial state."""
+    F = np.array([1, -2 * radius * np.cos(angle), radius**2])
+    B = np.append(np.zeros(nk), [1.0, -zero])
+    u = np.random.default_rng(seed).standard_normal(300)
+    y = filtered(B, F, u)
+
+    fit = oe(Dataset(u=u[50:], y=y[50:], Ts=1), nb=2, nf=2, nk=nk)
+
+    np.testing.assert_allclose(fit.F, F, atol=1e-6)
+    np.testing.assert_allclose(fit.B, B, atol=1e-6)
+
+
+def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPlant) -> None:
+    """Level, speed, swing and input offset are estimated along with B and F."""
+    u = telegraph(1500, 0.05, 0.0, 5.0, seed=1)
+    y = plant.angle(u - 0.3)
+
+    fit = oe(Dataset(u=u[500:], y=y[500:], Ts=plant.Ts), nb=4, nf=4, integrator=True)
+
+    np.testing.assert_allclose(fit.theta, plant.theta, atol=1e-6)
+    assert fit.free[0].offset == pytest.approx(0.3, abs=1e-6)
+
+
+def test_the_integrator_s_root_is_one_exactly(plant: HandoutPlant) -> None:
+    """And its covariance is zero: the coefficients move only so that it stays."""
+    fit = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
+
+    poles = fit.poles()
+
+    at_one = poles.values == 1.0
+    assert np.count_nonzero(at_one) == 1
+    assert poles.std[at_one] == 0
+    assert (poles.std[~at_one] > 1e-5).all()
+    assert abs(np.sum(fit.F)) < 1e-12
+
+
+def test_the_handout_s_plant_is_found_to_one_per_cent(plant: HandoutPlant) -> None:
+    """5 mrad of white noise, 30 s: median error of the frequency response ≤ 0.01, worst ≤ 0.02."""
+    fits = [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(20)]
+
+    errors = [plant.relative_error(OMEGA, fit.frequency_response(OMEGA).G) for fit in fits]
+
+    assert np.median(errors) <= 0.01
+    assert max(errors) <= 0.02
+    assert all(fit.converged and fit.agreed for fit in fits)
+
+
+def test_so_it_is_through_a_potentiometer_with_a_dead_band(plant: HandoutPlant) -> None:
+    """10 bits over 352°, the dead band and 2 % of the samples missing."""
+    seeds = range(20)
+    recordings = [plant.through_potentiometer(plant.dataset(seed), seed) for seed in seeds]
+
+    fits = [oe(data, nb=4, nf=4, integrator=True) for data in recordings]
+
+    errors = [plant.relative_error(OMEGA, fit.frequency_response(OMEGA).G) for fit in fits]
+    assert min(data.missing for data in recordings) > 60
+    assert np.median(errors) <= 0.01
+    assert max(errors) <= 0.02
+
+
+def test_every_coefficient_of_the_plant_lies_inside_three_sigma(plant: HandoutPlant) -> None:
+    """In at least 9 of 10 recordings."""
+    hits = 0
+    for seed in range(10):
+        fit = oe(plant.dataset(seed), nb=4, nf=4, integrator=True)
+        hits += bool((np.abs(fit.theta - plant.theta) < 3 * fit.std).all())
+
+    assert hits >= 9
+
+
+def test_missing_outputs_cost_only_their_own_rows() -> None:
+    """OE never looks back on y: what stands where y is missing does not matter."""
+    rng = np.random.default_rng(5)
+    u = rng.standard_normal(400)
+    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.1 * rng.standard_normal(400)
+    valid = rng.random(400) > 0.3
+    spoilt = np.where(valid, y, 1e6 * rng.standard_normal(400))
+
+    fit = oe(Dataset(u=u, y=y, Ts=1, valid=valid), nb=2, nf=2)
+    again = oe(Dataset(u=u, y=spoilt, Ts=1, valid=valid), nb=2, nf=2)
+
+    assert np.count_nonzero(valid) == fit.N
+    np.testing.assert_array_equal(fit.theta, again.theta)
+    assert (np.abs(fit.theta - [1, 0.5, -1.2, 0.6]) < 4 * fit.std).all()
+
+
+def test_the_first_samples_may_be_missing() -> None:
+    """The initial state is then only partly seen, which is no reason to fail."""
+    rng = np.random.default_rng(6)
+    u = rng.standard_normal(300)
+    valid = np.arange(300) >= 40
+    y = filtered([0, 1], [1, -0.3], u)
+
+    fit = oe(Dataset(u=u, y=y, Ts=1, valid=valid), nb=1, nf=1)
+
+    np.testing.assert_allclose(fit.theta, [1, -0.3], atol=1e-8)
+
+
+def test_each_experiment_has_its_own_state_level_and_offset(plant: HandoutPlant) -> None:
+    """Pieces that begin anywhere give the plant that the whole gives."""
+    whole = plant.dataset(2, std=0.0)
+    parts = [whole[:900], whole[1000:1900], whole[2100:]]
+    moved = [
+        Dataset(u=p.u + k, y=p.y + 10.0 * k, Ts=p.Ts, output=p.output) for k, p in enumerate(parts)
+    ]
+
+    fit = oe(merge(moved), nb=4, nf=4, integrator=True)
+
+    np.testing.assert_allclose(fit.theta, plant.theta, atol=1e-6)
+    np.testing.assert_allclose([f.offset for f in fit.free], [0, 1, 2], atol=1e-6)
+
+
+def test_many_short_experiments_leave_the_residuals_white(plant: HandoutPlant) -> None:
+    """Five nuisance parameters in each hundred samples would look like colour, uncorrected."""
+    p = [
+        oe(merge(plant.dataset(seed).split(30)), nb=4, nf=4, integrator=True).whiteness
+        for seed in range(20)
+    ]
+
+    assert np.count_nonzero(np.array(p) < 0.05) <= 4
+
+
+def test_rounding_noise_is_not_called_coloured(plant: HandoutPlant) -> None:
+    """Nor do two starts disagree that both found an exact answer."""
+    fit = oe(plant.dataset(1, std=0.0), nb=4, nf=4, integrator=True)
+
+    assert fit.converged
+    assert fit.agreed
+    assert fit.warnings == ()
+
+
+def test_a_rig_at_rest_may_be_taken_at_its_word() -> None:
+    """initial="zero" has no nuisance parameters, so its standard deviations are smaller."""
+    rng = np.random.default_rng(7)
+    u = rng.standard_normal(60)
+    y = filtered([0, 1], [1, -0.95], u) + 0.1 * rng.standard_normal(60)
+    data = Dataset(u=u, y=y, Ts=1)
+
+    at_rest, estimated = oe(data, nb=1, nf=1, initial="zero"), oe(data, nb=1, nf=1)
+
+    assert at_rest.free[0].transients == ()
+    assert len(estimated.free[0].transients) == 1
+    assert (at_rest.std < estimated.std).all()
+
+
+def test_the_starts_are_reported() -> None:
+    """Where they lead to the same minimum the result says so."""
+    rng = np.random.default_rng(8)
+    u = rng.standard_normal(500)
+    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.3 * rng.standard_normal(500)
+
+    fit = oe(Dataset(u=u, y=y, Ts=1), nb=2, nf=2)
+
+    assert {s.name for s in fit.starts} == {"ARX", "high-order ARX, Steiglitz-McBride"}
+    assert fit.agreed
+    assert "starts agree" in repr(fit)
+
+
+@pytest.mark.parametrize("std", [0.01, 0.3])
+def test_resonant_systems_are_found_from_their_data_alone(std: float) -> None:
+    """A bank of random fourth-order resonances: the loss is no more than the truth's."""
+    missed = []
+    for seed in range(25):
+        rng = np.random.default_rng([seed, 99])
+        radius, angle = rng.uniform(0.7, 0.98, 2), rng.uniform(0.1, 2.8, 2)
+        F = np.real(np.poly([*(radius * np.exp(1j * angle)), *(radius * np.exp(-1j * angle))]))
+        B = np.append(0.0, rng.standard_normal(4))
+        u = telegraph(1000, 0.3, seed=rng)
+        clean = filtered(B, F, u)
+        e = std * np.std(clean) * rng.standard_normal(1000)
+
+        fit = oe(Dataset(u=u, y=clean + e, Ts=1), nb=4, nf=4)
+
+        if fit.loss > np.mean(e**2) or not fit.converged:
+            missed.append(seed)
+
+    assert missed == []
+
+
+def test_an_order_too_high_for_the_data_is_refused() -> None:
+    """Nuisance parameters count too: 1 + 1 and one transient, and one sample more than all."""
+    u = np.random.default_rng(0).standard_normal(3)
+
+    with pytest.raises(ValueError, match="nb=1, nf=1, nk=1 needs at least 4 samples, got 3"):
+        oe(Dataset(u=u, y=u, Ts=1), nb=1, nf=1)
+
+
+def test_an_input_that_does_not_excite_is_refused() -> None:
+    """A constant from rest drives a numerator only once."""
+    y = np.random.default_rng(0).standard_normal(50)
+
+    with pytest.raises(ValueError, match=r"u determines only . of 2 numerator.*richer input"):
+        oe(Dataset(u=np.zeros(50), y=y, Ts=1), nb=2, nf=1)
+
+
+def test_impossible_orders_are_refused() -> None:
+    """An integrator needs a denominator to live in."""
+    data = Dataset(u=np.ones(9), y=np.ones(9), Ts=1)
+
+    with pytest.raises(ValueError, match="nf=0 must be an integer >= 1"):
+        oe(data, nb=1, nf=0, integrator=True)
+    with pytest.raises(ValueError, match='initial=\'rest\' must be "estimate" or "zero"'):
+        oe(data, nb=1, nf=1, initial="rest")  # type: ignore[arg-type]

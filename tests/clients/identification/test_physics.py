@@ -1,0 +1,24 @@
+"""The physics as python-control systems."""
+
+from __future__ import annotations
+
+import pytest
+from armrig.physics import ArmParameters, arm, chassis
+
+
+def test_signals_have_the_handout_s_names() -> None:
+    """A plot of them labels itself."""
+    system = arm(ArmParameters())
+
+    assert system.input_labels == ["u"]
+    assert system.output_labels == ["theta_1", "alpha"]
+    assert system.state_labels == ["theta_1", "alpha", "theta_1_rate", "alpha_rate"]
+
+
+def test_the_chassis_turns_as_its_time_constant_and_gain_say() -> None:
+    """G = K / (s (1 + s tau)) with K = 1.8623 rad/(s V) and 1/tau = 52.836 1/s."""
+    s = 3.0j
+
+    G = chassis(ArmParameters())(s)
+
+    assert pytest.approx(1.8623 / (s * (1 + s / 52.836)), rel=1e-4) == G

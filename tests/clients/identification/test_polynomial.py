@@ -1,0 +1,54 @@
+"""Polynomials in q^-1, and least squares on a basis."""
+
+from __future__ import annotations
+
+import numpy as np
+from armrig.least_squares import orthonormal
+from armrig.polynomial import evaluate, filtered, impulse, lagged, reflected, roots, stable
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+
+@given(st.lists(st.floats(0.01, 3.0), min_size=0, max_size=4))
+def test_a_reflected_polynomial_is_stable_and_keeps_its_stable_roots(z: list[float]) -> None:
+    """A root outside comes in by its reciprocal, up to the radius."""
+    assume(all(abs(abs(a) - abs(b)) > 0.05 for i, a in enumerate(z) for b in z[:i]))
+    assume(all(r == 1 or abs(r - 1) > 1e-5 for r in z))
+    expected = [min(1 / abs(r), 0.999) if abs(r) >= 1 else r for r in z]
+
+    p = reflected(np.poly(z))
+
+    assert stable(p)
+    np.testing.assert_allclose(p, np.poly(expected), atol=1e-6)
+
+
+def test_a_root_on_the_circle_is_not_stable() -> None:
+    """The integrator is outside."""
+    assert not stable([1.0, -1.0])
+    assert stable([1.0, -0.999])
+    assert stable([1.0])
+
+
+def test_a_filter_begins_at_rest_and_a_lag_with_zeros() -> None:
+    """1/(1 - 0.5 q^-1) halves a pulse each sample."""
+    np.testing.assert_allclose(impulse([1, -0.5], 4), [1, 0.5, 0.25, 0.125])
+    np.testing.assert_allclose(filtered([0, 2], [1], np.ones(3)), [0, 2, 2])
+    np.testing.assert_array_equal(lagged(np.array([1.0, 2.0]), [0, 1, 5]), [[1, 0, 0], [2, 1, 0]])
+
+
+def test_roots_are_in_q_and_values_in_q_inverse() -> None:
+    """1 - 0.5 q^-1 vanishes at q = 0.5, so at q^-1 = 2."""
+    np.testing.assert_allclose(roots([1, -0.5]), [0.5])
+    np.testing.assert_allclose(evaluate([1, -0.5], np.array([2.0])), [0.0])
+
+
+def test_columns_that_depend_on_others_are_left_out() -> None:
+    """The rank is that of the data, whatever the units."""
+    a, b = np.random.default_rng(0).standard_normal((2, 50))
+    M = np.column_stack([a, 1e-9 * b, a + b, np.zeros(50)])
+
+    basis = orthonormal(M)
+
+    assert basis.rank == 2
+    np.testing.assert_allclose(M @ basis.coefficients(a - 2 * b), a - 2 * b, atol=1e-12)
+    np.testing.assert_allclose(basis.without(a - 2 * b), 0, atol=1e-12)

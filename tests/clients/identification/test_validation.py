@@ -1,0 +1,157 @@
+"""Judging a model on other data."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.arx import arx
+from armrig.estimation.oe import oe
+from armrig.excitation import telegraph
+from armrig.polynomial import filtered
+from armrig.validation import compare, residuals
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
+
+B, F = [0, 1, 0.5], [1, -1.2, 0.6]
+
+
+def data(seed: int, N: int = 600, noise: float = 0.3) -> Dataset:
+    """Return y = B/F u + e."""
+    rng = np.random.default_rng(seed)
+    u = telegraph(N, 0.3, seed=rng)
+    return Dataset(u=u, y=filtered(B, F, u) + noise * rng.standard_normal(N), Ts=1, unit="V")
+
+
+def test_the_fit_percent_is_the_textbook_s() -> None:
+    """100 (1 - |y - ŷ| / |y - mean y|), with the initial state of the new data estimated."""
+    fit, fresh = oe(data(1), nb=2, nf=2), data(2)[100:]
+
+    row = compare(fresh, fit)[0]
+
+    y, spread = fit.predict(fresh, horizon=None), np.linalg.norm(fresh.y - np.mean(fresh.y))
+    assert row.fit_percent == pytest.approx(100 * (1 - np.linalg.norm(fresh.y - y) / spread))
+    assert row.rms_error == pytest.approx(0.3, rel=0.1)
+    assert not row.on_estimation_data
+
+
+def test_data_that_the_model_was_estimated_from_are_labelled() -> None:
+    """A percentage on them is no validation."""
+    seen = data(1)
+    fit = oe(seen, nb=2, nf=2)
+
+    table = compare(seen, fit)
+
+    assert table[0].on_estimation_data
+    assert "(estimation data)" in repr(table)
+    assert "initial state estimated from these data by least squares" in repr(table)
+
+
+def test_missing_samples_do_not_count() -> None:
+    """What stands where y is missing changes nothing."""
+    fit, fresh = oe(data(1), nb=2, nf=2), data(2)
+    valid = np.random.default_rng(0).random(fresh.N) > 0.2
+    holed = Dataset(u=fresh.u, y=np.where(valid, fresh.y, 1e9), Ts=1, valid=valid)
+
+    assert compare(holed, fit)[0].rms_error == pytest.approx(0.3, rel=0.1)
+    assert np.isnan(residuals(fit, holed).e[~valid]).all()
+    assert residuals(fit, holed).whiteness > 0.01
+
+
+def test_the_angle_flatters_where_the_velocity_does_not(plant: HandoutPlant) -> None:
+    """A first-order chassis without the arm: nearly 100 % on the angle, visibly bad on its rate."""
+    poor = oe(plant.dataset(1), nb=2, nf=2, integrator=True)
+    good = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
+
+    table = compare(plant.dataset(2), poor, good)
+
+    assert table[0].fit_percent > 98
+    assert table[0].velocity_fit_percent is not None
+    assert table[1].velocity_fit_percent is not None
+    assert table[0].velocity_fit_percent < table[1].velocity_fit_percent - 20
+    assert table[1].rms_error == pytest.approx(5e-3, rel=0.1)
+    assert "input offset" in repr(table)
+
+
+def test_a_model_that_cannot_be_simulated_is_said_to_fit_not_at_all(plant: HandoutPlant) -> None:
+    """The textbook's first choice on an integrating angle may even be unstable; no crash."""
+    unstable = arx(plant.dataset(1)[:400], na=6, nb=4)
+    unstable_A = np.convolve(unstable.A, [1, -3.0])
+    import dataclasses
+
+    fit = dataclasses.replace(
+        unstable, A=unstable_A, covariance=np.zeros((11, 11)), covariance_robust=np.zeros((11, 11))
+    )
+
+    row = compare(plant.dataset(2), fit)[0]
+
+    assert row.fit_percent == -np.inf
+    assert row.rms_error == np.inf
+
+
+def test_a_delay_too_large_shows_as_correlation_with_the_input() -> None:
+    """Missing dynamics are found, and found to be just that."""
+    seen = data(1)
+
+    right, wrong = (residuals(oe(seen, nb=2, nf=2, nk=nk), seen) for nk in (1, 2))
+
+    assert right.missing_dynamics > 0.01
+    assert wrong.missing_dynamics < 1e-6
+
+
+def test_feedback_shows_at_negative_lags() -> None:
+    """Residuals that the input answers to are correlated with its future."""
+    rng = np.random.default_rng(3)
+    N = 2000
+    u, y, e = np.zeros(N), np.zeros(N), 2.0 * rng.standard_normal(N)
+    r = telegraph(N, 0.3, seed=rng)
+    for t in range(1, N):
+        y[t] = 0.5 * y[t - 1] + u[t - 1] + e[t]
+        u[t] = r[t] - 0.4 * y[t - 1]
+    closed = Dataset(u=u, y=y, Ts=1)
+
+    tested = residuals(arx(closed, na=1, nb=1), closed)
+
+    assert tested.feedback < 1e-6
+    assert tested.missing_dynamics > 0.01
+    assert "feedback" in repr(tested)
+
+
+def test_the_band_is_wider_where_residuals_and_input_are_both_coloured() -> None:
+    """P/(N R_e(0) R_u(0)), P = sum R_e(k) R_u(k); 1/N only where one of them is white."""
+    N, a, c = 20_000, 0.1, 0.8
+    rng = np.random.default_rng(4)
+    u = telegraph(N, a, seed=rng)
+    e = filtered([1], [1, -c], rng.standard_normal(N))
+    coloured = Dataset(u=u, y=filtered(B, F, u) + e, Ts=1)
+    rho = (1 - 2 * a) * c  # both correlations are geometric
+    expected = 2.58 * np.sqrt((1 + rho) / (1 - rho) / N)
+
+    tested = residuals(oe(coloured, nb=2, nf=2), coloured)
+
+    assert tested.cross_band == pytest.approx(expected, rel=0.05)
+    assert tested.autocorrelation_band == pytest.approx(2.58 / np.sqrt(N))
+    assert tested.whiteness < 1e-9
+    assert tested.autocorrelation[1] == pytest.approx(c, abs=0.05)
+
+
+def test_experiments_are_judged_each_from_its_own_state() -> None:
+    """Merged data give the residuals of the parts."""
+    fit = oe(data(1), nb=2, nf=2)
+    parts = [data(2)[50:300], data(3)[70:400]]
+
+    together = residuals(fit, merge(parts))
+
+    apart = np.concatenate([residuals(fit, part).e for part in parts])
+    np.testing.assert_allclose(together.e, apart)
+
+
+def test_what_cannot_be_judged_is_refused() -> None:
+    """No model, or more lags than the data carry."""
+    with pytest.raises(ValueError, match="at least one model"):
+        compare(data(1))
+    with pytest.raises(ValueError, match="lags=400 must be 1 to 300"):
+        residuals(oe(data(1), nb=2, nf=2), data(1), lags=400)
