@@ -113,6 +113,8 @@ def _emulated(config: Config) -> Iterator[Config]:
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
     program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", str(link)]
     program += ["--settings", msgspec.json.encode(settings).decode()]
+    if link.is_symlink():  # left by an emulator that was killed; it may lead to another's terminal
+        link.unlink()
     child = subprocess.Popen(program)
     try:
         until = time.monotonic() + _START_S

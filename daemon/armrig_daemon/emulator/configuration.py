@@ -1,0 +1,34 @@
+"""What the device accepts as a configuration (PROTOCOL.md, section 4)."""
+
+from __future__ import annotations
+
+from armrig_protocol.messages import (
+    WATCHDOG_MAX_MS,
+    WATCHDOG_MIN_MS,
+    Code,
+    Config,
+    Mode,
+    Underrun,
+)
+
+HEADER_FIELDS = 2
+NONE_IN_FORCE = (0,) * (len(Config._fields) - HEADER_FIELDS)
+
+
+def verdict(config: Config, *, ts_min_us: int) -> Code:
+    """Return OK, or why this device refuses `config`."""
+    allowed = (
+        config.ts_us >= ts_min_us
+        and config.u_min <= config.u_max
+        # The device has an enable line, so that a rest other than 0 is allowed.
+        and (config.u_rest == 0 or config.u_min <= config.u_rest <= config.u_max)
+        and WATCHDOG_MIN_MS <= config.watchdog_ms <= WATCHDOG_MAX_MS
+        and config.mode in set(Mode)
+        and config.underrun in set(Underrun)
+        and config.oversampling >= 1
+    )
+    if not allowed:
+        return Code.BAD_VALUE
+    if config.mode != Mode.EXCHANGE or config.oversampling != 1:
+        return Code.UNSUPPORTED
+    return Code.OK

@@ -1,0 +1,53 @@
+"""Guards over the readings in RUN: long on a rail, too many turns (PROTOCOL.md, section 7)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from armrig_protocol.messages import Cause
+
+RAIL_CODES = 64  # 1/1024 of the range of 65536 codes
+_TURN = 1 << 16
+
+
+class Guards(NamedTuple):
+    """What was seen since START."""
+
+    rails: tuple[int, int] = (0, 0)
+    """Samples in a row at a rail, of theta_1 and of alpha."""
+    turned: int = 0
+    """Way of theta_1, in codes."""
+    y0: int | None = None
+    """Last reading of theta_1; None before the first."""
+
+
+NOTHING_SEEN = Guards()
+
+
+def at_rail(y: int) -> bool:
+    """Return whether a reading is in the lowest or highest 1/1024 of the range."""
+    return not RAIL_CODES <= y < _TURN - RAIL_CODES
+
+
+def watch(guards: Guards, y0: int, y1: int, *, rail_ticks: int, turns: int) -> tuple[Guards, Cause]:
+    """Return the guards after a sample, and the cause of a fault or NONE.
+
+    Parameters
+    ----------
+    y0, y1 : int
+        Readings of theta_1 and alpha.
+    rail_ticks : int
+        Samples in a row at a rail that are too many; 0 is none.
+    turns : int
+        Hundredths of a turn from START, in either direction, that are too many; 0 is none.
+    """
+    last = y0 if guards.y0 is None else guards.y0
+    turned = guards.turned + (y0 - last + _TURN // 2) % _TURN - _TURN // 2
+    theta_1, alpha = guards.rails
+    rails = (theta_1 + 1 if at_rail(y0) else 0, alpha + 1 if at_rail(y1) else 0)
+    cause = Cause.NONE
+    if rail_ticks and max(rails) >= rail_ticks:
+        cause = Cause.ADC_RAIL
+    elif turns and abs(turned) * 100 >= turns * _TURN:
+        cause = Cause.REV_LIMIT
+    return Guards(rails, turned, y0), cause

@@ -1,0 +1,224 @@
+"""The arm moving under a held voltage, over any whole number of nanoseconds.
+
+Between changes of the input the linear arm is integrated exactly: x(t + dt) = Phi x(t) + Gamma u,
+with Phi and Gamma from exponentials that were made once, one for each digit of dt in base 256.
+Coulomb friction and a stiffening spring are kicks between exact linear flows (Strang splitting)::
+
+    J_1 theta_1'' = N K_m (u - N K_m theta_1') / R_m - b_1 theta_1' - T_c sign(theta_1') + T_s
+    J_2 (theta_1'' + alpha'') = -T_s,    T_s = K_lin alpha + k_3 alpha³
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import copysign, isfinite
+from typing import Final
+
+import numpy as np
+from armrig_core.arm import ArmParameters, Matrix, arm_matrices, chassis_matrices
+from scipy.linalg import expm
+
+State = tuple[float, float, float, float]
+"""theta_1 (rad, turns counted), alpha (rad), and their rates (rad/s)."""
+
+# Rows theta_1, alpha, theta_1', alpha' of [Phi Gamma], columns alpha, theta_1', alpha', u: sixteen
+# numbers. Phi's first column is the identity's: nothing depends on where the chassis stands.
+# Plain floats: at this size a product in Python takes 0.25 µs, numpy's 0.7 µs.
+_Step = tuple[float, ...]
+_Table = tuple[tuple[_Step, ...], ...]
+
+REST: Final[State] = (0.0, 0.0, 0.0, 0.0)
+
+_DIGIT_BITS = 8
+_DIGITS = 4
+_LONGEST_NS = (1 << _DIGIT_BITS * _DIGITS) - 1
+SUBSTEP_NS = 100_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plant:
+    """One arm with its exponentials; made by `build`."""
+
+    free: _Table
+    """Flow of the linear arm."""
+    locked: _Table
+    """Flow of the arm while static friction holds the chassis."""
+    arm: ArmParameters
+    coulomb_nm: float
+    """Coulomb friction T_c of the chassis, in Nm."""
+    stiffening: float
+    """Cubic part k_3 of the spring, in Nm/rad³."""
+    substep_ns: int
+    """Longest step between two kicks, in ns."""
+
+
+def build(
+    arm: ArmParameters,
+    *,
+    arm_removed: bool = False,
+    coulomb_nm: float = 0.0,
+    stiffening: float = 0.0,
+    substep_ns: int = SUBSTEP_NS,
+) -> Plant:
+    """Return the plant for these parameters.
+
+    Parameters
+    ----------
+    arm : ArmParameters
+        Inertias, spring, gear, motor and viscous friction.
+    arm_removed : bool, default False
+        The rotating part is taken off: alpha stays 0 and the chassis turns alone.
+    coulomb_nm, stiffening : float, default 0
+        T_c in Nm and k_3 in Nm/rad³; 0 leaves the effect out.
+    substep_ns : int, default 100 000
+        Step of the splitting; it matters only with one of the two effects.
+
+    Raises
+    ------
+    ValueError
+        An effect is negative or not finite, or the step is not positive.
+    """
+    for name, value in (("coulomb_nm", coulomb_nm), ("stiffening", stiffening)):
+        if not isfinite(value) or value < 0:
+            msg = f"{name}={value!r} must be finite and >= 0"
+            raise ValueError(msg)
+    if substep_ns < 1:
+        msg = f"substep_ns={substep_ns} must be at least 1"
+        raise ValueError(msg)
+    free, locked = _tables(arm, arm_removed)
+    return Plant(
+        free=free,
+        locked=locked,
+        arm=arm,
+        coulomb_nm=coulomb_nm,
+        stiffening=0.0 if arm_removed else stiffening,
+        substep_ns=substep_ns,
+    )
+
+
+def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
+    """Return the state `dt_ns` later under the voltage `u`, held.
+
+    Without Coulomb friction and stiffening the result is exact but for rounding. With them it is of
+    second order in `substep_ns` while the chassis keeps its direction; a stop or a reversal costs
+    at most T_c substep / J_1 in speed, once. A chassis at rest stays there while |torque| <= T_c.
+
+    Raises
+    ------
+    ValueError
+        `dt_ns` is negative.
+
+    References
+    ----------
+    .. [1] G. Strang, "On the construction and comparison of difference schemes",
+       SIAM J. Numerical Analysis 5 (1968) 506-517.
+    """
+    if dt_ns < 0:
+        msg = f"dt_ns={dt_ns} must be >= 0"
+        raise ValueError(msg)
+    if plant.coulomb_nm or plant.stiffening:
+        return _split(plant, x, u, dt_ns)
+    return _flow(plant.free, x, u, dt_ns)
+
+
+def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
+    """Return the state after the linear flow of `table`, one product for each digit of dt."""
+    while dt_ns > _LONGEST_NS:
+        x = _flow(table, x, u, _LONGEST_NS)
+        dt_ns -= _LONGEST_NS
+    theta, alpha, omega, rate = x
+    for level in table:
+        if not dt_ns:
+            break
+        digit = dt_ns & 0xFF
+        dt_ns >>= _DIGIT_BITS
+        if digit:
+            a, b, c, d, e, f, g, h, i, j, k, m, n, o, p, q = level[digit]
+            theta, alpha, omega, rate = (
+                theta + a * alpha + b * omega + c * rate + d * u,
+                e * alpha + f * omega + g * rate + h * u,
+                i * alpha + j * omega + k * rate + m * u,
+                n * alpha + o * omega + p * rate + q * u,
+            )
+    return theta, alpha, omega, rate
+
+
+def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
+    """Return the state after kicks of half a step around linear flows of one step."""
+    while dt_ns:
+        step_ns = min(dt_ns, plant.substep_ns)
+        dt_ns -= step_ns
+        torque = _torque(plant, x, u)
+        half_s = step_ns * 0.5e-9
+        x = _kick(plant, x, half_s, held=_is_held(plant, x, torque), breakaway=torque)
+        # Without this a chassis that the kick has stopped would creep on, a little in each step.
+        held = _is_held(plant, x, torque)
+        x = _flow(plant.locked if held else plant.free, x, u, step_ns)
+        x = _kick(plant, x, half_s, held=held, breakaway=0.0)
+    return x
+
+
+def _is_held(plant: Plant, x: State, torque: float) -> bool:
+    """Return whether static friction holds the chassis."""
+    return x[2] == 0 and 0 < plant.coulomb_nm >= abs(torque)
+
+
+def _torque(plant: Plant, x: State, u: float) -> float:
+    """Return the torque on the chassis at rest, friction left out, in Nm."""
+    alpha = x[1]
+    spring = (plant.arm.K_lin + plant.stiffening * alpha * alpha) * alpha
+    return plant.arm.torque_per_volt * u + spring
+
+
+def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) -> State:
+    """Return the state after the impulses of spring and friction alone, which are exact.
+
+    The speed of the arm in the room, theta_1' + alpha', feels the spring only.
+    """
+    theta, alpha, omega, rate = x
+    spring = plant.stiffening * alpha * alpha * alpha * dt_s
+    rate -= spring / plant.arm.J_2
+    if held:
+        return theta, alpha, omega, rate
+    friction = plant.coulomb_nm / plant.arm.J_1 * dt_s
+    if omega == 0:
+        # About to move: friction acts against the torque from the first half step on.
+        after = spring / plant.arm.J_1 - (copysign(friction, breakaway) if breakaway else 0.0)
+    else:
+        pushed = omega + spring / plant.arm.J_1
+        after = 0.0 if abs(pushed) <= friction else pushed - copysign(friction, pushed)
+    return theta, alpha, after, rate - (after - omega)
+
+
+@lru_cache(maxsize=8)
+def _tables(arm: ArmParameters, arm_removed: bool) -> tuple[_Table, _Table]:
+    """Return the exponentials of the free and of the locked arm."""
+    A, B = np.zeros((4, 4)), np.zeros((4, 1))
+    if arm_removed:
+        a, b, _ = chassis_matrices(arm)
+        A[np.ix_([0, 2], [0, 2])], B[[0, 2]] = a, b
+    else:
+        A, B, _ = arm_matrices(arm)
+    locked = np.zeros((4, 4))
+    if not arm_removed:
+        locked[1, 3], locked[3, 1] = 1.0, -arm.K_lin / arm.J_2
+    return _table(A, B), _table(locked, np.zeros((4, 1)))
+
+
+def _table(A: Matrix, B: Matrix) -> _Table:
+    """Return exp([A B; 0 0] digit 256^level ns) for every digit of every level.
+
+    One exponential a level; the other digits are products of at most eight of its squarings.
+    """
+    block = np.zeros((5, 5))
+    block[:4, :4], block[:4, 4:] = A, B
+    levels = []
+    for level in range(_DIGITS):
+        square = expm(block * (1e-9 * (1 << _DIGIT_BITS * level)))
+        powers = np.eye(5)[np.newaxis]
+        for _ in range(_DIGIT_BITS):
+            powers = np.concatenate([powers, powers @ square])
+            square = square @ square
+        levels.append(tuple(map(tuple, powers[:, :4, 1:].reshape(-1, 16).tolist())))
+    return tuple(levels)

@@ -1,0 +1,235 @@
+"""The emulator on a pseudo-terminal, in real time: the edge around `device`.
+
+Opening the port resets an Uno. A pseudo-terminal has no DTR: here the reset is the moment when its
+slave is opened. Closing it resets nothing, as on an Uno; what the device says then is lost.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import select
+import signal
+import sys
+import termios
+import tty
+from collections import deque
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from struct import Struct
+from time import monotonic_ns
+from typing import TextIO
+
+from armrig_daemon.emulator.board import Change
+from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uart import wire_ns
+
+PRIORITY = 20  # below the loop's: the device is fast enough, and must not starve who drives it
+PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
+IN_CLOSE, IN_OPEN = 0x08 | 0x10, 0x20  # <sys/inotify.h>
+READ_BYTES = 64  # what a USB bridge's buffer holds; the rest waits in the kernel
+_INOTIFY_EVENT = Struct("iIII")
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class PortError(Exception):
+    """The port cannot be made; says which and why."""
+
+
+class Line:
+    """The master's end of a pseudo-terminal, and who is at the other end."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        """Open it in raw mode; `stack` closes it."""
+        self.master, slave = os.openpty()
+        stack.callback(os.close, self.master)
+        tty.setraw(slave)
+        self.slave = Path(os.ttyname(slave))
+        self.opened = os.fdopen(_watch(self.slave), "rb", buffering=0)
+        stack.enter_context(self.opened)
+        os.close(slave)
+        os.set_blocking(self.master, False)
+        self.connected = False
+        """Somebody has it open; the read that fails tells that nobody has any more."""
+        self.dropped_bytes = 0
+        self._closed = False
+
+    def came(self) -> bool:
+        """Return whether somebody opened the port since the last call.
+
+        Opened after it was closed, that is. By POLLHUP alone, one who closes it and opens it at
+        once would not be seen. (Who opens it beside its owner, twice, resets the device without
+        need; the daemon opens it exclusively.)
+        """
+        opened = False
+        for _, mask, _, _ in _INOTIFY_EVENT.iter_unpack(self.opened.read(4096) or b""):
+            opened |= self._closed and bool(mask & IN_OPEN)
+            self._closed = bool(mask & IN_CLOSE)
+        self.connected |= opened
+        return opened
+
+    def flush(self) -> None:
+        """Throw away what waits on the line, either way."""
+        termios.tcflush(self.master, termios.TCIOFLUSH)
+
+    def read(self) -> bytes:
+        """Return what has come, at most `READ_BYTES`; nothing where nobody is connected."""
+        try:
+            return os.read(self.master, READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError:  # EIO: the last one closed the port
+            self.connected = False
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send; what a stalled reader leaves no room for is dropped and counted."""
+        sent = 0
+        if self.connected:
+            try:
+                sent = os.write(self.master, data)
+            except BlockingIOError:
+                sent = 0
+            self.dropped_bytes += len(data) - sent
+
+
+def emulate(port: Path, settings: EmulatorSettings, *, trace: Path | None = None) -> int:
+    """Run a rig behind `port` until SIGTERM or SIGINT; return the exit code.
+
+    Parameters
+    ----------
+    port : Path
+        A symbolic link to be made to the pseudo-terminal, and removed at the end.
+    trace : Path, optional
+        File for the witness: one line `t_monotonic_ns,volts,state,cause` for each change of the
+        terminal voltage, the first for the start.
+
+    Raises
+    ------
+    PortError
+        `port` or `trace` cannot be made.
+    """
+    with ExitStack() as stack:
+        wake = _wake_on_signals(stack)
+        line = Line(stack)
+        out: TextIO | None = None
+        if trace is not None:
+            with _naming(trace):
+                out = stack.enter_context(trace.open("w", encoding="utf-8", buffering=1))
+
+        def witness(change: Change) -> None:
+            if out is not None:
+                fields = (change.t_ns, repr(change.volts), change.state.name, change.cause.name)
+                out.write(",".join(map(str, fields)) + "\n")
+
+        _be_punctual(stack)
+        now_ns = monotonic_ns()
+        device = Device(settings, now_ns, witness)
+        witness(Change(now_ns, device.board.volts, device.state, device.cause))
+        # Last, so that who finds the link finds the device awake.
+        with _naming(port):
+            _link(port, line.slave, stack)
+        _run(line, device, settings, wake)
+        if line.dropped_bytes:
+            print(f"{port}: {line.dropped_bytes} bytes dropped, not read in time", file=sys.stderr)
+    return 0
+
+
+def _run(line: Line, device: Device, settings: EmulatorSettings, wake: int) -> None:
+    """Carry bytes between line and device until `wake` becomes readable."""
+    full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
+    replies: deque[tuple[int, bytes]] = deque()
+    opened, master = line.opened.fileno(), line.master
+    while True:
+        now_ns = monotonic_ns()
+        replies.extend(device.advance(now_ns))
+        while replies and replies[0][0] <= now_ns:
+            line.write(replies.popleft()[1])
+        due_ns = device.visible_ns()
+        if replies:
+            due_ns = min(due_ns, replies[0][0])
+        sources = [opened, wake]
+        if line.connected:
+            # Read no faster than the wire carries: behind it the kernel holds the host back.
+            room_ns = now_ns + device.rx_backlog_ns(now_ns) - full_ns
+            if room_ns <= now_ns:
+                sources.append(master)
+            else:
+                due_ns = min(due_ns, room_ns)
+        ready, _, _ = select.select(sources, [], [], max(0, due_ns - monotonic_ns()) * 1e-9)
+        if not ready:
+            continue
+        if wake in ready:
+            return
+        if opened in ready and line.came():
+            line.flush()
+            device.reset(monotonic_ns())
+            replies.clear()
+        elif master in ready:
+            data = line.read()
+            if data:
+                device.receive(monotonic_ns(), data)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn what the system says about a file into one line."""
+    try:
+        yield
+    except OSError as err:
+        msg = f"{path}: {err.strerror}"
+        raise PortError(msg) from err
+
+
+def _watch(path: Path) -> int:
+    """Return an inotify descriptor that tells of `path` being opened and closed."""
+    fd: int = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+    if fd < 0 or _libc.inotify_add_watch(fd, os.fsencode(path), IN_OPEN | IN_CLOSE) < 0:
+        msg = f"{path}: inotify: {os.strerror(ctypes.get_errno())}"
+        raise PortError(msg)
+    return fd
+
+
+def _link(port: Path, slave: Path, stack: ExitStack) -> None:
+    """Make the link in one step, over one that an emulator left behind; `stack` removes it."""
+    if port.exists() and not port.is_symlink():
+        msg = f"{port}: is there and no link; choose another --port"
+        raise PortError(msg)
+    fresh = port.with_name(f"{port.name}.{os.getpid()}")
+    fresh.symlink_to(slave)
+    fresh.replace(port)
+
+    def remove() -> None:
+        if port.is_symlink() and port.readlink() == slave:
+            port.unlink()
+
+    stack.callback(remove)
+
+
+def _wake_on_signals(stack: ExitStack) -> int:
+    """Return a descriptor that SIGTERM and SIGINT make readable, until `stack` ends."""
+    wake, told = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    stack.callback(os.close, wake)
+    stack.callback(os.close, told)
+    stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(told))
+    for number in (signal.SIGTERM, signal.SIGINT):
+        stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+    return wake
+
+
+def _be_punctual(stack: ExitStack) -> None:
+    """Ask for what keeps the replies on time, and say once what is not granted."""
+    _libc.prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        stack.callback(os.sched_setscheduler, 0, *before)
+    except PermissionError:
+        print("emulator: no SCHED_FIFO here, replies may come late", file=sys.stderr)
+    gc.freeze()
+    gc.disable()
+    stack.callback(gc.unfreeze)
+    stack.callback(gc.enable)

@@ -1,0 +1,66 @@
+"""The bytes on their way to the device, and what the decoder makes of them."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from armrig_protocol import decoder
+from armrig_protocol.decoder import Received
+
+from armrig_daemon.emulator.firmware import NEVER
+from armrig_daemon.emulator.uart import arrivals, wire_ns
+
+
+class Reception:
+    """A wire to the device that carries one byte after the other, and the decoder at its end."""
+
+    def __init__(self, now_ns: int, baud: int) -> None:
+        """Begin with an empty wire; baud 0 is one that takes no time."""
+        self._baud = baud
+        self._free_ns = now_ns
+        self._pieces: deque[tuple[int, bytes]] = deque()
+        self._pending = b""
+        self.first_ns = NEVER
+        """When the next piece has arrived."""
+        self._peeked: tuple[bytes, list[Received]] | None = None
+
+    def put(self, now_ns: int, data: bytes) -> None:
+        """Put bytes on the wire, behind those that are on it."""
+        pieces = arrivals(self._free_ns, now_ns, data, self._baud)
+        if pieces:
+            self._pieces.extend(pieces)
+            self._free_ns = pieces[-1][0]
+            self.first_ns = self._pieces[0][0]
+
+    def backlog_ns(self, now_ns: int) -> int:
+        """Return how long the wire is still busy."""
+        return max(0, self._free_ns - now_ns)
+
+    def second_ns(self) -> int:
+        """Return when the piece after the next one has arrived, NEVER where there is none."""
+        return self._pieces[1][0] if len(self._pieces) > 1 else NEVER
+
+    def peek(self) -> list[Received]:
+        """Return what the next piece will bring."""
+        if self._peeked is None:
+            self._peeked = decoder.feed(self._pending, self._pieces[0][1])
+        return self._peeked[1]
+
+    def take(self) -> list[Received]:
+        """Return what the next piece brings, which has arrived."""
+        received = self.peek()
+        if self._peeked is not None:
+            self._pending, _ = self._peeked
+        self._peeked = None
+        self._pieces.popleft()
+        self.first_ns = self._pieces[0][0] if self._pieces else NEVER
+        return received
+
+    def forget(self, now_ns: int) -> None:
+        """Throw away what has arrived, and of a frame under way the bytes that have."""
+        self._pending, self._peeked = b"", None
+        byte_ns = wire_ns(1, self._baud)
+        if self._pieces and byte_ns:
+            end_ns, data = self._pieces[0]
+            left = -((now_ns - end_ns) // byte_ns)
+            self._pieces[0] = (end_ns, data[-left:])

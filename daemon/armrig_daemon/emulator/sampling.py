@@ -1,0 +1,82 @@
+"""What each sample does: the latch of u, the guards, SAMPLE (PROTOCOL.md, sections 5 and 7)."""
+
+from __future__ import annotations
+
+from armrig_protocol.messages import Cause, Flag, Message, Sample, State
+
+from armrig_daemon.emulator.firmware import U16, UNNUMBERED, Firmware
+from armrig_daemon.emulator.guards import at_rail, watch
+
+_STATE_FLAGS = {
+    State.RUN: int(Flag.RUN | Flag.ARMED),
+    State.ARMED: int(Flag.ARMED),
+    State.ESTOP: int(Flag.ESTOP),
+}
+_FAULT_FLAGS = {
+    Cause.WATCHDOG: int(Flag.WATCHDOG),
+    Cause.RANGE: int(Flag.RANGE),
+    Cause.SLEW: int(Flag.SLEW),
+    Cause.REV_LIMIT: int(Flag.REV_LIMIT),
+}
+_RAIL_0, _RAIL_1, _LATE = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL), int(Flag.TICK_LATE)
+
+
+def latch(fw: Firmware, now_ns: int) -> None:
+    """Latch u of the first order, unless the run it was meant for is over."""
+    order = fw.orders[0]
+    fw.u_km1 = fw.board.code
+    if order.drives:
+        fw.board.latch(now_ns, order.u, Cause.REQUEST)
+        fw.u_seq = order.seq
+
+
+def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> list[Message]:
+    """Return SAMPLE for the first order, which is then done, and the EVENT of a guard that trips.
+
+    A guard judges when theta_1's conversion has ended; SAMPLE, made then, tells of the fault.
+
+    Parameters
+    ----------
+    t_us : int
+        Trigger of theta_1's conversion.
+    y0, y1 : int
+        Readings of theta_1 and alpha.
+    late : bool
+        The conversions had to wait for those of another order.
+    """
+    order = fw.orders.popleft()
+    events: list[Message] = []
+    if fw.state is State.RUN and fw.config is not None:
+        fw.guards, cause = watch(
+            fw.guards, y0, y1, rail_ticks=fw.config.rail_ticks, turns=fw.config.turns
+        )
+        if cause is not Cause.NONE:
+            events = [fw.go(now_ns, State.FAULT, cause)]
+    flags = fw.news | _STATE_FLAGS.get(fw.state, 0)
+    if fw.state is State.FAULT:
+        flags |= _FAULT_FLAGS.get(fw.cause, 0)
+    if at_rail(y0):
+        flags |= _RAIL_0
+    if at_rail(y1):
+        flags |= _RAIL_1
+    if late:
+        flags |= _LATE
+        fw.counters.late += 1
+    fw.news = 0
+    taken = Sample(
+        fw.state,
+        UNNUMBERED,
+        boot=fw.boot_id & U16,
+        echo=fw.newest or 0,
+        u_seq=fw.u_seq,
+        k=order.k,
+        t_us=t_us,
+        y0=y0,
+        y1=y1,
+        u_k=fw.board.code,
+        u_km1=fw.u_km1,
+        flags=flags,
+        queued=0,
+    )
+    # SAMPLE answers a request, and so leaves before the EVENT of the transition that it made.
+    return [taken, *events]

@@ -1,0 +1,64 @@
+"""What the converter reads from the two potentiometers.
+
+A wiper travels over `range_rad` of track. Where the shaft turns on (theta_1), the rest of the turn
+is a dead band: the wiper touches nothing, and the pull-down that the wiring guide asks for grounds
+the input, so that the reading is 0. The noise, which comes from the wiper, is gone there too.
+Where the shaft does not turn on (alpha), the wiper stops at the end of its track.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor, tau
+
+import numpy as np
+
+CODE_BITS = 16
+REFERENCE_V = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Potentiometer:
+    """A track and its wiper."""
+
+    range_rad: float
+    """Angle over which the wiper goes from ground to the reference, in rad."""
+    zero_rad: float
+    """Angle from the track's beginning to the wiper when the shaft is at 0, in rad."""
+    wraps: bool
+    """The shaft turns on beyond the track's ends."""
+
+
+def wiper(pot: Potentiometer, angle: float) -> float | None:
+    """Return the wiper's voltage as a fraction of the reference, None in the dead band."""
+    position = angle + pot.zero_rad
+    if pot.wraps:
+        position %= tau
+        return position / pot.range_rad if position <= pot.range_rad else None
+    return min(max(position / pot.range_rad, 0.0), 1.0)
+
+
+def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Generator) -> int:
+    """Return the reading of a wiper, left-justified to 16 bits.
+
+    The first transition is at half a step, as in the data sheet of the ATmega328P (section 24.7): a
+    reading is the nearest step, and the mean error over a step is 0.
+
+    Parameters
+    ----------
+    fraction : float or None
+        Voltage over the reference; None is an open wiper.
+    bits : int
+        Resolution, 1 ... 16.
+    noise_v : float
+        Standard deviation of the noise, in V; 0 draws nothing.
+    rng : numpy.random.Generator
+        Where the noise comes from.
+    """
+    if fraction is None:
+        return 0
+    if noise_v:
+        fraction += rng.standard_normal() * (noise_v / REFERENCE_V)
+    steps = 1 << bits
+    count = min(max(floor(fraction * steps + 0.5), 0), steps - 1)
+    return count << (CODE_BITS - bits)

@@ -1,0 +1,136 @@
+"""Settings of the emulator: the table `[emulator]` of a TOML, checked key by key."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from armrig_daemon.tables import convert
+
+if TYPE_CHECKING:
+    from armrig_core.arm import ArmParameters
+
+# Allowed range of each number, both ends included.
+_RANGES: dict[str, tuple[float, float]] = {
+    "seed": (0, 2**63 - 1),
+    "boot_ms": (0, 10_000),
+    "baud": (9_600, 4_000_000),
+    "conversion_us": (12, 1_000),
+    "adc_noise_v": (0, 0.5),
+    "coulomb_nm": (0, 10),
+    "stiffening": (0, 1_000),
+    "theta_1_range_deg": (180, 360),
+    "theta_1_zero_deg": (0, 360),
+    "alpha_range_deg": (10, 3_600),
+    "alpha_zero_deg": (0, 3_600),
+}
+_CHOICES: dict[str, tuple[int, ...]] = {
+    "pwm_bits": (0, 8, 9, 10, 11, 12, 13, 14, 15, 16),
+    "adc_bits": (0, 10, 12),
+}
+
+
+class SettingsError(ValueError):
+    """Settings that the emulator refuses; says which key, what it was and what is allowed."""
+
+
+class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the emulated rig is like; the defaults are the demo's."""
+
+    seed: int = 1
+    """Seed of all noise and of the boot ids."""
+    boot_ms: float = 50.0
+    """From reset to the first frame, in ms; a real Uno's boot loader takes about 1500."""
+    baud: int = 500_000
+    """Speed of the emulated wire, in bit/s."""
+    model_baud: bool = True
+    """Bytes take their time on the wire."""
+    conversion_us: float = 104.0
+    """One conversion, in µs: 13 clocks of the ATmega328P's ADC at 125 kHz."""
+    pwm_bits: int = 10
+    """Resolution of the duty; 0 is none."""
+    adc_bits: int = 10
+    """Resolution of the converter; 0 is all 16 bits of the code."""
+    adc_noise_v: float = 0.0025
+    """Standard deviation of the converter's noise, in V; 0.0025 is half a step of 10 bits."""
+    potentiometers: bool = True
+    """Tracks with ends and a dead band; off is an ideal sensor of 360° on both joints."""
+    theta_1_range_deg: float = 352.0
+    """Electrical range of theta_1's track, in degrees; the rest of the turn is dead."""
+    theta_1_zero_deg: float = 176.0
+    """Wiper's place on the track at theta_1 = 0, in degrees."""
+    alpha_range_deg: float = 352.0
+    """Electrical range of alpha's track, in degrees; it does not turn on."""
+    alpha_zero_deg: float = 176.0
+    """Wiper's place on the track at alpha = 0, in degrees."""
+    arm_removed: bool = False
+    """The rotating part is taken off."""
+    coulomb_nm: float = 0.0
+    """Coulomb friction of the chassis, in Nm; 0 is none."""
+    stiffening: float = 0.0
+    """Cubic part of the spring, in Nm/rad³; 0 is none."""
+    arm: dict[str, float] = {}
+    """Parameters of the arm that differ from the handout's, by name; b_1 is viscous friction."""
+
+    def __post_init__(self) -> None:
+        """Refuse a value out of its range."""
+        for key, (least, greatest) in _RANGES.items():
+            value = getattr(self, key)
+            if not least <= value <= greatest:
+                msg = f"{key}={value!r} must be from {least} to {greatest}"
+                raise SettingsError(msg)
+        for key, choices in _CHOICES.items():
+            if getattr(self, key) not in choices:
+                allowed = ", ".join(map(str, choices))
+                msg = f"{key}={getattr(self, key)!r} must be one of {allowed}"
+                raise SettingsError(msg)
+        if self.alpha_zero_deg > self.alpha_range_deg:
+            msg = (
+                f"alpha_zero_deg={self.alpha_zero_deg!r} must lie on the track, "
+                f"from 0 to alpha_range_deg={self.alpha_range_deg!r}"
+            )
+            raise SettingsError(msg)
+        if self.arm:
+            self.arm_parameters()
+
+    def arm_parameters(self) -> ArmParameters:
+        """Return the handout's parameters with those of `arm` in their place."""
+        # Here, not above: the daemon's configuration holds these settings, and its loop, which
+        # reads it, must not load scipy for an arm that it does not know.
+        from armrig_core.arm import ArmParameters
+
+        allowed = ArmParameters.__dataclass_fields__
+        for key in self.arm:
+            if key not in allowed:
+                msg = f"arm.{key}={self.arm[key]!r}: no such key; allowed are {', '.join(allowed)}"
+                raise SettingsError(msg)
+        try:
+            return ArmParameters(**self.arm)
+        except ValueError as err:
+            msg = f"arm.{err}"
+            raise SettingsError(msg) from err
+
+
+class _File(msgspec.Struct, frozen=True, kw_only=True):
+    emulator: EmulatorSettings
+
+
+def load(path: Path) -> EmulatorSettings:
+    """Return the settings in the table `[emulator]` of the TOML at `path`.
+
+    Other tables are ignored; a key that is left out has its default.
+
+    Raises
+    ------
+    SettingsError
+        The file cannot be read, is no TOML, or holds a key or value that is not allowed.
+    """
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        return convert({"emulator": tables.get("emulator", {})}, _File).emulator
+    except (OSError, ValueError) as err:
+        msg = f"{path}: {err}"
+        raise SettingsError(msg) from err

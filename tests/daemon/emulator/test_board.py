@@ -1,0 +1,108 @@
+"""The pin, the voltage and S1."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from armrig_daemon.emulator import board as board_module
+from armrig_daemon.emulator.board import Board, Change, VoltageError, duty, reported, volts
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol.messages import Cause, State
+from hypothesis import given
+from hypothesis import strategies as st
+
+CODES = st.integers(0, 65535)
+BITS = st.integers(8, 16)
+
+
+def make_board(changes: list[Change] | None = None) -> Board:
+    """Return a board that tells `changes`."""
+    witness = None if changes is None else changes.append
+    return Board(EmulatorSettings(), 0, np.random.default_rng(0), witness)
+
+
+@given(CODES, BITS)
+def test_the_duty_is_the_nearest_and_the_report_is_its_code(code: int, bits: int) -> None:
+    """Steps d = round(u 2^n / 65535), told as round(d 65535 / 2^n), a tie going up."""
+    d = duty(code, bits)
+
+    assert abs(d - Fraction(code << bits, 65535)) < Fraction(1, 2)
+    assert Fraction(-1, 2) < reported(code, bits) - Fraction(d * 65535, 1 << bits) <= Fraction(1, 2)
+
+
+@given(CODES, st.integers(0, 16).filter(lambda n: n == 0 or n >= 8))
+def test_the_report_stands_for_the_same_voltage(code: int, bits: int) -> None:
+    """Sent back, the reported code gives the very same duty."""
+    assert volts(reported(code, bits), bits) == volts(code, bits)
+
+
+@given(CODES, st.sampled_from([0, 8, 10, 16]))
+def test_every_code_is_a_voltage_in_range(code: int, bits: int) -> None:
+    """S1: 0 ... 65535 is 0 ... 5 V, at every resolution, exact at both ends."""
+    assert 0.0 <= volts(code, bits) <= 5.0
+    assert (volts(0, bits), volts(65535, bits)) == (0.0, 5.0)
+
+
+@pytest.mark.parametrize("code", [-1, 65536])
+def test_a_code_that_is_none_does_not_reach_the_pin(code: int) -> None:
+    """S1: the model raises, and the voltage stays."""
+    board = make_board()
+
+    with pytest.raises(VoltageError, match=f"code {code}"):
+        board.latch(0, code, Cause.REQUEST)
+
+    assert board.volts == 0.0
+
+
+@pytest.mark.parametrize("wrong", [-0.001, 5.001, float("nan")])
+def test_a_voltage_out_of_range_does_not_reach_the_motor(
+    monkeypatch: pytest.MonkeyPatch, wrong: float
+) -> None:
+    """S1 holds even where the scale itself is wrong."""
+    monkeypatch.setattr(board_module, "volts", lambda code, bits: wrong)
+    board = make_board()
+
+    with pytest.raises(VoltageError, match="V at the motor"):
+        board.latch(0, 100, Cause.REQUEST)
+
+    assert board.volts == 0.0
+
+
+def test_the_witness_sees_changes_and_nothing_else() -> None:
+    """The same voltage again is no change."""
+    changes: list[Change] = []
+    board = make_board(changes)
+
+    board.latch(10, 65535, Cause.REQUEST)
+    board.latch(20, 65535, Cause.REQUEST)
+    board.release(30, State.FAULT, Cause.WATCHDOG)
+
+    assert changes == [
+        Change(10, 5.0, State.RUN, Cause.REQUEST),
+        Change(30, 0.0, State.FAULT, Cause.WATCHDOG),
+    ]
+
+
+def test_the_arm_moves_under_the_voltage_it_had() -> None:
+    """A change acts from its own instant on, not from the one before."""
+    board = make_board()
+
+    board.latch(1_000_000_000, 65535, Cause.REQUEST)
+    assert board.motion(1_000_000_000) == (0.0, 0.0, 0.0, 0.0)
+
+    board.release(1_001_000_000, State.IDLE, Cause.REQUEST)
+    assert board.motion(1_001_000_000)[2] == pytest.approx(5 * 98.40 * 1e-3, rel=0.05)
+
+
+def test_an_ideal_sensor_has_no_dead_band() -> None:
+    """Potentiometers off: a turn is 65536 codes on both joints."""
+    settings = EmulatorSettings(
+        potentiometers=False, adc_bits=0, adc_noise_v=0.0, theta_1_zero_deg=90.0
+    )
+
+    board = Board(settings, 0, np.random.default_rng(0))
+
+    assert board.theta_1(0) == 65536 // 4
+    assert board.alpha(0) == round(65536 * 176 / 360)

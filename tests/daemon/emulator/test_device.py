@@ -1,0 +1,979 @@
+"""The device against PROTOCOL.md, in virtual time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeVar
+from zlib import crc32
+
+import pytest
+from armrig_daemon.emulator.board import Change
+from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol import cobs, decoder, frame
+from armrig_protocol.frame import Spoilt, Unknown
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    Ack,
+    Arm,
+    Cal,
+    Capability,
+    Cause,
+    ClearFault,
+    Code,
+    Config,
+    ConfigReply,
+    Estop,
+    Event,
+    Exchange,
+    Flag,
+    Hello,
+    HelloReply,
+    Keepalive,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Sample,
+    Setpoints,
+    Start,
+    State,
+    Status,
+    Stop,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+US, MS, S = 1_000, 1_000_000, 1_000_000_000
+BAUD = 1_000_000
+EXCHANGE_NS, SAMPLE_NS = 160 * US, 360 * US  # 16 and 36 bytes at 1 Mbaud
+CONVERSION_NS, HOLD_NS = 104 * US, 12 * US
+QUIET = EmulatorSettings(baud=BAUD, boot_ms=5.0, adc_noise_v=0.0, pwm_bits=0, adc_bits=0)
+CONFIG: dict[str, int] = {
+    "ts_us": 1000,
+    "u_min": 0,
+    "u_max": 65535,
+    "u_rest": 0,
+    "slew": 0,
+    "watchdog_ms": 100,
+    "mode": Mode.EXCHANGE,
+    "underrun": 0,
+    "hold": 0,
+    "oversampling": 1,
+    "rail_ticks": 0,
+    "turns": 0,
+}
+PADDED = (0,) * 24
+M = TypeVar("M", bound=Message)
+
+
+@dataclass
+class Heard:
+    """A message, and when its last byte had come."""
+
+    t_ns: int
+    message: Message
+
+
+class Host:
+    """A host with a clock that it advances by hand; it counts seq as it should."""
+
+    def __init__(self, settings: EmulatorSettings = QUIET) -> None:
+        """Switch the device on and wait until it has booted."""
+        self.now_ns = 0
+        self.seq = 0
+        self.changes: list[Change] = []
+        self.heard: list[Heard] = []
+        self.pending = b""
+        self.device = Device(settings, 0, self.changes.append)
+        self.wait(round(settings.boot_ms * MS) + 1 * MS)
+
+    def wait(self, dt_ns: int) -> list[Message]:
+        """Let time pass and return what came meanwhile."""
+        self.now_ns += dt_ns
+        came: list[Message] = []
+        for t_ns, data in self.device.advance(self.now_ns):
+            self.pending, received = decoder.feed(self.pending, data)
+            for item in received:
+                assert not isinstance(item, (Spoilt, Unknown))
+                came.append(item)
+                self.heard.append(Heard(t_ns, item))
+        return came
+
+    def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
+        """Send without waiting; return the time at which the frame will have arrived."""
+        if seq is None:
+            self.seq = seq = (self.seq + 1) & 0xFFFF
+        data = frame.encode(kind(0, seq, **fields))
+        self.device.receive(self.now_ns, data)
+        return self.now_ns + self.device.rx_backlog_ns(self.now_ns)
+
+    def ask(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> list[Message]:
+        """Send, and return all that comes within 3 ms."""
+        self.put(kind, seq=seq, **fields)
+        return self.wait(3 * MS)
+
+    def hello(self) -> HelloReply:
+        """Return the answer to HELLO."""
+        return only(HelloReply, self.ask(Hello, version=1, schema=SCHEMA_HASH))
+
+    def configure(self, **fields: int) -> ConfigReply:
+        """Return the answer to CONFIG."""
+        return only(ConfigReply, self.ask(Config, **{**CONFIG, **fields}))
+
+    def reach(self, state: State, **config: int) -> Host:
+        """Go to `state` by the shortest way."""
+        boot_id = self.hello().boot_id
+        if state in (State.READY, State.ARMED, State.RUN):
+            config_crc = self.configure(**config).config_crc
+        if state in (State.ARMED, State.RUN):
+            self.ask(Arm, boot_id=boot_id, config_crc=config_crc)
+        if state is State.RUN:
+            self.ask(Start, k_stop=0)
+        if state is State.FAULT:
+            self.reach(State.RUN, u_max=100)
+            self.ask(Exchange, k=1, u=101)
+        if state is State.ESTOP:
+            self.ask(Estop)
+        assert self.device.state is state
+        return self
+
+
+def only(kind: type[M], messages: list[Message]) -> M:
+    """Return the one message of this kind."""
+    (found,) = [m for m in messages if isinstance(m, kind)]
+    return found
+
+
+def codes(messages: list[Message]) -> list[int]:
+    """Return what the ACKs say."""
+    return [m.code for m in messages if isinstance(m, Ack)]
+
+
+def events(messages: list[Message]) -> list[tuple[int, int, int]]:
+    """Return (was, state, cause) of the EVENTs."""
+    return [(m.was, m.state, m.cause) for m in messages if isinstance(m, Event)]
+
+
+# ------------------------------------------------------------------ boot
+
+
+def test_boot_ends_in_idle_and_says_so() -> None:
+    """First a 00, then EVENT(was BOOT, POWER_ON), when boot is over."""
+    device = Device(QUIET, 0)
+
+    (_, first), (t_ns, second) = device.advance(10 * MS)
+
+    _, (event,) = decoder.feed(b"", second)
+    assert first == b"\0"
+    assert t_ns == 5 * MS + 10 * US + 260 * US
+    assert events([event]) == [(State.BOOT, State.IDLE, Cause.POWER_ON)]  # type: ignore[list-item]
+
+
+def test_what_comes_during_boot_is_thrown_away() -> None:
+    """Even the rest of a frame that ends after it."""
+    device = Device(QUIET, 0)
+    device.receive(0, frame.encode(Hello(0, 1, 1, SCHEMA_HASH)))
+    device.receive(5 * MS - 80 * US, frame.encode(Hello(0, 2, 1, SCHEMA_HASH)))
+
+    replies = device.advance(50 * MS)
+
+    assert len(replies) == 2
+
+
+def test_half_a_frame_from_boot_does_not_spoil_the_first_after_it() -> None:
+    """Nor does the device need a 00 before it."""
+    device = Device(QUIET, 0)
+    device.receive(0, b"\x05ab")
+    device.receive(6 * MS, frame.encode(Hello(0, 1, 1, SCHEMA_HASH)))
+
+    assert len(device.advance(50 * MS)) == 3
+
+
+def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
+    """From RUN, with the motor on; the arm keeps moving."""
+    host = Host().reach(State.RUN)
+    before = host.hello()
+    host.ask(Exchange, k=1, u=65535)
+    speed = host.device.board.motion(host.now_ns)[2]
+
+    host.device.reset(host.now_ns)
+
+    assert host.device.state is State.BOOT
+    assert host.device.board.volts == 0.0
+    assert host.device.board.motion(host.now_ns)[2] == speed > 0
+    host.wait(6 * MS)
+    after = host.hello()
+    assert after.boot_id != before.boot_id
+    assert (before.reset, after.reset) == (0x01, 0x02)
+
+
+def test_hello_tells_what_the_device_is() -> None:
+    """Capabilities, skew, hold and resolutions are those of the settings."""
+    reply = Host(EmulatorSettings(baud=BAUD)).hello()
+
+    assert reply.capabilities == Capability.EXCHANGE | Capability.ENABLE_LINE
+    assert (reply.version, reply.schema) == (1, SCHEMA_HASH)
+    assert (reply.skew_us, reply.hold_us, reply.ts_min_us) == (104, 12, 208)
+    assert (reply.adc_bits, reply.pwm_bits, reply.full_scale_mv) == (10, 10, 5000)
+    assert (reply.token, reply.cause) == (0, Cause.POWER_ON)
+
+
+# ------------------------------------------------------------------ transitions
+
+
+def test_the_way_from_idle_to_run_and_back() -> None:
+    """Each step is answered first and told by an EVENT after that."""
+    host = Host()
+    boot_id = host.hello().boot_id
+
+    configured = host.ask(Config, **CONFIG)
+    config_crc = only(ConfigReply, configured).config_crc
+    armed = host.ask(Arm, boot_id=boot_id, config_crc=config_crc)
+    started = host.ask(Start, k_stop=0)
+    stopped = host.ask(Stop)
+
+    assert [type(m) for m in configured] == [ConfigReply, Event]
+    assert events(configured) == [(State.IDLE, State.READY, Cause.REQUEST)]
+    for answers, was, state in (
+        (armed, State.READY, State.ARMED),
+        (started, State.ARMED, State.RUN),
+        (stopped, State.RUN, State.IDLE),
+    ):
+        assert [type(m) for m in answers] == [Ack, Event]
+        assert codes(answers) == [Code.OK]
+        assert events(answers) == [(was, state, Cause.REQUEST)]
+    assert [h.message.seq for h in host.heard] == list(range(len(host.heard)))
+
+
+@pytest.mark.parametrize("state", [State.READY, State.ARMED, State.RUN])
+def test_stop_leads_to_idle_where_no_configuration_is_in_force(state: State) -> None:
+    """The next refused CONFIG shows it."""
+    host = Host().reach(state)
+
+    answers = host.ask(Stop)
+
+    assert events(answers) == [(state, State.IDLE, Cause.REQUEST)]
+    refused = host.configure(oversampling=0)
+    assert (refused.code, refused.config_crc, refused.ts_us) == (Code.BAD_VALUE, 0, 0)
+
+
+def test_stop_in_idle_is_ok_and_changes_nothing() -> None:
+    """No EVENT."""
+    assert [type(m) for m in Host().ask(Stop)] == [Ack]
+
+
+@pytest.mark.parametrize("state", [State.FAULT, State.ESTOP])
+def test_a_latched_state_is_left_by_its_token_only(state: State) -> None:
+    """The token stands in the EVENT and in HELLO_R; STOP does not lead out."""
+    host = Host().reach(state)
+    token = host.hello().token
+    told = [h.message for h in host.heard if isinstance(h.message, Event)][-1]
+
+    assert told.token == token != 0
+    assert codes(host.ask(Stop)) == [Code.WRONG_STATE]
+    assert codes(host.ask(ClearFault, token=token ^ 1)) == [Code.WRONG_TOKEN]
+    assert host.device.state is state
+    cleared = host.ask(ClearFault, token=token)
+    assert codes(cleared) == [Code.OK]
+    assert events(cleared) == [(state, State.IDLE, Cause.REQUEST)]
+    assert host.hello().token == 0
+
+
+@pytest.mark.parametrize("state", [State.IDLE, State.READY, State.ARMED, State.RUN, State.FAULT])
+def test_estop_is_taken_in_any_state(state: State) -> None:
+    """0 V, latched."""
+    host = Host().reach(state)
+
+    answers = host.ask(Estop)
+
+    assert codes(answers) == [Code.OK]
+    assert events(answers) == [(state, State.ESTOP, Cause.REQUEST)]
+    assert host.device.board.volts == 0.0
+
+
+def test_estop_in_estop_changes_nothing() -> None:
+    """Sent three times, it is told once, and the token stays."""
+    host = Host().reach(State.ESTOP)
+    token = host.hello().token
+
+    answers = host.ask(Estop)
+
+    assert [type(m) for m in answers] == [Ack]
+    assert codes(answers) == [Code.OK]
+    assert host.hello().token == token
+
+
+# ------------------------------------------------------------------ refusals
+
+REQUESTS: dict[type[Message], dict[str, int]] = {
+    Arm: {"boot_id": 0, "config_crc": 0},
+    Start: {"k_stop": 0},
+    ClearFault: {"token": 0},
+}
+TAKEN = {Arm: {State.READY}, Start: {State.ARMED}, ClearFault: {State.FAULT, State.ESTOP}}
+STATES = [s for s in State if s not in (State.HOST, State.BOOT)]
+
+
+@pytest.mark.parametrize("kind", REQUESTS)
+@pytest.mark.parametrize("state", STATES)
+def test_a_request_in_the_wrong_state_changes_nothing(kind: type[Message], state: State) -> None:
+    """ACK(WRONG_STATE), no EVENT."""
+    if state in TAKEN[kind]:
+        return
+    host = Host().reach(state)
+
+    answers = host.ask(kind, **REQUESTS[kind])
+
+    assert codes(answers) == [Code.WRONG_STATE]
+    assert len(answers) == 1
+    assert host.device.state is state
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.RUN, State.FAULT, State.ESTOP])
+def test_config_in_the_wrong_state_changes_nothing(state: State) -> None:
+    """CONFIG_R(WRONG_STATE)."""
+    host = Host().reach(state)
+
+    answers = host.ask(Config, **CONFIG)
+
+    assert only(ConfigReply, answers).code == Code.WRONG_STATE
+    assert len(answers) == 1
+    assert host.device.state is state
+
+
+@pytest.mark.parametrize(
+    ("fields", "code"),
+    [
+        ({"ts_us": 207}, Code.BAD_VALUE),
+        ({"u_min": 2, "u_max": 1}, Code.BAD_VALUE),
+        ({"u_min": 10, "u_rest": 9}, Code.BAD_VALUE),
+        ({"u_max": 10, "u_rest": 11}, Code.BAD_VALUE),
+        ({"watchdog_ms": 19}, Code.BAD_VALUE),
+        ({"watchdog_ms": 251}, Code.BAD_VALUE),
+        ({"watchdog_ms": 0}, Code.BAD_VALUE),
+        ({"mode": 2}, Code.BAD_VALUE),
+        ({"underrun": 2}, Code.BAD_VALUE),
+        ({"oversampling": 0}, Code.BAD_VALUE),
+        ({"mode": Mode.SCHEDULED}, Code.UNSUPPORTED),
+        ({"oversampling": 2}, Code.UNSUPPORTED),
+    ],
+)
+def test_a_bad_configuration_is_refused_as_a_whole(fields: dict[str, int], code: Code) -> None:
+    """The one in force stays, and is told."""
+    host = Host()
+    in_force = host.configure(u_max=1234)
+
+    reply = host.configure(**fields)
+
+    assert reply.code == code
+    assert (reply.config_crc, reply.u_max) == (in_force.config_crc, 1234)
+    assert host.device.state is State.READY
+
+
+@pytest.mark.parametrize(
+    "fields", [{"ts_us": 208}, {"watchdog_ms": 20}, {"watchdog_ms": 250}, {"u_rest": 65535}]
+)
+def test_a_configuration_just_inside_is_accepted(fields: dict[str, int]) -> None:
+    """CONFIG_R carries it, and the CRC-32 of its body."""
+    host = Host()
+
+    reply = host.configure(**fields)
+
+    asked = Config(0, 0, **{**CONFIG, **fields})
+    # Of the decoded frame: four bytes of header before the body, four of CRC behind it.
+    stuffed = frame.encode(asked)[:-1]
+    text = cobs.unstuff(stuffed)
+    assert text is not None
+    assert reply.config_crc == crc32(text[4:-4])
+    assert reply.code == Code.OK
+    assert reply[-12:] == asked[-12:]
+
+
+def test_arm_is_bound_to_boot_and_configuration() -> None:
+    """WRONG_BOOT, WRONG_CONFIG, and READY it stays."""
+    host = Host()
+    boot_id, config_crc = host.hello().boot_id, host.configure().config_crc
+
+    assert codes(host.ask(Arm, boot_id=boot_id ^ 1, config_crc=config_crc)) == [Code.WRONG_BOOT]
+    assert codes(host.ask(Arm, boot_id=boot_id, config_crc=config_crc ^ 1)) == [Code.WRONG_CONFIG]
+    assert host.device.state is State.READY
+
+
+def test_start_with_an_end_is_refused_in_exchange_mode() -> None:
+    """BAD_VALUE."""
+    host = Host().reach(State.ARMED)
+
+    assert codes(host.ask(Start, k_stop=10)) == [Code.BAD_VALUE]
+    assert host.device.state is State.ARMED
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        (Setpoints, {"k0": 0, "n": 1, "zero": 0, "u": PADDED}),
+        (Cal, {"channel": 0, "zero": 0, "n": 1}),
+    ],
+)
+def test_what_the_device_cannot_do_it_refuses(
+    kind: type[Message], fields: dict[str, Any], state: State
+) -> None:
+    """ACK(UNSUPPORTED), as its capabilities say."""
+    host = Host().reach(state)
+
+    assert codes(host.ask(kind, **fields)) == [Code.UNSUPPORTED]
+    assert host.device.state is state
+
+
+def test_a_type_that_a_host_does_not_send_is_unknown() -> None:
+    """Of the future, or of a device: ACK(UNKNOWN_TYPE), and seq does not move."""
+    host = Host()
+    host.hello()
+    future = b"\x7f\0\x02\0"
+    text = future + crc32(future).to_bytes(4, "little")
+    host.device.receive(host.now_ns, cobs.stuff(text) + b"\0")
+
+    assert codes(host.wait(3 * MS)) == [Code.UNKNOWN_TYPE]
+    assert codes(host.ask(Ack, seq=3, of_type=0, code=0, of_seq=0)) == [Code.UNKNOWN_TYPE]
+    assert only(Sample, host.ask(Exchange, seq=2, k=0, u=0)).echo == 2
+
+
+# ------------------------------------------------------------------ sequence
+
+
+@pytest.mark.parametrize(("step", "taken"), [(1, 1), (32767, 1), (0, 0), (32768, 0), (65535, 0)])
+def test_only_a_newer_seq_is_taken_in(step: int, taken: int) -> None:
+    """1 ... 32767 ahead, modulo 2^16; else ACK(STALE)."""
+    host = Host()
+    host.hello()
+    host.seq = 65000
+    host.hello()
+    last = host.seq
+
+    answers = host.ask(Exchange, seq=(last + step) & 0xFFFF, k=0, u=0)
+
+    assert codes(answers) == ([] if taken else [Code.STALE])
+    assert host.hello().seq > 0
+
+
+def test_hello_synchronises_seq_backwards_too() -> None:
+    """Its seq is the newest, whatever it was."""
+    host = Host()
+    host.seq = 500
+    host.hello()
+    host.seq = 7
+
+    host.hello()
+
+    assert only(Sample, host.ask(Exchange, k=0, u=0)).echo == 9
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.RUN])
+def test_a_hello_played_again_makes_no_old_frame_new_where_the_motor_may_turn(state: State) -> None:
+    """An old seq is stale there, for HELLO too, and k stays where it was."""
+    host = Host().reach(state)
+    host.ask(Exchange, k=7, u=0)
+
+    again = host.ask(Hello, seq=1, version=1, schema=SCHEMA_HASH)
+    newer = host.ask(Hello, version=1, schema=SCHEMA_HASH)
+    old = host.ask(Exchange, k=7, u=100)
+
+    assert codes(again) == [Code.STALE]
+    assert only(HelloReply, newer).state == state
+    assert codes(old) == [Code.STALE]
+
+
+@pytest.mark.parametrize(("kind", "state"), [(Stop, State.IDLE), (Estop, State.ESTOP)])
+def test_stop_and_estop_take_effect_whatever_their_seq(kind: type[Message], state: State) -> None:
+    """A stale one leaves the newest seq where it was."""
+    host = Host().reach(State.RUN)
+    newest = host.seq
+
+    answers = host.ask(kind, seq=newest - 3)
+
+    assert codes(answers) == [Code.OK]
+    assert host.device.state is state
+    assert only(Sample, host.ask(Exchange, seq=newest + 1, k=0, u=0)).echo == newest + 1
+
+
+@pytest.mark.parametrize(("step", "taken"), [(1, 1), (2**31 - 1, 1), (0, 0), (2**31, 0)])
+def test_only_a_newer_k_is_sampled(step: int, taken: int) -> None:
+    """1 ... 2^31 - 1 ahead, modulo 2^32; after HELLO any."""
+    host = Host()
+    host.hello()
+    start = 2**32 - 5
+    host.ask(Exchange, k=start, u=0)
+
+    answers = host.ask(Exchange, k=(start + step) % 2**32, u=0)
+
+    assert codes(answers) == ([] if taken else [Code.STALE])
+    host.hello()
+    assert only(Sample, host.ask(Exchange, k=3, u=0)).k == 3
+
+
+# ------------------------------------------------------------------ exchange
+
+
+def test_an_exchange_keeps_its_times() -> None:
+    """Alpha at t_r, theta_1 one conversion later, latch 12 µs on, SAMPLE when it has ended."""
+    host = Host().reach(State.RUN)
+
+    t_r = host.put(Exchange, k=1, u=65535)
+    host.wait(3 * MS)
+
+    sample = host.heard[-1]
+    assert isinstance(sample.message, Sample)
+    assert t_r == host.now_ns - 3 * MS + EXCHANGE_NS
+    assert sample.message.t_us * US == (t_r + CONVERSION_NS) // US * US
+    assert host.changes[-1] == Change(t_r + CONVERSION_NS + HOLD_NS, 5.0, State.RUN, Cause.REQUEST)
+    assert sample.t_ns == t_r + 2 * CONVERSION_NS + SAMPLE_NS
+
+
+def test_a_sample_does_not_know_of_its_own_u() -> None:
+    """y_k is taken just before u_k acts: whatever u_k is, y_k is the same."""
+    samples = []
+    for u in (0, 65535):
+        host = Host().reach(State.RUN)
+        for k in (1, 2):
+            host.ask(Exchange, k=k, u=30_000)
+        first = only(Sample, host.ask(Exchange, k=3, u=u))
+        second = only(Sample, host.ask(Exchange, k=4, u=u))
+        samples.append((first, second))
+
+    (zero, zero_next), (full, full_next) = samples
+    assert (zero.y0, zero.y1) == (full.y0, full.y1)
+    assert (zero_next.y0, zero_next.y1) != (full_next.y0, full_next.y1)
+
+
+def test_a_sample_tells_what_was_latched_and_before() -> None:
+    """The quantised codes, and the seq that supplied the last one."""
+    host = Host(EmulatorSettings(baud=BAUD)).reach(State.RUN)
+
+    first = only(Sample, host.ask(Exchange, k=1, u=100))
+    seq = host.seq
+    second = only(Sample, host.ask(Exchange, k=2, u=1000))
+
+    # 100 * 1024 / 65535 = 1.56 -> 2 steps -> 128; 1000 -> 15.6 -> 16 steps -> 1024
+    assert (first.u_k, first.u_km1, first.u_seq) == (128, 0, seq)
+    assert (second.u_k, second.u_km1, second.u_seq) == (1024, 128, seq + 1)
+    assert first.flags == second.flags == Flag.RUN | Flag.ARMED
+    assert host.device.board.volts == 5 * 16 / 1024
+
+
+@pytest.mark.parametrize("state", [s for s in STATES if s is not State.RUN])
+def test_outside_run_an_exchange_only_samples(state: State) -> None:
+    """The code is not looked at, not even where it is out of range; u_k is 0."""
+    host = Host().reach(state, u_max=100)
+    host.changes.clear()
+
+    sample = only(Sample, host.ask(Exchange, k=9, u=65535))
+
+    assert (sample.state, sample.u_k, sample.k) == (state, 0, 9)
+    assert not sample.flags & Flag.RUN
+    assert host.changes == []
+
+
+def test_run_begins_with_the_rest_voltage() -> None:
+    """u_rest is latched by START itself."""
+    host = Host().reach(State.ARMED, u_rest=32768)
+
+    t_start = host.put(Start, k_stop=0)
+    host.wait(3 * MS)
+
+    change = host.changes[-1]
+    assert change.t_ns == t_start
+    assert change.volts == pytest.approx(2.5, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("config", "u", "cause"),
+    [
+        ({"u_min": 10, "u_rest": 10}, 9, Cause.RANGE),
+        ({"u_max": 1000}, 1001, Cause.RANGE),
+        ({"slew": 50}, 151, Cause.SLEW),
+        ({"slew": 50}, 49, Cause.SLEW),
+    ],
+)
+def test_a_code_out_of_limits_trips_and_is_not_answered(
+    config: dict[str, int], u: int, cause: Cause
+) -> None:
+    """FAULT, latched, 0 V at the instant of reception, the code in the EVENT, no SAMPLE."""
+    host = Host().reach(State.RUN, **config)
+    for k, code in enumerate((50, 100)):
+        host.ask(Exchange, k=k, u=code)
+
+    t_r = host.put(Exchange, k=7, u=u)
+    answers = host.wait(3 * MS)
+
+    event = only(Event, answers)
+    assert events(answers) == [(State.RUN, State.FAULT, cause)]
+    assert (event.detail, len(answers)) == (u, 1)
+    assert host.changes[-1] == Change(t_r, 0.0, State.FAULT, cause)
+    after = only(Sample, host.ask(Exchange, k=8, u=0))
+    assert after.flags & (Flag.RANGE if cause is Cause.RANGE else Flag.SLEW)
+
+
+def test_codes_just_inside_the_limits_are_latched() -> None:
+    """u_min, u_max and a step of slew."""
+    host = Host().reach(State.RUN, u_min=10, u_rest=10, u_max=60, slew=50)
+
+    for k, u in enumerate((60, 10, 60)):
+        assert only(Sample, host.ask(Exchange, k=k, u=u)).u_k == u
+
+
+@pytest.mark.parametrize("pwm_bits", [0, 8, 10])
+def test_a_ramp_of_exactly_the_slew_does_not_trip(pwm_bits: int) -> None:
+    """The step is measured between codes as sent, not between rounded duties."""
+    host = Host(EmulatorSettings(baud=BAUD, pwm_bits=pwm_bits)).reach(State.RUN, slew=333)
+
+    for k in range(100):
+        assert only(Sample, host.ask(Exchange, k=k, u=(k + 1) * 333)).state == State.RUN
+
+
+def test_a_stop_between_exchange_and_latch_wins() -> None:
+    """What waits for its conversions when the run ends is never latched."""
+    host = Host(EmulatorSettings(model_baud=False, boot_ms=5)).reach(State.RUN)
+    host.changes.clear()
+
+    host.put(Exchange, k=1, u=65535)
+    host.wait(50 * US)
+    host.put(Stop)
+    answers = host.wait(3 * MS)
+
+    assert host.changes == []
+    assert only(Sample, answers).u_k == 0
+
+
+def test_an_exchange_of_an_old_run_does_not_drive_the_next() -> None:
+    """Even where a whole new run begins before its conversions have ended."""
+    host = Host(EmulatorSettings(model_baud=False, boot_ms=5)).reach(State.RUN)
+    boot_id, config_crc = host.hello().boot_id, 0
+    host.changes.clear()
+
+    host.put(Exchange, k=1, u=65535)
+    host.put(Stop)
+    host.put(Config, **CONFIG)
+    config_crc = only(ConfigReply, host.wait(0)).config_crc
+    host.put(Arm, boot_id=boot_id, config_crc=config_crc)
+    host.put(Start, k_stop=0)
+    host.wait(3 * MS)
+
+    assert host.device.state is State.RUN
+    assert host.changes == []
+
+
+def test_a_second_exchange_waits_and_is_told_late_a_fourth_is_lost() -> None:
+    """Conversions take longer than frames here; what finds no room is counted, not taken in."""
+    host = Host(EmulatorSettings(model_baud=False, boot_ms=5))
+    host.hello()
+    host.wait(3 * MS)
+
+    for k in range(3):
+        host.put(Exchange, k=k, u=0)
+    answers = [m for m in host.wait(3 * MS) if isinstance(m, Sample)]
+
+    assert [m.k for m in answers] == [0, 1]
+    assert [bool(m.flags & Flag.TICK_LATE) for m in answers] == [False, True]
+    assert answers[0].flags & Flag.RX_OVERFLOW
+    assert answers[1].t_us - answers[0].t_us == 208
+    assert only(Status, host.wait(1 * S)).rx_lost == 16
+
+
+def test_rails_and_turns_trip_in_run() -> None:
+    """At 5 V theta_1 turns through its dead band: the guard that is asked for latches."""
+    for config, cause in (
+        ({"rail_ticks": 2}, Cause.ADC_RAIL),
+        ({"turns": 25}, Cause.REV_LIMIT),
+    ):
+        host = Host().reach(State.RUN, **config)
+        answers: list[Message] = []
+        k = 0
+        while host.device.state is State.RUN and k < 500:
+            answers = host.ask(Exchange, k=k, u=65535)
+            k += 1
+
+        sample, event = answers
+        assert isinstance(sample, Sample)
+        assert isinstance(event, Event)
+        assert (event.cause, sample.state, sample.u_k) == (cause, State.FAULT, 0)
+        assert bool(sample.flags & Flag.ADC0_RAIL) == (cause is Cause.ADC_RAIL)
+        assert bool(sample.flags & Flag.REV_LIMIT) == (cause is Cause.REV_LIMIT)
+        assert host.device.board.volts == 0.0
+
+
+def test_turns_count_from_start() -> None:
+    """A second run has all its turns again."""
+    host = Host()
+    for _ in range(3):
+        host.reach(State.RUN, turns=25)
+        k = 0
+        while host.device.state is State.RUN and k < 40:
+            host.ask(Exchange, k=k, u=65535)
+            k += 1
+        assert k == 40
+        host.ask(Stop)
+
+
+# ------------------------------------------------------------------ watchdog
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.RUN])
+@pytest.mark.parametrize("watchdog_ms", [20, 100, 250])
+def test_the_watchdog_bites_to_the_tick(state: State, watchdog_ms: int) -> None:
+    """S3: exactly watchdog_ms after the last frame taken in, not a nanosecond before."""
+    host = Host().reach(state, watchdog_ms=watchdog_ms)
+    last = host.put(Exchange, k=1, u=65535)
+
+    host.wait(last + watchdog_ms * MS - 1 - host.now_ns)
+    assert host.device.state is state
+    host.wait(1)
+
+    assert host.device.state is State.FAULT
+    assert host.device.cause is Cause.WATCHDOG
+    assert host.device.board.volts == 0.0
+    if state is State.RUN:
+        assert host.changes[-1] == Change(last + watchdog_ms * MS, 0.0, State.FAULT, Cause.WATCHDOG)
+    host.wait(1 * MS)
+    assert only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.WATCHDOG
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        (Keepalive, {}),
+        (Ping, {"host_ns": 1}),
+        (Hello, {"version": 1, "schema": 0}),
+        (Start, {"k_stop": 0}),  # WRONG_STATE in RUN: taken in, whatever comes of it
+        (Cal, {"channel": 0, "zero": 0, "n": 1}),
+    ],
+)
+def test_every_frame_taken_in_feeds_the_watchdog(
+    kind: type[Message], fields: dict[str, int]
+) -> None:
+    """Ten times 90 ms with 100 ms allowed."""
+    host = Host().reach(State.RUN)
+
+    for _ in range(10):
+        host.put(kind, **fields)
+        host.wait(90 * MS)
+
+    assert host.device.state is State.RUN
+
+
+@pytest.mark.parametrize("what", ["stale", "unknown", "spoilt"])
+def test_what_is_not_taken_in_does_not_feed_the_watchdog(what: str) -> None:
+    """Noise and old frames keep no motor turning."""
+    host = Host().reach(State.RUN)
+
+    for _ in range(30):
+        data = {
+            "stale": frame.encode(Keepalive(0, host.seq)),
+            "unknown": frame.encode(Ack(0, host.seq + 1, 0, 0, 0)),
+            "spoilt": b"\x05abcd\0",
+        }[what]
+        host.device.receive(host.now_ns, data)
+        host.wait(5 * MS)
+
+    assert host.device.cause is Cause.WATCHDOG
+
+
+def test_a_frame_at_the_very_deadline_is_in_time() -> None:
+    """Bytes come before the watchdog where both fall on one nanosecond."""
+    host = Host().reach(State.RUN)
+    last = host.put(Keepalive)
+    host.wait(last - host.now_ns + 100 * MS - 100 * US)
+
+    assert host.put(Keepalive) == last + 100 * MS
+    host.wait(50 * MS)
+
+    assert host.device.state is State.RUN
+
+
+# ------------------------------------------------------------------ the line
+
+
+def test_ping_gives_the_device_s_clock() -> None:
+    """It is rx at the last byte, tx when the answer begins; host_ns comes back."""
+    host = Host()
+    host.hello()
+
+    t_r = host.put(Ping, host_ns=2**63 + 5)
+    pong = only(Pong, host.wait(3 * MS))
+
+    assert (pong.host_ns, pong.rx_us, pong.tx_us) == (2**63 + 5, t_r // US, t_r // US)
+
+
+def test_status_comes_once_a_second_and_counts() -> None:
+    """Frames, spoilt and refused ones."""
+    host = Host()
+    host.hello()
+    host.device.receive(host.now_ns, b"\x05abcd\0")
+    host.ask(Start, k_stop=0)
+
+    came = [m for m in host.wait(3 * S) if isinstance(m, Status)]
+
+    assert [m.uptime_ms for m in came] == [1000, 2000, 3000]
+    assert (came[0].frames, came[0].spoilt, came[0].refused) == (2, 1, 1)
+
+
+def test_a_spoilt_frame_is_told_once_in_the_next_sample() -> None:
+    """And never answered."""
+    host = Host()
+    host.device.receive(host.now_ns, b"\x05abcd\0")
+
+    assert host.wait(3 * MS) == []
+    assert only(Sample, host.ask(Exchange, k=1, u=0)).flags & Flag.CRC_ERR
+    assert not only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.CRC_ERR
+
+
+def test_a_frame_that_finds_no_room_is_dropped_whole_and_told() -> None:
+    """Twenty HELLOs at once give more bytes than the ring holds."""
+    host = Host()
+
+    for _ in range(20):
+        host.put(Hello, version=1, schema=SCHEMA_HASH)
+    replies = [m for m in host.wait(20 * MS) if isinstance(m, HelloReply)]
+    sample = only(Sample, host.ask(Exchange, k=0, u=0))
+
+    assert len(replies) < 20
+    assert sample.flags & Flag.TX_DROP
+    assert only(Status, host.wait(1 * S)).tx_dropped == 20 - len(replies)
+
+
+def test_the_clocks_wrap() -> None:
+    """t_us after 71.6 min, seq after 65536 frames: both modulo, and nothing trips."""
+    host = Host()
+    host.wait(2**32 * US - 10 * MS)
+    before = only(Sample, host.ask(Exchange, k=2**32 - 1, u=0))
+    host.wait(20 * MS)
+    after = only(Sample, host.ask(Exchange, k=0, u=0))
+
+    assert before.t_us > 2**32 - 10_000
+    assert after.t_us < 30_000
+    assert (after.t_us - before.t_us) % 2**32 == 23_000
+
+
+# ------------------------------------------------------------------ properties
+
+COMMANDS = st.one_of(
+    st.binary(min_size=1, max_size=20),
+    st.sampled_from(
+        [
+            Keepalive(0, 0),
+            Stop(0, 0),
+            Estop(0, 0),
+            Start(0, 0, 0),
+            Ping(0, 0, 5),
+            Hello(0, 0, 1, SCHEMA_HASH),
+            Config(0, 0, **CONFIG),
+            Arm(0, 0, 0, 0),
+            ClearFault(0, 0, 0),
+        ]
+    ),
+    st.builds(lambda u: Exchange(0, 0, 0, u), st.integers(0, 65535)),
+)
+SCRIPT = st.lists(st.tuples(st.integers(0, 40 * MS), COMMANDS), max_size=40)
+
+
+def bytes_of(script: list[tuple[int, bytes | Message]]) -> list[tuple[int, bytes]]:
+    """Return a script's bytes with their times; frames get the seq, k and nonces they need."""
+    probe = Host().reach(State.RUN, u_max=60_000)
+    boot_id, config_crc = probe.hello().boot_id, 0
+    config_crc = Host().configure().config_crc
+    now_ns, seq, sent = 6 * MS, 0, []
+    for dt_ns, item in script:
+        now_ns += dt_ns
+        if isinstance(item, bytes):
+            sent.append((now_ns, item))
+            continue
+        seq += 1
+        message = item._replace(seq=seq)
+        if isinstance(message, Exchange):
+            message = message._replace(k=seq)
+        if isinstance(message, Arm):
+            message = message._replace(boot_id=boot_id, config_crc=config_crc)
+        sent.append((now_ns, frame.encode(message)))
+    return sent
+
+
+OPENING: list[tuple[int, bytes | Message]] = [
+    (1 * MS, Hello(0, 0, 1, SCHEMA_HASH)),
+    (1 * MS, Config(0, 0, **CONFIG)),
+    (1 * MS, Arm(0, 0, 0, 0)),
+    (1 * MS, Start(0, 0, 0)),
+]
+
+
+@settings(max_examples=60, deadline=None)
+@given(SCRIPT)
+def test_whatever_comes_the_voltage_stays_in_range_and_off_outside_run(
+    script: list[tuple[int, bytes | Message]],
+) -> None:
+    """S1, S3: 0 ... 5 V; in RUN only; 0 V within the watchdog + 1 ms of the last bytes."""
+    changes: list[Change] = []
+    device = Device(QUIET, 0, changes.append)
+
+    sent = bytes_of(OPENING + script)
+    for t_ns, data in sent:
+        device.advance(t_ns)
+        device.receive(t_ns, data)
+    last_ns = sent[-1][0] + device.rx_backlog_ns(sent[-1][0])
+    device.advance(last_ns + 1 * S)
+
+    assert all(0 <= c.volts <= 5 for c in changes)
+    assert all(c.volts == 0 or c.state is State.RUN for c in changes)
+    assert device.board.volts == 0.0
+    if changes:
+        assert changes[-1].t_ns <= last_ns + 101 * MS
+
+
+@settings(max_examples=40, deadline=None)
+@given(SCRIPT, st.lists(st.integers(0, 2 * S), max_size=20))
+def test_the_same_bytes_at_the_same_times_give_the_same_answers(
+    script: list[tuple[int, bytes | Message]], looks: list[int]
+) -> None:
+    """Same seed, noise on; how often somebody looks in between changes nothing."""
+    sent = bytes_of(OPENING + script)
+    outputs = []
+    for extra in ([], looks):
+        device = Device(EmulatorSettings(baud=BAUD, boot_ms=5, seed=3), 0)
+        replies = []
+        acts = sorted(
+            [(t, data) for t, data in sent] + [(t, b"") for t in extra], key=lambda a: a[0]
+        )
+        for t_ns, data in acts:
+            replies += device.advance(t_ns)
+            device.receive(t_ns, data)
+        outputs.append(replies + device.advance(3 * S))
+
+    assert outputs[0] == outputs[1]
+
+
+@settings(max_examples=40, deadline=None)
+@given(SCRIPT)
+def test_who_sleeps_until_something_can_be_seen_misses_nothing(
+    script: list[tuple[int, bytes | Message]],
+) -> None:
+    """No byte leaves before `visible_ns`."""
+    device = Device(QUIET, 0)
+    for t_ns, data in [*bytes_of(OPENING + script), (3 * S, b"")]:
+        while (due_ns := device.visible_ns()) < t_ns:
+            early = device.advance(due_ns - 1)
+            assert all(left >= due_ns for left, _ in early)
+            device.advance(due_ns)
+        device.advance(t_ns)
+        device.receive(t_ns, data)
+
+
+def test_another_seed_gives_other_noise_and_another_boot_id() -> None:
+    """Else the test before would prove little."""
+    replies = []
+    for seed in (1, 2):
+        host = Host(EmulatorSettings(baud=BAUD, seed=seed))
+        readings = [only(Sample, host.ask(Exchange, k=k, u=0)).y0 for k in range(20)]
+        replies.append((readings, host.hello().boot_id))
+
+    (noise_1, boot_1), (noise_2, boot_2) = replies
+    assert noise_1 != noise_2
+    assert boot_1 != boot_2

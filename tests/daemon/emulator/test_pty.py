@@ -1,0 +1,251 @@
+"""The emulator as a program, on a real pseudo-terminal opened by pyserial as hardware is."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+import serial
+from armrig_daemon.emulator.pty import PortError, emulate
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol import decoder, frame
+from armrig_protocol.frame import Spoilt, Unknown
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    Ack,
+    Arm,
+    Code,
+    Config,
+    ConfigReply,
+    Event,
+    Exchange,
+    Hello,
+    HelloReply,
+    Message,
+    Sample,
+    Start,
+    State,
+    Stop,
+)
+
+BAUD = 1_000_000
+PATIENCE_S = 20.0
+PROGRAM = """
+import sys
+from pathlib import Path
+from armrig_daemon.emulator.pty import emulate
+from armrig_daemon.emulator.settings import EmulatorSettings
+settings = EmulatorSettings(baud=1_000_000, boot_ms=5.0)
+sys.exit(emulate(Path(sys.argv[1]), settings, trace=Path(sys.argv[2])))
+"""
+M = TypeVar("M", bound=Message)
+
+
+class Emulator:
+    """The program, its link and its trace."""
+
+    def __init__(self, folder: Path) -> None:
+        """Start it, and wait until its link is there."""
+        self.link, self.trace = folder / "rig", folder / "trace.csv"
+        paths = os.pathsep.join(p for p in sys.path if p)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, str(self.link), str(self.trace)],
+            env={**os.environ, "PYTHONPATH": paths},
+        )
+        end_s = time.monotonic() + PATIENCE_S
+        while not self.link.is_symlink():
+            assert self.process.poll() is None
+            assert time.monotonic() < end_s
+            time.sleep(0.01)
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and return the exit code."""
+        self.process.send_signal(number)
+        return self.process.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def emulator(tmp_path: Path) -> Iterator[Emulator]:
+    """Run an emulator for one test."""
+    running = Emulator(tmp_path)
+    yield running
+    running.process.kill()
+    running.process.wait()
+
+
+class Port:
+    """A host on the port, opened as the daemon opens it."""
+
+    def __init__(self, emulator: Emulator) -> None:
+        """Open it and ask for HELLO until it is answered: the device is in BOOT first."""
+        self.serial = serial.Serial(str(emulator.link), baudrate=BAUD, exclusive=True, timeout=0.05)
+        self.pending, self.seq, self.waiting = b"", 0, list[Message]()
+        end_s = time.monotonic() + PATIENCE_S
+        self.hello: HelloReply | None = None
+        while self.hello is None:
+            assert time.monotonic() < end_s
+            self.send(Hello, version=1, schema=SCHEMA_HASH)
+            self.hello = self.find(HelloReply, 0.1)
+
+    def send(self, kind: type[Message], **fields: Any) -> None:
+        """Send with the next seq."""
+        self.seq += 1
+        self.serial.write(frame.encode(kind(0, self.seq, **fields)))
+
+    def find(self, kind: type[M], patience_s: float) -> M | None:
+        """Return the next message of this kind, None where none comes in time."""
+        end_s = time.monotonic() + patience_s
+        while time.monotonic() < end_s:
+            while self.waiting:
+                message = self.waiting.pop(0)
+                if isinstance(message, kind):
+                    return message
+            data = self.serial.read(max(1, self.serial.in_waiting))
+            self.pending, received = decoder.feed(self.pending, data)
+            self.waiting += [m for m in received if not isinstance(m, (Spoilt, Unknown))]
+        return None
+
+    def ask(self, kind: type[Message], answer: type[M], **fields: Any) -> M:
+        """Send and return the answer."""
+        self.send(kind, **fields)
+        found = self.find(answer, PATIENCE_S)
+        assert found is not None
+        return found
+
+    def run(self) -> None:
+        """Go from IDLE to RUN."""
+        assert self.hello is not None
+        config = self.ask(
+            Config,
+            ConfigReply,
+            ts_us=10_000,
+            u_min=0,
+            u_max=65535,
+            u_rest=0,
+            slew=0,
+            watchdog_ms=250,
+            mode=0,
+            underrun=0,
+            hold=0,
+            oversampling=1,
+            rail_ticks=0,
+            turns=0,
+        )
+        assert config.code == Code.OK
+        boot_id, config_crc = self.hello.boot_id, config.config_crc
+        assert self.ask(Arm, Ack, boot_id=boot_id, config_crc=config_crc).code == Code.OK
+        assert self.ask(Start, Ack, k_stop=0).code == Code.OK
+
+
+def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:
+    """HELLO, CONFIG, ARM, START, EXCHANGE, STOP, and the witness saw the voltages."""
+    port = Port(emulator)
+    port.run()
+
+    samples = [port.ask(Exchange, Sample, k=k, u=k * 6553) for k in range(1, 6)]
+    port.ask(Stop, Ack)
+    event = port.find(Event, PATIENCE_S)
+
+    port.serial.close()
+    assert emulator.stop() == 0
+    assert [s.k for s in samples] == [1, 2, 3, 4, 5]
+    assert [s.state for s in samples] == [State.RUN] * 5
+    assert [s.u_km1 for s in samples[1:]] == [s.u_k for s in samples[:-1]]
+    assert samples[-1].y0 > samples[0].y0
+    assert event is not None
+    assert event.state == State.IDLE
+    lines = [line.split(",") for line in emulator.trace.read_text().splitlines()]
+    # Ten bits: k * 6553 is 102.4 k steps of 5/1024 V.
+    steps = [round(float(volts) * 1024 / 5) for _, volts, _, _ in lines]
+    assert steps == [0, 102, 205, 307, 410, 512, 0]
+    assert [state for _, _, state, _ in lines] == ["BOOT", *["RUN"] * 5, "IDLE"]
+    assert [int(t) for t, _, _, _ in lines] == sorted(int(t) for t, _, _, _ in lines)
+
+
+def test_opening_the_port_resets_the_device(emulator: Emulator) -> None:
+    """Each time another boot_id, and 0 V though it was running."""
+    boot_ids = set()
+    for _ in range(5):
+        port = Port(emulator)
+        assert port.hello is not None
+        assert port.hello.state == State.IDLE
+        boot_ids.add(port.hello.boot_id)
+        port.run()
+        port.ask(Exchange, Sample, k=1, u=65535)
+        port.serial.close()
+
+    assert len(boot_ids) == 5
+
+
+def test_a_reader_that_stalls_does_not_block_the_device(emulator: Emulator) -> None:
+    """More answers than the terminal holds; who reads again finds it alive."""
+    port = Port(emulator)
+    for k in range(3000):
+        port.send(Exchange, k=k, u=0)
+
+    port.serial.close()
+    again = Port(emulator)
+
+    assert again.ask(Exchange, Sample, k=1, u=0).k == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_and_takes_the_link_away(emulator: Emulator, number: int) -> None:
+    """Exit code 0."""
+    assert emulator.stop(number) == 0
+    assert not emulator.link.is_symlink()
+
+
+def test_nobody_there_costs_nothing(emulator: Emulator) -> None:
+    """It sleeps: over a second less than 20 ms of processor time."""
+    stat = Path(f"/proc/{emulator.process.pid}/schedstat")
+    time.sleep(0.2)
+    before_ns = int(stat.read_text().split()[0])
+
+    time.sleep(1.0)
+
+    assert int(stat.read_text().split()[0]) - before_ns < 20_000_000
+
+
+def test_a_link_left_behind_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
+    """An emulator that was killed leaves a dead link; what is no link is nobody's to replace."""
+    (tmp_path / "rig").symlink_to("/dev/pts/none")
+    (tmp_path / "file").write_text("mine")
+    # The link is there from the start: wait until it points elsewhere.
+    running = Emulator(tmp_path)
+    end_s = time.monotonic() + PATIENCE_S
+    while not running.link.exists() and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert Port(running).hello is not None
+    assert running.stop() == 0
+
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(tmp_path / "file"), str(tmp_path / "trace")],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+
+    assert "is there and no link" in done.stderr
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_port_or_trace_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    """One line, and nothing is left behind."""
+    settings = EmulatorSettings()
+
+    with pytest.raises(PortError, match=r"absent/rig: No such file"):
+        emulate(tmp_path / "absent" / "rig", settings)
+    with pytest.raises(PortError, match=r"absent/trace: No such file"):
+        emulate(tmp_path / "rig", settings, trace=tmp_path / "absent" / "trace")
+
+    assert list(tmp_path.iterdir()) == []

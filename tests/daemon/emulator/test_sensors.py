@@ -1,0 +1,89 @@
+"""Potentiometers and converter."""
+
+from __future__ import annotations
+
+from math import pi, radians, tau
+
+import numpy as np
+import pytest
+from armrig_daemon.emulator.sensors import Potentiometer, convert, wiper
+from hypothesis import given
+from hypothesis import strategies as st
+
+TURNING = Potentiometer(range_rad=radians(352), zero_rad=radians(176), wraps=True)
+ENDING = Potentiometer(range_rad=radians(300), zero_rad=radians(150), wraps=False)
+
+
+def rng() -> np.random.Generator:
+    """Return a generator with a seed of its own."""
+    return np.random.default_rng(7)
+
+
+def test_in_the_middle_of_its_track_the_wiper_has_half_the_voltage() -> None:
+    """At angle 0, with the zero in the middle."""
+    assert wiper(TURNING, 0.0) == pytest.approx(0.5)
+    assert wiper(ENDING, 0.0) == pytest.approx(0.5)
+
+
+@given(st.floats(-100, 100), st.integers(-20, 20))
+def test_a_shaft_that_turns_on_reads_the_same_each_turn(angle: float, turns: int) -> None:
+    """Whole turns do not show."""
+    once, again = wiper(TURNING, angle), wiper(TURNING, angle + turns * tau)
+    edge = {0.0, 1.0, None}
+
+    assert (
+        (once is None and again is None)
+        or {once, again} <= edge
+        or again == pytest.approx(once, abs=1e-9)
+        or min(once or 0, again or 0) < 1e-9
+    )
+
+
+def test_the_dead_band_is_eight_degrees_wide() -> None:
+    """Of 3600 places around the turn, 80 have no contact."""
+    places = np.arange(3600) * (tau / 3600) + 1e-6
+
+    dead = sum(wiper(TURNING, float(angle)) is None for angle in places)
+
+    assert dead == 80
+
+
+def test_a_shaft_that_does_not_turn_on_stops_at_the_ends() -> None:
+    """Beyond the track the reading stays at the rail."""
+    assert wiper(ENDING, pi) == 1.0
+    assert wiper(ENDING, -pi) == 0.0
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_readings_are_left_justified(bits: int) -> None:
+    """Whatever the resolution, the code is of 16 bits, and full scale is the top step."""
+    step = 1 << (16 - bits)
+
+    assert convert(0.5, bits, 0.0, rng()) == 0x8000
+    assert convert(1.0, bits, 0.0, rng()) == 0x10000 - step
+    assert convert(0.0, bits, 0.0, rng()) == 0
+
+
+@given(st.floats(0, 1), st.sampled_from([10, 12, 16]))
+def test_a_reading_is_the_nearest_step(fraction: float, bits: int) -> None:
+    """It is off by half a step at most, by a whole one at the top."""
+    code = convert(fraction, bits, 0.0, rng())
+
+    error = code / 65536 - fraction
+    assert abs(error) <= 0.5 / 2**bits or fraction > 1 - 1 / 2**bits
+
+
+def test_an_open_wiper_reads_the_rail() -> None:
+    """The pull-down takes it to 0, whatever the noise."""
+    assert {convert(None, 10, 0.1, rng()) for _ in range(100)} == {0}
+
+
+def test_noise_has_the_deviation_that_was_asked_for() -> None:
+    """10 mV on 16 bits come out as 10 mV."""
+    generator = rng()
+
+    codes = [convert(0.5, 16, 0.010, generator) for _ in range(20_000)]
+
+    # 3.5 standard errors of a standard deviation: sigma / sqrt(2 N) is 0.5 %.
+    assert np.std(codes) * 5 / 65536 == pytest.approx(0.010, rel=0.0175)
+    assert np.mean(codes) == pytest.approx(0x8000, abs=4)
