@@ -1,0 +1,321 @@
+"""A study as a typeset PDF; figures are matplotlib's, text and tables are typst's."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import typst
+
+from armrig.fit import WHITE_LEVEL, Fit
+from armrig.jitter import SamplingStatistics, Spread
+from armrig.quantities import (
+    NBSP,
+    error,
+    fixed,
+    microseconds,
+    milliseconds,
+    number,
+    p_value,
+    percent,
+    places,
+    power,
+)
+from armrig.recording import Recording
+from armrig.report_figures import DETAIL_S, write_figures
+from armrig.study import STEP, Judged, Study
+from armrig.verdict import summary, verdict
+
+
+class ReportError(RuntimeError):
+    """The report cannot be typeset."""
+
+
+def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> Path:
+    """Typeset a study as a PDF at `output`, and return the path.
+
+    Parameters
+    ----------
+    remarks : sequence of str
+        Sentences that a reader must know beside the recordings' own, such as what was emulated.
+
+    Raises
+    ------
+    ReportError
+        The compiler refuses, which is a fault of this module.
+    OSError
+        The PDF cannot be written.
+    """
+    output = Path(output)
+    with tempfile.TemporaryDirectory(prefix="armrig-report-") as directory:
+        root = Path(directory)
+        write_figures(study, root)
+        (root / "data.json").write_text(json.dumps(content(study, remarks)), encoding="utf-8")
+        template = resources.files("armrig").joinpath("report.typ").read_text(encoding="utf-8")
+        (root / "report.typ").write_text(template, encoding="utf-8")
+        fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
+        try:
+            pdf = typst.compile(
+                str(root / "report.typ"),
+                root=str(root),
+                font_paths=[str(fonts)],
+                ignore_system_fonts=True,
+            )
+        except RuntimeError as err:
+            msg = f"the report cannot be typeset: {err}"
+            raise ReportError(msg) from err
+    output.write_bytes(pdf)
+    return output
+
+
+def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
+    """Return what the template says, as text: see report.typ."""
+    from armrig import __version__
+
+    arx, oe, physics = (m.fit for m in study.models)
+    manifest = study.recording_of(study.estimation.source).manifest
+    truncated = [
+        f"{r.path.name} is not whole: {r.damage}." for r in study.recordings if r.truncated
+    ]
+    return {
+        "title": "Black-box identification of the rig",
+        "subtitle": f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
+        "version": __version__,
+        "date": datetime.now(tz=UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "summary": summary(study),
+        "recordings": [
+            {"role": role(study, r), "file": r.path.name, "sha256": r.sha256}
+            for r in study.recordings
+        ],
+        "facts": _facts(study),
+        "remarks": [*remarks, *truncated],
+        "chain": _shared_facts(study),
+        "timing": _timing_rows(study.timing),
+        "data": _data_text(study),
+        "step": _step_caption(study),
+        "orders": f"na = nb = {arx.orders['na']}, nk = {arx.nk}"
+        if arx.orders["na"] == arx.orders["nb"] == oe.orders["nf"]
+        else f"na = {arx.orders['na']}, nb = {arx.orders['nb']}, nf = {oe.orders['nf']}, "
+        f"nk = {arx.nk}",
+        "structure": _structure(oe),
+        "arx": _coefficients(arx),
+        "oe": _coefficients(oe, physics),
+        "estimation": " ".join(_estimation(m) for m in study.estimated),
+        "fits": [
+            [
+                m.name,
+                percent(row.fit_percent),
+                error(row.rms_error, study.validation.unit),
+                "–" if row.velocity_fit_percent is None else percent(row.velocity_fit_percent),
+            ]
+            for m, row in zip(study.models, study.table.rows, strict=True)
+        ],
+        "percent": _percent_warning(study),
+        "physics": _physics(study),
+        "tests": _test_rows(study),
+        "captions": _captions(study),
+        "verdict": verdict(study),
+    }
+
+
+def role(study: Study, recording: Recording) -> str:
+    """Return what a recording was used for."""
+    if recording.manifest.experiment == STEP:
+        return "step"
+    if recording.sha256 == study.estimation.source:
+        return "estimation and validation" if study.halves else "estimation"
+    return "validation" if recording.sha256 == study.validation.source else "not used"
+
+
+def _facts(study: Study) -> list[list[str]]:
+    rows: list[list[str]] = []
+    recordings = study.recordings
+
+    def row(name: str, value: Callable[[Recording], str]) -> None:
+        values = [value(r) for r in recordings]
+        if any(values):
+            rows.append([name, *(v or "–" for v in values)])
+
+    row("SHA-256", lambda r: r.short_hash)
+    row("experiment", lambda r: r.manifest.experiment)
+    row("made of", lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()))
+    row("started", lambda r: r.manifest.started.replace("T", " ")[:19])
+    row("samples at Ts", lambda r: f"{r.N} at {milliseconds(r.Ts)}")
+    row("length", lambda r: f"{r.N * r.Ts:.1f} s")
+    row("input", lambda r: f"{np.nanmin(r.u):.2f} to {np.nanmax(r.u):.2f} V" if r.N else "")
+    row("missing samples", lambda r: str(r.missing))
+    row("in the dead band", lambda r: str(int(np.count_nonzero(r.present & ~r.valid))))
+    row("outcome", lambda r: r.outcome.outcome if r.outcome else "cut off")
+    return rows
+
+
+def _shared_facts(study: Study) -> list[str]:
+    manifest = study.recording_of(study.estimation.source).manifest
+    said = []
+    for what, facts in (("Device", manifest.device), ("Host", manifest.host)):
+        text = ", ".join(f"{k} {v}" for k, v in facts.items() if v not in ("", None, [], {}))
+        if text:
+            said.append(f"{what}: {text}.")
+    said.append(f"Recorded by armrig {manifest.armrig}, protocol {manifest.protocol}.")
+    return said
+
+
+def _timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
+    def row(name: str, value: Callable[[SamplingStatistics], str]) -> list[str]:
+        return [name, *(value(s) for s in timing)]
+
+    return [
+        row("sampling time asked for", lambda s: microseconds(s.Ts_us)),
+        row("mean interval", lambda s: f"{s.mean_us:.2f} µs"),
+        row("standard deviation of the interval", lambda s: microseconds(s.std_us)),
+        row(
+            "shortest … longest interval",
+            lambda s: f"{s.least_us:.0f} … {microseconds(s.greatest_us)}",
+        ),
+        row("jitter p50, p99, p99.9", lambda s: _percentiles(s.jitter)),
+        row("largest jitter", lambda s: microseconds(s.jitter.max)),
+        row("lateness p50, p99, p99.9", lambda s: _percentiles(s.lateness)),
+        row("largest lateness", lambda s: microseconds(s.lateness.max)),
+        row("missing samples, most in a row", lambda s: f"{s.missing}, {s.longest_gap}"),
+    ]
+
+
+def _percentiles(spread: Spread) -> str:
+    return f"{number(spread.p50)}, {number(spread.p99)}, {microseconds(spread.p999)}"
+
+
+def _coefficients(fit: Fit, beside: Fit | None = None) -> list[list[str]]:
+    rows = []
+    theirs = dict(zip(beside.names, beside.theta, strict=True)) if beside else {}
+    for name, value, std, robust in zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True):
+        decimals = places(float(std))
+        row = [name, fixed(float(value), decimals), fixed(float(std), decimals)]
+        row.append(fixed(float(robust), decimals))
+        if beside:
+            row.append(fixed(float(theirs[name]), decimals) if name in theirs else "–")
+        rows.append(row)
+    return rows
+
+
+def _structure(oe: Fit) -> str:
+    if not oe.integrator:
+        return ""
+    return (
+        "The angle integrates the voltage, so F has the factor 1 − q⁻¹ by construction; initial "
+        "state and input offset of each experiment are estimated with the model. Samples in the "
+        "dead band of the potentiometer, and the one after, count as missing."
+    )
+
+
+def _estimation(model: Judged) -> str:
+    fit = model.fit
+    white = fit.whiteness >= WHITE_LEVEL
+    trust = (
+        "white: σ holds"
+        if white
+        else "coloured, and then σ is too small a claim: trust σ robust, which allows for it"
+    )
+    # The estimator says of coloured residuals what stands here already.
+    warned = "".join(
+        f" {w[:1].upper()}{w[1:].rstrip('.')}." for w in fit.warnings if "std" not in w
+    )
+    converged = "" if fit.converged else " The search did not converge."
+    return (
+        f"{model.name}: loss {power(fit.loss)} {fit.unit}², "
+        f"FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}; "
+        f"residuals on the estimation data are {trust}.{converged}{warned}"
+    )
+
+
+def _percent_warning(study: Study) -> str:
+    if study.table.rows[0].velocity_fit_percent is None:
+        return ""
+    return (
+        "The percentage of the angle flatters every model, because the ramp dominates its "
+        "variation: read the rms error. The percentage of the velocity is that of differences, "
+        "and the measured ones carry the converter's noise twice, so that even the true system "
+        "would not reach 100 %."
+    )
+
+
+def _physics(study: Study) -> str:
+    deviations = np.median(study.deviation, axis=1), np.max(study.deviation, axis=1)
+    return (
+        "The physical model is the handout's: two inertias, a spring and a DC motor, with its "
+        "parameters as given, sampled exactly for a held input; nothing in it was fitted. From "
+        f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s the OE model differs from it by "
+        f"{percent(100 * deviations[0][1])} (median) and at most "
+        f"{percent(100 * deviations[1][1])}, the ARX model by "
+        f"{percent(100 * deviations[0][0])} and {percent(100 * deviations[1][0])}. The largest "
+        "deviations lie at the notch near 15.7 rad/s, where the arm absorbs the motion and there "
+        "is next to nothing to compare."
+    )
+
+
+def _test_rows(study: Study) -> list[list[str]]:
+    arx, oe = (m.tests for m in study.estimated)
+    if arx is None or oe is None:
+        return []
+    return [
+        ["white", p_value(arx.whiteness), p_value(oe.whiteness), "noise model or orders"],
+        [
+            "no correlation with past input",
+            *(p_value(arx.missing_dynamics), p_value(oe.missing_dynamics), "orders or delay"),
+        ],
+        [
+            "no correlation with future input",
+            *(
+                p_value(arx.feedback),
+                p_value(oe.feedback),
+                "feedback in the experiment, or delay too large",
+            ),
+        ],
+    ]
+
+
+def _data_text(study: Study) -> str:
+    hidden = 100 * study.estimation.missing / study.estimation.N
+    return (
+        "The voltage is the one that the device says it applied, the angle is unwrapped from the "
+        "raw counts. It grows without end, because the voltage is never negative: nothing is "
+        f"removed from it, no mean and no trend. {hidden:.1f}{NBSP}% of the estimation data "
+        "have no angle."
+    )
+
+
+def _step_caption(study: Study) -> str | None:
+    steps = [r for r in study.recordings if r.manifest.experiment == STEP]
+    if not steps:
+        return None
+    return f"Chassis angle after a step of the motor's voltage (recording {steps[0].short_hash})."
+
+
+def _captions(study: Study) -> dict[str, str]:
+    estimation, validation = study.estimation.source[:12], study.validation.source[:12]
+    halves = ": first and second half of one recording" if study.halves else ""
+    return {
+        "data": f"Estimation data (left, recording {estimation}) and validation data (right, "
+        f"recording {validation}){halves}: chassis angle with its turns counted, and the voltage "
+        "that the device applied. Shaded: dead band, or a missing sample.",
+        "fits": f"Simulation of the validation data (recording {validation}). "
+        f"{study.table.note[0].upper()}{study.table.note[1:]}.",
+        "compare": f"Angle measured and simulated on the validation data (recording {validation}), "
+        "and the errors, on a scale that is linear in the middle and logarithmic beyond.",
+        "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
+        f"{validation}). The models are simulated from the beginning of the data, as above.",
+        "bode": "Frequency response from voltage to angle, with bands of ±3 standard deviations; "
+        f"models from recording {estimation}. Phase modulo 360°.",
+        "step_poles": "Left: answer to a unit step, bands ±3 standard deviations. Right: poles (×) "
+        f"and zeros (○) with their 99 % regions. Models from recording {estimation}.",
+        "tests": f"Tests of the one-step residuals on the validation data (recording {validation}),"
+        " with the uncertainty of the estimated models allowed for.",
+        "residuals": "Correlation of the residuals with themselves (above) and with the input "
+        f"(below) on recording {validation}. Grey: 99 % of the values if the hypothesis is true.",
+    }

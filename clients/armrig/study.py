@@ -1,0 +1,161 @@
+"""The course of a black-box study: what to identify from, with what, and how it is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.estimation.arx import arx
+from armrig.estimation.oe import oe
+from armrig.fit import Fit
+from armrig.jitter import SamplingStatistics, sampling_statistics
+from armrig.recording import Recording, RecordingError
+from armrig.validation import ComparisonTable, ResidualTest, compare, residuals
+
+STEP = "step"
+"""Kind of an experiment that is shown, and not identified from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Orders:
+    """Orders of the models; the arm has four poles, one of them an integrator."""
+
+    na: int = 4
+    nb: int = 4
+    nf: int = 4
+    nk: int = 1
+    integrator: bool = True
+    """Of the OE model; an ARX model finds its own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """A model, and what data that it has not seen say of it."""
+
+    name: str
+    fit: Fit
+    tests: ResidualTest | None
+    """Of its residuals; None for the physics, which has no noise model to test."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Study:
+    """Everything that a report tells."""
+
+    recordings: tuple[Recording, ...]
+    estimation: Dataset
+    validation: Dataset
+    halves: bool
+    """There was one recording: its first half estimates, its second half validates."""
+    models: tuple[Judged, ...]
+    """ARX, OE and the physics."""
+    table: ComparisonTable
+    """The models simulated on the validation data, in the same order."""
+    timing: tuple[SamplingStatistics, ...]
+    """Of each recording."""
+    omega: NDArray[np.float64]
+    """Frequencies of `deviation`, in rad/s."""
+    deviation: NDArray[np.float64]
+    """|G - G_physics| / |G_physics| of ARX and OE at `omega`, (2, n)."""
+
+    @property
+    def estimated(self) -> tuple[Judged, Judged]:
+        """ARX and OE."""
+        return self.models[0], self.models[1]
+
+    def recording_of(self, sha256: str) -> Recording:
+        """Return the recording with this hash."""
+        return next(r for r in self.recordings if r.sha256 == sha256)
+
+
+def study(recordings: Sequence[Recording], *, orders: Orders | None = None) -> Study:
+    """Identify ARX and OE models and judge them, with the physics, on other data.
+
+    The first recording that is no step estimates, the next one validates; where there is only one,
+    its second half validates.
+
+    Raises
+    ------
+    ValueError
+        There is nothing to identify from, or the orders are too high for it.
+    """
+    orders = orders or Orders()
+    excited = [r for r in recordings if r.manifest.experiment != STEP]
+    if not excited:
+        msg = "nothing to identify from: give a recording whose input is no single step, such as "
+        msg += "one of `armrig collect blackbox`"
+        raise RecordingError(msg)
+    if len(excited) > 1:
+        estimation, validation = excited[0].dataset(), excited[1].dataset()
+    else:
+        estimation, validation = excited[0].dataset().split(2)
+    models = (
+        ("ARX", arx(estimation, na=orders.na, nb=orders.nb, nk=orders.nk)),
+        (
+            "OE",
+            oe(
+                estimation,
+                nb=orders.nb,
+                nf=orders.nf,
+                nk=orders.nk,
+                integrator=orders.integrator,
+            ),
+        ),
+    )
+    physics = physical_model(ArmParameters(), estimation)
+    judged = [Judged(name=n, fit=f, tests=residuals(f, validation)) for n, f in models]
+    omega = np.geomspace(0.5, min(100.0, np.pi / estimation.Ts), 200)
+    G = [fit.frequency_response(omega).G for fit in (*(f for _, f in models), physics)]
+    return Study(
+        recordings=tuple(recordings),
+        estimation=estimation,
+        validation=validation,
+        halves=len(excited) == 1,
+        models=(*judged, Judged(name="physics", fit=physics, tests=None)),
+        table=compare(validation, *(f for _, f in models), physics),
+        timing=tuple(sampling_statistics(r) for r in recordings),
+        omega=omega,
+        deviation=np.array([np.abs(g - G[-1]) / np.abs(G[-1]) for g in G[:-1]]),
+    )
+
+
+def physical_model(p: ArmParameters, data: Dataset) -> Fit:
+    """Return the physics of the whole arm from u to theta_1 as a model, nothing estimated.
+
+    Sampled exactly for an input held over Ts: B/F = C (qI - Phi)^-1 Gamma, by Faddeev and
+    LeVerrier's recursion. Its standard deviations are 0: it is a claim, not an estimate.
+    """
+    A, B, C = arm_matrices(p)
+    Phi, Gamma = zero_order_hold(A, B, data.Ts)
+    n = Phi.shape[0]
+    F, b, M = [1.0], [0.0], np.eye(n)
+    for k in range(1, n + 1):
+        b.append((C[0] @ M @ Gamma).item())
+        F.append(-float(np.trace(Phi @ M)) / k)
+        M = Phi @ M + F[-1] * np.eye(n)
+    d = 2 * n
+    nothing = np.zeros((d, d))
+    return Fit(
+        structure="oe",
+        A=np.ones(1),
+        B=np.array(b),
+        F=np.array(F),
+        nk=1,
+        integrator=True,
+        covariance=nothing,
+        covariance_robust=nothing,
+        noise_variance=float("nan"),
+        loss=float("nan"),
+        N=data.N,
+        Ts=data.Ts,
+        fit_percent=float("nan"),
+        whiteness=float("nan"),
+        output=data.output,
+        unit=data.unit,
+        input_unit=data.input_unit,
+    )

@@ -1,0 +1,32 @@
+"""What the tests of the clients share: recordings of the arm, and the modules beside them.
+
+With `--import-mode=importlib` tests do not see their neighbours by themselves.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture(scope="session")
+def three_recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """Give a step, a telegraph and another one with a gap, of the handout's arm."""
+    from armrig.excitation import step, telegraph
+    from recordings import of_the_arm, written
+
+    directory = tmp_path_factory.mktemp("recordings")
+    inputs = (
+        ("step", step(200, at=50), "step", 1, None),
+        ("estimation", telegraph(1500, 0.05, seed=1), "blackbox", 1, None),
+        ("validation", telegraph(1200, 0.05, seed=2), "blackbox", 2, slice(600, 605)),
+    )
+    a, b, c = (
+        written(directory, of_the_arm(u, experiment=e, seed=s, missing=m), f"{name}.mcap")
+        for name, u, e, s, m in inputs
+    )
+    return a, b, c

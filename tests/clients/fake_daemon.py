@@ -1,0 +1,104 @@
+"""A daemon that only answers: a real zenoh session, and no rig behind it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Self
+
+import msgspec
+import zenoh
+from armrig_core import commands, topics
+from armrig_core.commands import LastRun, StatusReport
+
+
+class FakeDaemon:
+    """Answers as the daemon does; keeps what it was asked; to be used in a `with` block."""
+
+    def __init__(self, endpoint: str, rig: str = "1") -> None:
+        self.endpoint, self.rig = endpoint, rig
+        self.asked: list[commands.Request] = []
+        self.polls_per_run = 3
+        self.outcome = "complete"
+        self.recording = "/nowhere/run.mcap"
+        self.refusals: dict[str, str] = {}
+        self._run: commands.Run | None = None
+        self._polls = 0
+
+    def __enter__(self) -> Self:
+        config = zenoh.Config()
+        for key, value in (
+            ("mode", "peer"),
+            ("listen/endpoints", [self.endpoint]),
+            ("scouting/multicast/enabled", False),
+            ("scouting/gossip/enabled", False),
+            ("transport/shared_memory/enabled", False),
+        ):
+            config.insert_json5(key, json.dumps(value))
+        self.session = zenoh.open(config)
+        self.session.declare_queryable(topics.command_key(self.rig, "*"), self._answer)
+        self.alive = self.session.liveliness().declare_token(topics.alive_key(self.rig))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.close()
+
+    def names(self) -> list[str]:
+        """Return the names of the commands that came, status left out."""
+        return [r.name for r in self.asked if not isinstance(r, commands.Status)]
+
+    def status(self) -> StatusReport:
+        """Return what `status` answers."""
+        last = None
+        if self._run is not None:
+            finished = self._polls >= self.polls_per_run
+            total = len(self._run.u)
+            last = LastRun(
+                run_id="r1",
+                recording=self.recording if finished else self.recording + ".active",
+                finished=finished,
+                samples=total if finished else total * self._polls // self.polls_per_run,
+                outcome=self.outcome if finished else "",
+            )
+        running = last is not None and not last.finished
+        return StatusReport(
+            rig=self.rig,
+            version="0.1.0",
+            phase="active" if running else "safe",
+            reason="",
+            owner="",
+            Ts=0.01,
+            u_min=0.0,
+            u_max=5.0,
+            endpoint=self.endpoint,
+            device={"uid": "1"},
+            host={"fifo": 0, "refused": ["SCHED_FIFO (set LimitRTPRIO=)"]},
+            last_run=last,
+            recordings="/nowhere",
+        )
+
+    def _answer(self, query: zenoh.Query) -> None:
+        with query:
+            name = str(query.key_expr).rsplit("/", 1)[1]
+            payload = query.payload.to_bytes() if query.payload else b""
+            try:
+                answer = self._carry_out(commands.parse(name, payload))
+            except ValueError as err:
+                query.reply_err(msgspec.json.encode(commands.Refused(error=str(err))))
+                return
+            query.reply(query.key_expr, msgspec.json.encode(answer))
+
+    def _carry_out(self, request: commands.Request) -> Any:
+        self.asked.append(request)
+        if request.name in self.refusals:
+            raise ValueError(self.refusals[request.name])
+        if isinstance(request, commands.Status):
+            self._polls += self._run is not None
+            return self.status()
+        if isinstance(request, commands.Arm):
+            return commands.LeaseGranted(
+                lease="0" * 32, period_s=0.1, Ts=request.Ts or 0.01, u_min=0.0, u_max=5.0
+            )
+        if isinstance(request, commands.Run):
+            self._run, self._polls = request, 0
+            return commands.RunAccepted(run_id="r1", recording=self.recording)
+        return commands.Done()

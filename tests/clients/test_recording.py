@@ -1,0 +1,487 @@
+"""Recordings read as what the rig did, and no file, however broken, does harm."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import sys
+from io import BytesIO
+from itertools import pairwise
+from math import nan, radians, tau
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from armrig import container
+from armrig.recording import Recording, RecordingError, load
+from armrig_core import protobuf, telemetry
+from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.manifest import RUN
+from armrig_protocol.messages import Flag
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
+from recordings import (
+    POT,
+    TS,
+    event,
+    gap,
+    manifest,
+    recorded,
+    sample,
+    timing,
+    turning,
+    written,
+)
+
+IDENTITY = Calibration(theta_1=Potentiometer(rad_per_count=tau / 65536))
+
+
+def as_protobuf(one: telemetry.Sample, **unknown: bytes) -> bytes:
+    """Return a sample in another layout: the same fields, the last first."""
+    message = protobuf.message_class(protobuf.SAMPLE)(**one._asdict())
+    fields = [message.__class__(**{n: getattr(message, n)}) for n in reversed(one._fields)]
+    return b"".join(part.SerializeToString() for part in fields) + b"".join(unknown.values())
+
+
+def tried(path: Path) -> tuple[Recording | None, str]:
+    """Return the recording, or what is said where there is none."""
+    try:
+        return load(path), ""
+    except RecordingError as err:
+        return None, str(err)
+
+
+def test_a_recording_gives_back_what_was_recorded(tmp_path: Path) -> None:
+    """Arrays, units, manifest and outcome are those of the run."""
+    samples = [sample(k, u_applied_v=k / 100, alpha_counts=32768 + k) for k in range(7, 107)]
+
+    rec = load(written(tmp_path, recorded(samples)))
+
+    assert rec.N == 100
+    np.testing.assert_allclose(rec.t, np.arange(100) * TS)
+    np.testing.assert_allclose(rec.u, np.arange(7, 107) / 100)
+    np.testing.assert_allclose(rec.alpha, np.arange(7, 107) * radians(352) / 65536)
+    assert rec.valid.all()
+    assert rec.manifest == manifest()
+    assert rec.outcome is not None
+    assert rec.outcome.outcome == "complete"
+    assert not rec.truncated
+    assert not rec.theta_1.flags.writeable
+
+
+def test_gaps_events_and_timing_are_told_in_seconds_from_the_first_sample(tmp_path: Path) -> None:
+    """Their times are on the recording's own axis."""
+    messages = [*(sample(k) for k in range(100, 120)), event(105, "hello", "warning"), timing(110)]
+
+    rec = load(written(tmp_path, recorded(messages)))
+
+    assert [(e.level, e.message) for e in rec.events] == [("warning", "hello")]
+    assert rec.events[0].t == pytest.approx(5 * TS, abs=1e-4)
+    assert rec.timing[0].t == pytest.approx(10 * TS, abs=1e-4)
+    assert rec.timing[0].wake_lateness_us.p50 == 3.0
+
+
+def test_a_missing_sample_has_its_row_and_the_voltage_that_was_held(tmp_path: Path) -> None:
+    """The grid is complete: u from the gap record, no angle, valid False."""
+    messages = [*(sample(k) for k in range(10)), gap(10, 3, 2.5), *(sample(k) for k in (13, 14))]
+
+    rec = load(written(tmp_path, recorded(messages)))
+
+    assert rec.N == 15
+    assert rec.missing == 3
+    np.testing.assert_array_equal(np.flatnonzero(~rec.valid), [10, 11, 12])
+    np.testing.assert_array_equal(rec.u[9:14], [1, 2.5, 2.5, 2.5, 1])
+    assert np.isnan(rec.theta_1[10:13]).all()
+    assert np.isnan(rec.alpha[10:13]).all()
+    assert rec.gaps[0].reason == "link silent"
+
+
+def test_a_gap_record_does_not_overwrite_samples_that_came(tmp_path: Path) -> None:
+    """A gap that claims more than is missing changes nothing that was measured."""
+    messages = [*(sample(k) for k in range(10)), gap(5, 100, 4.0), sample(11)]
+
+    rec = load(written(tmp_path, recorded(messages)))
+
+    np.testing.assert_array_equal(rec.u, [1.0] * 10 + [4.0, 1.0])
+
+
+def test_where_the_input_is_not_known_a_new_experiment_begins(tmp_path: Path) -> None:
+    """Without a gap record nobody knows the voltage: no value is put in its place."""
+    messages = [sample(k) for k in range(20) if not 8 <= k < 12]
+
+    rec = load(written(tmp_path, recorded(messages)))
+    data = rec.dataset()
+
+    assert np.isnan(rec.u[8:12]).all()
+    assert data.N == 16
+    assert data.starts == (0, 8)
+
+
+def test_a_long_silence_leaves_the_turns_unknown(tmp_path: Path) -> None:
+    """Half a turn may have gone by unseen: an experiment of its own for theta_1, not for alpha."""
+    messages = [*(sample(k) for k in range(50)), gap(50, 30, 4.0)]
+    messages += [sample(k) for k in range(80, 99)]
+
+    rec = load(written(tmp_path, recorded(messages)))
+
+    assert rec.turns_unknown == (80,)
+    assert rec.dataset().starts == (0, 80)
+    assert rec.dataset("alpha").starts == (0,)
+
+
+def test_a_dead_band_of_any_length_does_not_lose_the_turns(tmp_path: Path) -> None:
+    """The shaft may rest in it: it was there all the time."""
+    rec = load(written(tmp_path, recorded(turning([60000] * 5 + [0] * 100 + [3000] * 5))))
+
+    assert rec.turns_unknown == ()
+    assert rec.theta_1[-1] == pytest.approx(POT.angle(3000) + tau)
+
+
+def test_turns_cannot_be_counted_at_a_long_sampling_time(tmp_path: Path) -> None:
+    """At 5 V the shaft makes half a turn in less than 0.34 s."""
+    samples = [sample(k) for k in range(5)]
+
+    slow = load(written(tmp_path, recorded(samples, manifest=manifest(Ts=0.4))))
+
+    assert slow.turns_unknown == (1, 2, 3, 4)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_turns_are_counted_through_the_dead_band(tmp_path: Path, direction: int) -> None:
+    """Six turns either way come back exactly, with the dead band marked."""
+    true = direction * np.arange(600) * tau / 97 + 3.0
+    track = radians(352)
+    counts = [int(a % tau / track * 65536) if a % tau < track else 0 for a in true]
+
+    rec = load(written(tmp_path, recorded(turning(counts))))
+
+    error = rec.theta_1 - true
+    assert np.nanmax(np.abs(error)) < 2 * abs(POT.rad_per_count)
+    dead = np.flatnonzero([c < 64 or c >= 65472 for c in counts])
+    assert dead.size >= 6
+    assert not rec.valid[dead].any()
+    assert not rec.valid[np.minimum(dead + 1, 599)].any()
+    np.testing.assert_array_equal(np.isnan(rec.theta_1), ~rec.valid)
+    assert rec.valid.sum() > 560
+
+
+def test_a_sample_between_two_rails_shows_no_angle(tmp_path: Path) -> None:
+    """What the converter says in the middle of the dead band is not believed."""
+    counts = [60000, 62000, 64000, 0, 31000, 0, 900, 1500, 3000]
+
+    rec = load(written(tmp_path, recorded(turning(counts))))
+
+    np.testing.assert_array_equal(rec.valid, [True, True, True] + [False] * 4 + [True, True])
+    assert rec.theta_1[7] == pytest.approx(POT.angle(1500) + tau)
+
+
+def test_the_first_sample_after_a_rail_is_not_believed_across_a_gap(tmp_path: Path) -> None:
+    """A missing sample in between does not make the one after it good."""
+    samples = turning([60000, 65500, 20000, 700, 1300])
+
+    rec = load(written(tmp_path, recorded([*samples[:2], gap(2, 1, 1.0), *samples[3:]])))
+
+    np.testing.assert_array_equal(rec.valid, [True, False, False, False, True])
+
+
+def test_alpha_has_a_validity_of_its_own(tmp_path: Path) -> None:
+    """It does not care for theta_1's dead band, and is not unwrapped."""
+    flags = int(Flag.RUN | Flag.ADC1_RAIL)
+    samples = turning([30000, 0, 0, 30000, 30000])
+    samples[3] = samples[3]._replace(alpha_counts=65535, flags=flags)
+
+    rec = load(written(tmp_path, recorded(samples)))
+
+    np.testing.assert_array_equal(rec.valid_alpha, [True, True, True, False, True])
+    np.testing.assert_array_equal(rec.valid, [True, False, False, False, True])
+    assert rec.dataset("alpha").missing == 1
+
+
+def test_a_calibration_is_repaired_on_reading(tmp_path: Path) -> None:
+    """The raw counts and the attached calibration count, not the angle that the daemon made."""
+    samples = [sample(0, theta_1_counts=16384, theta_1_rad=99.0)]
+
+    right = load(written(tmp_path, recorded(samples, calibration=IDENTITY)))
+    without = load(written(tmp_path, recorded(samples, calibration=None)))
+
+    assert right.theta_1[0] == pytest.approx(tau / 4)
+    assert without.theta_1[0] == 99.0
+
+
+def test_velocity_is_the_difference_of_the_angle(tmp_path: Path) -> None:
+    """A dataset of the velocity names itself so, and knows nothing at its first sample."""
+    samples = turning([10000 + 100 * k for k in range(20)])
+
+    data = load(written(tmp_path, recorded(samples))).dataset("velocity")
+
+    assert data.output == "velocity"
+    assert data.unit == "rad/s"
+    assert data.missing == 1
+    np.testing.assert_allclose(data.y[1:], 100 * POT.rad_per_count / TS)
+
+
+def test_a_dataset_names_the_recording_by_its_hash(tmp_path: Path) -> None:
+    """The hash is that of the file, as sha256sum prints it."""
+    import hashlib
+
+    path = written(tmp_path, recorded([sample(0), sample(1)]))
+
+    assert load(path).dataset().source == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_another_layout_of_the_sample_reads_the_same(tmp_path: Path) -> None:
+    """The fast path for the constant layout and the protobuf library agree, mixed too."""
+    samples = [
+        sample(k, u_applied_v=k * 0.1, theta_1_rad=nan if k % 5 == 0 else k * 0.01, flags=k)
+        for k in range(64)
+    ]
+    later = b"\x79" + bytes(8)  # field 15, fixed64: of a later version
+    mixed: list[Any] = [
+        as_protobuf(s, later=later) if i % 3 == 1 else s for i, s in enumerate(samples)
+    ]
+
+    fast = load(written(tmp_path, recorded(samples), "fast.mcap"))
+    slow = load(written(tmp_path, recorded([as_protobuf(s) for s in samples]), "slow.mcap"))
+    both = load(written(tmp_path, recorded(mixed), "both.mcap"))
+
+    assert not slow.truncated
+    for other in (slow, both):
+        assert other.samples.tobytes() == fast.samples.tobytes()
+        np.testing.assert_array_equal(other.theta_1, fast.theta_1)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+@pytest.mark.parametrize("chunk_size", [200, 4096, 1 << 20])
+def test_chunks_of_any_size_read_the_same(
+    tmp_path: Path, compression: CompressionType, chunk_size: int
+) -> None:
+    """Where a writer cuts its chunks makes no difference."""
+    messages: list[Any] = []
+    for k in range(300):
+        messages += [sample(k)] + ([timing(k)] if k % 10 == 0 else [])
+
+    rec = load(
+        written(tmp_path, recorded(messages, chunk_size=chunk_size, compression=compression))
+    )
+
+    np.testing.assert_array_equal(rec.samples["k"], np.arange(300))
+    assert len(rec.timing) == 30
+
+
+def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> None:
+    """At every byte of a small file: a prefix without holes, or one line saying what it is."""
+    whole = recorded([sample(k) for k in range(40)], flush_every=8, chunk_size=1 << 20)
+    path = tmp_path / "cut.mcap.active"
+    lengths: list[int] = []
+    for cut in range(len(whole)):
+        path.write_bytes(whole[:cut])
+        rec, told = tried(path)
+        if rec is None:
+            assert told.count("\n") == 0
+            assert not lengths, f"cut at {cut} B lost what a shorter file gave"
+            continue
+        assert rec.truncated
+        assert f"saved: {rec.N} samples" in rec.damage
+        np.testing.assert_array_equal(rec.samples["k"], np.arange(rec.N))
+        lengths.append(rec.N)
+
+    assert lengths == sorted(lengths)
+    assert set(lengths) == {0, 8, 16, 24, 32, 40}
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
+    """Samples that are given back are those recorded, whatever was changed in the file."""
+    at = data.draw(st.integers(0, len(SMALL) * 8 - 1))
+    spoilt = bytearray(SMALL)
+    spoilt[at // 8] ^= 1 << at % 8
+    path = Path(SMALL_DIRECTORY.name) / "flipped.mcap"
+    path.write_bytes(spoilt)
+    rec, _ = tried(path)
+    if rec is None:
+        return
+    np.testing.assert_array_equal(rec.samples["k"], np.arange(rec.samples.size))
+    assert (rec.samples["u_applied_v"] == 1.0).all()
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=300), st.integers(0, 400))
+def test_random_bytes_raise_nothing_else(noise: bytes, at: int) -> None:
+    """Behind the magic, or in the middle of a recording."""
+    path = Path(SMALL_DIRECTORY.name) / "noise.mcap"
+    path.write_bytes(container.MAGIC + SMALL[8:at] + noise)
+    rec, told = tried(path)
+    assert rec is not None or told.count("\n") == 0
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x89MCAP", b"hello", b"\x89HDF\r\n\x1a\n" + bytes(100), bytes(1000)]
+)
+def test_what_is_no_mcap_is_told_in_one_line(tmp_path: Path, content: bytes) -> None:
+    """It says which file, and what is read."""
+    path = written(tmp_path, content)
+
+    with pytest.raises(RecordingError, match=r"run\.mcap: not an MCAP file.*armrigd") as caught:
+        load(path)
+
+    assert "\n" not in str(caught.value)
+
+
+def test_an_mcap_of_something_else_is_told_so(tmp_path: Path) -> None:
+    """Such as a robot's log."""
+    out = BytesIO()
+    writer = Writer(out)
+    writer.start()
+    writer.finish()
+
+    with pytest.raises(RecordingError, match=r"not a recording of a run.*armrig\.run"):
+        load(written(tmp_path, out.getvalue()))
+
+
+def test_a_manifest_of_another_shape_is_told_so(tmp_path: Path) -> None:
+    """It names what is wrong."""
+    out = BytesIO()
+    writer = Writer(out)
+    writer.start()
+    writer.add_metadata(RUN, {"rig": '"1"'})
+    writer.finish()
+
+    with pytest.raises(RecordingError, match="run_id"):
+        load(written(tmp_path, out.getvalue()))
+
+
+def test_k_that_does_not_rise_ends_the_reading(tmp_path: Path) -> None:
+    """What came before it is kept."""
+    messages = [sample(k) for k in (0, 1, 2, 2, 3)]
+
+    rec = load(written(tmp_path, recorded(messages)))
+
+    assert rec.N == 3
+    assert "k must rise" in rec.damage
+
+
+def test_a_recording_without_samples_says_so_when_asked_for_data(tmp_path: Path) -> None:
+    """It can be looked at, not identified from."""
+    rec = load(written(tmp_path, recorded([])))
+
+    assert rec.N == 0
+    with pytest.raises(RecordingError, match="none of its 0 samples"):
+        rec.dataset()
+
+
+def test_a_chunk_that_declares_little_and_holds_much_is_not_unpacked(tmp_path: Path) -> None:
+    """Zeros that would fill 2 GB, in 64 kB of file."""
+    packer = zstandard.ZstdCompressor().compressobj()
+    packed = b"".join([*(packer.compress(bytes(1 << 24)) for _ in range(128)), packer.flush()])
+    body = struct.pack("<QQQII", 0, 0, 4096, 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    before = _peak_mib()
+
+    rec = load(written(tmp_path, _with_record(0x06, body + packed)))
+
+    assert "the size of a chunk is wrong" in rec.damage
+    assert _peak_mib() - before < 64
+
+
+def test_a_chunk_that_declares_too_much_is_not_unpacked(tmp_path: Path) -> None:
+    """The declared size is checked before anything is made for it."""
+    body = struct.pack("<QQQII", 0, 0, 1 << 62, 0, 4) + b"zstd" + struct.pack("<Q", 0)
+
+    rec = load(written(tmp_path, _with_record(0x06, body)))
+
+    assert f"larger than the {8 << 20} B allowed" in rec.damage
+
+
+def test_a_break_in_k_cannot_ask_for_all_memory(tmp_path: Path) -> None:
+    """Two samples, 10^15 rows apart."""
+    messages = [sample(0), sample(1)._replace(k=10**15)]
+
+    with pytest.raises(RecordingError, match="too many for a recording"):
+        load(written(tmp_path, recorded(messages)))
+
+
+def test_a_flood_of_messages_ends_the_reading(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A few kB of file must not become objects without end."""
+    monkeypatch.setattr(container, "MESSAGES_LIMIT", 10_000)
+    messages = [sample(0), *(event(0, "x") for _ in range(100)), sample(1)]
+
+    rec = load(written(tmp_path, recorded(messages)))
+
+    assert rec.N == 1
+    assert "messages other than samples" in rec.damage
+
+
+def test_a_small_file_cannot_cost_hours(tmp_path: Path) -> None:
+    """Chunks of messages that nobody asked for: 260 000 in each, hardly any bytes in the file."""
+    message = struct.pack("<BQ", 0x05, 22) + struct.pack("<HIQQ", 999, 0, 0, 0)
+    data = message * (container.CHUNK_LIMIT // len(message))
+    packed = zstandard.compress(data)
+    head = struct.pack("<QQQII", 0, 0, len(data), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    chunk = struct.pack("<BQ", 0x06, len(head) + len(packed)) + head + packed
+
+    rec = load(written(tmp_path, _with_record(0x06, head + packed) + chunk * 20))
+
+    assert "messages other than samples" in rec.damage
+    assert rec.damage.endswith("B")
+
+
+def test_compression_that_is_not_known_is_named(tmp_path: Path) -> None:
+    """It says which are."""
+    body = struct.pack("<QQQII", 0, 0, 4, 0, 5) + b"bzip9" + struct.pack("<Q", 4) + bytes(4)
+
+    rec = load(written(tmp_path, _with_record(0x06, body)))
+
+    assert "'bzip9' is not known" in rec.damage
+
+
+def test_a_chunk_within_a_chunk_is_refused(tmp_path: Path) -> None:
+    """Nesting would unpack without end."""
+    inner = struct.pack("<BQ", 0x06, 0)
+    body = struct.pack("<QQQII", 0, 0, len(inner), 0, 0) + struct.pack("<Q", len(inner)) + inner
+
+    rec = load(written(tmp_path, _with_record(0x06, body)))
+
+    assert "(opcode 6) that must not lie in one" in rec.damage
+
+
+def test_a_change_outside_the_chunks_is_found(tmp_path: Path) -> None:
+    """The manifest has no checksum of its own; the one over all data tells."""
+    whole = recorded([sample(0)])
+    assert whole.count(b'"seed":1') == 1
+
+    rec = load(written(tmp_path, whole.replace(b'"seed":1', b'"seed":2')))
+
+    assert rec.N == 1
+    assert "checksum over all data" in rec.damage
+
+
+def test_experiments_follow_each_other_in_order(tmp_path: Path) -> None:
+    """Boundaries of both kinds, sorted and without repetition."""
+    present = [*range(50), *range(100, 150), *range(151, 200)]
+
+    data = load(written(tmp_path, recorded([sample(k) for k in present]))).dataset()
+
+    assert data.starts == (0, 50, 100)
+    assert all(a < b for a, b in pairwise(data.starts))
+
+
+def _with_record(opcode: int, body: bytes) -> bytes:
+    """Return a recording whose last record, before where it breaks off, is this one."""
+    whole = recorded([], outcome=None, calibration=None)
+    end = whole.index(struct.pack("<BQ", 0x0F, 4))  # DataEnd
+    return whole[:end] + struct.pack("<BQ", opcode, len(body)) + body
+
+
+def _peak_mib() -> float:
+    scale = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale / (1 << 20)
+
+
+SMALL = recorded([sample(k) for k in range(30)], flush_every=10)
+SMALL_DIRECTORY = TemporaryDirectory(prefix="armrig-tests-")

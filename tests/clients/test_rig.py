@@ -1,0 +1,241 @@
+"""A rig through its daemon: what is asked, what comes back, and what a person is told."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path, PurePosixPath
+
+import pytest
+import zenoh
+from armrig.rig import NoReplyError, RefusedError, Rig, RigError, RunEndedError, decoded, stream
+from armrig_core import commands, protobuf, telemetry
+from armrig_core.endpoint import endpoint, socket_directory
+from fake_daemon import FakeDaemon
+from recordings import sample
+
+
+@pytest.fixture
+def where() -> Iterator[str]:
+    """Give an endpoint; not pytest's own directory, whose path may be too long for a socket."""
+    with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
+        yield endpoint("1", PurePosixPath(directory))
+
+
+@pytest.fixture
+def daemon(where: str) -> Iterator[FakeDaemon]:
+    """Give a daemon that answers at the endpoint."""
+    with FakeDaemon(where) as running:
+        yield running
+
+
+def test_a_service_finds_its_socket_where_systemd_says() -> None:
+    """RUNTIME_DIRECTORY, then the login's, then the temporary directory."""
+    both = {"RUNTIME_DIRECTORY": "/run/armrig:/run/b", "XDG_RUNTIME_DIR": "/run/user/7"}
+
+    service = socket_directory(both, uid=7, temporary="/tmp")
+    login = socket_directory({"XDG_RUNTIME_DIR": "/run/user/7"}, uid=7, temporary="/tmp")
+    bare = socket_directory({"XDG_RUNTIME_DIR": ""}, uid=7, temporary="/tmp")
+
+    assert endpoint("1", service) == "unixsock-stream//run/armrig/1.sock"
+    assert endpoint("1", login) == "unixsock-stream//run/user/7/armrig/1.sock"
+    assert endpoint("a-2", bare) == "unixsock-stream//tmp/armrig-7/a-2.sock"
+
+
+def test_a_socket_path_that_is_too_long_is_refused_with_a_way_out() -> None:
+    """The kernel's limit is 107 bytes."""
+    assert endpoint("1", PurePosixPath("/" + "d" * 99)).endswith("/1.sock")
+
+    with pytest.raises(ValueError, match=r"108 B.*at most 107.*XDG_RUNTIME_DIR"):
+        endpoint("1", PurePosixPath("/" + "d" * 100))
+
+
+@pytest.mark.parametrize("rig", ["", "Arm", "../1", "a b", "*"])
+def test_a_rig_id_that_cannot_be_a_key_is_refused(rig: str) -> None:
+    """Before anything is opened."""
+    with pytest.raises(ValueError, match="a-z, 0-9 and -"):
+        Rig(rig)
+
+
+def test_status_comes_back_as_it_was_sent(daemon: FakeDaemon, where: str) -> None:
+    """Every field of the report."""
+    with Rig("1", connect=where) as rig:
+        assert rig.status() == daemon.status()
+
+
+def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> None:
+    """Lease, counter, input and details go out; progress and the finished path come back."""
+    seen: list[tuple[int, int]] = []
+    with Rig("1", connect=where) as rig:
+        rig.arm("me", Ts=0.02)
+        path = rig.run(
+            [0.5, 4.5, 0.5],
+            experiment="blackbox",
+            details={"seed": 3},
+            progress=lambda done, total: seen.append((done, total)),
+        )
+
+    assert path == Path(daemon.recording)
+    arm, run = [r for r in daemon.asked if not isinstance(r, commands.Status)][:2]
+    assert arm == commands.Arm(owner="me", Ts=0.02)
+    assert run == commands.Run(
+        lease="0" * 32, n=1, u=[0.5, 4.5, 0.5], experiment="blackbox", details={"seed": 3}
+    )
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert daemon.names() == ["arm", "run"]
+
+
+def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where: str) -> None:
+    """The daemon refuses what is not newer; leaving the block gives the rig back."""
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        rig.set(1.0)
+        rig.set(2.0)
+
+    leased = [r for r in daemon.asked if isinstance(r, commands.Leased)]
+    assert [r.n for r in leased] == [1, 2, 3]
+    assert daemon.names() == ["arm", "set", "set", "disarm"]
+
+
+def test_stop_and_reset_need_no_lease(daemon: FakeDaemon, where: str) -> None:
+    """Anybody may stop the motor."""
+    with Rig("1", connect=where) as rig:
+        rig.stop()
+        rig.reset()
+
+    assert daemon.names() == ["stop", "reset"]
+
+
+def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:
+    """It says what to do."""
+    with Rig("1", connect=where) as rig, pytest.raises(RefusedError, match=r"call arm\(owner\)"):
+        rig.run([1.0])
+
+    assert daemon.asked == []
+
+
+def test_a_refusal_is_told_in_the_daemons_words(daemon: FakeDaemon, where: str) -> None:
+    """A value outside 0 to 5 V is refused by the daemon, never clamped by the client."""
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        with pytest.raises(RefusedError, match="<= 5"):
+            rig.run([1.0, 5.5])
+        with pytest.raises(RefusedError, match="set"):
+            rig.set(float("nan"))
+
+
+def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str) -> None:
+    """The recording is named: it holds what there was."""
+    daemon.outcome = "no answer from the device for 60 ms"
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        with pytest.raises(RunEndedError, match="60 ms; recorded in /nowhere") as caught:
+            rig.run([1.0, 2.0])
+
+    assert caught.value.recording == Path(daemon.recording)
+    assert "stop" not in daemon.names()
+
+
+def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, where: str) -> None:
+    """The motor must not go on without the one who asked for it."""
+
+    def interrupted(done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        with pytest.raises(KeyboardInterrupt):
+            rig.run([1.0] * 100, progress=interrupted)
+
+    assert daemon.names() == ["arm", "run", "stop"]
+
+
+def test_nobody_at_the_endpoint_is_told_with_what_to_do(where: str) -> None:
+    """One line: not running, or not permitted."""
+    with (
+        pytest.raises(NoReplyError, match="not running, or not permitted") as caught,
+        Rig("1", connect=where),
+    ):
+        pass
+
+    assert "\n" not in str(caught.value)
+    assert "armrigd run" in str(caught.value)
+
+
+def test_a_daemon_of_another_rig_does_not_reply(daemon: FakeDaemon, where: str) -> None:
+    """The endpoint is there, the rig is not."""
+    with Rig("2", connect=where) as rig, pytest.raises(NoReplyError, match="rig 2"):
+        rig.status()
+
+
+def test_an_endpoint_that_is_none_is_told_so() -> None:
+    """With an example of one."""
+    with pytest.raises(RigError, match="no zenoh endpoint, such as"), Rig("1", connect="nonsense"):
+        pass
+
+
+def test_a_rig_is_used_in_a_with_block(where: str) -> None:
+    """Otherwise its session would never be closed."""
+    with pytest.raises(RigError, match="with block"):
+        Rig("1", connect=where).status()
+
+
+def test_live_samples_arrive_in_order(daemon: FakeDaemon, where: str) -> None:
+    """As samples, bit for bit."""
+    with Rig("1", connect=where) as rig, daemon.session.declare_publisher("rig/1/sample") as out:
+        samples = rig.stream("sample")
+        _first(samples, out)
+        sent = [sample(k) for k in range(1, 50)]
+        for one in sent:
+            out.put(telemetry.encode_sample(one))
+
+        got = list(islice((s for s in samples if s.k > 0), 49))
+
+    assert got == sent
+
+
+def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, where: str) -> None:
+    """A listener does not wait for ever."""
+    with Rig("1", connect=where) as rig, daemon.session.declare_publisher("rig/1/sample") as out:
+        samples = rig.stream("sample")
+        _first(samples, out)
+        daemon.alive.undeclare()
+
+        with pytest.raises(NoReplyError, match="went away"):
+            for _ in samples:
+                pass
+
+
+@pytest.mark.parametrize("key", ["rig/1", "rig/1/nothing", "rig/../sample", "sample"])
+def test_a_key_that_is_no_stream_is_refused(key: str) -> None:
+    """Before a session is opened."""
+    with pytest.raises(ValueError, match=r"key|a-z"):
+        next(stream(key))
+
+
+def test_messages_of_later_versions_are_understood() -> None:
+    """A sample with a field more, and a state, through the protobuf library."""
+    later = telemetry.encode_sample(sample(5)) + b"\x79" + bytes(8)
+    state = protobuf.message_class(protobuf.STATE)(phase="safe")
+
+    assert decoded("sample", later) == sample(5)
+    assert decoded("state", state.SerializeToString()).phase == "safe"
+
+
+def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:
+    """Put sample 0 until the listener, which declares itself at its first step, has seen it."""
+    seen = threading.Event()
+
+    def publish() -> None:
+        while not seen.wait(0.01):
+            out.put(telemetry.encode_sample(sample(0)))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        assert next(samples).k == 0
+    finally:
+        seen.set()
+        thread.join()
