@@ -63,6 +63,7 @@ def demo(
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Say how the daemon and its rig are."""
     from armrig.rig import Rig
+    from armrig.scheduling import scheduling
 
     with Rig(rig, connect=connect) as opened:
         report = opened.status()
@@ -356,16 +357,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(named, 1)
     except (ValueError, RuntimeError) as err:
         return _failed(str(err), 1)
-
-
-def scheduling(host: dict[str, Any]) -> list[str]:
-    """Return what the daemon says of real-time scheduling, in words."""
-    if not host:
-        return ["nothing known yet"]
-    fifo = host.get("fifo")
-    said = [f"real-time scheduling at priority {fifo}" if fifo else "no real-time scheduling"]
-    said += [f"not allowed: {what}" for what in host.get("refused", [])]
-    return said
 
 
 def _failed(message: str, code: int) -> int:

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from armrig.cli import scheduling
 from armrig.excitation import step, telegraph
 from armrig.progress import bar
 from armrig.recording import Recording, load
 from armrig.report import report
 from armrig.report_figures import write_figures
 from armrig.rig import NoReplyError, Rig, RigError, RunEndedError
+from armrig.scheduling import scheduling
 from armrig.study import Study, study
 
 RIG = "demo"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from math import isnan
 from typing import TYPE_CHECKING
 
+from armrig.whiteness import WHITE_LEVEL
+
 if TYPE_CHECKING:
     from armrig.fit import Fit
 
@@ -52,8 +54,6 @@ def _polynomial(fit: Fit, letter: str) -> str:
 
 
 def _verdict(fit: Fit) -> str:
-    from armrig.fit import WHITE_LEVEL
-
     if isnan(fit.whiteness):  # too few samples, or no residual at all
         return "residuals: too few, or all zero, to test"
     if fit.whiteness >= WHITE_LEVEL:

@@ -21,8 +21,6 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-WHITE_LEVEL = 0.01  # below this p value the residuals are called coloured
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:

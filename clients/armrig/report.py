@@ -14,7 +14,7 @@ import matplotlib as mpl
 import numpy as np
 import typst
 
-from armrig.fit import WHITE_LEVEL, Fit
+from armrig.fit import Fit
 from armrig.jitter import SamplingStatistics, Spread
 from armrig.quantities import (
     NBSP,
@@ -32,6 +32,7 @@ from armrig.recording import Recording
 from armrig.report_figures import DETAIL_S, write_figures
 from armrig.study import STEP, Judged, Study
 from armrig.verdict import summary, verdict
+from armrig.whiteness import WHITE_LEVEL
 
 
 class ReportError(RuntimeError):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.fit import WHITE_LEVEL
 from armrig.quantities import error, microseconds, milliseconds, number, p_relation, percent
 from armrig.study import Judged, Study
+from armrig.whiteness import WHITE_LEVEL
 
 
 def verdict(study: Study) -> list[str]:

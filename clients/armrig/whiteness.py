@@ -14,6 +14,8 @@ from armrig.polynomial import Array, lagged
 
 Vector = NDArray[np.float64]
 
+WHITE_LEVEL = 0.01  # below this p value the residuals are called coloured
+
 
 def joined(parts: Iterable[Vector], gap: int) -> Vector:
     """Return the residuals of several experiments with `gap` holes between each two."""

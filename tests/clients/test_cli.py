@@ -11,7 +11,8 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 import pytest
-from armrig.cli import main, scheduling
+from armrig.cli import main
+from armrig.scheduling import scheduling
 from armrig_core import commands, telemetry
 from armrig_core.endpoint import endpoint
 from fake_daemon import FakeDaemon

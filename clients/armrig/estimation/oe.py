@@ -14,14 +14,14 @@ from armrig.estimation.covariance import exogenous_score
 from armrig.estimation.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.estimation.orders import Sizes, require_order, require_samples
 from armrig.estimation.steiglitz_mcbride import equation_error, high_order_output, steiglitz_mcbride
-from armrig.fit import WHITE_LEVEL, Fit, Start
+from armrig.fit import Fit, Start
 from armrig.free_response import FreeResponse, free_columns, offset_from_ramp, transient_count
 from armrig.goodness import fit_percent
 from armrig.least_squares import Basis, orthonormal
 from armrig.polynomial import Array, reflected, stable
 from armrig.prediction import spread, summed_input
 from armrig.sensitivity import by_denominator, by_numerator
-from armrig.whiteness import default_lags, portmanteau
+from armrig.whiteness import WHITE_LEVEL, default_lags, portmanteau
 
 SAME_MINIMUM = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
