@@ -1,16 +1,10 @@
-"""What the tests of the clients share: recordings of the arm, and the modules beside them.
-
-With `--import-mode=importlib` tests do not see their neighbours by themselves.
-"""
+"""What the tests of the clients share: recordings of the arm."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture(scope="session")

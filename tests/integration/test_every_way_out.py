@@ -16,7 +16,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.rig import RefusedError
-from conftest import WITHIN_S, Bench, wait_for
+from processes import WITHIN_S, Bench, wait_for
 
 STOPPED_S = 1.0
 RUNNER = """

@@ -10,7 +10,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.rig import RefusedError
-from conftest import WITHIN_S, Bench, wait_for
+from processes import WITHIN_S, Bench, wait_for
 
 SUBSCRIBER = """
 import sys, zenoh

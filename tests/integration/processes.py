@@ -1,0 +1,135 @@
+"""Real processes: an emulated rig behind a pseudo-terminal, and the daemon that drives it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from armrig.rig import Rig
+
+WITHIN_S = 10.0
+
+
+def wait_for(what: Callable[[], object], within_s: float = WITHIN_S) -> None:
+    """Wait until `what` is true; an assertion fails after `within_s`."""
+    until = time.monotonic() + within_s
+    while not what():
+        assert time.monotonic() < until, "it did not happen in time"
+        threading.Event().wait(0.005)
+
+
+class Process:
+    """A program of ours with its standard error kept."""
+
+    def __init__(self, log: Path, *arguments: str, env: dict[str, str] | None = None) -> None:
+        self.log = log
+        with log.open("wb") as stderr:
+            self.popen = subprocess.Popen(
+                [sys.executable, "-m", *arguments],
+                stderr=stderr,
+                stdin=subprocess.DEVNULL,
+                env={**os.environ, **(env or {})},
+            )
+
+    @property
+    def said(self) -> str:
+        """What it has said."""
+        return self.log.read_text()
+
+    def kill(self, number: int = signal.SIGKILL) -> int:
+        """Send a signal; return the time of it."""
+        self.popen.send_signal(number)
+        return time.monotonic_ns()
+
+    def end(self) -> int:
+        """End it and return its exit code."""
+        if self.popen.poll() is None:
+            self.popen.terminate()
+        return self.popen.wait(WITHIN_S)
+
+
+class Bench:
+    """One rig in a folder of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.port = folder / "tty"
+        self.trace = folder / "trace.csv"
+        self.recordings = folder / "recordings"
+        self.config = folder / "armrig.toml"
+        self.processes: list[Process] = []
+        self.configure()
+
+    def configure(self, baud: int = 1_000_000, more: str = "") -> None:
+        """Write the configuration that both programs read."""
+        self.config.write_text(
+            f'[device]\nport = "{self.port}"\nbaud = {baud}\n'
+            f'[recording]\ndirectory = "{self.recordings}"\n'
+            f"[emulator]\nbaud = {baud}\n{more}\n"
+        )
+
+    def start(self, *arguments: str) -> Process:
+        """Start a program of ours."""
+        log = self.folder / f"log{len(self.processes)}"
+        env = {"XDG_RUNTIME_DIR": str(self.folder)}
+        process = Process(log, *arguments, env=env)
+        self.processes.append(process)
+        return process
+
+    def emulate(self) -> Process:
+        """Start the emulated rig with its witness."""
+        emulator = self.start(
+            *("armrig_daemon", "emulate", "--port", str(self.port)),
+            *("--config", str(self.config), "--trace", str(self.trace)),
+        )
+        wait_for(self.port.exists)
+        return emulator
+
+    def serve(self) -> Process:
+        """Start the daemon and wait until it samples."""
+        daemon = self.start("armrig_daemon", "run", "--config", str(self.config))
+        wait_for(lambda: self.phase() == "safe" or daemon.popen.poll() is not None)
+        assert daemon.popen.poll() is None, daemon.said
+        return daemon
+
+    def rig(self) -> Rig:
+        """Return a client."""
+        return Rig("1", connect=f"unixsock-stream/{self.folder}/armrig/1.sock")
+
+    def phase(self) -> str:
+        """Return the daemon's phase, or nothing where there is no daemon yet."""
+        if not (self.folder / "armrig" / "1.sock").exists():
+            return ""
+        try:
+            with self.rig() as rig:
+                return rig.status().phase
+        except RuntimeError:
+            return ""
+
+    def loop_pid(self, daemon: Process) -> int:
+        """Return the process of the loop."""
+        children = Path(f"/proc/{daemon.popen.pid}/task/{daemon.popen.pid}/children")
+        (pid,) = (int(text) for text in children.read_text().split())
+        return pid
+
+    def voltage_changes(self) -> list[tuple[int, float]]:
+        """Return what the witness saw at the motor's terminals: monotonic ns, V."""
+        lines = self.trace.read_text().splitlines()
+        fields = [line.split(",") for line in lines]
+        return [(int(t), float(volts)) for t, volts, *_ in fields if t.isdigit()]
+
+    def volts(self) -> float:
+        """Return the voltage at the motor's terminals."""
+        return self.voltage_changes()[-1][1]
+
+    def went_to_0_v_after(self, t_ns: int) -> float:
+        """Return how long after `t_ns` the motor stood at 0 V for good, in s."""
+        wait_for(lambda: self.volts() == 0.0)
+        changes = self.voltage_changes()
+        return max(0, changes[-1][0] - t_ns) / 1e9
