@@ -5,18 +5,20 @@ The invariants S1 ... S6 and T1 are those of ARCHITECTURE.md.
 
 from __future__ import annotations
 
+from math import isnan
 from struct import pack
 
 import pytest
 from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
-from armrig_daemon.config import Config, Device, Limits
+from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.records import (
     Answer,
     Gap,
     Halt,
     Hold,
+    Log,
     Play,
     Quit,
     Release,
@@ -26,10 +28,20 @@ from armrig_daemon.records import (
     Take,
 )
 from armrig_daemon.records import State as StateRecord
-from armrig_daemon.state import LinkDown, LinkUp, Phase
+from armrig_daemon.state import LinkDown, LinkUp, Phase, Received
 from armrig_daemon.virtual import VirtualRig
+from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import Cause, HelloReply, Stop
+from armrig_protocol.messages import (
+    MAX_UNECHOED,
+    Cause,
+    ConfigReply,
+    Exchange,
+    Flag,
+    HelloReply,
+    Stop,
+)
+from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
 
 LEASE = "a" * 32
@@ -445,8 +457,6 @@ def test_other_firmware_is_read_and_never_armed(bench: Bench) -> None:
     rig._number = 0
 
     def other(data: bytes) -> bytes:
-        from armrig_protocol.decoder import feed
-
         _, messages = feed(b"", data)
         return b"".join(
             encode(m._replace(schema=1)) if isinstance(m, HelloReply) else encode(m)  # type: ignore[arg-type]
@@ -480,6 +490,116 @@ def test_a_stop_frame_that_is_lost_is_sent_again(driven: Bench) -> None:
     assert lost == 2
     assert driven.volts == 0.0
     assert driven.ports.device.state is not DeviceState.RUN
+
+
+def test_old_answers_that_come_late_do_not_count_as_fresh(driven: Bench) -> None:
+    """S4: the age is that of the round trip; a line that delays by 60 ms is too old."""
+    ports = driven.ports
+
+    def delay(data: bytes) -> bytes:
+        ports.send(ports.now + 60 * MS, Received(data))
+        return b""
+
+    ports.from_device = delay
+    for n in range(1, 6):
+        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.run_for(20)
+
+    assert driven.phase is Phase.FAULT
+    assert "no answer" in driven.loop.state.reason
+    assert driven.volts == 0.0
+
+
+def test_a_greeting_that_nobody_asked_for_proves_no_round_trip(driven: Bench) -> None:
+    """S4: HELLO_R again and again does not hide that no answer comes."""
+    hello = driven.loop.state.device
+    assert hello is not None
+    driven.ports.from_device = lambda _: b""
+    for n in range(1, 7):
+        driven.ports.send(driven.ports.now, Received(encode(hello)))
+        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.run_for(10)
+
+    assert driven.volts == 0.0
+
+
+def test_no_more_than_two_commands_are_ever_on_the_way(bench: Bench) -> None:
+    """A line that stalls fills with nothing that is old by the time it goes on."""
+    exchange = len(encode(Exchange(0, 0, 0, 0)))
+    waiting = 0
+
+    def count(data: bytes) -> bytes:
+        nonlocal waiting
+        waiting += len(data) == exchange
+        return b""
+
+    bench.ports.to_device = count
+    bench.run_for(45)
+
+    assert waiting == MAX_UNECHOED
+
+
+def test_a_device_that_applies_something_else_is_stopped(driven: Bench) -> None:
+    """S5: what it says it latched is compared with what was commanded."""
+
+    def lie(data: bytes) -> bytes:
+        _, messages = feed(b"", data)
+        return b"".join(
+            encode(m._replace(u_k=m.u_k ^ 0x400) if isinstance(m, DeviceSample) else m)  # type: ignore[arg-type]
+            for m in messages
+        )
+
+    driven.ports.from_device = lie
+    driven.run_for(30)
+
+    assert driven.phase is Phase.FAULT
+    assert "where" in driven.loop.state.reason
+    assert driven.volts == 0.0
+
+
+def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
+    """The reply carries what the device accepted; another watchdog than asked for is refused."""
+    rig = Bench.__new__(Bench)
+    VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
+    rig._number = 0
+
+    def alter(data: bytes) -> bytes:
+        _, messages = feed(b"", data)
+        return b"".join(
+            encode(m._replace(config_crc=m.config_crc ^ 1) if isinstance(m, ConfigReply) else m)  # type: ignore[arg-type]
+            for m in messages
+        )
+
+    rig.ports.from_device = alter
+    rig.run_for(500)
+
+    assert rig.phase is Phase.INIT
+    assert any("another configuration" in log.message for log in rig.of(Log))
+
+
+def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:
+    """The raw counts stay; an angle that nobody measured is not made up."""
+    bench.take()
+    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[5.0] * 200))
+    bench.run_for(2200)
+
+    dead = [s for s in bench.samples if s.flags & Flag.ADC0_RAIL]
+    assert dead
+    assert all(isnan(s.theta_1_rad) for s in dead)
+    assert not any(isnan(s.theta_1_rad) for s in bench.samples if not s.flags & Flag.ADC0_RAIL)
+
+
+def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
+    """From 0.5 s to 10 ms: the ticks before belong to another pace."""
+    bench = Bench(Config(timing=Timing(Ts=0.5)))
+    bench.run_for(700)
+
+    bench.take(ts_us=10_000)
+    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 20)))
+    bench.run_for(500)
+
+    assert bench.of(RunEnded)[0].outcome == "complete"
+    assert not bench.of(Gap)
 
 
 # -- the end -------------------------------------------------------------------------------------
