@@ -83,9 +83,8 @@ class Loop:
         sched_ns = self._pace.due_ns(k)
         self._meter.woke(now - due_ns, k - self._k, self._pace.period_ns)
         self._k = k + 1
-        # What came while the process was not running is older than this tick.
-        events = self.ports.wait(now)
-        self._step(now, [*events, Tick(k, sched_ns)])
+        # The tick first: after a pause it trips before orders from before the pause are looked at.
+        self._step(now, [Tick(k, sched_ns)])
         self._outbox.flush()
         timing = self._meter.each_second(now)
         if timing is not None:

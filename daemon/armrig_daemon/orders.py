@@ -76,7 +76,8 @@ def _take(state: State, now_ns: int, order: Take) -> Step:
 
 def _leased(state: State, now_ns: int, order: Leased) -> Step:
     lease = state.lease
-    if lease is None or order.lease != lease.lease:
+    held = lease is not None and state.phase in (Phase.ARMED, Phase.ACTIVE)
+    if lease is None or not held or order.lease != lease.lease:
         return state, refuse(order, "not the lease in force: arm first")
     if order.n <= lease.n:
         return state, refuse(order, f"n={order.n} must be greater than the last, {lease.n}")

@@ -344,8 +344,10 @@ def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
     assert "link lost: unplugged" in driven.loop.state.reason
     assert "in fault" in driven.take().error
 
+    assert "not the lease in force" in driven.drive(1.0, n=50).error
     driven.ask(Reset)
     assert driven.phase is Phase.SAFE
+    assert "not the lease in force" in driven.drive(1.0, n=51).error
     assert not driven.take().error
 
 
@@ -493,15 +495,15 @@ def test_a_stop_frame_that_is_lost_is_sent_again(driven: Bench) -> None:
 
 
 def test_old_answers_that_come_late_do_not_count_as_fresh(driven: Bench) -> None:
-    """S4: the age is that of the round trip; a line that delays by 60 ms is too old."""
+    """S4: the age is that of the round trip: 45 ms of delay and a tick are more than 50 ms."""
     ports = driven.ports
 
     def delay(data: bytes) -> bytes:
-        ports.send(ports.now + 60 * MS, Received(data))
+        ports.send(ports.now + 45 * MS, Received(data))
         return b""
 
     ports.from_device = delay
-    for n in range(1, 6):
+    for n in range(1, 8):
         driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
         driven.run_for(20)
 
@@ -592,7 +594,7 @@ def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:
 def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
     """From 0.5 s to 10 ms: the ticks before belong to another pace."""
     bench = Bench(Config(timing=Timing(Ts=0.5)))
-    bench.run_for(700)
+    bench.run_for(1000)  # 0.3 s after a tick
 
     bench.take(ts_us=10_000)
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 20)))
