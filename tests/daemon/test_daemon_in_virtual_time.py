@@ -594,9 +594,10 @@ def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:
 def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
     """From 0.5 s to 10 ms: the ticks before belong to another pace."""
     bench = Bench(Config(timing=Timing(Ts=0.5)))
-    bench.run_for(1000)  # 0.3 s after a tick
+    between_ticks = bench.ports.now + 300 * MS
 
-    bench.take(ts_us=10_000)
+    bench.order(Take(order=49, owner="a", lease=LEASE, ts_us=10_000), at_ns=between_ticks)
+    bench.run_for(400)
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 20)))
     bench.run_for(500)
 
