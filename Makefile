@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check format clean
+.PHONY: demo test check bench format clean
 
 demo: .venv/run
 	$(BIN)/armrig demo
@@ -16,6 +16,9 @@ check: .venv/dev
 	$(BIN)/python -m armrig_protocol.generate --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+bench: .venv/dev
+	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py
 
 format: .venv/dev
 	$(BIN)/ruff check --fix
