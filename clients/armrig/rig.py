@@ -16,7 +16,8 @@ import numpy as np
 import zenoh
 from armrig_core import commands, protobuf, telemetry, topics
 from armrig_core.endpoint import endpoint, socket_directory
-from numpy.typing import ArrayLike
+from armrig_core.volts import U_MAX_V
+from numpy.typing import ArrayLike, NDArray
 
 Progress = Callable[[int, int], None]
 """Called with the samples taken and the samples asked for."""
@@ -127,11 +128,13 @@ class Rig:
             The run ended before its last sample; the recording holds what there was.
         RefusedError
             The rig is not armed, or a value is not allowed.
+        ValueError
+            A voltage is outside 0 … 5 V or no number; nothing was sent.
         """
-        voltage = np.asarray(u, dtype=np.float64)
+        voltage = _inside(u)
         request = commands.Run(
             **self._stamp(),
-            u=voltage.ravel().tolist(),
+            u=voltage.tolist(),
             experiment=experiment,
             details=dict(details or {}),
         )
@@ -169,7 +172,8 @@ class Rig:
 
     def set(self, u: float) -> None:
         """Hold `u` volts until the next `set`, or the end of the lease's period."""
-        self._ask(commands.Set(**self._stamp(), u=u), commands.Done)
+        (volts,) = _inside([u])
+        self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
 
     def stop(self) -> None:
         """Go to 0 V; needs no lease."""
@@ -306,6 +310,17 @@ def no_reply(rig: str, where: str) -> NoReplyError:
         f"no reply from rig {rig} at {where}: not running, or not permitted; "
         "start it with `armrigd run`, or give its endpoint with --connect"
     )
+
+
+def _inside(u: ArrayLike) -> NDArray[np.float64]:
+    """Return the voltages (N,), or refuse them: never clamped, and never sent."""
+    volts = np.atleast_1d(np.asarray(u, dtype=np.float64)).ravel()
+    outside = ~((volts >= 0) & (volts <= U_MAX_V))  # NaN is outside, too
+    if outside.any():
+        k = int(np.argmax(outside))
+        msg = f"u[{k}] = {volts[k]:g} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed"
+        raise ValueError(msg)
+    return volts
 
 
 def _refusal(name: str, payload: bytes) -> RefusedError:

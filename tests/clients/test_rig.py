@@ -116,14 +116,26 @@ def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:
     assert daemon.asked == []
 
 
-def test_a_refusal_is_told_in_the_daemons_words(daemon: FakeDaemon, where: str) -> None:
-    """A value outside 0 to 5 V is refused by the daemon, never clamped by the client."""
+def test_a_voltage_outside_the_rig_s_never_leaves_the_client(
+    daemon: FakeDaemon, where: str
+) -> None:
+    """The first index is named; nothing is clamped, nothing is sent."""
     with Rig("1", connect=where) as rig:
         rig.arm("me")
-        with pytest.raises(RefusedError, match="<= 5"):
+        with pytest.raises(ValueError, match=r"u\[1\] = 5.5 V is outside 0 … 5 V"):
             rig.run([1.0, 5.5])
-        with pytest.raises(RefusedError, match="set"):
+        with pytest.raises(ValueError, match=r"u\[0\] = nan V is outside"):
             rig.set(float("nan"))
+
+    assert not {"run", "set"} & {request.name for request in daemon.asked}
+
+
+def test_a_refusal_is_told_in_the_daemons_words(daemon: FakeDaemon, where: str) -> None:
+    """What the daemon alone can know."""
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        with pytest.raises(RefusedError, match="experiment"):
+            rig.run([1.0], experiment="No Such Name")
 
 
 def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str) -> None:

@@ -94,9 +94,27 @@ def test_a_command_with_a_wrong_field_is_told_which(bench: Bench) -> None:
         with pytest.raises(RefusedError, match=r"at least 0.000728 s"):
             rig.arm("a test", Ts=0.0006)
         rig.arm("a test")
-        with pytest.raises(RefusedError, match=r"Expected `float` <= 5.0 - at `\$.u\[1\]`"):
+        with pytest.raises(ValueError, match=r"u\[1\] = 6 V is outside 0 … 5 V"):
             rig.run(np.array([1.0, 6.0]))
+        with pytest.raises(ValueError, match=r"u\[0\] = nan V is outside"):
+            rig.set(float("nan"))
     assert bench.volts() == 0.0
+
+
+def test_a_client_that_checks_nothing_is_refused_by_the_daemon(bench: Bench) -> None:
+    """S1: the service checks by itself; no command of a broken client reaches the motor."""
+    bench.emulate()
+    bench.serve()
+
+    with bench.rig() as rig:
+        lease = rig.arm("a test").lease
+        for volts in ("6.0", "-1.0", "1e999", "NaN", "null", "true", '"3"'):
+            payload = f'{{"lease": "{lease}", "n": 1, "u": {volts}}}'
+            session = rig._connected()
+            (reply,) = session.get("rig/1/cmd/set", payload=payload, timeout=5)
+            assert reply.err is not None, volts
+            assert b"set: " in reply.err.payload.to_bytes()
+    assert {volts for _, volts in bench.voltage_changes()} == {0.0}
 
 
 def test_the_voltage_follows_the_hand_and_the_stop(bench: Bench) -> None:
