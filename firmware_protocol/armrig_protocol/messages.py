@@ -29,7 +29,7 @@ WATCHDOG_MAX_MS = 250
 WATCHDOG_DEFAULT_MS = 100
 """Watchdog that a host asks for unless told otherwise, in ms."""
 MAX_UNECHOED = 2
-"""Frames that a host may have sent and not yet seen echoed."""
+"""EXCHANGE frames that a host may have sent and not yet seen echoed."""
 
 
 class State(IntEnum):
@@ -118,9 +118,9 @@ class Underrun(IntEnum):
     """What a device latches when its queue is dry."""
 
     ZERO = 0
-    """0 V at once."""
+    """U_rest at once."""
     HOLD = 1
-    """The last code for `hold` ticks, then 0 V."""
+    """The last code for `hold` ticks, then u_rest."""
 
 
 class Flag(IntFlag):

@@ -15,7 +15,7 @@
 #define RIG_WATCHDOG_MIN_MS 20U // Shortest watchdog that a device accepts, in ms.
 #define RIG_WATCHDOG_MAX_MS 250U // Longest watchdog that a device accepts, in ms. There is no off.
 #define RIG_WATCHDOG_DEFAULT_MS 100U // Watchdog that a host asks for unless told otherwise, in ms.
-#define RIG_MAX_UNECHOED 2U // Frames that a host may have sent and not yet seen echoed.
+#define RIG_MAX_UNECHOED 2U // EXCHANGE frames that a host may have sent and not yet seen echoed.
 
 // State of the device, in byte 1 of each of its frames.
 enum {
@@ -66,8 +66,8 @@ enum {
 
 // What a device latches when its queue is dry.
 enum {
-    RIG_UNDERRUN_ZERO = 0x0, // 0 V at once
-    RIG_UNDERRUN_HOLD = 0x1, // the last code for `hold` ticks, then 0 V
+    RIG_UNDERRUN_ZERO = 0x0, // u_rest at once
+    RIG_UNDERRUN_HOLD = 0x1, // the last code for `hold` ticks, then u_rest
 };
 
 // What a device has to say of one sample.
