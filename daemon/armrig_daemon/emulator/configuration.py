@@ -29,6 +29,6 @@ def verdict(config: Config, *, ts_min_us: int) -> Code:
     )
     if not allowed:
         return Code.BAD_VALUE
-    if config.mode != Mode.EXCHANGE or config.oversampling != 1:
+    if config.oversampling != 1:
         return Code.UNSUPPORTED
     return Code.OK

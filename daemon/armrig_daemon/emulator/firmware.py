@@ -14,12 +14,14 @@ import numpy as np
 from armrig_protocol.messages import Ack, Cause, Code, Config, Event, Flag, Message, State, Status
 
 from armrig_daemon.emulator.board import Board
+from armrig_daemon.emulator.clock import U32, Clock, microseconds
 from armrig_daemon.emulator.guards import NOTHING_SEEN, Guards
+from armrig_daemon.emulator.queue import SetpointQueue
+from armrig_daemon.emulator.timer import Timer
 
 NEVER: Final = 1 << 62
 """Later than any clock: the deadline of what is not awaited."""
 U16: Final = 0xFFFF
-U32: Final = 0xFFFF_FFFF
 UNNUMBERED: Final = 0
 """seq of a frame before it leaves."""
 SUPPLY_MV = 5000
@@ -28,24 +30,33 @@ NO_STACK_LIMIT = 0xFFFF  # an emulator has no stack to run out of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Traits:
-    """What HELLO_R tells of the hardware."""
+    """What the hardware is like."""
 
-    ts_min_us: int
-    skew_us: int
-    hold_us: int
+    conversion_ns: int
+    """One conversion: alpha's, then theta_1's."""
+    hold_ns: int
+    """From a trigger to its sampling."""
     adc_bits: int
     pwm_bits: int
 
+    @property
+    def ts_min_us(self) -> int:
+        """Shortest sampling time: that of the two conversions."""
+        return -(-2 * self.conversion_ns // 1000)
+
 
 class Order(NamedTuple):
-    """A sample that an EXCHANGE asked for and that is not taken yet."""
+    """A sample that an EXCHANGE or the timer asked for and that is not taken yet."""
 
-    t_ns: int
-    seq: int
+    due_ns: int
+    """Device time at which its conversions are to begin."""
     k: int
-    u: int
-    drives: bool
-    """u is to be latched: it came in this RUN."""
+    seq: int = 0
+    """Of the EXCHANGE."""
+    u: int | None = None
+    """None is what the queue has for k when it is latched."""
+    drives: bool = True
+    """u is to be latched: it was asked for in this RUN."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -58,6 +69,7 @@ class Counters:
     rx_lost: int = 0
     tx_dropped: int = 0
     late: int = 0
+    underruns: int = 0
 
 
 @dataclass(slots=True, kw_only=True)
@@ -68,8 +80,8 @@ class Firmware:
     traits: Traits
     rng: np.random.Generator
     """Tokens come from it."""
+    clock: Clock
     boot_id: int
-    reset_ns: int
     mcusr: int
     """Reset flags of the processor."""
     state: State = State.BOOT
@@ -97,11 +109,17 @@ class Firmware:
     news: int = 0
     """Flags to be told once, in the next SAMPLE."""
     orders: deque[Order] = field(default_factory=deque)
+    queue: SetpointQueue | None = None
+    """In ARMED and RUN of scheduled mode; elsewhere None, and so empty."""
+    timer: Timer | None = None
+    """In RUN of scheduled mode."""
+    timer_ns: int = NEVER
+    """When it is due; kept by `set_timer` and `go`, because it is read far more often."""
     counters: Counters = field(default_factory=Counters)
 
     def device_us(self, now_ns: int) -> int:
         """Return the device's clock, which starts at reset and wraps at 2^32."""
-        return (now_ns - self.reset_ns) // 1000 & U32
+        return microseconds(self.clock.device_ns(now_ns))
 
     def feed(self, now_ns: int) -> None:
         """Note that a frame was taken in."""
@@ -112,7 +130,21 @@ class Firmware:
         """Set the watchdog, which is on in ARMED and RUN only."""
         self.watchdog_ns = NEVER
         if self.config is not None and (self.state is State.RUN or self.state is State.ARMED):
-            self.watchdog_ns = self.fed_ns + self.config.watchdog_ms * 1_000_000
+            self.watchdog_ns = self.clock.after(self.fed_ns, self.config.watchdog_ms * 1_000_000)
+
+    def set_timer(self, timer: Timer | None) -> None:
+        """Let the timer's next act be due at its time."""
+        self.timer = timer
+        self.timer_ns = self.clock.instant(timer.due_ns) if timer else NEVER
+
+    def tick(self, now_ns: int) -> list[Message]:
+        """Ask for the sample that is due; behind the last one end the run."""
+        if self.timer is None or self.timer.ends:
+            return [self.go(now_ns, State.IDLE, Cause.END)]
+        self.orders.append(Order(self.timer.due_ns, self.timer.k))
+        self.timer.k += 1
+        self.set_timer(self.timer)
+        return []
 
     def go(self, now_ns: int, state: State, cause: Cause, *, detail: int = 0) -> Message:
         """Make a transition and return its EVENT."""
@@ -120,6 +152,9 @@ class Firmware:
         if state is not State.RUN:
             self.board.release(now_ns, state, cause)
             self.u_seq = 0
+            self.set_timer(None)
+            if state is not State.ARMED:
+                self.queue = None
         if was is State.RUN:
             # What still waits for its conversions was meant for the run that is over.
             self.orders = deque(order._replace(drives=False) for order in self.orders)
@@ -168,14 +203,14 @@ class Firmware:
             UNNUMBERED,
             boot=self.boot_id & U16,
             vcc_mv=SUPPLY_MV,
-            uptime_ms=(now_ns - self.reset_ns) // 1_000_000 & U32,
+            uptime_ms=self.clock.device_ns(now_ns) // 1_000_000 & U32,
             frames=counters.frames & U32,
             spoilt=counters.spoilt & U32,
             refused=counters.refused & U32,
             rx_lost=min(counters.rx_lost, U16),
             tx_dropped=min(counters.tx_dropped, U16),
             late=min(counters.late, U16),
-            underruns=0,
+            underruns=min(counters.underruns, U16),
             isr_max_us=0,
             stack_free=NO_STACK_LIMIT,
         )

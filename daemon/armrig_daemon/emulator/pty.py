@@ -12,88 +12,22 @@ import os
 import select
 import signal
 import sys
-import termios
-import tty
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from struct import Struct
 from time import monotonic_ns
 from typing import TextIO
 
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.line import READ_BYTES, Line, PortError
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import wire_ns
 
 PRIORITY = 20  # below the loop's: the device is fast enough, and must not starve who drives it
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
-IN_CLOSE, IN_OPEN = 0x08 | 0x10, 0x20  # <sys/inotify.h>
-READ_BYTES = 64  # what a USB bridge's buffer holds; the rest waits in the kernel
-_INOTIFY_EVENT = Struct("iIII")
-_libc = ctypes.CDLL(None, use_errno=True)
-
-
-class PortError(Exception):
-    """The port cannot be made; says which and why."""
-
-
-class Line:
-    """The master's end of a pseudo-terminal, and who is at the other end."""
-
-    def __init__(self, stack: ExitStack) -> None:
-        """Open it in raw mode; `stack` closes it."""
-        self.master, slave = os.openpty()
-        stack.callback(os.close, self.master)
-        tty.setraw(slave)
-        self.slave = Path(os.ttyname(slave))
-        self.opened = os.fdopen(_watch(self.slave), "rb", buffering=0)
-        stack.enter_context(self.opened)
-        os.close(slave)
-        os.set_blocking(self.master, False)
-        self.connected = False
-        """Somebody has it open; the read that fails tells that nobody has any more."""
-        self.dropped_bytes = 0
-        self._closed = False
-
-    def came(self) -> bool:
-        """Return whether somebody opened the port since the last call.
-
-        Opened after it was closed, that is. By POLLHUP alone, one who closes it and opens it at
-        once would not be seen. (Who opens it beside its owner, twice, resets the device without
-        need; the daemon opens it exclusively.)
-        """
-        opened = False
-        for _, mask, _, _ in _INOTIFY_EVENT.iter_unpack(self.opened.read(4096) or b""):
-            opened |= self._closed and bool(mask & IN_OPEN)
-            self._closed = bool(mask & IN_CLOSE)
-        self.connected |= opened
-        return opened
-
-    def flush(self) -> None:
-        """Throw away what waits on the line, either way."""
-        termios.tcflush(self.master, termios.TCIOFLUSH)
-
-    def read(self) -> bytes:
-        """Return what has come, at most `READ_BYTES`; nothing where nobody is connected."""
-        try:
-            return os.read(self.master, READ_BYTES)
-        except BlockingIOError:
-            return b""
-        except OSError:  # EIO: the last one closed the port
-            self.connected = False
-            return b""
-
-    def write(self, data: bytes) -> None:
-        """Send; what a stalled reader leaves no room for is dropped and counted."""
-        sent = 0
-        if self.connected:
-            try:
-                sent = os.write(self.master, data)
-            except BlockingIOError:
-                sent = 0
-            self.dropped_bytes += len(data) - sent
+_libc = ctypes.CDLL(None)
 
 
 def emulate(port: Path, settings: EmulatorSettings, *, trace: Path | None = None) -> int:
@@ -133,8 +67,10 @@ def emulate(port: Path, settings: EmulatorSettings, *, trace: Path | None = None
         with _naming(port):
             _link(port, line.slave, stack)
         _run(line, device, settings, wake)
-        if line.dropped_bytes:
-            print(f"{port}: {line.dropped_bytes} bytes dropped, not read in time", file=sys.stderr)
+        lost = line.backlog
+        if lost.dropped_frames:
+            said = f"{lost.dropped_frames} frames ({lost.dropped_bytes} bytes) dropped"
+            print(f"{port}: {said}, not read in time", file=sys.stderr)
     return 0
 
 
@@ -151,7 +87,7 @@ def _run(line: Line, device: Device, settings: EmulatorSettings, wake: int) -> N
         due_ns = device.visible_ns()
         if replies:
             due_ns = min(due_ns, replies[0][0])
-        sources = [opened, wake]
+        sources, sinks = [opened, wake], []
         if line.connected:
             # Read no faster than the wire carries: behind it the kernel holds the host back.
             room_ns = now_ns + device.rx_backlog_ns(now_ns) - full_ns
@@ -159,7 +95,12 @@ def _run(line: Line, device: Device, settings: EmulatorSettings, wake: int) -> N
                 sources.append(master)
             else:
                 due_ns = min(due_ns, room_ns)
-        ready, _, _ = select.select(sources, [], [], max(0, due_ns - monotonic_ns()) * 1e-9)
+            if line.backlog.waiting_bytes:
+                sinks.append(master)
+        timeout_s = max(0, due_ns - monotonic_ns()) * 1e-9
+        ready, room, _ = select.select(sources, sinks, [], timeout_s)
+        if room:
+            line.drain()
         if not ready:
             continue
         if wake in ready:
@@ -182,15 +123,6 @@ def _naming(path: Path) -> Iterator[None]:
     except OSError as err:
         msg = f"{path}: {err.strerror}"
         raise PortError(msg) from err
-
-
-def _watch(path: Path) -> int:
-    """Return an inotify descriptor that tells of `path` being opened and closed."""
-    fd: int = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
-    if fd < 0 or _libc.inotify_add_watch(fd, os.fsencode(path), IN_OPEN | IN_CLOSE) < 0:
-        msg = f"{path}: inotify: {os.strerror(ctypes.get_errno())}"
-        raise PortError(msg)
-    return fd
 
 
 def _link(port: Path, slave: Path, stack: ExitStack) -> None:

@@ -6,9 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 from armrig_protocol.decoder import Received
-from armrig_protocol.frame import Spoilt, Unknown, config_crc
+from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
     FULL_SCALE_MV,
+    QUEUE_CAPACITY,
     SCHEMA_HASH,
     TYPES,
     VERSION,
@@ -19,7 +20,6 @@ from armrig_protocol.messages import (
     ClearFault,
     Code,
     Config,
-    ConfigReply,
     Estop,
     Exchange,
     Flag,
@@ -35,17 +35,14 @@ from armrig_protocol.messages import (
     Stop,
 )
 
-from armrig_daemon.emulator.configuration import (
-    HEADER_FIELDS,
-    NONE_IN_FORCE,
-    verdict,
-)
-from armrig_daemon.emulator.firmware import U16, U32, UNNUMBERED, Firmware, Order
-from armrig_daemon.emulator.guards import NOTHING_SEEN
+from armrig_daemon.emulator import transitions
+from armrig_daemon.emulator.clock import U32
+from armrig_daemon.emulator.firmware import U16, UNNUMBERED, Firmware, Order
+from armrig_daemon.emulator.setpoints import setpoints
 
 UID = int.from_bytes(b"emulator", "little")
 NO_IMAGE = 0  # an emulator has no image to take a CRC of
-CAPABILITIES = int(Capability.EXCHANGE | Capability.ENABLE_LINE)
+CAPABILITIES = int(Capability.EXCHANGE | Capability.SCHEDULED | Capability.ENABLE_LINE)
 
 
 def take(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
@@ -79,7 +76,7 @@ def is_newer(number: int, last: int | None, mask: int) -> bool:
 def makes_sample(fw: Firmware, m: Exchange) -> bool:
     """Return whether `m`, taken in the present state, is answered by a sample."""
     fresh = is_newer(m.seq, fw.newest, U16) and is_newer(m.k, fw.k, U32)
-    return fresh and _trip(fw, m) is Cause.NONE
+    return fw.timer is None and fresh and _trip(fw, m) is Cause.NONE
 
 
 def _trip(fw: Firmware, m: Exchange) -> Cause:
@@ -96,6 +93,8 @@ def _trip(fw: Firmware, m: Exchange) -> Cause:
 
 
 def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
+    if fw.timer is not None:
+        return [fw.answer(TYPES[Exchange], m.seq, Code.WRONG_STATE)]
     if not is_newer(m.k, fw.k, U32):
         return [fw.answer(TYPES[Exchange], m.seq, Code.STALE)]
     cause = _trip(fw, m)
@@ -105,7 +104,7 @@ def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
     if drives:
         fw.u = m.u
     fw.k = m.k
-    fw.orders.append(Order(now_ns, m.seq, m.k, m.u, drives))
+    fw.orders.append(Order(fw.clock.device_ns(now_ns), m.k, m.seq, m.u, drives))
     return []
 
 
@@ -124,78 +123,16 @@ def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
         token=fw.token,
         ts_min_us=traits.ts_min_us,
         full_scale_mv=FULL_SCALE_MV,
-        queue=0,
+        queue=QUEUE_CAPACITY,
         capabilities=CAPABILITIES,
-        skew_us=traits.skew_us,
-        hold_us=traits.hold_us,
+        skew_us=round(traits.conversion_ns / 1000),
+        hold_us=traits.hold_ns // 1000,
         adc_bits=traits.adc_bits,
         pwm_bits=traits.pwm_bits,
         cause=fw.cause,
         reset=fw.mcusr,
     )
     return [reply]
-
-
-def _config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
-    code = Code.WRONG_STATE
-    if fw.state is State.IDLE or fw.state is State.READY:
-        code = verdict(m, ts_min_us=fw.traits.ts_min_us)
-    events: list[Message] = []
-    if code is Code.OK:
-        if fw.state is State.IDLE:
-            events = [fw.go(now_ns, State.READY, Cause.REQUEST)]
-        fw.config, fw.config_crc = m, config_crc(m)
-    else:
-        fw.counters.refused += 1
-    body = fw.config[HEADER_FIELDS:] if fw.config else NONE_IN_FORCE
-    reply = ConfigReply._make((fw.state, UNNUMBERED, code, 0, fw.config_crc, *body))
-    return [reply, *events]
-
-
-def _arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
-    if fw.state is not State.READY:
-        code = Code.WRONG_STATE
-    elif m.boot_id != fw.boot_id:
-        code = Code.WRONG_BOOT
-    elif m.config_crc != fw.config_crc:
-        code = Code.WRONG_CONFIG
-    else:
-        return _transition(fw, now_ns, m, State.ARMED)
-    return [fw.answer(TYPES[Arm], m.seq, code)]
-
-
-def _start(fw: Firmware, now_ns: int, m: Start) -> list[Message]:
-    if fw.state is not State.ARMED or fw.config is None:
-        return [fw.answer(TYPES[Start], m.seq, Code.WRONG_STATE)]
-    if m.k_stop != 0:
-        return [fw.answer(TYPES[Start], m.seq, Code.BAD_VALUE)]
-    fw.u, fw.u_seq = fw.config.u_rest, m.seq
-    fw.guards = NOTHING_SEEN
-    answers = _transition(fw, now_ns, m, State.RUN)
-    fw.board.latch(now_ns, fw.u, Cause.REQUEST)
-    return answers
-
-
-def _stop(fw: Firmware, now_ns: int, m: Stop) -> list[Message]:
-    if fw.state in (State.FAULT, State.ESTOP):
-        return [fw.answer(TYPES[Stop], m.seq, Code.WRONG_STATE)]
-    if fw.state is State.IDLE:
-        return [fw.answer(TYPES[Stop], m.seq, Code.OK)]
-    return _transition(fw, now_ns, m, State.IDLE)
-
-
-def _clear_fault(fw: Firmware, now_ns: int, m: ClearFault) -> list[Message]:
-    if fw.state not in (State.FAULT, State.ESTOP):
-        return [fw.answer(TYPES[ClearFault], m.seq, Code.WRONG_STATE)]
-    if m.token != fw.token:
-        return [fw.answer(TYPES[ClearFault], m.seq, Code.WRONG_TOKEN)]
-    return _transition(fw, now_ns, m, State.IDLE)
-
-
-def _estop(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
-    if fw.state is State.ESTOP:
-        return [fw.answer(TYPES[Estop], m.seq, Code.OK)]
-    return _transition(fw, now_ns, m, State.ESTOP)
 
 
 def _ping(fw: Firmware, now_ns: int, m: Ping) -> list[Message]:
@@ -207,27 +144,21 @@ def _keepalive(fw: Firmware, now_ns: int, m: Keepalive) -> list[Message]:
     return []
 
 
-def _unsupported(fw: Firmware, now_ns: int, m: Setpoints | Cal) -> list[Message]:
-    return [fw.answer(TYPES[type(m)], m.seq, Code.UNSUPPORTED)]
-
-
-def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Message]:
-    """Return ACK(OK) and the EVENT, in the order in which they leave."""
-    event = fw.go(now_ns, state, Cause.REQUEST)
-    return [fw.answer(TYPES[type(m)], m.seq, Code.OK), event]
+def _unsupported(fw: Firmware, now_ns: int, m: Cal) -> list[Message]:
+    return [fw.answer(TYPES[Cal], m.seq, Code.UNSUPPORTED)]
 
 
 _HANDLERS: dict[type[Message], Callable[[Firmware, int, Any], list[Message]]] = {
     Exchange: _exchange,
     Keepalive: _keepalive,
     Ping: _ping,
-    Stop: _stop,
-    Estop: _estop,
+    Stop: transitions.stop,
+    Estop: transitions.estop,
     Hello: _hello,
-    Config: _config,
-    Arm: _arm,
-    Start: _start,
-    ClearFault: _clear_fault,
-    Setpoints: _unsupported,
+    Config: transitions.config,
+    Arm: transitions.arm,
+    Start: transitions.start,
+    ClearFault: transitions.clear_fault,
+    Setpoints: setpoints,
     Cal: _unsupported,
 }

@@ -1,11 +1,13 @@
-"""What each sample does: the latch of u, the guards, SAMPLE (PROTOCOL.md, sections 5 and 7)."""
+"""What each sample does: the latch of u, the guards, SAMPLE (PROTOCOL.md, sections 5 to 7)."""
 
 from __future__ import annotations
 
 from armrig_protocol.messages import Cause, Flag, Message, Sample, State
 
+from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.firmware import U16, UNNUMBERED, Firmware
 from armrig_daemon.emulator.guards import at_rail, watch
+from armrig_daemon.emulator.queue import Setpoint
 
 _STATE_FLAGS = {
     State.RUN: int(Flag.RUN | Flag.ARMED),
@@ -18,16 +20,29 @@ _FAULT_FLAGS = {
     Cause.SLEW: int(Flag.SLEW),
     Cause.REV_LIMIT: int(Flag.REV_LIMIT),
 }
-_RAIL_0, _RAIL_1, _LATE = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL), int(Flag.TICK_LATE)
+_RAIL_0, _RAIL_1 = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
+_LATE, _UNDERRUN = int(Flag.TICK_LATE), int(Flag.UNDERRUN)
 
 
 def latch(fw: Firmware, now_ns: int) -> None:
     """Latch u of the first order, unless the run it was meant for is over."""
     order = fw.orders[0]
     fw.u_km1 = fw.board.code
-    if order.drives:
-        fw.board.latch(now_ns, order.u, Cause.REQUEST)
-        fw.u_seq = order.seq
+    if not order.drives:
+        return
+    u, fw.u_seq = (order.u, order.seq) if order.u is not None else _next_setpoint(fw)
+    fw.board.latch(now_ns, u, Cause.REQUEST)
+
+
+def _next_setpoint(fw: Firmware) -> Setpoint:
+    """Return what is to be latched now, from the queue or by the policy for a dry one."""
+    if fw.queue is None:
+        msg = "a sample of scheduled mode is to be latched without a queue"
+        raise RuntimeError(msg)
+    if not fw.queue.take():
+        fw.news |= _UNDERRUN
+        fw.counters.underruns += 1
+    return fw.queue.in_force
 
 
 def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> list[Message]:
@@ -69,14 +84,14 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
         boot=fw.boot_id & U16,
         echo=fw.newest or 0,
         u_seq=fw.u_seq,
-        k=order.k,
+        k=order.k & U32,
         t_us=t_us,
         y0=y0,
         y1=y1,
         u_k=fw.board.code,
         u_km1=fw.u_km1,
         flags=flags,
-        queued=0,
+        queued=0 if fw.queue is None else len(fw.queue),
     )
     # SAMPLE answers a request, and so leaves before the EVENT of the transition that it made.
     return [taken, *events]

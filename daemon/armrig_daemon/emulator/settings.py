@@ -19,6 +19,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "boot_ms": (0, 10_000),
     "baud": (9_600, 4_000_000),
     "conversion_us": (12, 1_000),
+    "clock_ppm": (-500, 500),
     "adc_noise_v": (0, 0.5),
     "coulomb_nm": (0, 10),
     "stiffening": (0, 1_000),
@@ -50,6 +51,11 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Bytes take their time on the wire."""
     conversion_us: float = 104.0
     """One conversion, in µs: 13 clocks of the ATmega328P's ADC at 125 kHz."""
+    clock_ppm: float = 0.0
+    """How slow the device's oscillator is, in parts per million: its µs last 1 + clock_ppm 1e-6 µs.
+
+    So does whatever it times by itself: Ts, conversions, the watchdog; not the bits on the wire.
+    """
     pwm_bits: int = 10
     """Resolution of the duty; 0 is none."""
     adc_bits: int = 10

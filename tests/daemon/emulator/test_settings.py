@@ -53,6 +53,8 @@ def test_keys_take_their_place(tmp_path: Path) -> None:
         ("baud", 300, "from 9600 to 4000000"),
         ("conversion_us", 3.0, "from 12 to 1000"),
         ("adc_noise_v", 0.6, "from 0 to 0.5"),
+        ("clock_ppm", -501.0, "from -500 to 500"),
+        ("clock_ppm", 500.5, "from -500 to 500"),
         ("coulomb_nm", -1.0, "from 0 to 10"),
         ("stiffening", -1.0, "from 0 to 1000"),
         ("theta_1_range_deg", 361.0, "from 180 to 360"),

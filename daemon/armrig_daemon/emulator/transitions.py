@@ -1,0 +1,115 @@
+"""The requests that lead from state to state (PROTOCOL.md, sections 3 and 4)."""
+
+from __future__ import annotations
+
+from armrig_protocol.frame import config_crc
+from armrig_protocol.messages import (
+    TYPES,
+    Arm,
+    Cause,
+    ClearFault,
+    Code,
+    Config,
+    ConfigReply,
+    Estop,
+    Message,
+    Mode,
+    Start,
+    State,
+    Stop,
+)
+
+from armrig_daemon.emulator.configuration import HEADER_FIELDS, NONE_IN_FORCE, verdict
+from armrig_daemon.emulator.firmware import UNNUMBERED, Firmware
+from armrig_daemon.emulator.guards import NOTHING_SEEN
+from armrig_daemon.emulator.queue import SetpointQueue
+from armrig_daemon.emulator.timer import Timer
+
+
+def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
+    """Take a configuration, or say why not."""
+    code = Code.WRONG_STATE
+    if fw.state is State.IDLE or fw.state is State.READY:
+        code = verdict(m, ts_min_us=fw.traits.ts_min_us)
+    events: list[Message] = []
+    if code is Code.OK:
+        if fw.state is State.IDLE:
+            events = [fw.go(now_ns, State.READY, Cause.REQUEST)]
+        fw.config, fw.config_crc = m, config_crc(m)
+    else:
+        fw.counters.refused += 1
+    body = fw.config[HEADER_FIELDS:] if fw.config else NONE_IN_FORCE
+    reply = ConfigReply._make((fw.state, UNNUMBERED, code, 0, fw.config_crc, *body))
+    return [reply, *events]
+
+
+def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
+    """Bind the device to the host that knows this boot and this configuration."""
+    if fw.state is not State.READY:
+        code = Code.WRONG_STATE
+    elif m.boot_id != fw.boot_id:
+        code = Code.WRONG_BOOT
+    elif m.config_crc != fw.config_crc:
+        code = Code.WRONG_CONFIG
+    else:
+        if fw.config is not None and fw.config.mode == Mode.SCHEDULED:
+            fw.queue = SetpointQueue(fw.config)
+        return _transition(fw, now_ns, m, State.ARMED)
+    return [fw.answer(TYPES[Arm], m.seq, code)]
+
+
+def start(fw: Firmware, now_ns: int, m: Start) -> list[Message]:
+    """Let the motor have u_rest, and in scheduled mode the timer run."""
+    if fw.state is not State.ARMED or fw.config is None:
+        return [fw.answer(TYPES[Start], m.seq, Code.WRONG_STATE)]
+    scheduled = fw.config.mode == Mode.SCHEDULED
+    if m.k_stop != 0 and not scheduled:
+        return [fw.answer(TYPES[Start], m.seq, Code.BAD_VALUE)]
+    fw.u, fw.u_seq = fw.config.u_rest, 0 if scheduled else m.seq
+    fw.guards = NOTHING_SEEN
+    answers = _transition(fw, now_ns, m, State.RUN)
+    if scheduled:
+        fw.set_timer(_timer(fw, now_ns, fw.config.ts_us * 1000, m.k_stop))
+    fw.board.latch(now_ns, fw.u, Cause.REQUEST)
+    return answers
+
+
+def _timer(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Timer:
+    return Timer(
+        first_ns=fw.clock.device_ns(now_ns) + period_ns,
+        period_ns=period_ns,
+        conversion_ns=fw.traits.conversion_ns,
+        hold_ns=fw.traits.hold_ns,
+        k_stop=k_stop,
+    )
+
+
+def stop(fw: Firmware, now_ns: int, m: Stop) -> list[Message]:
+    """End what is going on."""
+    if fw.state in (State.FAULT, State.ESTOP):
+        return [fw.answer(TYPES[Stop], m.seq, Code.WRONG_STATE)]
+    if fw.state is State.IDLE:
+        return [fw.answer(TYPES[Stop], m.seq, Code.OK)]
+    return _transition(fw, now_ns, m, State.IDLE)
+
+
+def clear_fault(fw: Firmware, now_ns: int, m: ClearFault) -> list[Message]:
+    """Leave FAULT or ESTOP, for who knows the token."""
+    if fw.state not in (State.FAULT, State.ESTOP):
+        return [fw.answer(TYPES[ClearFault], m.seq, Code.WRONG_STATE)]
+    if m.token != fw.token:
+        return [fw.answer(TYPES[ClearFault], m.seq, Code.WRONG_TOKEN)]
+    return _transition(fw, now_ns, m, State.IDLE)
+
+
+def estop(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
+    """Latch 0 V."""
+    if fw.state is State.ESTOP:
+        return [fw.answer(TYPES[Estop], m.seq, Code.OK)]
+    return _transition(fw, now_ns, m, State.ESTOP)
+
+
+def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Message]:
+    """Return ACK(OK) and the EVENT, in the order in which they leave."""
+    event = fw.go(now_ns, state, Cause.REQUEST)
+    return [fw.answer(TYPES[type(m)], m.seq, Code.OK), event]

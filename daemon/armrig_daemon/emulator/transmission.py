@@ -1,0 +1,48 @@
+"""The frames on their way to the host: numbered, one after the other, dropped where too many."""
+
+from __future__ import annotations
+
+from armrig_protocol import frame
+from armrig_protocol.messages import Message, Pong
+
+from armrig_daemon.emulator.firmware import U16, Firmware
+from armrig_daemon.emulator.uart import departure_ns, wire_ns
+
+RING_BYTES = 256
+
+
+class Transmission:
+    """A ring of bytes and the wire behind it."""
+
+    def __init__(self, now_ns: int, baud: int) -> None:
+        """Begin with an idle wire; baud 0 is one that takes no time."""
+        self._baud = baud
+        self._ring_ns = wire_ns(RING_BYTES, baud)
+        self._free_ns = now_ns
+        self._seq = 0
+        self._left: list[tuple[int, bytes]] = []
+
+    def begin(self, t_ns: int) -> None:
+        """Send the 00 that a sender begins with."""
+        self._left.append((self._depart(t_ns, 1), b"\0"))
+
+    def send(self, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
+        """Put frames on the wire, numbered; drop what finds no room in the ring."""
+        for message in messages:
+            if isinstance(message, Pong):
+                message = message._replace(tx_us=fw.device_us(max(t_ns, self._free_ns)))
+            wire = frame.encode(message._replace(seq=self._seq))
+            self._seq = (self._seq + 1) & U16  # a frame that is dropped leaves a break in seq
+            if self._free_ns - t_ns + wire_ns(len(wire), self._baud) > self._ring_ns:
+                fw.drop()
+            else:
+                self._left.append((self._depart(t_ns, len(wire)), wire))
+
+    def take(self) -> list[tuple[int, bytes]]:
+        """Return what was sent since the last call, each with its last byte's departure."""
+        left, self._left = self._left, []
+        return left
+
+    def _depart(self, t_ns: int, n_bytes: int) -> int:
+        self._free_ns = departure_ns(self._free_ns, t_ns, n_bytes, self._baud)
+        return self._free_ns

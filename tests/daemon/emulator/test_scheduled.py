@@ -1,0 +1,901 @@
+"""Scheduled mode against PROTOCOL.md, section 6, in virtual time."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from armrig_daemon.emulator.board import Change
+from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol import frame
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    Ack,
+    Arm,
+    Cause,
+    ClearFault,
+    Code,
+    Config,
+    Estop,
+    Event,
+    Exchange,
+    Flag,
+    Hello,
+    HelloReply,
+    Keepalive,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Sample,
+    Setpoints,
+    Start,
+    State,
+    Status,
+    Stop,
+    Underrun,
+)
+from emulated_host import (
+    BAUD,
+    CONFIG,
+    CONVERSION_NS,
+    HOLD_NS,
+    MS,
+    QUIET,
+    SAMPLE_NS,
+    STATES,
+    US,
+    Host,
+    S,
+    codes,
+    events,
+    only,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+TS_NS = 500 * US
+SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500, "watchdog_ms": 250}
+INSTANT = EmulatorSettings(model_baud=False, boot_ms=5.0, adc_noise_v=0.0, pwm_bits=0, adc_bits=0)
+NOISE = [(7919 * k + 5) % 65536 for k in range(4000)]
+POTS = Flag.ADC0_RAIL | Flag.ADC1_RAIL
+
+
+def in_state(state: State, emulated: EmulatorSettings = QUIET, **config: int) -> Host:
+    """Return a host whose device is in `state` with a configuration of this mode."""
+    return Host(emulated).reach(state, **{**SCHEDULED, **config})
+
+
+def samples(messages: list[Message]) -> list[Sample]:
+    """Return the samples among them."""
+    return [m for m in messages if isinstance(m, Sample)]
+
+
+def until(host: Host, t_ns: int) -> list[Message]:
+    """Return what comes until `t_ns`; the host keeps quiet."""
+    return host.wait(t_ns - host.now_ns)
+
+
+def fed(host: Host, dt_ns: int) -> list[Message]:
+    """Return what comes within `dt_ns`, with a KEEPALIVE every 50 ms."""
+    came: list[Message] = []
+    end_ns = host.now_ns + dt_ns
+    while host.now_ns < end_ns:
+        host.put(Keepalive)
+        came += host.wait(min(50 * MS, end_ns - host.now_ns))
+    return came
+
+
+# ------------------------------------------------------------------ the mode and its frame
+
+
+def test_hello_tells_of_the_mode_and_the_queue() -> None:
+    """SCHEDULED and 512; CONFIG of the mode is accepted."""
+    host = Host()
+    reply = host.hello()
+
+    assert reply.capabilities & 0x0002
+    assert reply.queue == 512
+    accepted = host.configure(**SCHEDULED)
+    assert (accepted.code, accepted.mode) == (Code.OK, Mode.SCHEDULED)
+
+
+@pytest.mark.parametrize("conversion_us", [104.0, 100.3])
+def test_a_ts_shorter_than_two_conversions_is_refused(conversion_us: float) -> None:
+    """BAD_VALUE below `ts_min_us`, the two rounded up."""
+    host = Host(EmulatorSettings(baud=BAUD, conversion_us=conversion_us))
+    least = host.hello().ts_min_us
+
+    assert least - 1 < 2 * conversion_us <= least
+    assert host.configure(**{**SCHEDULED, "ts_us": least - 1}).code == Code.BAD_VALUE
+    assert host.configure(**{**SCHEDULED, "ts_us": least}).code == Code.OK
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("state", STATES)
+def test_setpoints_are_taken_in_armed_and_run_of_this_mode_only(state: State, mode: Mode) -> None:
+    """Else WRONG_STATE; what is taken has no answer."""
+    host = Host().reach(state, **{**SCHEDULED, "mode": mode})
+    taken = mode is Mode.SCHEDULED and state in (State.ARMED, State.RUN)
+
+    host.supply(0, [0])
+
+    assert codes(host.wait(3 * MS)) == ([] if taken else [Code.WRONG_STATE])
+    assert host.device.state is state
+
+
+@pytest.mark.parametrize(
+    ("n", "zero", "code"), [(0, 0, 4), (25, 0, 4), (255, 0, 4), (1, 1, 4), (1, 0, 0), (24, 0, 0)]
+)
+def test_n_is_1_to_24_and_zero_is_0(n: int, zero: int, code: int) -> None:
+    """Else BAD_VALUE, and nothing is queued."""
+    host = in_state(State.ARMED)
+
+    host.supply(0, [0] * 24, n=n, zero=zero)
+
+    assert codes(host.wait(3 * MS)) == ([code] if code else [])
+    assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == (0 if code else n)
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.RUN])
+@pytest.mark.parametrize(("u", "code"), [([50, 9], 9), ([101, 50], 101), ([50] * 23 + [9], 9)])
+def test_a_code_out_of_range_trips_and_refuses_the_whole_frame(
+    state: State, u: list[int], code: int
+) -> None:
+    """FAULT(RANGE) at its reception, the code in the EVENT, which alone answers."""
+    host = in_state(state, u_min=10, u_max=100)
+
+    t_r = host.supply(5000, u)  # behind a gap: what is ignored is looked at all the same
+    answers = [m for m in host.wait(1 * MS) if not isinstance(m, Sample)]
+
+    (event,) = answers
+    assert isinstance(event, Event)
+    assert events(answers) == [(state, State.FAULT, Cause.RANGE)]
+    assert (event.detail, event.t_us) == (code, t_r // US)
+    assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == 0
+
+
+def test_padding_is_not_looked_at() -> None:
+    """What lies behind n counts for nothing."""
+    host = in_state(State.ARMED, u_min=10, u_max=100)
+
+    host.supply(0, [10, 100, 9, 101], n=2)
+
+    assert host.wait(3 * MS) == []
+    assert host.device.state is State.ARMED
+
+
+@pytest.mark.parametrize(
+    ("frames", "trips"),
+    [
+        ([(0, [150])], False),
+        ([(0, [151])], True),
+        ([(0, [49])], True),
+        ([(0, [150, 200])], False),
+        ([(0, [150, 201])], True),
+        ([(0, [150]), (1, [200])], False),
+        ([(0, [150]), (1, [201])], True),
+        ([(0, [150, 200]), (1, [200, 251])], True),
+        ([(1, [65535])], False),  # behind a gap: no step is known
+    ],
+)
+def test_a_step_of_more_than_slew_trips(frames: list[tuple[int, list[int]]], trips: bool) -> None:
+    """From one index to the next, u_rest before index 0, in one frame or between two."""
+    host = in_state(State.ARMED, slew=50, u_rest=100)
+
+    for k0, u in frames:
+        host.supply(k0, u)
+    answers = host.wait(3 * MS)
+
+    assert events(answers) == ([(State.ARMED, State.FAULT, Cause.SLEW)] if trips else [])
+    if trips:
+        assert only(Event, answers).detail == frames[-1][1][-1]
+
+
+@pytest.mark.parametrize(
+    ("k0", "u", "trips"),
+    [(5, [50], False), (5, [51], True), (4, [60, 50], False), (4, [60, 51], True)],
+)
+def test_after_an_underrun_the_slew_counts_from_what_the_motor_has(
+    k0: int, u: list[int], trips: bool
+) -> None:
+    """It has u_rest: the step back to where the host would be is too large."""
+    host = in_state(State.ARMED, INSTANT, slew=50)
+    host.supply(0, [40, 80])
+    t_0 = host.put(Start, k_stop=0) + TS_NS
+    until(host, t_0 + 5 * TS_NS)
+
+    host.supply(k0, u)
+    until(host, t_0 + 6 * TS_NS)
+
+    assert host.device.state is (State.FAULT if trips else State.RUN)
+
+
+def test_the_slew_looks_at_what_comes_too_late_as_well() -> None:
+    """Index 0 is past; from u_rest to it the step is one too large."""
+    for first, trips in ((50, False), (51, True)):
+        host = in_state(State.ARMED, INSTANT, slew=50)
+        t_0 = host.put(Start, k_stop=0) + TS_NS
+        until(host, t_0 + 5 * TS_NS)
+
+        host.supply(0, [first, 30])
+        host.wait(1 * MS)
+
+        assert host.device.state is (State.FAULT if trips else State.RUN)
+
+
+# ------------------------------------------------------------------ the queue
+
+
+def queue_after(host: Host, *frames: tuple[int, list[int]]) -> int:
+    """Return how much is queued in ARMED after these frames."""
+    for k0, u in frames:
+        host.supply(k0, u)
+        host.wait(1 * MS)
+    host.k = getattr(host, "k", 0) + 1  # type: ignore[attr-defined]
+    return only(Sample, host.ask(Exchange, k=host.k, u=0)).queued  # type: ignore[attr-defined]
+
+
+def test_the_queue_holds_codes_by_index_without_holes() -> None:
+    """What follows is added, what is there already adds nothing, a gap is ignored unanswered."""
+    host = in_state(State.ARMED)
+
+    assert queue_after(host, (0, [1, 2, 3])) == 3
+    assert queue_after(host, (3, [4])) == 4
+    assert queue_after(host, (1, [2, 3])) == 4
+    assert queue_after(host, (2, [3, 4, 5, 6])) == 6
+    assert queue_after(host, (7, [8])) == 6
+    assert codes([h.message for h in host.heard]) == [Code.OK]  # of ARM
+
+
+@pytest.mark.parametrize("wrong", [[9, 2, 3], [1, 2, 9], [1, 9, 3, 4, 5]])
+def test_an_overlap_that_disagrees_is_refused_and_changes_nothing(wrong: list[int]) -> None:
+    """BAD_VALUE; the motor later gets what was there first, and nothing that came with it."""
+    host = in_state(State.ARMED)
+    host.supply(0, [1, 2, 3])
+    host.wait(1 * MS)
+
+    host.supply(0, wrong)
+    assert codes(host.wait(3 * MS)) == [Code.BAD_VALUE]
+
+    host.put(Start, k_stop=5)
+    assert [m.u_k for m in samples(host.wait(5 * MS))] == [1, 2, 3, 0, 0]
+
+
+def test_the_first_frame_that_brought_a_setpoint_is_its_u_seq() -> None:
+    """A later one that agrees brings nothing new."""
+    host = in_state(State.ARMED)
+    host.supply(0, [1, 2])
+    first = host.seq
+    host.supply(0, [1, 2, 3])
+
+    host.put(Start, k_stop=4)
+
+    got = samples(host.wait(5 * MS))
+    assert [m.u_seq for m in got] == [first, first, first + 1, 0]
+
+
+def test_what_is_beyond_the_capacity_is_dropped() -> None:
+    """512 it holds; the rest of the frame can be sent again when there is room."""
+    host = in_state(State.ARMED)
+    for k0 in range(0, 504, 24):
+        host.supply(k0, NOISE[k0 : k0 + 24])
+    host.wait(20 * MS)
+
+    assert queue_after(host, (504, NOISE[504:528])) == 512
+    assert queue_after(host, (504, NOISE[504:528])) == 512
+    assert queue_after(host, (512, NOISE[512:528])) == 512
+    host.put(Start, k_stop=0)
+    got = samples(host.wait(60 * MS))
+    assert [m.queued for m in got[:3]] == [511, 510, 509]
+    host.supply(504, NOISE[504:528])
+    got = samples(fed(host, 300 * MS))
+    assert [m.u_k for m in got if m.k < 528] == NOISE[got[0].k : 528]
+
+
+def test_the_queue_is_empty_at_arm() -> None:
+    """What was queued for a run that never began is not of the next."""
+    host = in_state(State.ARMED)
+    assert queue_after(host, (0, [1, 2, 3])) == 3
+    host.ask(Stop)
+    host.reach(State.ARMED, **SCHEDULED)
+
+    assert queue_after(host) == 0
+    assert queue_after(host, (0, [7])) == 1
+
+
+@pytest.mark.parametrize(("way", "state"), [(Stop, State.IDLE), (Estop, State.ESTOP)])
+def test_stop_and_estop_empty_the_queue(way: type[Message], state: State) -> None:
+    """0 V at once, and no sample is taken any more."""
+    host = in_state(State.ARMED)
+    host.supply(0, [60_000] * 24)
+    host.put(Start, k_stop=0)
+    host.wait(4 * MS)
+
+    t_r = host.put(way)
+    host.wait(3 * MS)
+
+    assert host.changes[-1] == Change(t_r, 0.0, state, Cause.REQUEST)
+    assert samples(host.wait(100 * MS)) == []
+    assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == 0
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_setpoint_is_in_time_until_the_latch(late: bool) -> None:
+    """At the latch it is; a nanosecond later it is late, dropped, and the next is in time."""
+    host = in_state(State.ARMED, INSTANT)
+    t_0 = host.put(Start, k_stop=0) + TS_NS
+
+    until(host, t_0 + HOLD_NS - 1)
+    host.now_ns += 1 + late
+    host.supply(0, [1000, 2000])
+    first, second = samples(until(host, t_0 + 2 * TS_NS - CONVERSION_NS))
+
+    assert (first.u_k, bool(first.flags & Flag.UNDERRUN)) == (0 if late else 1000, late)
+    assert (second.u_k, bool(second.flags & Flag.UNDERRUN)) == (2000, False)
+
+
+def test_indices_wrap_with_k() -> None:
+    """Frames across 2^32 are queued and latched as any others."""
+    host = in_state(State.ARMED, INSTANT)
+    fw = host.device._fw
+    host.put(Start, k_stop=0)
+    host.wait(300 * US)
+    assert fw.timer is not None
+    assert fw.queue is not None
+    # As after 24.8 days.
+    last = 2**32 - 3
+    fw.timer.first_ns -= last * fw.timer.period_ns
+    fw.timer.k = fw.queue.next = last
+
+    host.supply(last, [1, 2, 3, 4])
+    got = samples(host.wait(700 * US))
+    host.supply(1, [5, 6, 7])
+    got += samples(host.wait(4 * MS))
+
+    assert [m.k for m in got[:6]] == [last, last + 1, last + 2, 0, 1, 2]
+    assert [m.u_k for m in got[:6]] == [1, 2, 3, 4, 5, 6]
+
+
+# ------------------------------------------------------------------ time
+
+
+def test_the_first_sample_comes_one_ts_after_start() -> None:
+    """theta_1's trigger is t_0 + k Ts, alpha's before it, the latch 12 µs on, SAMPLE at its end."""
+    host = in_state(State.ARMED)
+    host.supply(0, [65535, 0])
+    host.wait(1 * MS)
+
+    t_r = host.put(Start, k_stop=0)
+    answers = host.wait(2 * MS)
+
+    assert [type(m) for m in answers] == [Ack, Event, Sample, Sample, Sample][: len(answers)]
+    heard = [h for h in host.heard if isinstance(h.message, Sample)]
+    first, second = (h.message for h in heard[:2])
+    assert isinstance(first, Sample)
+    assert isinstance(second, Sample)
+    t_0 = t_r + TS_NS
+    assert (first.k, first.t_us, first.u_k) == (0, t_0 // US, 65535)
+    assert (second.k, second.t_us, second.u_k) == (1, (t_0 + TS_NS) // US, 0)
+    assert heard[0].t_ns == t_0 + CONVERSION_NS + SAMPLE_NS
+    on, off = host.changes[-2:]
+    assert on == Change(t_0 + HOLD_NS, 5.0, State.RUN, Cause.REQUEST)
+    assert off == Change(t_0 + TS_NS + HOLD_NS, 0.0, State.RUN, Cause.REQUEST)
+
+
+def test_alpha_is_read_one_conversion_before_theta_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each held 12 µs after its trigger."""
+    host = in_state(State.ARMED)
+    board, read = host.device.board, []
+    alpha, theta_1 = board.alpha, board.theta_1
+    monkeypatch.setattr(board, "alpha", lambda t: read.append(("alpha", t)) or alpha(t))
+    monkeypatch.setattr(board, "theta_1", lambda t: read.append(("theta_1", t)) or theta_1(t))
+
+    t_0 = host.put(Start, k_stop=1) + TS_NS
+    host.wait(3 * MS)
+
+    assert read == [("alpha", t_0 - CONVERSION_NS + HOLD_NS), ("theta_1", t_0 + HOLD_NS)]
+
+
+def test_a_sample_does_not_know_of_its_own_u() -> None:
+    """y_k is taken just before u_k acts: nk = 1."""
+    runs = []
+    for u in (0, 65535):
+        host = in_state(State.ARMED)
+        host.supply(0, [30_000, 30_000, u, 0])
+        host.put(Start, k_stop=4)
+        runs.append([(m.y0, m.y1) for m in samples(host.wait(5 * MS))])
+
+    assert runs[0][:3] == runs[1][:3]
+    assert runs[0][3] != runs[1][3]
+
+
+@pytest.mark.parametrize("ppm", [0.0, 100.0, -100.0, 500.0, -500.0, 0.5])
+def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
+    """t_us is t_0 + k Ts to the µs; of given time each Ts takes 1 + ppm 1e-6."""
+    quiet = EmulatorSettings(baud=BAUD, boot_ms=5.0, adc_noise_v=0, pwm_bits=0, clock_ppm=ppm)
+    host = in_state(State.ARMED, quiet)
+    host.changes.clear()
+    host.supply(0, [65535 * (k % 2) for k in range(24)])
+    t_r = host.put(Start, k_stop=0)
+
+    got = samples(fed(host, 5 * S))
+
+    assert len(got) > 9990
+    t_0_ns = t_r * 10**9 // (10**9 + round(ppm * 1000)) + TS_NS
+    assert [m.t_us for m in got] == [(t_0_ns + m.k * TS_NS) // US for m in got]
+    assert [m.k for m in got] == list(range(len(got)))
+    ons = [c.t_ns for c in host.changes]
+    assert len(ons) == 24
+    stretch = 1 + ppm * 1e-6
+    for i, t_ns in enumerate(ons):
+        expected = t_r + (TS_NS * (2 + i) + HOLD_NS) * stretch
+        assert t_ns == pytest.approx(expected, abs=2)
+
+
+@pytest.mark.parametrize("ppm", [100.0, -100.0])
+def test_all_the_device_s_times_are_by_its_clock(ppm: float) -> None:
+    """PONG, uptime, EVENT and the watchdog, as t_us."""
+    host = in_state(State.ARMED, EmulatorSettings(baud=BAUD, boot_ms=5.0, clock_ppm=ppm))
+    stretch = 1 + ppm * 1e-6
+    came = fed(host, 20 * S)
+    t_r = host.put(Ping, host_ns=1)
+
+    pong = only(Pong, host.wait(3 * MS))
+    assert pong.rx_us == int(t_r / stretch / US)
+    statuses = [h for h in host.heard if isinstance(h.message, Status)]
+    assert len(statuses) == 20
+    for second, heard in enumerate(statuses, 1):
+        assert isinstance(heard.message, Status)
+        assert heard.message.uptime_ms == second * 1000
+        assert heard.t_ns == pytest.approx(second * S * stretch + 420 * US, abs=3 * MS)
+    host.wait(200 * MS)
+    assert host.device.state is State.ARMED
+    bitten_ns = t_r + 250 * MS * stretch
+    host.wait(int(bitten_ns) - 2 - host.now_ns)
+    assert host.device.state is State.ARMED
+    host.wait(4)
+    assert host.device.state is State.FAULT
+    assert came
+
+
+def test_t_us_wraps_in_a_run() -> None:
+    """After 71.6 min; k goes on, and Ts stays."""
+    host = Host()
+    host.wait(2**32 * US - 60 * MS - host.now_ns)
+    host.reach(State.ARMED, **SCHEDULED)
+    host.put(Start, k_stop=0)
+
+    got = samples(fed(host, 100 * MS))
+
+    assert got[0].t_us > 2**32 - 60_000
+    assert got[-1].t_us < 60_000
+    assert {(b.t_us - a.t_us) % 2**32 for a, b in pairwise(got)} == {500}
+    assert {b.k - a.k for a, b in pairwise(got)} == {1}
+
+
+def test_a_sample_whose_time_the_converter_is_busy_is_late_and_the_next_is_not() -> None:
+    """Two EXCHANGEs just before START keep it for 416 µs; alpha is due after 396."""
+    host = in_state(State.ARMED, INSTANT)
+    t_r = host.now_ns
+    for k in (1, 2):
+        host.put(Exchange, k=k, u=0)
+    host.put(Start, k_stop=0)
+
+    *asked, first, second = samples(host.wait(2 * MS))[:4]
+
+    assert (first.k, bool(first.flags & Flag.TICK_LATE)) == (0, True)
+    assert (second.k, bool(second.flags & Flag.TICK_LATE)) == (1, False)
+    assert first.t_us == (t_r + 4 * CONVERSION_NS + CONVERSION_NS) // US
+    assert second.t_us == (t_r + 2 * TS_NS) // US
+    # RUN has begun meanwhile, with u_rest, which no SETPOINTS brought.
+    assert [(m.k, m.u_seq) for m in asked] == [(1, 0), (2, 0)]
+    assert only(Status, fed(host, 1 * S)).late == 2  # and the EXCHANGE that waited
+
+
+def test_at_the_shortest_ts_nothing_is_late() -> None:
+    """One sample's conversions end where the next one's begin."""
+    host = in_state(State.ARMED, INSTANT, ts_us=208)
+    host.put(Start, k_stop=1000)
+
+    got = samples(fed(host, 300 * MS))
+
+    assert len(got) == 1000
+    assert not any(m.flags & Flag.TICK_LATE for m in got)
+
+
+# ------------------------------------------------------------------ what is latched
+
+
+def test_4000_of_4000_are_aligned_at_2_khz() -> None:
+    """A queue that is kept 100 samples ahead: each u_k is u[k], none is late, nothing is lost."""
+    host = in_state(State.ARMED)
+    host.supply(0, NOISE[:24])
+    k0 = 24
+    got: list[Sample] = []
+    host.put(Start, k_stop=4000)
+    while host.device.state in (State.ARMED, State.RUN):
+        while k0 < min(4000, (got[-1].k if got else 0) + 100):
+            host.supply(k0, NOISE[k0 : k0 + 24])
+            k0 += 24
+        host.put(Keepalive)
+        got += samples(host.wait(5 * MS))
+
+    assert [m.k for m in got] == list(range(4000))
+    assert [m.u_k for m in got] == NOISE
+    assert [m.u_km1 for m in got] == [0, *NOISE[:-1]]
+    assert {m.flags & ~POTS for m in got} == {Flag.RUN | Flag.ARMED}
+
+
+def test_k_stop_is_the_end() -> None:
+    """The last input is held for its whole Ts; then 0 V, IDLE and EVENT(END)."""
+    host = in_state(State.ARMED)
+    host.supply(0, [0, 0, 65535, 1, 2])
+    t_0 = host.put(Start, k_stop=3) + TS_NS
+
+    answers = host.wait(5 * MS)
+
+    assert [m.k for m in samples(answers)] == [0, 1, 2]
+    assert samples(answers)[-1].queued == 2
+    assert events(answers)[1:] == [(State.RUN, State.IDLE, Cause.END)]
+    on, off = host.changes[-2:]
+    assert off == Change(t_0 + 3 * TS_NS + HOLD_NS, 0.0, State.IDLE, Cause.END)
+    assert off.t_ns - on.t_ns == TS_NS
+    assert isinstance(answers[-1], Event)
+    assert answers[-1].t_us == off.t_ns // US
+    assert host.configure(oversampling=0).config_crc == 0
+    assert samples(host.wait(50 * MS)) == []
+
+
+@pytest.mark.parametrize(
+    ("policy", "hold", "latched"),
+    [
+        (Underrun.ZERO, 3, [5, 6, 2, 2, 2, 2]),
+        (Underrun.HOLD, 3, [5, 6, 6, 6, 6, 2]),
+        (Underrun.HOLD, 0, [5, 6, 2, 2, 2, 2]),
+    ],
+)
+def test_a_dry_queue_follows_its_policy(policy: int, hold: int, latched: list[int]) -> None:
+    """u_rest at once, or the last code for `hold` samples and then u_rest; flagged, counted."""
+    host = in_state(State.ARMED, u_rest=2, underrun=policy, hold=hold)
+    host.supply(0, [5, 6])
+    seq = host.seq
+    host.put(Start, k_stop=6)
+
+    got = samples(host.wait(10 * MS))
+
+    assert [m.u_k for m in got] == latched
+    assert [bool(m.flags & Flag.UNDERRUN) for m in got] == [False] * 2 + [True] * 4
+    assert [m.u_seq for m in got] == [0 if u == 2 else seq for u in latched]
+    assert [m.queued for m in got] == [1, 0, 0, 0, 0, 0]
+    assert only(Status, host.wait(1 * S)).underruns == 4
+
+
+def test_hold_counts_anew_after_each_setpoint() -> None:
+    """It is for so many samples in a row."""
+    host = in_state(State.ARMED, INSTANT, underrun=Underrun.HOLD, hold=2)
+    t_0 = host.put(Start, k_stop=9) + TS_NS
+    got: list[Sample] = []
+    for k in range(0, 9, 3):
+        host.supply(k, [100 + k])
+        got += samples(until(host, t_0 + (k + 2) * TS_NS + 300 * US))
+    got += samples(until(host, t_0 + 9 * TS_NS))
+
+    assert [m.u_k for m in got] == [100, 100, 100, 103, 103, 103, 106, 106, 106]
+
+
+def test_what_comes_for_a_k_that_ran_dry_is_too_late() -> None:
+    """Next goes on; the rest of that frame is in time."""
+    host = in_state(State.ARMED, INSTANT)
+    t_0 = host.put(Start, k_stop=6) + TS_NS
+    first = samples(until(host, t_0 + 2 * TS_NS + 200 * US))
+
+    host.supply(0, [10, 11, 12, 13, 14, 15])
+    rest = samples(host.wait(5 * MS))
+
+    assert [m.u_k for m in first + rest] == [0, 0, 0, 13, 14, 15]
+    assert [bool(m.flags & Flag.UNDERRUN) for m in first + rest] == [True] * 3 + [False] * 3
+
+
+def test_run_begins_with_the_rest_voltage() -> None:
+    """From START to the first latch, and u_km1 tells it; no frame supplied it."""
+    host = in_state(State.ARMED, u_rest=1000)
+    host.supply(0, [2000])
+    t_r = host.put(Start, k_stop=0)
+
+    first, second = samples(host.wait(2 * MS))[:2]
+
+    assert [c.t_ns for c in host.changes[-3:]] == [
+        t_r,
+        t_r + TS_NS + HOLD_NS,
+        t_r + 2 * TS_NS + HOLD_NS,
+    ]
+    assert (first.u_km1, first.u_k) == (1000, 2000)
+    assert (second.u_km1, second.u_k, second.u_seq) == (2000, 1000, 0)
+
+
+def test_a_sample_under_way_when_the_run_ends_tells_of_its_end() -> None:
+    """As an EXCHANGE does: state and code at its end; a waiting u is not latched."""
+    for at_ns, u_km1 in ((HOLD_NS - 1, 500), (HOLD_NS + 1, 500)):
+        host = in_state(State.ARMED, INSTANT)
+        host.supply(0, [500, 60_000, 60_000])
+        t_1 = host.put(Start, k_stop=0) + 2 * TS_NS
+        until(host, t_1 + at_ns)
+        host.changes.clear()
+
+        host.put(Stop)
+        answers = host.wait(5 * MS)
+
+        (sample,) = samples(answers)
+        assert (sample.k, sample.state, sample.u_k, sample.u_seq) == (1, State.IDLE, 0, 0)
+        assert sample.queued == 0
+        assert sample.u_km1 == (u_km1 if at_ns > HOLD_NS else 0)
+        assert [c.volts for c in host.changes] == [0.0]
+
+
+# ------------------------------------------------------------------ EXCHANGE beside it
+
+
+def test_exchange_is_refused_in_run() -> None:
+    """WRONG_STATE; it disturbs no sample, feeds the watchdog, and is echoed."""
+    host = in_state(State.ARMED)
+    host.put(Start, k_stop=0)
+    host.wait(2 * MS)
+
+    answers = host.ask(Exchange, k=1000, u=65535)
+
+    assert codes(answers) == [Code.WRONG_STATE]
+    got = samples(answers)
+    assert {m.flags & ~POTS for m in got} == {Flag.RUN | Flag.ARMED | Flag.UNDERRUN}
+    assert [m.k for m in got] == list(range(got[0].k, got[-1].k + 1))
+    assert got[-1].echo == host.seq
+    assert all(c.volts == 0 for c in host.changes)
+
+
+@pytest.mark.parametrize("state", [s for s in STATES if s is not State.RUN])
+def test_exchange_samples_elsewhere_at_0_v(state: State) -> None:
+    """And tells how many entries the queue holds."""
+    host = in_state(state)
+    if state is State.ARMED:
+        host.supply(0, [7, 8, 9])
+    host.wait(1 * MS)
+
+    sample = only(Sample, host.ask(Exchange, k=5, u=65535))
+
+    assert (sample.state, sample.k, sample.u_k) == (state, 5, 0)
+    assert sample.queued == (3 if state is State.ARMED else 0)
+    assert host.device.board.volts == 0
+
+
+def test_k_of_a_run_and_of_exchange_have_nothing_to_do_with_each_other() -> None:
+    """A run counts from 0 whatever EXCHANGE counted, and EXCHANGE goes on where it was."""
+    host = in_state(State.ARMED)
+    host.ask(Exchange, k=1000, u=0)
+    host.put(Start, k_stop=3)
+
+    assert [m.k for m in samples(host.wait(5 * MS))] == [0, 1, 2]
+    assert codes(host.ask(Exchange, k=1000, u=0)) == [Code.STALE]
+    assert only(Sample, host.ask(Exchange, k=1001, u=0)).k == 1001
+
+
+# ------------------------------------------------------------------ guards
+
+
+def test_queued_setpoints_do_not_feed_the_watchdog() -> None:
+    """FAULT(WATCHDOG) on the nanosecond, with 400 setpoints left; PING keeps it off."""
+    for pings in (False, True):
+        host = in_state(State.ARMED, watchdog_ms=50)
+        for k0 in range(0, 504, 24):
+            host.supply(k0, [60_000] * 24)
+        host.wait(20 * MS)
+        last = host.put(Start, k_stop=0)
+        for _ in range(10):
+            host.wait(10 * MS)
+            if pings:
+                host.put(Ping, host_ns=0)
+
+        if pings:
+            assert host.device.state is State.RUN
+        else:
+            assert host.changes[-1] == Change(last + 50 * MS, 0.0, State.FAULT, Cause.WATCHDOG)
+            heard = samples([h.message for h in host.heard])
+            assert heard[-1].queued > 400 or heard[-1].state == State.FAULT
+            assert samples(host.wait(20 * MS)) == []
+            assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == 0
+
+
+@pytest.mark.parametrize(
+    ("config", "cause"), [({"rail_ticks": 2}, Cause.ADC_RAIL), ({"turns": 25}, Cause.REV_LIMIT)]
+)
+def test_rails_and_turns_trip_in_a_run_and_end_it(config: dict[str, int], cause: Cause) -> None:
+    """SAMPLE tells of it, the EVENT follows, and the timer stops."""
+    host = in_state(State.ARMED, ts_us=3000, underrun=Underrun.HOLD, hold=255, **config)
+    host.supply(0, [65535])
+    host.put(Start, k_stop=0)
+
+    *_, sample, event = fed(host, 700 * MS)
+
+    assert isinstance(sample, Sample)
+    assert isinstance(event, Event)
+    assert (event.cause, sample.state, sample.u_k) == (cause, State.FAULT, 0)
+    assert host.device.board.volts == 0.0
+
+
+def test_turns_and_rails_are_not_counted_from_the_run_before() -> None:
+    """START begins anew."""
+    host = Host()
+    for _ in range(3):
+        host.reach(State.ARMED, **{**SCHEDULED, "turns": 25, "ts_us": 3000})
+        host.supply(0, [65535] * 20)
+        host.put(Start, k_stop=40)
+        assert events(fed(host, 150 * MS))[-1] == (State.RUN, State.IDLE, Cause.END)
+
+
+# ------------------------------------------------------------------ properties
+
+U = [(40_503 * (k + 1)) % 60_001 for k in range(200)]
+FRAMES = st.lists(
+    st.tuples(
+        st.sampled_from(["next", "again", "old", "skip", "lost", "spoilt"]),
+        st.integers(1, 24),
+        st.integers(0, 8 * MS),
+    ),
+    min_size=1,
+    max_size=40,
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(FRAMES, st.sampled_from(list(Underrun)), st.integers(0, 5), st.randoms())
+def test_whatever_happens_to_the_frames_each_u_k_is_its_own_or_flagged(
+    frames: list[tuple[str, int, int]], policy: int, hold: int, rng: object
+) -> None:
+    """Split, lost, in another order, twice: u_k is u[k] of the frame u_seq, or an UNDERRUN."""
+    host = in_state(State.ARMED, u_max=60_000, underrun=policy, hold=hold)
+    brought: dict[int, range] = {}
+    sent: list[bytes] = []
+    k0 = 0
+    host.put(Start, k_stop=150)
+    for what, n, dt_ns in frames:
+        start = max(0, k0 - 30) if what == "again" else k0 + 5 if what == "skip" else k0
+        u = U[start : start + n]
+        if what == "old" and sent:
+            host.device.receive(host.now_ns, sent[n % len(sent)])  # the same bytes: stale
+        elif u:
+            host.seq += 1
+            data = frame.encode(
+                Setpoints(0, host.seq, start, len(u), 0, (*u, *(0,) * (24 - len(u))))
+            )
+            brought[host.seq] = range(start, start + len(u))
+            sent.append(data)
+            if what == "spoilt":
+                data = data[:9] + bytes([data[9] ^ 1 or 2]) + data[10:]
+            if what != "lost":
+                host.device.receive(host.now_ns, data)
+            if what == "next":
+                k0 += len(u)
+        host.wait(dt_ns)
+    fed(host, 100 * MS)
+
+    got = [m for m in samples([h.message for h in host.heard]) if m.state == State.RUN]
+    assert [m.k for m in got] == list(range(150))
+    for m in got:
+        if not m.flags & Flag.UNDERRUN:
+            assert m.u_k == U[m.k]
+            assert m.k in brought[m.u_seq]
+        elif m.u_k:  # held
+            assert policy == Underrun.HOLD
+            assert m.u_k == m.u_km1
+    assert all(b.u_km1 == a.u_k for a, b in pairwise(got))
+    assert all(0 <= c.volts <= 5 * 60_000 / 65_535 for c in host.changes)
+    assert all(c.volts == 0 or c.state is State.RUN for c in host.changes)
+    assert host.device.state is State.IDLE
+    assert host.device.board.volts == 0.0
+
+
+COMMANDS = st.one_of(
+    st.binary(min_size=1, max_size=20),
+    st.sampled_from(
+        [
+            Keepalive(0, 0),
+            Stop(0, 0),
+            Start(0, 0, 0),
+            Start(0, 0, 5),
+            Ping(0, 0, 5),
+            Hello(0, 0, 1, SCHEMA_HASH),
+            Config(0, 0, **SCHEDULED),
+            Config(0, 0, **CONFIG),
+            Arm(0, 0, 0, 0),
+            ClearFault(0, 0, 0),
+            Exchange(0, 0, 0, 30_000),
+        ]
+    ),
+    st.builds(
+        lambda k0, n: Setpoints(0, 0, k0, n, 0, (*U[k0 : k0 + n], *(0,) * (24 - n))),
+        st.integers(0, 40),
+        st.integers(0, 24),
+    ),
+)
+SCRIPT = st.lists(st.tuples(st.integers(0, 20 * MS), COMMANDS), max_size=40)
+OPENING: list[tuple[int, bytes | Message]] = [
+    (1 * MS, Hello(0, 0, 1, SCHEMA_HASH)),
+    (1 * MS, Config(0, 0, **SCHEDULED)),
+    (1 * MS, Arm(0, 0, 0, 0)),
+    (1 * MS, Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
+    (1 * MS, Start(0, 0, 0)),
+]
+
+
+def bytes_of(
+    emulated: EmulatorSettings, script: list[tuple[int, bytes | Message]]
+) -> list[tuple[int, bytes]]:
+    """Return a script's bytes with their times; frames get the seq, k and nonces they need."""
+    probe = Host(emulated)
+    boot_id, config_crc = probe.hello().boot_id, probe.configure(**SCHEDULED).config_crc
+    now_ns, sent = 6 * MS, []
+    for seq, (dt_ns, item) in enumerate(script, 1):
+        now_ns += dt_ns
+        if isinstance(item, bytes):
+            sent.append((now_ns, item))
+            continue
+        message = item._replace(seq=seq)
+        if isinstance(message, Exchange):
+            message = message._replace(k=seq)
+        if isinstance(message, Arm):
+            message = message._replace(boot_id=boot_id, config_crc=config_crc)
+        sent.append((now_ns, frame.encode(message)))
+    return sent
+
+
+@settings(max_examples=40, deadline=None)
+@given(SCRIPT, st.lists(st.integers(0, 1 * S), max_size=20), st.sampled_from([0.0, 123.4]))
+def test_the_same_bytes_at_the_same_times_give_the_same_answers(
+    script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float
+) -> None:
+    """Noise on; how often somebody looks in between changes nothing, 0 ... 5 V and RUN only."""
+    emulated = EmulatorSettings(baud=BAUD, boot_ms=5, seed=3, clock_ppm=ppm)
+    sent = bytes_of(emulated, OPENING + script)
+    outputs = []
+    for extra in ([], looks):
+        changes: list[Change] = []
+        device = Device(emulated, 0, changes.append)
+        replies = []
+        acts = sorted([*sent, *((t, b"") for t in extra)], key=lambda a: a[0])
+        for t_ns, data in acts:
+            replies += device.advance(t_ns)
+            device.receive(t_ns, data)
+        outputs.append((replies + device.advance(2 * S), changes))
+
+    assert outputs[0] == outputs[1]
+    assert all(0 <= c.volts <= 5 and (c.volts == 0 or c.state is State.RUN) for c in changes)
+    assert device.board.volts == 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans())
+def test_who_sleeps_until_something_can_be_seen_misses_nothing(
+    script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool
+) -> None:
+    """No byte leaves before `visible_ns`."""
+    emulated = EmulatorSettings(baud=BAUD, boot_ms=5, clock_ppm=ppm, model_baud=model_baud)
+    device = Device(emulated, 0)
+    for t_ns, data in [*bytes_of(emulated, OPENING + script), (1 * S, b"")]:
+        while (due_ns := device.visible_ns()) < t_ns:
+            early = device.advance(due_ns - 1)
+            assert all(left >= due_ns for left, _ in early)
+            device.advance(due_ns)
+        device.advance(t_ns)
+        device.receive(t_ns, data)
+
+
+def test_a_hello_reply_in_a_run_disturbs_no_sample() -> None:
+    """The two share the wire; t_us and k go on."""
+    host = in_state(State.ARMED)
+    host.put(Start, k_stop=0)
+    host.wait(2 * MS)
+
+    answers = host.ask(Hello, version=1, schema=SCHEMA_HASH)
+
+    assert only(HelloReply, answers).state == State.RUN
+    assert {(b.k - a.k, b.t_us - a.t_us) for a, b in pairwise(samples(answers))} == {(1, 500)}
