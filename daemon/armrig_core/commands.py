@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -13,7 +13,7 @@ Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]
 Seconds = Annotated[float, Meta(gt=0, le=1, description="s")]
 Owner = Annotated[str, Meta(min_length=1, max_length=80)]
 Lease = Annotated[str, Meta(min_length=32, max_length=32)]
-Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{1,40}$", description="a-z, 0-9 and -")]
+Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{1,40}\Z", description="a-z, 0-9 and -")]
 Counter = Annotated[int, Meta(ge=0, lt=2**53)]
 
 
@@ -62,6 +62,8 @@ class Run(Leased, frozen=True, kw_only=True):
     name: ClassVar[str] = "run"
     u: Annotated[list[Volts], Meta(min_length=1, max_length=1_000_000)]
     """Motor voltage at each sample, in V."""
+    pacing: Literal["scheduled", "exchange"] = "scheduled"
+    """Who makes the samples: the device's timer, or the host at each tick."""
     experiment: Name = "run"
     """Kind of experiment; part of the recording's name."""
     details: dict[str, Any] = {}
@@ -86,9 +88,11 @@ class Status(Request, frozen=True, kw_only=True):
     name: ClassVar[str] = "status"
 
 
-REQUESTS: dict[str, type[Request]] = {
-    r.name: r for r in (Arm, Disarm, Run, Set, Stop, Reset, Status)
-}
+MOST_DETAILS = 1 << 20
+"""Longest `details` of a run, as JSON in B."""
+Requests = Arm | Disarm | Run | Set | Stop | Reset | Status
+"""Any command."""
+REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
 """Class of each command."""
 
 
@@ -165,7 +169,7 @@ class Refused(msgspec.Struct, frozen=True, kw_only=True):
     """What came, what is allowed, what to do."""
 
 
-def parse(name: str, payload: bytes) -> Request:
+def parse(name: str, payload: bytes) -> Requests:
     """Return the command `name` with its fields from JSON.
 
     Raises
@@ -178,10 +182,17 @@ def parse(name: str, payload: bytes) -> Request:
         msg = f"command {name!r}: allowed are {', '.join(REQUESTS)}"
         raise ValueError(msg)
     try:
-        return msgspec.json.decode(payload or b"{}", type=kind)
+        request = msgspec.json.decode(payload or b"{}", type=kind)
     except msgspec.DecodeError as err:  # ValidationError is one of them
         msg = f"{name}: {err}"
         raise ValueError(msg) from err
+    except RecursionError as err:
+        msg = f"{name}: nested too deeply"
+        raise ValueError(msg) from err
+    if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
+        msg = f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
+        raise ValueError(msg)
+    return request
 
 
 def json_schema(name: str) -> bytes:

@@ -27,6 +27,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     """Sampling time, in s."""
     samples: int
     """Length of the input."""
+    k_first: int = -1
+    """Index of the first sample; -1 where the recording does not say."""
+    pacing: str = "exchange"
+    """Who made the samples: `scheduled`, the device's timer, or `exchange`, the host."""
     started: str
     """Wall-clock time of the start, ISO 8601 with the offset from UTC."""
     clock_offset_ns: int

@@ -38,6 +38,18 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("wake_lateness_us", "Distribution"),
         ("device_tick_error_us", "Distribution"),
         ("link_round_trip_us", "Distribution"),
+        ("queue_depth", "Distribution"),
+        ("collections", "fixed64"),
+        ("cpu_pressure_percent", "double"),
+        ("run_queue", "sfixed32"),
+    ),
+    "Clock": (
+        ("t_host_ns", "sfixed64"),
+        ("offset_ns", "sfixed64"),
+        ("offset_std_ns", "double"),
+        ("drift_ppm", "double"),
+        ("drift_std_ppm", "double"),
+        ("bound_ns", "double"),
     ),
     "State": (
         ("t_host_ns", "sfixed64"),
@@ -49,7 +61,9 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
     ),
 }
 
-SAMPLE, GAP, TIMING, STATE = (f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "State"))
+SAMPLE, GAP, TIMING, CLOCK, STATE = (
+    f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "Clock", "State")
+)
 LOG = "foxglove.Log"
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
 """Number of each level of a `foxglove.Log`."""

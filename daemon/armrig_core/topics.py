@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import re
 
-STREAMS = ("sample", "gap", "event", "timing", "state")
+STREAMS = ("sample", "gap", "event", "timing", "clock", "state")
 """What a rig publishes."""
-COMMANDS = ("arm", "disarm", "run", "set", "stop", "reset", "status")
-"""What can be asked of a rig."""
 
 
 def check_rig_id(rig: str) -> str:

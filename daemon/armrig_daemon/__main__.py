@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
 import tempfile
@@ -50,11 +51,11 @@ def run(
     paths = [config] if config is not None else configuration.installed()
     try:
         loaded = configuration.load(paths, os.environ, overrides)
+        directory = configuration.recordings(loaded)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
     except ValueError as err:
         _refuse(str(err))
     os.umask(0o007)
-    directory = configuration.recordings(loaded)
     if not emulate:
         raise typer.Exit(Service(loaded, where, directory).run())
     with _emulated(loaded) as device:
@@ -73,7 +74,7 @@ def emulate(
     settings: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Emulate a rig behind a pseudo-terminal until SIGTERM or Ctrl-C."""
-    from armrig_daemon.emulator.pty import PortError
+    from armrig_daemon.emulator.line import PortError
     from armrig_daemon.emulator.pty import emulate as run_emulator
     from armrig_daemon.emulator.settings import EmulatorSettings, load
 
@@ -97,10 +98,10 @@ def _socket_directory() -> Path:
     path = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        owner = path.stat().st_uid
+        found = path.lstat()
     except OSError as err:
         _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours")
-    if owner != os.getuid():
+    if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
         # In a temporary directory anybody could have made it, and would sit on our socket.
         _refuse(f"{path}: belongs to another user; set XDG_RUNTIME_DIR to a directory of yours")
     return path
@@ -109,12 +110,10 @@ def _socket_directory() -> Path:
 @contextmanager
 def _emulated(config: Config) -> Iterator[Config]:
     """Start an emulator with these settings; give the configuration that drives it."""
-    link = _socket_directory() / f"{config.rig.id}.tty"
+    link = _socket_directory() / f"{config.rig.id}-{os.getpid()}.tty"
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
     program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", str(link)]
     program += ["--settings", msgspec.json.encode(settings).decode()]
-    if link.is_symlink():  # left by an emulator that was killed; it may lead to another's terminal
-        link.unlink()
     child = subprocess.Popen(program)
     try:
         until = time.monotonic() + _START_S

@@ -20,10 +20,22 @@ from armrig_protocol.messages import (
 
 from armrig_daemon.records import Answer, Log, Order
 from armrig_daemon.records import State as StateRecord
-from armrig_daemon.state import Action, Asked, Emit, Rules, Send, State, Want
+from armrig_daemon.state import Action, Asked, Emit, Heard, Rules, Send, State, Want
 
 Step = tuple[State, list[Action]]
 """What each part of the core returns: the next state, and what is to be done."""
+
+
+MOST_BEATS = 64  # frames without an echo that are remembered; the age trips long before
+
+
+def send(state: State, now_ns: int, data: bytes) -> Step:
+    """Send the frame that carries the present seq."""
+    beats = state.beats
+    if state.scheduled:
+        beats = (*beats[1 - MOST_BEATS :], Heard(state.seq, now_ns))
+    seq = (state.seq + 1) & 0xFFFF
+    return state._replace(seq=seq, any_ns=now_ns, beats=beats), [Send(data)]
 
 
 def log(now_ns: int, level: str, message: str) -> Action:
@@ -67,7 +79,7 @@ def say_state(state: State, now_ns: int) -> Action:
     )
 
 
-def config(rules: Rules, ts_us: int, seq: int) -> Config:
+def config(rules: Rules, ts_us: int, seq: int, *, scheduled: bool) -> Config:
     """Return the configuration that the device is asked for."""
     return Config(
         state=0,
@@ -79,7 +91,7 @@ def config(rules: Rules, ts_us: int, seq: int) -> Config:
         u_rest=0,
         slew=rules.slew,
         watchdog_ms=rules.watchdog_ms,
-        mode=Mode.EXCHANGE,
+        mode=Mode.SCHEDULED if scheduled else Mode.EXCHANGE,
         underrun=Underrun.ZERO,
         hold=0,
         oversampling=1,
@@ -93,7 +105,9 @@ def ask(
     now_ns: int,
     want: Want,
     order: Order | None = None,
+    *,
     ts_us: int = 0,
+    scheduled: bool = False,
     tries: int = 1,
 ) -> Step:
     """Send the request that leads to `want`, and remember it until it has had its effect.
@@ -108,17 +122,17 @@ def ask(
         case Want.HELLO:
             request = Hello(0, state.seq, VERSION, SCHEMA_HASH)
         case Want.CONFIGURE:
-            request = config(state.rules, ts_us, state.seq)
+            request = config(state.rules, ts_us, state.seq, scheduled=scheduled)
         case Want.ARM:
             request = Arm(0, state.seq, boot_id, state.config_crc)
         case Want.START:
-            request = Start(0, state.seq, 0)
+            request = Start(0, state.seq, state.run.samples if state.run else 0)
         case Want.STOP:
             request = Stop(0, state.seq)
         case Want.CLEAR:
             request = ClearFault(0, state.seq, state.token)
-    asked = Asked(want, now_ns, state.seq, tries, ts_us, order)
+    asked = Asked(want, now_ns, state.seq, tries, ts_us, scheduled, order)
     # A frame begins with a 00 of its own where the line may hold rubbish.
     lead = b"\0" if want is Want.HELLO else b""
-    state = state._replace(asked=asked, seq=(state.seq + 1) & 0xFFFF, any_ns=now_ns)
-    return state, [*overtaken, Send(lead + encode(request))]
+    state, sending = send(state._replace(asked=asked), now_ns, lead + encode(request))
+    return state, [*overtaken, *sending]

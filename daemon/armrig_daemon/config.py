@@ -24,7 +24,7 @@ from armrig_protocol.messages import (
 )
 from msgspec import Meta
 
-from armrig_daemon.budget import check_exchange
+from armrig_daemon.budget import check
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.state import Rules
 from armrig_daemon.tables import TableError, convert
@@ -71,6 +71,8 @@ class Timing(Table, frozen=True, kw_only=True):
     """SCHED_FIFO priority of the loop; 0 leaves it to the ordinary policy."""
     cpu: Annotated[int, Meta(ge=0)] | None = None
     """Core that the loop is kept on."""
+    stop_after: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
+    """Ticks missed in a row after which the motor is stopped; 0 skips them and goes on."""
     spin_us: Annotated[float, Meta(ge=0, le=500)] = 60
     """How long before a deadline the loop stops sleeping and spins, in µs; under FIFO only."""
 
@@ -134,6 +136,7 @@ class Config(Table, frozen=True, kw_only=True):
             ts_us=self.ts_us,
             watchdog_ms=self.device.watchdog_ms,
             baud=self.device.baud,
+            stop_after=self.timing.stop_after,
             turns=round(limits.revolutions * 100),
             rail_ticks=0,
             calibration=self.calibration,
@@ -152,8 +155,13 @@ def installed() -> list[Path]:
 
 def recordings(config: Config) -> Path:
     """Return the directory that recordings go to."""
-    if config.recording.directory:
-        return Path(config.recording.directory).expanduser().absolute()
+    directory = config.recording.directory
+    if directory:
+        try:
+            return Path(directory).expanduser().absolute()
+        except RuntimeError as err:
+            msg = f"recording.directory = {directory!r}: there is no such user"
+            raise ConfigError(msg) from err
     return Path(platformdirs.user_data_dir("armrig")) / "recordings"
 
 
@@ -184,10 +192,11 @@ def load(
     layer = _from_environment(environ)
     _check(layer, "environment")
     tables = _merged(tables, layer)
+    _check(overrides, "command line")
     tables = _merged(tables, overrides)
     config = _check(tables, ", ".join(map(str, paths)) or "configuration")
     try:
-        check_exchange(config.ts_us, config.device.baud)
+        check(config.ts_us, config.device.baud)
     except ValueError as err:
         msg = f"[timing] {err}"
         raise ConfigError(msg) from err
@@ -205,6 +214,9 @@ def _read(path: Path) -> dict[str, Any]:
         raise ConfigError(msg) from err
     except ValueError as err:  # TOMLDecodeError and UnicodeDecodeError
         msg = f"{path}: not a TOML file: {err}"
+        raise ConfigError(msg) from err
+    except RecursionError as err:
+        msg = f"{path}: nested too deeply"
         raise ConfigError(msg) from err
 
 
@@ -230,26 +242,29 @@ def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
         if not name.startswith("ARMRIG_") or name in _NOT_OURS:
             continue
         table, _, key = name.removeprefix("ARMRIG_").lower().partition("_")
-        known = {f.lower(): f for f in _fields_of(table)}
+        fields = _fields_of(table)
+        known = {field.lower(): field for field in fields}
         if not key or not known:
             allowed = ", ".join(Config.__struct_fields__)
             msg = f"environment: {name}={text!r}: must be ARMRIG_<TABLE>_<KEY>; tables: {allowed}"
             raise ConfigError(msg)
-        tables.setdefault(table, {})[known.get(key, key)] = _value(text)
+        name = known.get(key, key)
+        tables.setdefault(table, {})[name] = text if fields.get(name) is str else _value(text)
     return tables
 
 
-def _fields_of(table: str) -> tuple[str, ...]:
+def _fields_of(table: str) -> dict[str, Any]:
+    """Return the type of each key of a table; nothing where there is no such table."""
     for field in msgspec.structs.fields(Config):
         if field.name == table:
             kind: Any = field.type
-            return tuple(kind.__struct_fields__)
-    return ()
+            return {f.name: f.type for f in msgspec.structs.fields(kind)}
+    return {}
 
 
 def _value(text: str) -> Any:
     """Return what TOML makes of the text, or the text itself."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return text

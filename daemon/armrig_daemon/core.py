@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from armrig_core.volts import volts_of
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import Spoilt, Unknown, encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
+from armrig_protocol.messages import State as DeviceState
 
-from armrig_daemon import handshake, orders, replies
-from armrig_daemon.asking import Step, ask, log, say_state
-from armrig_daemon.records import Gap, RunStarted
+from armrig_daemon import gaps, handshake, orders, replies, scheduling
+from armrig_daemon.asking import Step, ask, log, refuse, say_state, send
+from armrig_daemon.records import RunStarted
 from armrig_daemon.state import (
+    Absent,
     Action,
     Beat,
     Emit,
@@ -29,7 +30,6 @@ from armrig_daemon.state import (
     Phase,
     Received,
     Rules,
-    Send,
     Sent,
     ServiceGone,
     State,
@@ -87,14 +87,16 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
 
 
 def _link_down(state: State, now_ns: int, reason: str) -> Step:
+    done = refuse(state.asked.order if state.asked else None, f"link lost: {reason}")
     state = state._replace(link_up=False, device=None, asked=None, sent=(), pending=b"")
     if state.quitting:
-        return state, [Exit()]
+        return state, [*done, Exit()]
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
-        return trip(state, now_ns, f"link lost: {reason}")
+        state, actions = trip(state, now_ns, f"link lost: {reason}")
+        return state, done + actions
     phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
     state = state._replace(phase=phase)
-    return state, [log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
+    return state, [*done, log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
 
 
 def _received(state: State, now_ns: int, data: bytes) -> Step:
@@ -116,53 +118,48 @@ def _beat(state: State, now_ns: int) -> Step:
         return handshake.retry(state, now_ns)
     if not state.link_up:
         return state._replace(any_ns=now_ns), []
-    return _send(state, now_ns, encode(Keepalive(0, state.seq)))
-
-
-def _send(state: State, now_ns: int, data: bytes) -> Step:
-    return state._replace(seq=(state.seq + 1) & 0xFFFF, any_ns=now_ns), [Send(data)]
+    return send(state, now_ns, encode(Keepalive(0, state.seq)))
 
 
 def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     done: list[Action] = []
-    skipped = tick.k - state.k - 1
-    paused = state.k >= 0 and now_ns - state.tick_ns > state.rules.pause_ns(state.ts_us)
-    if state.k >= 0 and skipped > 0:
-        done.append(_gap(state, tick.k - skipped, skipped, now_ns, "the host was late"))
-    before_ns = state.tick_ns
+    self_paced = state.scheduled and state.device_state == DeviceState.RUN
+    skipped = tick.k - state.k - 1 if state.k >= 0 else 0
+    pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
+    if skipped > 0 and not self_paced:
+        state = _skip(state, tick.k - skipped, skipped, now_ns, "the host was late")
     state = state._replace(k=tick.k, tick_ns=now_ns)
     if not state.link_up or state.device is None:
         return state, done
-    driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
-    if driving and paused:
-        pause_ms = (now_ns - before_ns) / 1e6
-        state, actions = trip(state, now_ns, f"the host paused for {pause_ms:.0f} ms")
+    rules, driving = state.rules, state.phase in (Phase.ARMED, Phase.ACTIVE)
+    reason = ""
+    if pause_ns > rules.pause_ns(state.ts_us, scheduled=self_paced):
+        reason = f"the host paused for {pause_ns / 1e6:.0f} ms"
+    elif rules.stop_after and skipped >= rules.stop_after and not self_paced:
+        reason = f"{skipped} ticks in a row were missed: {rules.stop_after} are allowed"
+    elif rules.service_ns and now_ns - state.service_ns > rules.service_ns:
+        reason = "the service is frozen: nobody could stop the motor"
+    if driving and reason:
+        state, actions = trip(state, now_ns, reason)
         return state, done + actions
-    if now_ns - state.fresh_ns > state.rules.age_ns(state.ts_us):
+    if now_ns - state.fresh_ns > rules.age_ns(state.ts_us, scheduled=self_paced):
         state, actions = _stale(state, now_ns, driving=driving)
+        return state, done + actions
+    if self_paced:
+        state, actions = scheduling.tick(state, now_ns)
         return state, done + actions
     if len(state.sent) >= MAX_UNECHOED:
         # Never more stale commands in the line than this; the age above ends it.
-        done.append(_gap(state, tick.k, 1, now_ns, "the device was late"))
-        return state, done
+        return _skip(state, tick.k, 1, now_ns, "the device was late"), done
     state, code, actions = _decide(state, now_ns, tick.k)
     done += actions
     sent = Sent(state.seq, tick.k, tick.sched_ns, now_ns, code)
-    state, actions = _send(state, now_ns, encode(Exchange(0, state.seq, tick.k & 0xFFFFFFFF, code)))
+    state, actions = send(state, now_ns, encode(Exchange(0, state.seq, tick.k & 0xFFFFFFFF, code)))
     return state._replace(sent=(*state.sent, sent)), done + actions
 
 
-def _gap(state: State, k_first: int, count: int, now_ns: int, reason: str) -> Action:
-    return Emit(
-        Gap(
-            k_first=k_first,
-            count=count,
-            t_from_ns=state.tick_ns,
-            t_to_ns=now_ns,
-            u_held_v=volts_of(state.applied),
-            reason=reason,
-        )
-    )
+def _skip(state: State, k: int, count: int, now_ns: int, reason: str) -> State:
+    return gaps.note(state, Absent(k, count, reason, None, state.tick_ns, now_ns))
 
 
 def _stale(state: State, now_ns: int, *, driving: bool) -> Step:
@@ -204,6 +201,11 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
         done.append(Emit(started))
     i = k - run.k_first
     if i < run.samples:
-        return state, run.code(i), done
+        code = run.code(i)
+        if not state.rules.allows(run.code(i - 1), code):
+            state, actions = trip(state, now_ns, f"u[{i}] is not within the limits")
+            return state, 0, done + actions
+        return state._replace(run=run._replace(due=i + 1)), code, done
+    state = state._replace(run=run._replace(due=run.samples))
     state, actions = stop(state, now_ns, "complete")
     return state, 0, done + actions

@@ -4,18 +4,31 @@ from __future__ import annotations
 
 from armrig_core.volts import volts_of
 from armrig_protocol.frame import config_crc
-from armrig_protocol.messages import SCHEMA_HASH, VERSION, Code, ConfigReply, HelloReply
+from armrig_protocol.messages import (
+    FULL_SCALE_MV,
+    SCHEMA_HASH,
+    VERSION,
+    Capability,
+    Code,
+    ConfigReply,
+    HelloReply,
+)
 from armrig_protocol.messages import State as DeviceState
 
+from armrig_daemon import scheduling
 from armrig_daemon.asking import Step, answer, ask, config, log, refuse, say_state
-from armrig_daemon.budget import check_exchange
-from armrig_daemon.records import Hold, Play, Reset, Take
-from armrig_daemon.state import Action, Asked, Exit, Lease, Phase, Repace, Run, State, Want
+from armrig_daemon.budget import check, exchange_us
+from armrig_daemon.clockmap import ClockMap
+from armrig_daemon.records import Hold, Order, Play, Reset, RunStarted, Take
+from armrig_daemon.state import Action, Asked, Emit, Exit, Lease, Phase, Repace, Run, State, Want
 from armrig_daemon.stopping import end_run, trip
 
 _RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
 _OTHER_RETRY_NS = 50_000_000
 _TRIES = 5
+CARE_US = 10_000
+"""How often a device that paces itself is looked after, in µs."""
+_EXPECTED = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
 _DRIVES = (DeviceState.ARMED, DeviceState.RUN)
 _LATCHED = (DeviceState.FAULT, DeviceState.ESTOP)
 
@@ -33,7 +46,15 @@ def retry(state: State, now_ns: int) -> Step:
     if not state.link_up:
         return state._replace(asked=None), refuse(asked.order, "the link is down")
     if asked.want is Want.HELLO or asked.tries < _TRIES:
-        return ask(state, now_ns, asked.want, asked.order, asked.ts_us, asked.tries + 1)
+        return ask(
+            state,
+            now_ns,
+            asked.want,
+            asked.order,
+            ts_us=asked.ts_us,
+            scheduled=asked.scheduled,
+            tries=asked.tries + 1,
+        )
     return failed(state, now_ns, f"the device does not answer {asked.want}")
 
 
@@ -44,7 +65,7 @@ def failed(state: State, now_ns: int, error: str) -> Step:
     done = refuse(asked.order if asked else None, error)
     if asked is not None and asked.want is Want.STOP:
         # More cannot be done from here: the device's own watchdog is next.
-        state, actions = end_run(state)
+        state, actions = end_run(state, now_ns)
         done += actions
         if state.quitting:
             return state, [*done, Exit()]
@@ -71,6 +92,17 @@ def seen(state: State, now_ns: int, device_state: int) -> Step:
         }
         if reached.get(state.asked.want, False):
             return _reached(state, now_ns, state.asked)
+    run = state.run
+    if device_state == DeviceState.IDLE and before == DeviceState.RUN and run and run.scheduled:
+        # The device has come to k_stop; what it sampled before has arrived before this.
+        state, done = scheduling.complete(state, now_ns)
+        state, actions = rest(state, now_ns, None)
+        return state, done + actions
+    expected = _EXPECTED.get(state.phase)
+    if expected is not None and state.asked is None and device_state != expected:
+        name = DeviceState(device_state).name if device_state in set(DeviceState) else device_state
+        if device_state not in _LATCHED:
+            return trip(state, now_ns, f"the device is in {name}, and nobody asked it to")
     latched = device_state in _LATCHED
     if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
         return trip(state, now_ns, f"the device is in {DeviceState(device_state).name}")
@@ -92,16 +124,18 @@ def _reached(state: State, now_ns: int, asked: Asked) -> Step:
 
 def _armed(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
+    if isinstance(order, Play):
+        return scheduling.begin(state, now_ns, order)
     if not isinstance(order, Take):
         return trip(state, now_ns, "armed without an owner")
     rules = state.rules
-    state = state._replace(
-        phase=Phase.ARMED, reason="", lease=Lease(order.lease, order.owner, -1, now_ns)
-    )
+    ts_us = order.ts_us or rules.ts_us
+    lease = Lease(order.lease, order.owner, ts_us, -1, now_ns)
+    state = state._replace(phase=Phase.ARMED, reason="", lease=lease)
     granted = {
         "lease": order.lease,
-        "period_s": rules.lease_ns(state.ts_us) / 1e9,
-        "Ts": state.ts_us / 1e6,
+        "period_s": rules.lease_ns(ts_us) / 1e9,
+        "Ts": ts_us / 1e6,
         "u_min": round(volts_of(rules.u_min), 4),
         "u_max": round(volts_of(rules.u_max), 4),
     }
@@ -112,21 +146,41 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Play | Hold):
         return trip(state, now_ns, "started without an owner")
-    run = Run(order.run_id, order.codes, -1) if isinstance(order, Play) else None
-    code = order.code if isinstance(order, Hold) else 0
     lease = state.lease._replace(renewed_ns=now_ns)
-    state = state._replace(phase=Phase.ACTIVE, run=run, outcome="", code=code, lease=lease)
-    return state, [say_state(state, now_ns), *answer(order, {"done": True})]
+    state = state._replace(phase=Phase.ACTIVE, lease=lease, outcome="", code=0, beats=())
+    done = [say_state(state, now_ns), *answer(order, {"done": True})]
+    if isinstance(order, Hold):
+        return state._replace(code=order.code), done
+    if state.run is None or state.queue is None:
+        return state._replace(run=Run(order.run_id, order.codes, -1)), done
+    # The device takes its first sample one Ts after it heard START.
+    heard_ns = (asked.sent_ns + now_ns) // 2
+    run = state.run._replace(k_first=state.k + 1, t_zero_ns=heard_ns + state.ts_us * 1000)
+    started = RunStarted(
+        run_id=run.run_id, k_first=run.k_first, count=run.samples, t_host_ns=now_ns
+    )
+    queue = state.queue._replace(order=None)
+    state = state._replace(run=run, queue=queue, fresh_ns=asked.sent_ns)
+    return state, [*done, Emit(started)]
 
 
 def _stopped(state: State, now_ns: int, asked: Asked) -> Step:
-    state, done = end_run(state)
+    if isinstance(asked.order, Play):
+        # Not a stop: on the way from the owner's ARM to that of a scheduled run.
+        ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
+        return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=ts_us, scheduled=True)
+    return rest(state, now_ns, asked.order)
+
+
+def rest(state: State, now_ns: int, order: Order | None) -> Step:
+    """Go on at 0 V with nobody holding the rig, once the device has stopped."""
+    state, done = end_run(state, now_ns)
     if state.quitting:
         return state, [*done, Exit()]
     state = state._replace(lease=None)
-    if state.phase is Phase.FAULT and not isinstance(asked.order, Reset):
+    if state.phase is Phase.FAULT and not isinstance(order, Reset):
         return state, done
-    state, actions = ask(state, now_ns, Want.CONFIGURE, asked.order, state.rules.ts_us)
+    state, actions = ask(state, now_ns, Want.CONFIGURE, order, ts_us=state.rules.ts_us)
     return state, done + actions
 
 
@@ -135,6 +189,8 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     asked = state.asked
     if asked is None or asked.want is not Want.HELLO:
         return state, []  # nobody asked: it proves no round trip
+    if state.boot_id != reply.boot_id:  # its clock has begun anew
+        state = state._replace(boot_id=reply.boot_id, clock=ClockMap(), device_us=0, t_us=0)
     state = state._replace(
         asked=None,
         device=reply,
@@ -149,6 +205,9 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
             f"this daemon {VERSION}, {SCHEMA_HASH:08x}: flash the firmware of this release"
         )
         return _latch(state, now_ns, asked, error)
+    error = _unfit(reply)
+    if error:
+        return _latch(state, now_ns, asked, error)
     if reply.state in _LATCHED:
         return _latch(state, now_ns, asked, f"the device is in {DeviceState(reply.state).name}")
     if state.phase is Phase.FAULT and asked.order is None:
@@ -156,7 +215,21 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     if reply.state in _DRIVES:
         # Left over from another host: stop first.
         return ask(state, now_ns, Want.STOP, asked.order)
-    return ask(state, now_ns, Want.CONFIGURE, asked.order, state.rules.ts_us)
+    return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=state.rules.ts_us)
+
+
+def _unfit(device: HelloReply) -> str:
+    """Return why a device that speaks our language is none that we may drive."""
+    if device.full_scale_mv != FULL_SCALE_MV:
+        return (
+            f"the device's full scale is {device.full_scale_mv} mV, not {FULL_SCALE_MV} mV: "
+            "each code would mean another voltage"
+        )
+    if not device.capabilities & Capability.EXCHANGE:
+        return "the device has no exchange mode"
+    if not 1 <= device.pwm_bits <= 16:
+        return f"the device's duty has {device.pwm_bits} bits: 1 to 16 are possible"
+    return ""
 
 
 def _latch(state: State, now_ns: int, asked: Asked, error: str) -> Step:
@@ -175,23 +248,32 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
     if reply.code != Code.OK:
         error = f"the device refuses the configuration: {name_of(reply.code)}"
         return failed(state, now_ns, error)
-    if reply.config_crc != config_crc(config(state.rules, asked.ts_us, 0)):
+    wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
+    if reply.config_crc != config_crc(wanted):
         return failed(state, now_ns, "the device accepted another configuration than was sent")
-    before_us = state.ts_us
+    before_us = _pace_us(state.ts_us, scheduled=state.scheduled)
     # The pace begins anew here: the ticks before it say nothing of the new period.
     state = state._replace(
         asked=None,
         config_crc=reply.config_crc,
         ts_us=asked.ts_us,
+        scheduled=asked.scheduled,
+        beats=(),
         fresh_ns=asked.sent_ns,
         tick_ns=now_ns,
     )
-    done: list[Action] = [] if before_us == asked.ts_us else [Repace(asked.ts_us)]
-    if isinstance(asked.order, Take):
+    pace_us = _pace_us(asked.ts_us, scheduled=asked.scheduled)
+    done: list[Action] = [] if before_us == pace_us else [Repace(pace_us, state.k + 1)]
+    if isinstance(asked.order, Take | Play):
         state, actions = ask(state, now_ns, Want.ARM, asked.order)
         return state, done + actions
     state = state._replace(phase=Phase.SAFE, reason="", lease=None)
     return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
+
+
+def _pace_us(ts_us: int, *, scheduled: bool) -> int:
+    """Return the period of our own ticks; a device that paces itself is only looked after."""
+    return CARE_US if scheduled else ts_us
 
 
 def begin_arming(state: State, now_ns: int, order: Take) -> Step:
@@ -200,14 +282,18 @@ def begin_arming(state: State, now_ns: int, order: Take) -> Step:
     ts_us = order.ts_us or state.rules.ts_us
     if device is None:
         return state, refuse(order, "there is no device")
+    scheduled = bool(device.capabilities & Capability.SCHEDULED)
     try:
-        check_exchange(ts_us, state.rules.baud, device.skew_us)
+        check(ts_us, state.rules.baud, device.skew_us, scheduled=scheduled)
     except ValueError as err:
         return state, refuse(order, str(err))
     if ts_us < device.ts_min_us:
         error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
         return state, refuse(order, f"{error} {device.ts_min_us / 1e6:g} s")
-    return ask(state, now_ns, Want.CONFIGURE, order, ts_us)
+    # Until a run begins the host paces, as fast as the wire allows it.
+    fits = ts_us >= exchange_us(state.rules.baud, device.skew_us)
+    paced_us = ts_us if fits else state.rules.ts_us
+    return ask(state, now_ns, Want.CONFIGURE, order, ts_us=paced_us)
 
 
 def name_of(code: int) -> str:

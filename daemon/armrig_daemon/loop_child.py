@@ -27,14 +27,30 @@ class LoopChild:
         """Take over both pipes."""
         self.records_fd = records_fd
         self._process = process
-        self._orders = os.fdopen(orders_fd, "wb")
+        self.orders_fd = orders_fd
+        os.set_blocking(orders_fd, False)
+        self._unsent = bytearray()
         self._pending = bytearray()
 
     def order(self, order: Orders) -> None:
         """Ask something of the loop; once it is gone, its end is seen at its records."""
-        with contextlib.suppress(BrokenPipeError):
-            self._orders.write(record_bytes(order))
-            self._orders.flush()
+        self._unsent += record_bytes(order)
+        self.flush()
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether orders wait for the loop to read those before them."""
+        return bool(self._unsent)
+
+    def flush(self) -> None:
+        """Hand over what waits, as far as the pipe takes it; a frozen loop must not freeze us."""
+        try:
+            while self._unsent:
+                del self._unsent[: os.write(self.orders_fd, self._unsent)]
+        except BlockingIOError:
+            return
+        except BrokenPipeError:
+            self._unsent.clear()
 
     def records(self) -> list[bytes | Record] | None:
         """Return what the loop has said, or None where it has ended."""
@@ -46,8 +62,7 @@ class LoopChild:
 
     def end(self) -> int:
         """Close the pipes, which ends the loop too, and return its exit code."""
-        with contextlib.suppress(BrokenPipeError):
-            self._orders.close()
+        os.close(self.orders_fd)
         try:
             code = self._process.wait(EXIT_S)
         except subprocess.TimeoutExpired:

@@ -6,6 +6,7 @@ One Python thread and nothing heavy: it must never wait for the interpreter's lo
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import select
 import signal
@@ -118,6 +119,11 @@ class ProcessPorts:
         except BrokenPipeError:
             self._gone = True
             return False
+
+    def tidy(self) -> None:
+        """Collect what the last run left behind; the next one shall not stumble over it."""
+        gc.collect()
+        gc.freeze()
 
     def stop_hard(self) -> None:
         """Send ESTOP three times: the loop itself has failed."""

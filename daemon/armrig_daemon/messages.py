@@ -7,16 +7,19 @@ from typing import NamedTuple
 import msgspec
 from armrig_core import protobuf
 
-from armrig_daemon.records import Distribution, Gap, Log, State, Timing
+from armrig_daemon.records import Clock, Distribution, Gap, Log, State, Timing
 
 NAMES = {
     "sample": protobuf.SAMPLE,
     "gap": protobuf.GAP,
     "event": protobuf.LOG,
     "timing": protobuf.TIMING,
+    "clock": protobuf.CLOCK,
     "state": protobuf.STATE,
 }
 """Full name of the message of each stream."""
+
+_DISTRIBUTIONS = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth")
 
 
 class Outgoing(NamedTuple):
@@ -31,7 +34,7 @@ class Outgoing(NamedTuple):
     data: bytes
 
 
-def outgoing(record: Gap | Log | Timing | State, clock_offset_ns: int) -> Outgoing:
+def outgoing(record: Gap | Log | Timing | Clock | State, clock_offset_ns: int) -> Outgoing:
     """Return a record as a message.
 
     Parameters
@@ -43,6 +46,9 @@ def outgoing(record: Gap | Log | Timing | State, clock_offset_ns: int) -> Outgoi
         case Gap():
             message = protobuf.message_class(protobuf.GAP)(**_fields(record))
             return _out("gap", record.t_to_ns, message.SerializeToString())
+        case Clock():
+            message = protobuf.message_class(protobuf.CLOCK)(**_fields(record))
+            return _out("clock", record.t_host_ns, message.SerializeToString())
         case Timing():
             return _out("timing", record.t_host_ns, _timing(record))
         case State():
@@ -67,13 +73,18 @@ def _out(stream: str, t_ns: int, data: bytes) -> Outgoing:
     return Outgoing(stream, t_ns, t_ns, 0, data)
 
 
-def _fields(record: Gap | Distribution) -> dict[str, object]:
+def _fields(record: Gap | Clock | Distribution) -> dict[str, object]:
     return msgspec.structs.asdict(record)
 
 
 def _timing(record: Timing) -> bytes:
-    message = protobuf.message_class(protobuf.TIMING)(t_host_ns=record.t_host_ns)
-    for name in ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us"):
+    message = protobuf.message_class(protobuf.TIMING)(
+        t_host_ns=record.t_host_ns,
+        collections=record.collections,
+        cpu_pressure_percent=record.cpu_pressure_percent,
+        run_queue=record.run_queue,
+    )
+    for name in _DISTRIBUTIONS:
         part = getattr(message, name)
         for field, value in _fields(getattr(record, name)).items():
             setattr(part, field, value)

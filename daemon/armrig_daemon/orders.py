@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from struct import unpack
-
 from armrig_core.volts import volts_of
+from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
 
 from armrig_daemon.asking import Step, answer, ask, refuse
 from armrig_daemon.handshake import begin_arming
-from armrig_daemon.records import Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
+from armrig_daemon.records import Alive, Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
 from armrig_daemon.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.stopping import end_run, stop
 
 
 def take(state: State, now_ns: int, order: Order) -> Step:
     """Carry out one order, or refuse it."""
+    state = state._replace(service_ns=now_ns)
     match order:
+        case Alive():
+            return state, []
         case Halt():
             return _halt(state, now_ns, order)
         case Quit():
@@ -37,7 +38,7 @@ def quit_(state: State, now_ns: int) -> Step:
         return state, []
     state = state._replace(quitting=True)
     if not state.link_up or state.device is None:
-        state, done = end_run(state)
+        state, done = end_run(state, now_ns)
         return state, [*done, Exit()]
     return stop(state, now_ns, "the daemon was ended")
 
@@ -91,6 +92,9 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
         return stop(state, now_ns, "disarmed", order)
     if isinstance(order, Hold) and state.phase is Phase.ACTIVE:
         return state._replace(code=order.code), answer(order, {"done": True})
+    if isinstance(order, Play) and order.scheduled:
+        # By way of a stop: a device takes another mode in IDLE and READY only.
+        return ask(state, now_ns, Want.STOP, order)
     return ask(state, now_ns, Want.START, order)
 
 
@@ -100,23 +104,41 @@ def _error(state: State, order: Leased) -> str:
         case Hold():
             if state.run is not None:
                 return f"the experiment {state.run.run_id} is running: stop it first"
-            return _out_of_range([state.code, order.code], state.rules)
+            if state.lease is not None and state.ts_us != state.lease.ts_us:
+                return _too_short_for_exchange(state)
+            return _out_of_range(state.code, order.code, state.rules)
         case Play():
             if state.phase is not Phase.ARMED:
                 return "the motor is driven by hand: disarm first"
-            codes = unpack(f"<{len(order.codes) // 2}H", order.codes)
-            return _out_of_range([0, *codes], state.rules)
+            if state.run is not None:
+                return f"the experiment {state.run.run_id} is about to start: stop it first"
+            error = _cannot_pace(state, order)
+            if error:
+                return error
+            # Each code is checked when it is sent: a million at once would hold up the tick.
+            return "" if order.codes else "the experiment is empty"
     return ""
 
 
-def _out_of_range(codes: list[int], rules: Rules) -> str:
-    """Return what is wrong with `codes` behind the first, which is where the slew starts from."""
+def _cannot_pace(state: State, order: Play) -> str:
+    if order.scheduled:
+        able = state.device is not None and state.device.capabilities & Capability.SCHEDULED
+        return "" if able else "this device has no scheduled mode: ask for exchange"
+    if state.lease is not None and state.ts_us != state.lease.ts_us:
+        return _too_short_for_exchange(state)
+    return ""
+
+
+def _too_short_for_exchange(state: State) -> str:
+    ts_s = state.lease.ts_us / 1e6 if state.lease else 0
+    return f"Ts={ts_s:g} s cannot be carried in exchange mode: run scheduled, or arm with a longer"
+
+
+def _out_of_range(before: int, code: int, rules: Rules) -> str:
     low, high = volts_of(rules.u_min), volts_of(rules.u_max)
-    if min(codes[1:]) < rules.u_min or max(codes[1:]) > rules.u_max:
-        i = next(i for i, c in enumerate(codes[1:]) if not rules.u_min <= c <= rules.u_max)
-        return f"u[{i}]={volts_of(codes[i + 1]):.4g} V is outside {low:.4g} … {high:.4g} V"
-    if rules.slew and max(abs(b - a) for a, b in pairwise(codes)) > rules.slew:
-        i = next(i for i, (a, b) in enumerate(pairwise(codes)) if abs(b - a) > rules.slew)
-        step = volts_of(abs(codes[i + 1] - codes[i]))
-        return f"u[{i}] steps by {step:.4g} V: at most {volts_of(rules.slew):.4g} V in a sample"
+    if not rules.u_min <= code <= rules.u_max:
+        return f"u={volts_of(code):.4g} V is outside {low:.4g} … {high:.4g} V"
+    if not rules.allows(before, code):
+        step = volts_of(abs(code - before))
+        return f"u steps by {step:.4g} V: at most {volts_of(rules.slew):.4g} V in a sample"
     return ""

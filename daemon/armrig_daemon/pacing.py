@@ -26,5 +26,10 @@ class Pace(NamedTuple):
 
 
 def change(pace: Pace, k: int, period_ns: int, now_ns: int) -> Pace:
-    """Return a pace with another period, whose next tick `k` comes one period from now."""
-    return pace if period_ns == pace.period_ns else Pace(period_ns, now_ns + period_ns, k)
+    """Return a pace whose next tick is `k`: in step with the old one where the period is the same.
+
+    Another period begins with its first tick one period from now.
+    """
+    if period_ns == pace.period_ns:
+        return Pace(period_ns, now_ns + (pace.origin_ns - now_ns) % period_ns, k)
+    return Pace(period_ns, now_ns + period_ns, k)

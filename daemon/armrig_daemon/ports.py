@@ -24,3 +24,6 @@ class Ports(Protocol):
 
     def put(self, text: bytes) -> bool:
         """Hand one record to the service without waiting; False where the pipe is full."""
+
+    def tidy(self) -> None:
+        """Do what costs time and can wait until no run goes on."""

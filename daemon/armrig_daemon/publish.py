@@ -10,7 +10,7 @@ from typing import Any, Self
 import msgspec
 import zenoh
 from armrig_core import protobuf
-from armrig_core.commands import REQUESTS, Refused, json_schema
+from armrig_core.commands import REQUESTS, Refused, Stop, json_schema
 from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
 
 from armrig_daemon.messages import NAMES, Outgoing
@@ -78,6 +78,7 @@ class Session:
             The endpoint is taken or cannot be made.
         """
         self._commands: queue.Queue[Command] = queue.Queue(MOST_WAITING)
+        self._stops: queue.Queue[Command] = queue.Queue(MOST_WAITING)
         self._wake = wake
         self._session = zenoh.open(session_config(endpoint))
         self._publishers = {
@@ -108,11 +109,13 @@ class Session:
         self._publishers[message.stream].put(message.data)
 
     def next_command(self) -> Command | None:
-        """Return the next command that waits, or None."""
-        try:
-            return self._commands.get_nowait()
-        except queue.Empty:
-            return None
+        """Return the next command that waits, a stop before all others, or None."""
+        for waiting in (self._stops, self._commands):
+            try:
+                return waiting.get_nowait()
+            except queue.Empty:
+                continue
+        return None
 
     def _serve(self, query: zenoh.Query) -> None:
         with query:
@@ -122,8 +125,9 @@ class Session:
 
     def _take(self, query: zenoh.Query) -> None:
         command = Command(str(query.key_expr).rsplit("/", 1)[-1], query)
+        waiting = self._stops if command.name == Stop.name else self._commands
         try:
-            self._commands.put_nowait(command)
+            waiting.put_nowait(command)
         except queue.Full:
             command.refuse("too many commands are waiting: try again")
         self._wake()

@@ -57,13 +57,22 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
     locked = _libc.mlockall(_MCL_CURRENT_AND_FUTURE) == 0
     if not locked:
         refused.append("mlockall (set LimitMEMLOCK=infinity)")
+    awake = _keep_awake()
+    if not awake:
+        refused.append("/dev/cpu_dma_latency (a udev rule may give the group write access)")
     pinned = _pin(cpu)
     if cpu is not None and not pinned:
         refused.append(f"cpu {cpu} (allowed are {sorted(os.sched_getaffinity(0))})")
     gc.collect()
     gc.freeze()
     gc.disable()  # nothing here makes cycles; a collection costs milliseconds
-    return {"fifo": priority if fifo else 0, "mlockall": locked, "cpu": cpu, "refused": refused}
+    return {
+        "fifo": priority if fifo else 0,
+        "mlockall": locked,
+        "cpu": cpu,
+        "awake": awake,
+        "refused": refused,
+    }
 
 
 def _set_fifo(priority: int) -> bool:
@@ -76,12 +85,26 @@ def _set_fifo(priority: int) -> bool:
     return True
 
 
+_awake: list[int] = []  # the descriptor must stay open for as long as the wish shall hold
+
+
+def _keep_awake() -> bool:
+    """Ask the processors not to sleep so deeply that waking up takes long."""
+    try:
+        fd = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    os.write(fd, (0).to_bytes(4, "little"))
+    _awake.append(fd)
+    return True
+
+
 def _pin(cpu: int | None) -> bool:
     if cpu is None:
         return False
     try:
         os.sched_setaffinity(0, {cpu})
-    except OSError:
+    except (OSError, OverflowError, ValueError):
         return False
     return True
 

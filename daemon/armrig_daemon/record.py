@@ -6,6 +6,8 @@ disk is ever waited for.
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 import queue
 import threading
@@ -80,13 +82,26 @@ class Recording:
                 compression=CompressionType.ZSTD,
                 enable_data_crcs=True,
             )
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ours while we write
             self._channels = self._begin(manifest, attachments)
             self._good = self._file.tell()
+        except FileExistsError as err:
+            msg = f"{self.active}: {err.strerror}; set [recording] directory to another"
+            raise RecordingError(msg) from err
         except OSError as err:
+            self._discard()
             msg = f"{self.active}: {err.strerror}; free the disk, or set [recording] directory"
             raise RecordingError(msg) from err
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
+
+    def _discard(self) -> None:
+        """Leave nothing of a file that could not be begun."""
+        with contextlib.suppress(AttributeError, OSError):
+            _into_nowhere(self._file)
+            self._file.close()
+        with contextlib.suppress(OSError):
+            self.active.unlink()
 
     def add(self, batch: list[Outgoing]) -> None:
         """Hand over messages to be written."""
@@ -126,13 +141,16 @@ class Recording:
         return channels
 
     def _write(self) -> None:
-        """Write what comes until the end, and complete the file."""
+        """Write what comes until the end, and complete the file; whatever fails is told."""
+        outcome = None
         try:
-            self._complete(self._write_until_the_end())
-        except OSError as err:
-            self._give_up(err)
-        self.done = True
-        self._changed()
+            outcome = self._write_until_the_end()
+            self._complete(outcome)
+        except Exception as err:
+            self._give_up(err, ended=outcome is not None)
+        finally:
+            self.done = True
+            self._changed()
 
     def _write_until_the_end(self) -> Outcome:
         """Write what comes: flushed at 10 Hz, on the disk at 1 Hz."""
@@ -186,25 +204,41 @@ class Recording:
             data=message.data,
         )
 
-    def _give_up(self, err: OSError) -> None:
+    def _give_up(self, err: Exception, *, ended: bool) -> None:
         """Keep what was flushed whole: a file that goes on would have a silent hole."""
-        if not self._file.closed:
-            # The rest in the buffer must not come back when there is room again: it goes nowhere.
-            fd = self._file.fileno()
-            os.ftruncate(fd, self._good)
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, fd)
-            os.close(nowhere)
+        reason = err.strerror if isinstance(err, OSError) else repr(err)
+        self.error = f"{self.active}: {reason}; what was flushed is kept there"
+        with contextlib.suppress(OSError, ValueError):  # closed, or gone altogether
+            os.ftruncate(self._file.fileno(), self._good)
+            _into_nowhere(self._file)
             self._file.close()
-        self.error = f"{self.active}: {err.strerror}; kept up to the last flush"
         self._changed()
-        while not isinstance(self._queue.get(), Outcome):
-            pass
+        while not ended:
+            ended = isinstance(self._queue.get(), Outcome)
 
 
-def left_over(directory: Path) -> list[Path]:
-    """Return the recordings that a daemon left unfinished."""
-    return sorted(directory.glob("*.mcap.active"))
+def _into_nowhere(file: IO[bytes]) -> None:
+    """Let what is buffered go nowhere: it must not come back when there is room again."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, file.fileno())
+    os.close(nowhere)
+
+
+def left_over(directory: Path, rig: str) -> list[Path]:
+    """Return the recordings of a rig that a daemon left unfinished: nobody writes them now."""
+    try:
+        return sorted(p for p in directory.glob(f"{rig}-*.mcap.active") if not _is_written(p))
+    except OSError:  # where nothing can be read nothing is found; a run will be told why
+        return []
+
+
+def _is_written(path: Path) -> bool:
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        return False
 
 
 def check_directory(directory: Path, needed: int) -> str:

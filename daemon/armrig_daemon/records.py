@@ -6,6 +6,7 @@ from here to the subscriber and the file; everything else is msgpack, told apart
 
 from __future__ import annotations
 
+from math import nan
 from struct import Struct
 from typing import Any
 
@@ -58,6 +59,28 @@ class Timing(Tagged, frozen=True, kw_only=True):
     wake_lateness_us: Distribution
     device_tick_error_us: Distribution
     link_round_trip_us: Distribution
+    queue_depth: Distribution
+    """In setpoints, not µs."""
+    collections: int = 0
+    """Garbage collections of the loop since its start."""
+    cpu_pressure_percent: float = nan
+    """Share of the second in which some task of the host waited for a processor."""
+    run_queue: int = -1
+    """Tasks of the host that were runnable."""
+
+
+class Clock(Tagged, frozen=True, kw_only=True):
+    """The device's clock against the host's monotonic one; nothing published is corrected by it."""
+
+    t_host_ns: int
+    offset_ns: int
+    """Host's time less 1000 times the device's."""
+    offset_std_ns: float
+    drift_ppm: float
+    """What the offset gains; positive where the device's clock is slow."""
+    drift_std_ppm: float
+    bound_ns: float
+    """The most that a constant asymmetry of the way can hide in the offset."""
 
 
 class State(Tagged, frozen=True, kw_only=True):
@@ -101,7 +124,7 @@ class Host(Tagged, frozen=True, kw_only=True):
     granted: dict[str, Any]
 
 
-Record = Gap | Log | Timing | State | RunStarted | RunEnded | Answer | Host
+Record = Gap | Log | Timing | Clock | State | RunStarted | RunEnded | Answer | Host
 """What the loop tells the service, beside samples."""
 
 
@@ -142,6 +165,8 @@ class Play(Leased, frozen=True, kw_only=True):
     run_id: str
     codes: bytes
     """One u16, little-endian, for each sample."""
+    scheduled: bool = False
+    """The device paces it; else the host."""
 
 
 class Halt(Order, frozen=True, kw_only=True):
@@ -152,13 +177,17 @@ class Reset(Order, frozen=True, kw_only=True):
     """Leave a latched fault."""
 
 
+class Alive(Order, frozen=True, kw_only=True):
+    """Nothing is asked: the service only shows that it can."""
+
+
 class Quit(Order, frozen=True, kw_only=True):
     """Stop and exit."""
 
     reason: str
 
 
-Orders = Take | Release | Hold | Play | Halt | Reset | Quit
+Orders = Take | Release | Hold | Play | Halt | Reset | Alive | Quit
 """What the service asks of the loop."""
 
 _RECORDS = msgspec.msgpack.Decoder(Record)

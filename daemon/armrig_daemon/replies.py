@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from math import nan
-
-from armrig_core.telemetry import Sample
-from armrig_core.volts import applied_code, volts_of
+from armrig_core.volts import applied_code
 from armrig_protocol.messages import (
     Ack,
     Cause,
@@ -14,17 +11,16 @@ from armrig_protocol.messages import (
     Flag,
     HelloReply,
     Message,
+    Pong,
 )
 from armrig_protocol.messages import Event as DeviceEvent
 from armrig_protocol.messages import Sample as DeviceSample
 
-from armrig_daemon import handshake
+from armrig_daemon import comparing, gaps, handshake, scheduling
 from armrig_daemon.asking import Step, ask, log, say_state
-from armrig_daemon.records import Gap
-from armrig_daemon.state import Action, Emit, Phase, Publish, Sent, State, Want
+from armrig_daemon.conversion import converted, extended
+from armrig_daemon.state import Action, Phase, Publish, RoundTrip, State, Want
 from armrig_daemon.stopping import trip
-
-_ADC0_RAIL, _ADC1_RAIL = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
 
 
 def take(state: State, now_ns: int, message: Message) -> Step:
@@ -40,7 +36,19 @@ def take(state: State, now_ns: int, message: Message) -> Step:
             return _ack(state, now_ns, message)
         case DeviceEvent():
             return _event(state, now_ns, message)
-    return state, []  # STATUS and PONG are for the timing to come
+        case Pong():
+            return _pong(state, now_ns, message)
+    return state, []
+
+
+def _pong(state: State, now_ns: int, pong: Pong) -> Step:
+    if pong.host_ns != state.ping_ns:
+        return state, []  # an old one: it says nothing of now
+    round_trip = RoundTrip(now_ns - pong.host_ns)
+    state = state._replace(fresh_ns=max(state.fresh_ns, pong.host_ns))
+    state = comparing.by_pong(state, now_ns, pong)
+    state, done = handshake.seen(state, now_ns, pong.state)
+    return state, [round_trip, *done]
 
 
 def _is_other_boot(state: State, boot: int) -> bool:
@@ -86,18 +94,29 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
 def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     if _is_other_boot(state, m.boot):
         return _rebooted(state, now_ns)
+    if state.scheduled and m.flags & Flag.RUN:
+        return _self_paced(state, now_ns, m)
     at = next((i for i, s in enumerate(state.sent) if s.k & 0xFFFFFFFF == m.k), None)
-    if at is None or state.device is None:
+    device = state.device
+    if at is None or device is None:
         return state, []  # nothing of ours: an old burst, or an echo of another host
     sent = state.sent[at]
-    t_us = state.t_us + ((m.t_us - state.t_us) & 0xFFFFFFFF)
-    done: list[Action] = [_lost(s, state.sent[i + 1], m) for i, s in enumerate(state.sent[:at])]
-    done.append(Publish(_converted(state, sent, m, t_us)))
-    expected = applied_code(sent.code, state.device.pwm_bits) if m.flags & Flag.RUN else 0
-    state = state._replace(
-        sent=state.sent[at + 1 :], fresh_ns=sent.sent_ns, t_us=t_us, applied=m.u_k
+    t_us = extended(state.t_us, m.t_us)
+    for before in state.sent[:at]:
+        state = gaps.note(state, gaps.lost(before, now_ns))
+    state, done = gaps.account(state, sent.k, now_ns, m.u_km1)
+    published = converted(
+        state.rules.calibration, m, sent.k, sent.sched_ns, sent.sent_ns, t_us, sent.code
     )
+    done += [RoundTrip(now_ns - sent.sent_ns), Publish(published)]
+    expected = applied_code(sent.code, device.pwm_bits) if m.flags & Flag.RUN else 0
+    state = state._replace(
+        sent=state.sent[at + 1 :], fresh_ns=sent.sent_ns, t_us=t_us, applied=m.u_k, told=sent.k
+    )
+    state = comparing.by_sample(state, now_ns, sent, m)
     state, actions = handshake.seen(state, now_ns, m.state)
+    done += actions
+    state, actions = scheduling.counted(state, now_ns, 0, m.queued)
     done += actions
     if m.u_k != expected and state.phase is not Phase.FAULT:
         text = f"the device applied code {m.u_k} where {sent.code} was commanded"
@@ -106,38 +125,7 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     return state, done
 
 
-def _converted(state: State, sent: Sent, m: DeviceSample, t_us: int) -> Sample:
-    calibration = state.rules.calibration
-    return Sample(
-        sent.k,
-        sent.sched_ns,
-        sent.sent_ns,
-        t_us,
-        nan if m.flags & _ADC0_RAIL else calibration.theta_1.angle(m.y0),
-        nan if m.flags & _ADC1_RAIL else calibration.alpha.angle(m.y1),
-        volts_of(sent.code),
-        volts_of(m.u_k),
-        m.y0,
-        m.y1,
-        m.flags,
-    )
-
-
-def _lost(sent: Sent, after: Sent, m: DeviceSample) -> Action:
-    """Return the gap of a sample that was asked for and never came.
-
-    Where the next sample is there, its u_km1 says which input was really held.
-    """
-    confirmed = after.k & 0xFFFFFFFF == m.k
-    code = m.u_km1 if confirmed else sent.code
-    reason = "a frame was lost" if confirmed else "frames were lost; the input is as commanded"
-    return Emit(
-        Gap(
-            k_first=sent.k,
-            count=1,
-            t_from_ns=sent.sent_ns,
-            t_to_ns=after.sent_ns,
-            u_held_v=volts_of(code),
-            reason=reason,
-        )
-    )
+def _self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
+    state, done = handshake.seen(scheduling.heard(state, m.echo), now_ns, m.state)
+    state, actions = scheduling.sample(state, now_ns, m)
+    return state, done + actions

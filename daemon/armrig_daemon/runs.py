@@ -5,21 +5,23 @@ from __future__ import annotations
 import hashlib
 import platform
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+import numpy as np
 from armrig_core.commands import LastRun, Run, RunAccepted
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
-from armrig_core.volts import code_of
-from armrig_protocol.messages import SCHEMA_HASH, VERSION
+from armrig_core.volts import U_MAX_V
+from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
+from numpy.typing import NDArray
 
-from armrig_daemon.config import Config
+from armrig_daemon.config import Config, Limits
 from armrig_daemon.messages import Outgoing
-from armrig_daemon.record import Recording, check_directory
+from armrig_daemon.record import Recording, RecordingError, check_directory
 from armrig_daemon.records import Gap, Play, RunStarted, State
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
@@ -72,17 +74,25 @@ class Runs:
         error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + (1 << 20))
         if error:
             raise ValueError(error)
+        u = checked(request.u, self._config.limits)
         run_id = secrets.token_hex(4)
         stamp = datetime.now(UTC).astimezone().strftime("%Y%m%dT%H%M%S")
         name = f"{self._config.rig.id}-{request.experiment}-{stamp}-{run_id}.mcap"
         self._planned = Planned(run_id, self._directory / name, request)
-        codes = b"".join(code_of(u).to_bytes(2, "little") for u in request.u)
-        order = Play(lease=request.lease, n=request.n, run_id=run_id, codes=codes)
+        codes = np.rint(u / U_MAX_V * CODE_FULL_SCALE).astype("<u2").tobytes()
+        order = Play(
+            lease=request.lease,
+            n=request.n,
+            run_id=run_id,
+            codes=codes,
+            scheduled=request.pacing == "scheduled",
+        )
         return order, RunAccepted(run_id=run_id, recording=str(self._planned.path))
 
-    def forget(self) -> None:
-        """Drop what was planned: the loop has refused it."""
-        self._planned = None
+    def forget(self, run_id: str) -> None:
+        """Drop what was planned: the loop has refused it, or did not answer."""
+        if self._planned is not None and self._planned.run_id == run_id:
+            self._planned = None
 
     def begin(
         self, started: RunStarted, state: State, host: dict[str, Any], clock_offset_ns: int
@@ -100,7 +110,7 @@ class Runs:
         if planned is None or planned.run_id != started.run_id:
             msg = f"run {started.run_id} was not asked for"
             raise LookupError(msg)
-        manifest = self._manifest(planned, state, host, clock_offset_ns)
+        manifest = self._manifest(planned, started, state, host, clock_offset_ns)
         attachments = {
             CONFIG: msgspec.json.encode(self._config),
             CALIBRATION: msgspec.json.encode(self._config.calibration),
@@ -109,13 +119,17 @@ class Runs:
         self._last = _begun(planned)
         self._first, self._end = started.k_first, started.k_first + started.count
         self._missing = 0
-        self._recording = Recording(
-            planned.path,
-            manifest,
-            attachments,
-            t_first_ns=started.t_host_ns,
-            changed=self._changed,
-        )
+        try:
+            self._recording = Recording(
+                planned.path,
+                manifest,
+                attachments,
+                t_first_ns=started.t_host_ns,
+                changed=self._changed,
+            )
+        except RecordingError as err:
+            self._last = msgspec.structs.replace(self._last, finished=True, outcome=str(err))
+            raise
         return self._recording.active
 
     def takes_sample(self, k: int) -> bool:
@@ -181,7 +195,12 @@ class Runs:
         return "info", f"recorded {path}: {outcome}, {recording.samples} samples, {missing} missing"
 
     def _manifest(
-        self, planned: Planned, state: State, host: dict[str, Any], clock_offset_ns: int
+        self,
+        planned: Planned,
+        started: RunStarted,
+        state: State,
+        host: dict[str, Any],
+        clock_offset_ns: int,
     ) -> Manifest:
         config = self._config
         uname = platform.uname()
@@ -192,6 +211,8 @@ class Runs:
             details=planned.request.details,
             Ts=state.ts_us / 1e6,
             samples=len(planned.request.u),
+            k_first=started.k_first,
+            pacing=planned.request.pacing,
             started=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
             clock_offset_ns=clock_offset_ns,
             armrig=version("armrig"),
@@ -206,6 +227,31 @@ class Runs:
             },
             config_sha256=hashlib.sha256(msgspec.json.encode(config)).hexdigest(),
         )
+
+
+def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
+    """Return the voltages of an experiment, (N,) in V.
+
+    Raises
+    ------
+    ValueError
+        One is outside the limits, or steps too far; names the first index.
+    """
+    volts = np.asarray(u, dtype=np.float64)
+    low, high, slew = limits.u_min_v, limits.u_max_v, limits.slew_v
+    outside = ~((volts >= low) & (volts <= high))
+    if outside.any():
+        i = int(np.argmax(outside))
+        msg = f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V"
+        raise ValueError(msg)
+    steps = np.abs(np.diff(volts, prepend=0.0))
+    # What is left over is what two numbers like 0.3 and 1.3 differ from 1 by.
+    far = steps > slew * (1 + 1e-9)
+    if slew and far.any():
+        i = int(np.argmax(far))
+        msg = f"u[{i}] steps by {steps[i]:.4g} V: at most {slew:.4g} V in a sample"
+        raise ValueError(msg)
+    return volts
 
 
 def _begun(planned: Planned) -> LastRun:

@@ -15,23 +15,26 @@ import sys
 import time
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, assert_never
 
-import msgspec
 import zenoh
 from armrig_core import commands
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
+from msgspec.structs import replace
 
 from armrig_daemon import loop_child, realtime
-from armrig_daemon.budget import check_exchange
+from armrig_daemon.budget import check
 from armrig_daemon.config import Config
 from armrig_daemon.loop_process import NO_PORT, Settings
 from armrig_daemon.messages import Outgoing, outgoing
+from armrig_daemon.pressure import Pressure
 from armrig_daemon.publish import Command, Session
 from armrig_daemon.record import RecordingError, left_over
 from armrig_daemon.records import (
+    Alive,
     Answer,
+    Clock,
     Gap,
     Halt,
     Hold,
@@ -49,10 +52,12 @@ from armrig_daemon.records import (
     Take,
     Timing,
 )
-from armrig_daemon.runs import Runs
+from armrig_daemon.runs import Runs, checked
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
+SILENCE_NS = 3_000_000_000
+"""How long the loop drives the motor on without hearing from us, in ns."""
 _FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
 _READ = 1 << 16
 _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})
@@ -82,6 +87,7 @@ class Service:
         self._waiting: dict[int, Waiting] = {}
         self._numbers = 0
         self._quitting = False
+        self._pressure = Pressure()
         self._wake_fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -93,7 +99,7 @@ class Service:
         config = self._config
         self._loop = loop_child.start(
             Settings(
-                rules=config.rules(),
+                rules=replace(config.rules(), service_ns=SILENCE_NS),
                 port=config.device.port,
                 baud=config.device.baud,
                 priority=config.timing.priority,
@@ -106,18 +112,19 @@ class Service:
             realtime.leave_fifo()
             with Session(self._endpoint, config.rig.id, self._wake) as self._session:
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
-                for path in left_over(self._directory):
-                    self._say("warning", f"{path}: left by a daemon that died; it loads")
+                for path in left_over(self._directory, config.rig.id):
+                    text = f"{path}: left by a daemon that died; `armrig info` says what it holds"
+                    self._say("warning", text)
                 self._serve()
                 self._runs.end("the loop ended")
                 self._say_finished(_FINISH_S)
         except zenoh.ZError as err:
-            print(f"armrigd: {self._endpoint}: {_short(err)}", file=sys.stderr)
+            _print(f"armrigd: {_endpoint_error(self._endpoint, config.rig.id, err)}")
             return 1
         finally:
             code = self._loop.end()
         if not self._quitting and code != NO_PORT:
-            print(f"armrigd: the loop died with code {code}", file=sys.stderr)
+            _print(f"armrigd: the loop died with code {code}")
         return 0 if self._quitting and code == 0 else 1
 
     def _serve(self) -> None:
@@ -126,7 +133,10 @@ class Service:
         while True:
             timeout = max(0.0, state_due - time.monotonic())
             sources = [self._loop.records_fd, self._wake_fd]
-            ready, _, _ = select.select(sources, [], [], timeout)
+            sinks = [self._loop.orders_fd] if self._loop.is_behind else []
+            ready, writable, _ = select.select(sources, sinks, [], timeout)
+            if writable:
+                self._loop.flush()
             if self._wake_fd in ready:
                 self._woken()
             if self._loop.records_fd in ready:
@@ -162,17 +172,20 @@ class Service:
                     self._host = record.granted
                     for what in record.granted["refused"]:
                         self._say("warning", f"not granted: {what}; timing is less exact")
-                case Gap() | Log() | Timing() | State():
+                case Gap() | Log() | Timing() | Clock() | State():
+                    if isinstance(record, Timing):
+                        share, runnable = self._pressure.read()
+                        record = replace(record, cpu_pressure_percent=share, run_queue=runnable)
                     message = self._publish(record)
                     if self._runs.takes(record):
                         batch.append(message)
         self._runs.add(batch)
 
-    def _publish(self, record: Gap | Log | Timing | State) -> Outgoing:
+    def _publish(self, record: Gap | Log | Timing | Clock | State) -> Outgoing:
         if isinstance(record, State):
             self._state = record
         if isinstance(record, Log) and record.level != "debug":
-            print(f"armrigd: {record.level}: {record.message}", file=sys.stderr, flush=True)
+            _print(f"armrigd: {record.level}: {record.message}")
         message = outgoing(record, self._offset_ns)
         self._session.put(message)
         return message
@@ -198,13 +211,16 @@ class Service:
     def _answered(self, answer: Answer) -> None:
         waiting = self._waiting.pop(answer.order, None)
         if waiting is None:
-            return
+            return  # it came too late: who asked has been told so
         if answer.error:
-            if isinstance(waiting.order, Play):
-                self._runs.forget()
-            waiting.command.refuse(answer.error)
+            self._give_up(waiting, answer.error)
         else:
             waiting.command.answer(waiting.body or answer.body)
+
+    def _give_up(self, waiting: Waiting, error: str) -> None:
+        if isinstance(waiting.order, Play):
+            self._runs.forget(waiting.order.run_id)
+        waiting.command.refuse(error)
 
     # -- to the loop -----------------------------------------------------------------------
 
@@ -222,8 +238,11 @@ class Service:
                 self._carry_out(command, commands.parse(command.name, command.payload))
             except ValueError as err:
                 command.refuse(str(err))
+            except Exception as err:
+                command.refuse(f"{command.name}: {err!r}")
+                self._say("error", f"{command.name}: {err!r}")
 
-    def _carry_out(self, command: Command, request: commands.Request) -> None:
+    def _carry_out(self, command: Command, request: commands.Requests) -> None:
         """Hand a request to the loop; raises ValueError where it is not allowed."""
         match request:
             case commands.Status():
@@ -234,7 +253,8 @@ class Service:
             case commands.Disarm():
                 self._ask(command, Release(lease=request.lease, n=request.n))
             case commands.Set():
-                code = code_of(request.u)
+                (volts,) = checked([request.u], replace(self._config.limits, slew_v=0.0))
+                code = code_of(volts)
                 self._ask(command, Hold(lease=request.lease, n=request.n, code=code))
             case commands.Run():
                 self._ask(command, *self._runs.plan(request))
@@ -242,6 +262,8 @@ class Service:
                 self._ask(command, Halt())
             case commands.Reset():
                 self._ask(command, Reset())
+            case _:
+                assert_never(request)
 
     def _ts_us(self, Ts: float | None) -> int:
         """Return the sampling time asked for, in µs; 0 for the configured one."""
@@ -250,12 +272,12 @@ class Service:
         if round(Ts * 1e6, 3) % 1:
             msg = f"Ts={Ts} must be a whole number of microseconds"
             raise ValueError(msg)
-        check_exchange(round(Ts * 1e6), self._config.device.baud)
+        check(round(Ts * 1e6), self._config.device.baud, scheduled=True)
         return round(Ts * 1e6)
 
     def _ask(self, command: Command, order: Orders, body: Any = None) -> None:
         self._numbers += 1
-        order = msgspec.structs.replace(order, order=self._numbers)
+        order = replace(order, order=self._numbers)
         self._waiting[self._numbers] = Waiting(command, time.monotonic() + ANSWER_S, order, body)
         self._loop.order(order)
 
@@ -280,11 +302,12 @@ class Service:
     # -- the service itself ----------------------------------------------------------------
 
     def _each_second(self) -> None:
+        self._loop.order(Alive())
         now = time.monotonic()
         for number in [n for n, w in self._waiting.items() if now > w.until]:
-            self._waiting.pop(number).command.refuse("the loop does not answer: see the log")
+            self._give_up(self._waiting.pop(number), "the loop does not answer: see the log")
         if self._state is not _UNKNOWN:
-            self._publish(msgspec.structs.replace(self._state, t_host_ns=realtime.now_ns()))
+            self._publish(replace(self._state, t_host_ns=realtime.now_ns()))
 
     def _wake(self) -> None:
         with contextlib.suppress(BlockingIOError):
@@ -302,5 +325,13 @@ def _sample(data: bytes) -> Outgoing:
     return Outgoing("sample", sample.t_host_ns, sample.t_sched_ns, sample.k, data)
 
 
-def _short(err: Exception) -> str:
-    return str(err).splitlines()[0][:200]
+def _print(line: str) -> None:
+    """Say a line to whoever reads our log; that there is nobody must not end the service."""
+    with contextlib.suppress(OSError):
+        print(line, file=sys.stderr, flush=True)
+
+
+def _endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
+    if "lock" in str(err):
+        return f"a daemon of rig {rig} already runs at {endpoint}; end it, or choose another --rig"
+    return f"{endpoint}: {str(err).splitlines()[0][:200]}; see that the directory can be written"

@@ -10,7 +10,8 @@ from armrig_core.calibration import Calibration
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import HelloReply
 
-from armrig_daemon.records import Order, Record
+from armrig_daemon.clockmap import ClockMap
+from armrig_daemon.records import Order, Play, Record
 
 
 class Phase(StrEnum):
@@ -59,14 +60,31 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     rail_ticks: int
     """Samples in a row at a rail allowed in a run; 0 is no limit."""
     calibration: Calibration
+    service_ns: int = 0
+    """Silence of the service after which the motor is stopped; 0 where there is none to watch."""
 
-    def age_ns(self, ts_us: int) -> int:
-        """Return the age of the last round trip beyond which the motor is stopped."""
-        return max(50_000_000, 3_000 * ts_us)
+    stop_after: int
+    """Ticks missed in a row after which the motor is stopped; 0 goes on."""
 
-    def pause_ns(self, ts_us: int) -> int:
+    def age_ns(self, ts_us: int, *, scheduled: bool = False) -> int:
+        """Return the age of the last round trip beyond which the motor is stopped.
+
+        A device that paces itself goes on without us for as long as its watchdog allows.
+        """
+        return self._watchdog_ns if scheduled else max(50_000_000, 3_000 * ts_us)
+
+    def pause_ns(self, ts_us: int, *, scheduled: bool = False) -> int:
         """Return the gap between two ticks beyond which the motor is stopped."""
-        return max(50_000_000, 5_000 * ts_us)
+        return self._watchdog_ns if scheduled else max(50_000_000, 5_000 * ts_us)
+
+    @property
+    def _watchdog_ns(self) -> int:
+        return self.watchdog_ms * 1_000_000
+
+    def allows(self, before: int, code: int) -> bool:
+        """Return whether `code` may follow `before`: within the limits, and not too far from it."""
+        inside = self.u_min <= code <= self.u_max
+        return inside and (self.slew == 0 or abs(code - before) <= self.slew)
 
     def lease_ns(self, ts_us: int) -> int:
         """Return how long a voltage held by hand outlives the command for it."""
@@ -82,6 +100,8 @@ class Asked(NamedTuple):
     tries: int
     ts_us: int
     """Sampling time that CONFIG asks for."""
+    scheduled: bool
+    """Pacing that CONFIG asks for."""
     order: Order | None
     """Whose wish it is, and who is answered."""
 
@@ -96,11 +116,25 @@ class Sent(NamedTuple):
     code: int
 
 
+class Absent(NamedTuple):
+    """Samples that will not come: found at a tick, told before the next sample that does."""
+
+    k: int
+    n: int
+    reason: str
+    code: int | None
+    """Latched there as far as is known; None where the one before was held."""
+    t_from_ns: int
+    t_to_ns: int
+
+
 class Lease(NamedTuple):
     """Who holds the rig."""
 
     lease: str
     owner: str
+    ts_us: int
+    """Sampling time that the owner asked for."""
     n: int
     """Number of the newest command."""
     renewed_ns: int
@@ -113,7 +147,13 @@ class Run(NamedTuple):
     codes: bytes
     """One u16, little-endian, for each sample."""
     k_first: int
-    """Tick of its first sample; -1 before that."""
+    """Index under which its first sample is published; -1 before that."""
+    scheduled: bool = False
+    """The device paces it."""
+    due: int = 0
+    """Index of the next sample: scheduled, to come; else, to be asked for."""
+    t_zero_ns: int = 0
+    """Scheduled: host's estimate of when sample 0 was due."""
 
     @property
     def samples(self) -> int:
@@ -121,8 +161,32 @@ class Run(NamedTuple):
         return len(self.codes) // 2
 
     def code(self, i: int) -> int:
-        """Return u[i]."""
-        return self.codes[2 * i] | self.codes[2 * i + 1] << 8
+        """Return u[i]; standstill before the first."""
+        return self.codes[2 * i] | self.codes[2 * i + 1] << 8 if i >= 0 else 0
+
+
+class Queue(NamedTuple):
+    """The setpoints of a scheduled run on their way to the device."""
+
+    order: Play | None
+    """Whose run it is, until it has been answered."""
+    base: int = 0
+    """Index of the next sample that the device takes."""
+    held: int = 0
+    """The device has all setpoints before this index."""
+    sent: int = 0
+    """All setpoints before this index were sent."""
+    moved_ns: int = 0
+    """When `held` last grew, or the first frame behind it was sent."""
+    asked_ns: int = 0
+    """When the run was ordered."""
+
+
+class Heard(NamedTuple):
+    """A frame whose echo will tell that the device has heard it."""
+
+    seq: int
+    sent_ns: int
 
 
 class State(NamedTuple):
@@ -139,25 +203,46 @@ class State(NamedTuple):
     seq: int = 0
     """Of the next frame to the device."""
     device: HelloReply | None = None
+    boot_id: int = 0
+    """Of the boot that the clocks were compared in."""
     device_state: int = 0
     token: int = 0
     config_crc: int = 0
+    scheduled: bool = False
+    """The configuration in force is of scheduled mode."""
     asked: Asked | None = None
     sent: tuple[Sent, ...] = ()
     fresh_ns: int = 0
     """When the newest EXCHANGE was sent of which the answer has come."""
     any_ns: int = 0
     """When the last frame was sent."""
+    clock: ClockMap = ClockMap()
+    """The device's clock against ours."""
+    device_us: int = 0
+    """The device's clock at the last comparison, wraps undone."""
+    compared_ns: int = 0
+    """When that was."""
+    ping_ns: int = 0
+    """When the device was last asked for its clock."""
     tick_ns: int = 0
     """When the last tick was done."""
+    service_ns: int = 0
+    """When the service was last heard of."""
     k: int = -1
     """The last tick done."""
+    told: int = -1
+    """Up to here each sample was published or told as a gap."""
+    absent: tuple[Absent, ...] = ()
+    """What is known of the samples behind `told`."""
     applied: int = 0
     """Code that the device last said it latched."""
     t_us: int = 0
     """Device clock of the last sample, wraps undone."""
     lease: Lease | None = None
     run: Run | None = None
+    queue: Queue | None = None
+    beats: tuple[Heard, ...] = ()
+    """Scheduled: frames whose echo has not come yet."""
     outcome: str = ""
     """How the run ends; it has ended once the device has stopped."""
     code: int = 0
@@ -174,6 +259,14 @@ class Publish(NamedTuple):
     """Hand this sample to the service."""
 
     sample: Sample
+    queued: int = -1
+    """Setpoints that the device holds behind it; -1 where it has no queue."""
+
+
+class RoundTrip(NamedTuple):
+    """A question to the device came back after so long."""
+
+    ns: int
 
 
 class Emit(NamedTuple):
@@ -183,16 +276,17 @@ class Emit(NamedTuple):
 
 
 class Repace(NamedTuple):
-    """Tick with this period from now on, in µs."""
+    """Tick with this period from now on, in µs, beginning with tick `k`."""
 
-    ts_us: int
+    period_us: int
+    k: int
 
 
 class Exit(NamedTuple):
     """All is said; end the process."""
 
 
-Action = Send | Publish | Emit | Repace | Exit
+Action = Send | Publish | RoundTrip | Emit | Repace | Exit
 
 
 class Tick(NamedTuple):

@@ -2,17 +2,39 @@
 
 from __future__ import annotations
 
-from armrig_daemon.asking import Step, ask, log, say_state
+from armrig_daemon import gaps
+from armrig_daemon.asking import Step, ask, log, refuse, say_state
 from armrig_daemon.records import Order, RunEnded
-from armrig_daemon.state import Emit, Phase, State, Want
+from armrig_daemon.state import Absent, Emit, Phase, Repace, State, Want
 
 
-def end_run(state: State) -> Step:
+def end_run(state: State, now_ns: int) -> Step:
     """Say that the run is over, once no sample of it can come any more."""
-    if state.run is None:
-        return state._replace(outcome=""), []
-    ended = RunEnded(run_id=state.run.run_id, outcome=state.outcome)
-    return state._replace(run=None, outcome=""), [Emit(ended)]
+    queue, run = state.queue, state.run
+    done = refuse(queue.order, state.outcome or "stopped") if queue else []
+    state = state._replace(queue=None, beats=())
+    if run is None:
+        return state._replace(outcome=""), done
+    if run.k_first >= 0:
+        end = run.k_first + min(run.due, run.samples)
+        for sent in (s for s in state.sent if s.k < end):
+            state = gaps.note(state, gaps.lost(sent, now_ns))
+        if run.scheduled and state.phase is Phase.FAULT:
+            # What the device would have sampled by now, had it not stopped.
+            by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
+            n = max(0, min(by_now, run.samples) - run.due)
+            state = gaps.note(state, Absent(end, n, state.outcome, 0, state.tick_ns, now_ns))
+            run, end = run._replace(due=run.due + n), end + n
+        state, actions = gaps.account(state, end, now_ns)
+        done += actions
+        state = state._replace(sent=tuple(s for s in state.sent if s.k >= end))
+    if run.scheduled and run.k_first >= 0:
+        # The device has counted on its own: our ticks go on behind its last sample.
+        k = run.k_first + run.due - 1
+        state = state._replace(k=k)
+        done.append(Repace(state.rules.ts_us, k + 1))
+    done.append(Emit(RunEnded(run_id=run.run_id, outcome=state.outcome)))
+    return state._replace(run=None, outcome=""), done
 
 
 def stop(state: State, now_ns: int, outcome: str, order: Order | None = None) -> Step:
@@ -32,5 +54,5 @@ def trip(state: State, now_ns: int, reason: str) -> Step:
         state, actions = ask(state, now_ns, Want.STOP)
     else:
         # No way to tell the device: its own watchdog stops it.
-        state, actions = end_run(state)
+        state, actions = end_run(state, now_ns)
     return state, done + actions

@@ -56,10 +56,10 @@ class Histogram:
                 return min(_greatest_in(index), self._max)
         return self._max
 
-    def distribution_us(self) -> Distribution:
-        """Return the percentiles in µs; all 0 where nothing was counted."""
-        p50, p90, p99, p999 = (self.quantile(q) / 1e3 for q in (0.5, 0.9, 0.99, 0.999))
-        largest = self._max / 1e3
+    def distribution(self, unit: float) -> Distribution:
+        """Return the percentiles in `unit` of what was counted; all 0 where nothing was."""
+        p50, p90, p99, p999 = (self.quantile(q) / unit for q in (0.5, 0.9, 0.99, 0.999))
+        largest = self._max / unit
         return Distribution(
             p50=p50, p90=p90, p99=p99, p999=p999, max=largest, n=self.n, missed=self.missed
         )

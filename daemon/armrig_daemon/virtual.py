@@ -69,6 +69,9 @@ class VirtualPorts:
         self._records += text
         return True
 
+    def tidy(self) -> None:
+        """Do nothing: the memory of a test is the test's."""
+
     def send(self, at_ns: int, event: Event) -> None:
         """Let an event happen at a time, not before those sent earlier."""
         self._inbox.append((at_ns, event))

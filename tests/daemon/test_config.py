@@ -27,7 +27,10 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[timing]\nTs = '10 ms'", r"timing\.Ts = '10 ms': expected `float`, got `str`"),
         ("[timing]\nTs = 2", r"timing\.Ts = 2: expected `float` <= 1"),
         ("[timing]\nTs = 0.0100001", r"Ts = 0.0100001 must be a whole number of microseconds"),
-        ("[timing]\nTs = 0.001", r"Ts=0.001 s cannot be carried at 500000 baud: at least 0.001248"),
+        (
+            "[timing]\nTs = 0.001",
+            r"Ts=0.001 s cannot be carried at 500000 baud",
+        ),
         ("[limits]\nu_max_v = 6", r"limits\.u_max_v = 6: expected `float` <= 5"),
         ("[limits]\nu_max_v = nan", r"limits\.u_max_v = nan"),
         ("[limits]\nu_min_v = -1", r"limits\.u_min_v = -1: expected `float` >= 0"),

@@ -5,15 +5,16 @@ The invariants S1 ... S6 and T1 are those of ARCHITECTURE.md.
 
 from __future__ import annotations
 
+import random
 from math import isnan
-from struct import pack
 
 import pytest
-from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.records import (
+    Alive,
     Answer,
     Gap,
     Halt,
@@ -43,58 +44,8 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
-
-LEASE = "a" * 32
-MS = 1_000_000
-
-
-class Bench(VirtualRig):
-    """A virtual rig with the words of these tests."""
-
-    def __init__(self, config: Config | None = None, lateness_ns: int = 0) -> None:
-        self.lateness_ns = lateness_ns
-        rules = (config or Config()).rules()
-        settings = EmulatorSettings(boot_ms=0.0, baud=rules.baud)
-        super().__init__(rules, settings, lambda: self.lateness_ns)
-        self._number = 0
-        self.run_for(300)
-
-    def run_for(self, ms: float) -> None:
-        self.run_until(self.ports.now + round(ms * MS))
-
-    def ask(self, kind: type, **fields: object) -> Answer:
-        """Give an order and return its answer."""
-        self._number += 1
-        self.order(kind(order=self._number, **fields))
-        self.run_for(100)
-        return next(a for a in self.of(Answer) if a.order == self._number)
-
-    def of(self, kind: type) -> list:  # type: ignore[type-arg]
-        return [r for r in self.records if isinstance(r, kind)]
-
-    @property
-    def samples(self) -> list[Sample]:
-        decoded = [decode_sample(r) for r in self.records if isinstance(r, bytes)]
-        return [s for s in decoded if s is not None]
-
-    @property
-    def phase(self) -> Phase:
-        return self.loop.state.phase
-
-    @property
-    def volts(self) -> float:
-        return self.ports.device.board.volts
-
-    def take(self, ts_us: int = 0) -> Answer:
-        return self.ask(Take, owner="a student", lease=LEASE, ts_us=ts_us)
-
-    def drive(self, volts: float, n: int) -> Answer:
-        return self.ask(Hold, lease=LEASE, n=n, code=code_of(volts))
-
-
-def codes(*volts: float) -> bytes:
-    """Return an experiment's codes."""
-    return pack(f"<{len(volts)}H", *map(code_of, volts))
+from msgspec.structs import replace
+from virtual_bench import LEASE, MS, Bench, codes
 
 
 @pytest.fixture
@@ -173,9 +124,9 @@ def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
 
 def test_a_sampling_time_that_the_wire_cannot_carry_is_refused(bench: Bench) -> None:
     """The refusal names the shortest that would do."""
-    answer = bench.take(ts_us=1000)
+    answer = bench.take(ts_us=700)
 
-    assert "at least 0.001248 s" in answer.error
+    assert "in scheduled mode: at least 0.000809 s" in answer.error
     assert bench.phase is Phase.SAFE
 
 
@@ -215,27 +166,27 @@ def test_a_hold_that_is_not_allowed_is_refused_and_told(
     assert bench.phase is Phase.ARMED
 
 
-def test_a_run_with_one_value_outside_is_refused_whole() -> None:
-    """The refusal names the first index."""
-    bench = Bench(Config(limits=Limits(u_max_v=4.5)))
+@pytest.mark.parametrize("scheduled", [False, True])
+@pytest.mark.parametrize(
+    ("limits", "volts"),
+    [(Limits(u_max_v=4.5), (1.0, 4.5, 4.6, 5.0)), (Limits(slew_v=1.0), (1.0, 2.0, 3.5))],
+)
+def test_a_value_that_is_not_allowed_is_never_sent(
+    limits: Limits, volts: tuple[float, ...], scheduled: bool
+) -> None:
+    """S1: the service has checked the whole; the core checks each code as it sends it."""
+    bench = Bench(Config(limits=limits))
     bench.take()
 
-    answer = bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 4.5, 4.6, 5.0))
+    bench.order(
+        Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
+    )
+    bench.run_for(500)
 
-    assert answer.error.startswith("u[2]=4.6 V is outside 0 … 4.5 V")
-    assert not bench.of(RunStarted)
-
-
-def test_a_step_beyond_the_slew_limit_is_refused() -> None:
-    """It counts from 0 V, where the motor rests before the run."""
-    bench = Bench(Config(limits=Limits(slew_v=1.0)))
-    bench.take()
-
-    answer = bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 2.0, 3.5))
-    first = bench.ask(Play, lease=LEASE, n=1, run_id="r", codes=codes(1.5))
-
-    assert answer.error.startswith("u[2] steps by 1.5 V: at most 1 V")
-    assert first.error.startswith("u[0] steps by 1.5 V")
+    assert bench.phase is Phase.FAULT
+    assert "not within the limits" in bench.loop.state.reason
+    assert bench.volts == 0.0
+    assert max((s.u_cmd_v for s in bench.samples), default=0.0) <= volts[1] + 1e-3
 
 
 def test_a_command_that_is_played_again_is_refused(driven: Bench) -> None:
@@ -603,6 +554,120 @@ def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
 
     assert bench.of(RunEnded)[0].outcome == "complete"
     assert not bench.of(Gap)
+
+
+def test_a_device_that_leaves_run_by_itself_is_noticed(driven: Bench) -> None:
+    """A STOP that is not ours, say: the daemon does not go on as if the motor turned."""
+    driven.ports.device.receive(driven.ports.now, encode(Stop(0, 9)))
+
+    driven.run_for(30)
+
+    assert driven.phase is Phase.FAULT
+    assert "nobody asked it to" in driven.loop.state.reason
+    assert driven.volts == 0.0
+
+
+@pytest.mark.parametrize(
+    "field", [{"full_scale_mv": 12_000}, {"full_scale_mv": 0}, {"capabilities": 0}, {"pwm_bits": 0}]
+)
+def test_a_device_that_cannot_be_driven_is_never_armed(field: dict[str, int]) -> None:
+    """S1: with another full scale each code would be another voltage."""
+    rig = Bench.__new__(Bench)
+    VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
+    rig._number = 0
+
+    def other(data: bytes) -> bytes:
+        _, messages = feed(b"", data)
+        return b"".join(
+            encode(m._replace(**field) if isinstance(m, HelloReply) else m)  # type: ignore[arg-type]
+            for m in messages
+        )
+
+    rig.ports.from_device = other
+    rig.run_for(500)
+
+    assert rig.phase is Phase.FAULT
+    assert "in fault" in rig.take().error
+
+
+def test_a_link_that_goes_while_a_run_begins_refuses_the_run(bench: Bench) -> None:
+    """Whoever asked is told, and may ask again later."""
+    bench.take()
+    bench.ports.to_device = lambda _: b""
+    bench.order(Play(order=77, lease=LEASE, n=0, run_id="r", codes=codes(1.0)))
+    bench.run_for(15)
+
+    bench.ports.send(bench.ports.now, LinkDown("unplugged"))
+    bench.run_for(20)
+
+    assert [a.error for a in bench.of(Answer) if a.order == 77] == ["link lost: unplugged"]
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_a_service_that_is_frozen_cannot_keep_the_motor_on(scheduled: bool) -> None:
+    """Through it goes every stop: 3 s after it was last heard of, 0 V."""
+    bench = Bench()
+    bench.loop.state = bench.loop.state._replace(
+        rules=replace(bench.loop.state.rules, service_ns=3_000 * MS)
+    )
+    bench.take()
+    play = Play(
+        order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 2000), scheduled=scheduled
+    )
+    bench.order(play)
+    for _ in range(8):
+        bench.run_for(500)
+        bench.order(Alive())
+    assert bench.volts > 0
+
+    bench.run_for(3_100)
+
+    assert bench.volts == 0.0
+    assert "the service is frozen" in bench.loop.state.reason
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_every_k_is_published_or_told(scheduled: bool) -> None:
+    """L2: through noise, unplugging, a reset and the end of a run; the last sample lost, too."""
+    bench = Bench()
+    rng = random.Random(5)
+    bench.take()
+    bench.order(
+        Play(
+            order=9,
+            lease=LEASE,
+            n=0,
+            run_id="r",
+            scheduled=scheduled,
+            codes=codes(*[1.0, 2.0] * 100),
+        )
+    )
+    bench.run_for(200)
+    bench.ports.from_device = lambda data: b"" if len(data) == 36 and rng.random() < 0.2 else data
+    bench.run_for(2500)
+    bench.ports.send(bench.ports.now, LinkDown("unplugged"))
+    bench.run_for(500)
+    bench.ports.device.reset(bench.ports.now)
+    bench.ports.send(bench.ports.now, LinkUp())
+    bench.run_for(500)
+    bench.ports.from_device = lambda data: data
+    bench.run_for(500)
+
+    seen: list[int] = []
+    for record in bench.records:
+        if isinstance(record, bytes):
+            sample = decode_sample(record)
+            assert sample is not None
+            seen.append(sample.k)
+        elif isinstance(record, Gap):
+            seen += range(record.k_first, record.k_first + record.count)
+    assert seen == list(range(seen[0], seen[-1] + 1))
+    ended = bench.records.index(bench.of(RunEnded)[0])
+    before = [r for r in bench.records[:ended] if isinstance(r, Gap)]
+    last = bench.of(RunStarted)[0].k_first + 199
+    covered = {k for g in before for k in range(g.k_first, g.k_first + g.count)}
+    published = {s.k for s in bench.samples}
+    assert last in covered | published
 
 
 # -- the end -------------------------------------------------------------------------------------

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, decode_sample
-from armrig_daemon.loop import MOST_WAITING, Outbox
-from armrig_daemon.records import Gap, Record, RunEnded, take_records
+from armrig_daemon.outbox import MOST_WAITING, Outbox
+from armrig_daemon.records import Gap, Log, Record, RunEnded, take_records
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,6 +17,10 @@ class Pipe:
     def __init__(self, room: int) -> None:
         self.room = room
         self._bytes = bytearray()
+
+    def now_ns(self) -> int:
+        """Return a time."""
+        return 7
 
     def put(self, text: bytes) -> bool:
         """Take a record, if there is room."""
@@ -94,11 +98,21 @@ def test_every_sample_comes_through_or_is_in_a_gap(steps: list[tuple[str, int]])
     assert seen == list(range(k))
 
 
-def test_what_waits_is_bounded() -> None:
-    """R1: a service that never comes back costs no memory."""
-    outbox = Outbox(Pipe(0))  # type: ignore[arg-type]
+def test_what_only_informs_is_dropped_where_too_much_waits_and_told() -> None:
+    """R1: a service that does not come back costs little memory; the end of a run is kept."""
+    pipe = Pipe(0)
+    outbox = Outbox(pipe)  # type: ignore[arg-type]
+    for i in range(3 * MOST_WAITING):
+        outbox.put(Log(t_host_ns=i, level="info", message="a line"))
+    outbox.put(ENDED)
 
-    for _ in range(3 * MOST_WAITING):
-        outbox.put(ENDED)
+    pipe.room = 10 * MOST_WAITING
+    outbox.flush()
+    outbox.flush()
 
-    assert len(outbox._waiting) == MOST_WAITING
+    taken = pipe.taken()
+    assert len(taken) == MOST_WAITING + 2
+    assert taken[MOST_WAITING] == ENDED
+    last = taken[-1]
+    assert isinstance(last, Log)
+    assert last.message.startswith(f"{2 * MOST_WAITING} messages were dropped")

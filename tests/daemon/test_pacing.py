@@ -35,4 +35,13 @@ def test_another_period_begins_one_period_from_now() -> None:
     pace = change(PACE, k=7, period_ns=300, now_ns=20_000)
 
     assert [pace.due_ns(k) for k in (7, 8)] == [20_300, 20_600]
-    assert change(PACE, k=7, period_ns=1000, now_ns=20_000) is PACE
+
+
+@given(st.integers(0, 10**6))
+def test_another_number_for_the_next_tick_leaves_the_beat(now_ns: int) -> None:
+    """In step with the old deadlines, less than a period ahead."""
+    pace = change(PACE, k=70, period_ns=1000, now_ns=now_ns)
+
+    ahead_ns = pace.due_ns(70) - now_ns
+    assert 0 <= ahead_ns < 1000
+    assert (pace.due_ns(70) - PACE.due_ns(0)) % 1000 == 0

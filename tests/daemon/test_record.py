@@ -98,9 +98,72 @@ def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
     recording.add([_sample(k) for k in range(50)])
     _wait_until_flushed(recording, header)
 
-    assert left_over(tmp_path) == [recording.active]
     recording.finish("complete", 0)
     recording.join(5)
+
+
+def test_what_a_daemon_left_is_told_from_what_another_writes(tmp_path: Path) -> None:
+    """By rig, and by whether somebody has it open."""
+    ours, theirs = tmp_path / "1-x.mcap.active", tmp_path / "2-x.mcap.active"
+    for path in (ours, theirs):
+        path.touch()
+    writing = _recording(tmp_path / "1-y.mcap")
+
+    assert left_over(tmp_path, "1") == [ours]
+    assert left_over(tmp_path / "nowhere", "1") == []
+
+    writing.finish("complete", 0)
+    writing.join(5)
+
+
+def test_a_disk_that_is_full_at_the_very_end_is_told_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The outcome has been taken by then: nothing waits for another."""
+
+    def full(_fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    recording = _recording(tmp_path / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    monkeypatch.setattr("armrig_daemon.record.os.fsync", full)
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert recording.done
+    assert "No space left on device" in recording.error
+
+
+def test_whatever_fails_in_the_writer_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not only what the disk says."""
+
+    def broken(source: Path, target: Path) -> None:
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr("armrig_daemon.record.compact", broken)
+    recording = _recording(tmp_path / "run.mcap")
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert recording.done
+    assert "unexpected" in recording.error
+
+
+def test_a_recording_that_cannot_be_begun_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No file, and an error that says what to do."""
+
+    def full(_fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", full)
+    with pytest.raises(RecordingError, match="No space left on device; free the disk"):
+        _recording(tmp_path / "run.mcap")
+
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_disk_that_is_full_leaves_a_whole_prefix(
@@ -122,7 +185,7 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     recording.finish("complete", 0)
     recording.join(5)
 
-    assert "No space left on device; kept up to the last flush" in recording.error
+    assert "No space left on device; what was flushed is kept there" in recording.error
     assert recording.active.read_bytes()[: len(good)] == good
     assert not recording.path.exists()
 

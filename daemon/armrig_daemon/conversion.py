@@ -1,0 +1,43 @@
+"""A sample of the device in the units of the telemetry."""
+
+from __future__ import annotations
+
+from math import nan
+
+from armrig_core.calibration import Calibration
+from armrig_core.telemetry import Sample
+from armrig_core.volts import volts_of
+from armrig_protocol.messages import Flag
+from armrig_protocol.messages import Sample as DeviceSample
+
+_ADC0_RAIL, _ADC1_RAIL = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
+
+
+def extended(last: int, raw: int) -> int:
+    """Return a 32-bit clock without its wraps, where `last` is the extended value before."""
+    return last + ((raw - last) & 0xFFFFFFFF)
+
+
+def converted(
+    calibration: Calibration,
+    m: DeviceSample,
+    k: int,
+    sched_ns: int,
+    host_ns: int,
+    device_us: int,
+    code: int,
+) -> Sample:
+    """Return a sample in s, V and rad, with its raw counts; an angle at a rail is not a number."""
+    return Sample(
+        k,
+        sched_ns,
+        host_ns,
+        device_us,
+        nan if m.flags & _ADC0_RAIL else calibration.theta_1.angle(m.y0),
+        nan if m.flags & _ADC1_RAIL else calibration.alpha.angle(m.y1),
+        volts_of(code),
+        volts_of(m.u_k),
+        m.y0,
+        m.y1,
+        m.flags,
+    )

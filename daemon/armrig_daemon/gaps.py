@@ -1,0 +1,74 @@
+"""Every k is accounted for: published, or told as a gap with the voltage that was held (L2)."""
+
+from __future__ import annotations
+
+from armrig_core.volts import volts_of
+
+from armrig_daemon.asking import Step
+from armrig_daemon.records import Gap
+from armrig_daemon.state import Absent, Action, Emit, Sent, State
+
+NO_ANSWER = "no answer came"
+MOST_ABSENT = 1000  # pieces of one outage that are told apart; the rest is one gap
+
+
+def note(state: State, absent: Absent) -> State:
+    """Remember samples that will not come, until the next one that does."""
+    return state._replace(absent=(*state.absent[1 - MOST_ABSENT :], absent))
+
+
+def lost(sent: Sent, now_ns: int) -> Absent:
+    """Return the sample of an EXCHANGE that nothing answered; its input is as commanded."""
+    return Absent(sent.k, 1, "a frame was lost", sent.code, sent.sent_ns, now_ns)
+
+
+def account(state: State, end: int, now_ns: int, u_before: int | None = None) -> Step:
+    """Tell all samples behind the last one and before `end` that were not published.
+
+    Parameters
+    ----------
+    end : int
+        Index of the sample that is there, or behind the last of a run.
+    u_before : int, optional
+        Code that was in force just before it, as that sample says (u_km1).
+    """
+    first = state.told + 1
+    if state.told < 0 or first >= end:
+        return state._replace(told=max(state.told, end - 1), absent=()), []
+    pieces = list(_pieces(state, first, end, now_ns))
+    done: list[Action] = []
+    code = state.applied
+    for i, piece in enumerate(pieces):
+        code = code if piece.code is None else piece.code
+        if i == len(pieces) - 1 and u_before is not None and (piece.n == 1 or piece.code is None):
+            code = u_before  # nothing was latched since: all of the piece was held at it
+        done.append(Emit(_gap(piece, code)))
+    return state._replace(told=end - 1, absent=()), done
+
+
+def _pieces(state: State, first: int, end: int, now_ns: int) -> list[Absent]:
+    """Return what is known of first … end - 1, and the rest as unanswered, in order."""
+    pieces: list[Absent] = []
+    k = first
+    for a in sorted(state.absent):
+        begin, behind = max(a.k, k), min(a.k + a.n, end)
+        if begin >= behind:
+            continue
+        if begin > k:
+            pieces.append(Absent(k, begin - k, NO_ANSWER, None, state.tick_ns, now_ns))
+        pieces.append(a._replace(k=begin, n=behind - begin))
+        k = behind
+    if k < end:
+        pieces.append(Absent(k, end - k, NO_ANSWER, None, state.tick_ns, now_ns))
+    return pieces
+
+
+def _gap(piece: Absent, code: int) -> Gap:
+    return Gap(
+        k_first=piece.k,
+        count=piece.n,
+        t_from_ns=piece.t_from_ns,
+        t_to_ns=piece.t_to_ns,
+        u_held_v=volts_of(code),
+        reason=piece.reason,
+    )

@@ -1,0 +1,161 @@
+"""Scheduled runs: setpoints kept ahead of the device, samples taken as they come.
+
+The device's timer makes the samples; what we owe it is to have u[k] there before k. Setpoints go
+back-N: a sample's `queued` says up to where the device has them, and what does not arrive in time
+is sent again from there. Nothing else acknowledges them.
+"""
+
+from __future__ import annotations
+
+from armrig_core.volts import applied_code, volts_of
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import SETPOINTS_PER_FRAME, Flag, Ping, Setpoints
+from armrig_protocol.messages import Sample as DeviceSample
+
+from armrig_daemon import gaps
+from armrig_daemon.asking import Step, ask, log, send
+from armrig_daemon.budget import PING_US
+from armrig_daemon.clockmap import extend, host_ns_at
+from armrig_daemon.conversion import converted, extended
+from armrig_daemon.records import Play
+from armrig_daemon.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
+from armrig_daemon.stopping import stop, trip
+
+RESEND_NS = 30_000_000
+"""Setpoints that the device does not show after so long are sent again, in ns."""
+FILL_NS = 2_000_000_000
+"""How long filling the queue before the start may take, in ns."""
+ENOUGH_EXCHANGES = 8
+"""Exchanges after which the map of the clocks is better than the time of START."""
+MOST_FRAMES = 8
+"""Frames of setpoints sent at once: what else is on the line must not wait long behind them."""
+
+
+def begin(state: State, now_ns: int, order: Play) -> Step:
+    """Fill the queue of a device that was armed for this run, at 0 V."""
+    run = Run(order.run_id, order.codes, -1, scheduled=True)
+    queue = Queue(order, moved_ns=now_ns, asked_ns=now_ns)
+    return refill(state._replace(run=run, queue=queue), now_ns)
+
+
+def refill(state: State, now_ns: int) -> Step:
+    """Send what the device has room for."""
+    queue, run = state.queue, state.run
+    if queue is None or run is None or state.device is None:
+        return state, []
+    sent, moved_ns = queue.sent, queue.moved_ns
+    if queue.held < sent and now_ns - moved_ns > RESEND_NS:
+        sent, moved_ns = queue.held, now_ns
+    end = min(run.samples, queue.base + state.device.queue)
+    done: list[Action] = []
+    while len(done) < MOST_FRAMES and (
+        end - sent >= SETPOINTS_PER_FRAME or sent < end == run.samples
+    ):
+        codes = [run.code(i) for i in range(sent, min(sent + SETPOINTS_PER_FRAME, end))]
+        if not all(map(state.rules.allows, [run.code(sent - 1), *codes], codes)):
+            state, actions = trip(state, now_ns, f"u[{sent} …] is not within the limits")
+            return state, done + actions
+        n = len(codes)
+        codes += [0] * (SETPOINTS_PER_FRAME - n)
+        frame = encode(Setpoints(0, state.seq, sent, n, 0, tuple(codes)))
+        state, sending = send(state, now_ns, frame)
+        done += sending
+        moved_ns = now_ns if sent == queue.held else moved_ns
+        sent += n
+    return state._replace(queue=queue._replace(sent=sent, moved_ns=moved_ns)), done
+
+
+def counted(state: State, now_ns: int, base: int, queued: int) -> Step:
+    """Take note of what the device holds, start when it is enough, and send more."""
+    queue, run = state.queue, state.run
+    if queue is None or run is None:
+        return state, []
+    held = base + queued
+    moved_ns = now_ns if held > queue.held else queue.moved_ns
+    # A sample may be older than what was sent since; a start again from `held` may be behind it.
+    queue = queue._replace(base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
+    state = state._replace(queue=queue)
+    if state.phase is Phase.ARMED and state.asked is None:
+        if _is_filled(state):
+            return ask(state, now_ns, Want.START, queue.order)
+        if now_ns - queue.asked_ns > FILL_NS:
+            return stop(state, now_ns, "the device does not take the setpoints")
+    return refill(state, now_ns)
+
+
+def _is_filled(state: State) -> bool:
+    queue, run, device = state.queue, state.run, state.device
+    if queue is None or run is None or device is None:
+        return False
+    enough = min(run.samples, device.queue - SETPOINTS_PER_FRAME)
+    return queue.held >= enough
+
+
+def heard(state: State, echo: int) -> State:
+    """Take note that the device has heard the frame `echo`: that is what proves a round trip."""
+    newest = [b for b in state.beats if (echo - b.seq) & 0xFFFF < 0x8000]
+    if not newest:
+        return state
+    return state._replace(beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
+
+
+def tick(state: State, now_ns: int) -> Step:
+    """Keep the device fed and the clock compared while it paces itself."""
+    state, done = refill(state, now_ns)
+    if now_ns - state.ping_ns >= PING_US * 1000:
+        ping = encode(Ping(0, state.seq, now_ns))
+        state, sending = send(state._replace(ping_ns=now_ns), now_ns, ping)
+        done += sending
+    return state, done
+
+
+def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
+    """Take a sample that the device made by itself."""
+    run, device = state.run, state.device
+    if run is None or device is None or not run.due <= m.k < run.samples:
+        return state, []  # came twice, or belongs to no run of ours
+    k = run.k_first + m.k
+    state, done = gaps.account(_without(state, run, m.k, now_ns), k, now_ns, m.u_km1)
+    t_us = extended(state.t_us, m.t_us)
+    sched_ns = _due_ns(state, run, m.k, t_us)
+    code = run.code(m.k)
+    published = converted(state.rules.calibration, m, k, sched_ns, now_ns, t_us, code)
+    done.append(Publish(published, m.queued))
+    state = state._replace(run=run._replace(due=m.k + 1), t_us=t_us, applied=m.u_k, told=k)
+    state, actions = counted(state, now_ns, m.k + 1, m.queued)
+    done += actions
+    if m.flags & Flag.UNDERRUN:
+        text = f"no setpoint was there for sample {k}: the input was {volts_of(m.u_k):.3g} V"
+        return state, [*done, log(now_ns, "warning", text)]
+    if m.flags & Flag.RUN and m.u_k != applied_code(code, device.pwm_bits):
+        text = f"the device applied code {m.u_k} where {code} was commanded"
+        state, actions = trip(state, now_ns, text)
+        done += actions
+    return state, done
+
+
+def _due_ns(state: State, run: Run, i: int, t_us: int) -> int:
+    """Return when sample i was due on our clock: by the map of the clocks, once there is one."""
+    if state.clock.weight and len(state.clock.round_trips) >= ENOUGH_EXCHANGES:
+        return host_ns_at(state.clock, extend(state.device_us, t_us & 0xFFFFFFFF))[0]
+    return run.t_zero_ns + i * state.ts_us * 1000
+
+
+def complete(state: State, now_ns: int) -> Step:
+    """Take note that the device has made its last sample; what has not come never will."""
+    run = state.run
+    if run is None:
+        return state, []
+    state = _without(state, run, run.samples, now_ns)
+    run = run._replace(due=run.samples)
+    return state._replace(run=run, outcome=state.outcome or "complete"), []
+
+
+def _without(state: State, run: Run, end: int, now_ns: int) -> State:
+    """Note the samples before `end` that have not come; their input was the queue's."""
+    bits = state.device.pwm_bits if state.device else 16
+    for i in range(run.due, end):
+        code = applied_code(run.code(i), bits)
+        absent = Absent(run.k_first + i, 1, "a frame was lost", code, now_ns, now_ns)
+        state = gaps.note(state, absent)
+    return state

@@ -1,0 +1,65 @@
+"""A virtual rig with the words of the tests."""
+
+from __future__ import annotations
+
+from struct import pack
+
+from armrig_core.telemetry import Sample, decode_sample
+from armrig_core.volts import code_of
+from armrig_daemon.config import Config
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.records import Answer, Hold, Take
+from armrig_daemon.state import Phase
+from armrig_daemon.virtual import VirtualRig
+
+LEASE = "a" * 32
+MS = 1_000_000
+
+
+class Bench(VirtualRig):
+    """A virtual rig with the words of these tests."""
+
+    def __init__(self, config: Config | None = None, **emulator: float) -> None:
+        self.lateness_ns = 0
+        rules = (config or Config()).rules()
+        settings = EmulatorSettings(**{"boot_ms": 0.0, "baud": rules.baud, **emulator})
+        super().__init__(rules, settings, lambda: self.lateness_ns)
+        self._number = 0
+        self.run_for(300)
+
+    def run_for(self, ms: float) -> None:
+        self.run_until(self.ports.now + round(ms * MS))
+
+    def ask(self, kind: type, **fields: object) -> Answer:
+        """Give an order and return its answer."""
+        self._number += 1
+        self.order(kind(order=self._number, **fields))
+        self.run_for(100)
+        return next(a for a in self.of(Answer) if a.order == self._number)
+
+    def of(self, kind: type) -> list:  # type: ignore[type-arg]
+        return [r for r in self.records if isinstance(r, kind)]
+
+    @property
+    def samples(self) -> list[Sample]:
+        decoded = [decode_sample(r) for r in self.records if isinstance(r, bytes)]
+        return [s for s in decoded if s is not None]
+
+    @property
+    def phase(self) -> Phase:
+        return self.loop.state.phase
+
+    @property
+    def volts(self) -> float:
+        return self.ports.device.board.volts
+
+    def take(self, ts_us: int = 0) -> Answer:
+        return self.ask(Take, owner="a student", lease=LEASE, ts_us=ts_us)
+
+    def drive(self, volts: float, n: int) -> Answer:
+        return self.ask(Hold, lease=LEASE, n=n, code=code_of(volts))
+
+
+def codes(*volts: float) -> bytes:
+    """Return an experiment's codes."""
+    return pack(f"<{len(volts)}H", *map(code_of, volts))
