@@ -12,10 +12,12 @@ if TYPE_CHECKING:
     from armrig.excitation import step, telegraph
     from armrig.fit import Fit
     from armrig.jitter import sampling_statistics
+    from armrig.listening import stream
     from armrig.physics import ArmParameters, arm, chassis
     from armrig.preprocess import detrend, difference
     from armrig.recording import Recording, RecordingError, load
-    from armrig.rig import Rig, RigError, stream
+    from armrig.rig import Rig
+    from armrig.session import RigError
     from armrig.validation import compare, residuals
 
 __all__ = [
@@ -53,7 +55,9 @@ _MODULES = {
     "physics": ("ArmParameters", "arm", "chassis"),
     "preprocess": ("detrend", "difference"),
     "recording": ("Recording", "RecordingError", "load"),
-    "rig": ("Rig", "RigError", "stream"),
+    "rig": ("Rig",),
+    "session": ("RigError",),
+    "listening": ("stream",),
     "jitter": ("sampling_statistics",),
     "validation": ("compare", "residuals"),
 }

@@ -20,7 +20,7 @@ from typing import IO, Any
 
 import numpy as np
 import zstandard
-from armrig_core import protobuf, telemetry
+from armrig_core import protobuf
 from armrig_core.manifest import CALIBRATION, CONFIG
 from armrig_core.topics import STREAMS
 from google.protobuf.message import DecodeError
@@ -30,6 +30,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Message, Metadata, Schema
 from numpy.typing import NDArray
 
+from armrig.sample_rows import CHANNEL, RECORD_HEAD, SAMPLE_DTYPE, DamageError, SampleRows
+
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_LIMIT = 8 << 20
 """Largest chunk that is unpacked, in B."""
@@ -38,11 +40,6 @@ MESSAGES_LIMIT = 16 << 20
 RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
 """Longest record that is read, in B; a longer attachment is passed over."""
 
-_FORMATS = {"fixed64": "<u8", "sfixed64": "<i8", "double": "<f8", "fixed32": "<u4"}
-SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMPLE_FIELDS])
-"""One sample as a numpy record: the fields of `armrig_core.telemetry.Sample`."""
-
-_RECORD = Struct("<BQ")
 _CHUNK_HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of a name
 _PASSED_OVER = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.STATISTICS)
 _IGNORED_COST = 16  # so that a million of them are allowed
@@ -52,12 +49,9 @@ _KINDS = {
     "gap": protobuf.GAP,
     "event": protobuf.LOG,
     "timing": protobuf.TIMING,
+    "clock": protobuf.CLOCK,
     "state": protobuf.STATE,
 }
-
-
-class DamageError(Exception):
-    """Reading cannot go on from here; says why."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -104,7 +98,9 @@ def read(path: Path) -> Content | None:
         except (McapError, struct.error, DecodeError, ValueError) as err:
             content.damage = f"a record cannot be read ({err or type(err).__name__})"
         content.read = source.whole
-        reader.finish()
+        left = reader.rows.finish()
+        content.damage = content.damage or left
+        content.samples = reader.rows.samples()
         content.sha256 = source.sha256()
     return content
 
@@ -157,11 +153,11 @@ def _read_records(source: _Source, reader: _Reader) -> None:
     """Read until the closing magic; raises DamageError where the file ends or breaks before."""
     while True:
         source.whole = source.at
-        head = source.take(_RECORD.size)
-        if len(head) < _RECORD.size:
+        head = source.take(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
             msg = "the file ends without its footer"
             raise DamageError(msg)
-        opcode, length = _RECORD.unpack(head)
+        opcode, length = RECORD_HEAD.unpack(head)
         if length > source.left:
             msg = f"the file ends {length - source.left} B before the end of its last record"
             raise DamageError(msg)
@@ -195,10 +191,7 @@ class _Reader:
         self.schemas: dict[int, str] = {}
         self.streams: dict[int, str] = {}
         self.kept = 0
-        self.last_k = -1
-        self.batch: list[NDArray[np.void]] = []
-        self.pending: list[NDArray[np.uint8]] = []
-        self.pending_size = 0
+        self.rows = SampleRows()
         self.zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
 
     def take(self, opcode: int, body: bytes) -> None:
@@ -265,45 +258,25 @@ class _Reader:
         """Take the records of a chunk: runs of samples of constant layout at once."""
         at, end = 0, len(data)
         while at < end:
-            if end - at < _RECORD.size:
+            if end - at < RECORD_HEAD.size:
                 msg = "a chunk ends within a record"
                 raise DamageError(msg)
-            opcode, length = _RECORD.unpack_from(data, at)
-            if at + _RECORD.size + length > end:
+            opcode, length = RECORD_HEAD.unpack_from(data, at)
+            if at + RECORD_HEAD.size + length > end:
                 msg = "a record runs over the end of its chunk"
                 raise DamageError(msg)
-            run = self._run(data, at) if opcode == Opcode.MESSAGE else 0
+            run = self.rows.take_run(data, at) if self._begins_samples(opcode, data, at) else 0
             if not run:
                 if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                     msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
                     raise DamageError(msg)
-                self.take(opcode, data[at + _RECORD.size : at + _RECORD.size + length])
-                run = _RECORD.size + length
+                self.take(opcode, data[at + RECORD_HEAD.size : at + RECORD_HEAD.size + length])
+                run = RECORD_HEAD.size + length
             at += run
 
-    def _run(self, data: bytes, at: int) -> int:
-        """Take the samples of constant layout that begin at `at`, and return their size."""
-        channel = data[at + 9 : at + 11]
-        if self.streams.get(int.from_bytes(channel, "little")) != "sample":
-            return 0
-        width, first, window = _ROW.itemsize, at, 512
-        # In windows that grow: to compare all that is left, after each message of another kind
-        # again, would take quadratic time on a file made for it.
-        while n := min(window, (len(data) - at) // width):
-            rows = np.frombuffer(data, np.uint8, n * width, at).reshape(n, width)
-            same = (rows[:, _FIXED] == _TEMPLATE).all(axis=1)
-            same &= (rows[:, 9:11] == tuple(channel)).all(axis=1)
-            count = n if same.all() else int(same.argmin())
-            if count:
-                self.pending.append(rows[:count])
-                self.pending_size += count * width
-            at += count * width
-            if count < n:
-                break
-            window *= 8
-        if self.pending_size > CHUNK_LIMIT:
-            self._pack()
-        return at - first
+    def _begins_samples(self, opcode: int, data: bytes, at: int) -> bool:
+        channel = int.from_bytes(data[at + CHANNEL.start : at + CHANNEL.stop], "little")
+        return opcode == Opcode.MESSAGE and self.streams.get(channel) == "sample"
 
     def _message(self, body: bytes) -> None:
         stream = self.streams.get(int.from_bytes(body[:2], "little"))
@@ -314,10 +287,7 @@ class _Reader:
         message = Message.read(_stream(body), len(body))
         parsed = protobuf.message_class(_KINDS[stream]).FromString(message.data)
         if stream == "sample":
-            self._pack()
-            names = telemetry.Sample._fields
-            row = np.array([tuple(getattr(parsed, name) for name in names)], SAMPLE_DTYPE)
-            self._keep(row)
+            self.rows.take(parsed)
             return
         self._count(len(message.data) + _MESSAGE_OVERHEAD)
         self.content.messages.setdefault(stream, []).append(parsed)
@@ -328,39 +298,6 @@ class _Reader:
             msg = f"more than {MESSAGES_LIMIT} B of messages other than samples"
             raise DamageError(msg)
 
-    def _pack(self) -> None:
-        """Turn the rows collected into samples."""
-        if not self.pending:
-            return
-        rows = np.concatenate(self.pending).reshape(-1).view(_ROW)
-        self.pending, self.pending_size = [], 0
-        samples = np.empty(rows.size, SAMPLE_DTYPE)
-        for name in telemetry.Sample._fields:
-            samples[name] = rows[name]
-        self._keep(samples)
-
-    def _keep(self, samples: NDArray[np.void]) -> None:
-        k = samples["k"]
-        rising = np.empty(k.size, np.bool_)
-        rising[0] = self.last_k < int(k[0])
-        rising[1:] = k[1:] > k[:-1]
-        good = k.size if rising.all() else int(rising.argmin())
-        if good:
-            self.batch.append(samples[:good])
-            self.last_k = int(k[good - 1])
-        if good < k.size:
-            msg = f"sample {k[good]} follows sample {self.last_k}: k must rise"
-            raise DamageError(msg)
-
-    def finish(self) -> None:
-        """Hand over the samples."""
-        try:
-            self._pack()
-        except DamageError as damage:
-            self.content.damage = self.content.damage or str(damage)
-        if self.batch:
-            self.content.samples = np.concatenate(self.batch)
-
 
 def stream_of(topic: str) -> str:
     """Return the stream of a topic such as /rig/1/sample, "" where it is none of ours."""
@@ -370,25 +307,3 @@ def stream_of(topic: str) -> str:
 
 def _stream(data: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(data))
-
-
-def _layout() -> tuple[np.dtype[np.void], list[int], NDArray[np.uint8]]:
-    """Return the row of a sample's message record, where its constant bytes are, and what they are.
-
-    A record is opcode, length, channel, sequence, log time, publish time; then the message.
-    """
-    head = _RECORD.size + 2 + 4 + 8 + 8
-    names, formats, offsets = list(SAMPLE_DTYPE.names or ()), [], []
-    at = head
-    for name in names:
-        formats.append(SAMPLE_DTYPE[name])
-        offsets.append(at + 1)  # after the tag
-        at += 1 + SAMPLE_DTYPE[name].itemsize
-    row = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": at})
-    places = [*range(_RECORD.size), *(offset - 1 for offset in offsets)]
-    example = telemetry.encode_sample(telemetry.Sample(*(0,) * len(names)))
-    record = _RECORD.pack(Opcode.MESSAGE, at - _RECORD.size) + bytes(head - _RECORD.size) + example
-    return row, places, np.frombuffer(record, np.uint8)[places]
-
-
-_ROW, _FIXED, _TEMPLATE = _layout()

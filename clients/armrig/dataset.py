@@ -7,9 +7,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from armrig.checks import column
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -77,7 +83,7 @@ class Dataset:
         source: str = "",
         history: Sequence[str] = (),
     ) -> None:
-        u_, y_ = _column("u", u), _column("y", y)
+        u_, y_ = column("u", u), column("y", y)
         N = u_.size
         if y_.size != N:
             msg = f"u has {N} samples and y has {y_.size}; both need one value for each instant"
@@ -123,6 +129,17 @@ class Dataset:
         """Fingerprint of the numbers, to tell estimation data from validation data."""
         parts = (self.u, self.y, self.valid, np.array([self.Ts]), np.array(self.starts))
         return hashlib.blake2b(b"".join(p.tobytes() for p in parts), digest_size=8).hexdigest()
+
+    def origin(self) -> dict[str, Any]:
+        """Return what a model from these data says of them, as the fields of a `Fit`."""
+        names = ("output", "unit", "input_unit", "source", "history", "digest")
+        return {name: getattr(self, name) for name in names}
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Show output and input against time: see `armrig.plots.plot_data`."""
+        from armrig.plots.data import plot_data
+
+        return plot_data(self, ax=ax)
 
     def __len__(self) -> int:
         """Return the number of instants."""
@@ -199,6 +216,16 @@ class Dataset:
 def merge(parts: Sequence[Dataset]) -> Dataset:
     """Return several experiments as one Dataset with a boundary between each two.
 
+    Parameters
+    ----------
+    parts : sequence of Dataset
+        At least one; Ts, output and units are the same in all.
+
+    Returns
+    -------
+    Dataset
+        All samples in the order given; nothing is known across a boundary.
+
     Raises
     ------
     ValueError
@@ -228,14 +255,6 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
         if len(histories) == 1
         else tuple(f"{i + 1}: {step}" for i, d in enumerate(parts) for step in d.history),
     )
-
-
-def _column(name: str, values: ArrayLike) -> Vector:
-    column = np.array(values, dtype=np.float64)
-    if column.ndim != 1 or column.size == 0:
-        msg = f"{name} has shape {column.shape}, it must be (N,) with N >= 1; use {name}.ravel()"
-        raise ValueError(msg)
-    return column
 
 
 def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:

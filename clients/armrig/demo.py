@@ -22,8 +22,9 @@ from armrig.progress import bar
 from armrig.recording import Recording, load
 from armrig.report import report
 from armrig.report_figures import write_figures
-from armrig.rig import NoReplyError, Rig, RigError, RunEndedError
+from armrig.rig import Rig, RunEndedError
 from armrig.scheduling import scheduling
+from armrig.session import NoReplyError, RigError
 from armrig.study import Study, study
 
 RIG = "demo"

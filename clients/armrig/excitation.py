@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.checks import require_integers, require_numbers
+
 Vector = NDArray[np.float64]
 
 # Handout, assignment 3.3: outside this interval the lab process is destroyed.
@@ -32,19 +34,27 @@ def telegraph(
     low, high : float
         The levels in V, 0 <= low < high <= 5.
     seed : int or numpy.random.Generator, default 1
-        The same seed gives the same signal.
+        The same seed, an integer >= 0, gives the same signal.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Voltage in V at each sample.
 
     Raises
     ------
     ValueError
-        A level is outside 0 to 5 V, or N or a is impossible.
+        A level is outside 0 to 5 V, or N, a or seed is impossible.
 
     Notes
     -----
     The handout's telegraph.m (3.1.2) gives -1 and 1, which the rig must not be given.
     """
-    _require_length(N)
+    require_integers(N=(N, 1))
     _require_levels(low=low, high=high)
+    require_numbers(a=a)
+    if not isinstance(seed, np.random.Generator):
+        require_integers(seed=(seed, 0))
     if not 0 <= a <= 1:
         msg = f"a={a!r} is a probability, 0 <= a <= 1"
         raise ValueError(msg)
@@ -55,28 +65,37 @@ def telegraph(
 
 
 def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
-    """Return `low` volts before sample `at` and `high` from it on, (N,).
+    """Return a step from one voltage to a higher one.
+
+    Parameters
+    ----------
+    N : int
+        Number of samples, >= 1.
+    low, high : float
+        The levels in V, 0 <= low < high <= 5.
+    at : int, default 0
+        First sample at the higher level, 0 to N; N is a signal that stays low.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Voltage in V at each sample.
 
     Raises
     ------
     ValueError
-        A level is outside 0 to 5 V, or `at` is outside 0 to N.
+        A level is outside 0 to 5 V, or N or `at` is impossible.
     """
-    _require_length(N)
+    require_integers(N=(N, 1), at=(at, 0))
     _require_levels(low=low, high=high)
-    if not 0 <= at <= N:
+    if at > N:
         msg = f"at={at!r} must be a sample number, 0 <= at <= N={N}"
         raise ValueError(msg)
     return np.where(np.arange(N) < at, low, high).astype(np.float64)
 
 
-def _require_length(N: int) -> None:
-    if N < 1:
-        msg = f"N={N!r} must be at least 1 sample"
-        raise ValueError(msg)
-
-
 def _require_levels(*, low: float, high: float) -> None:
+    require_numbers(low=low, high=high)
     for name, level in (("low", low), ("high", high)):
         if not LOWEST_V <= level <= HIGHEST_V:  # also refuses NaN
             msg = f"{name}={level!r} V is outside the rig's {LOWEST_V:g} to {HIGHEST_V:g} V"

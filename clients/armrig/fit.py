@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.answers import FrequencyResponse, Roots, StepResponse
+from armrig.checks import column, require_integers
 from armrig.dataset import Dataset
 from armrig.free_response import FreeResponse
 from armrig.polynomial import evaluate, filtered, roots, without_integrator
@@ -16,10 +17,10 @@ from armrig.sensitivity import by_denominator, by_numerator
 
 if TYPE_CHECKING:
     import control
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,67 +35,6 @@ class Start:
     """Steps it took."""
     converged: bool
     """Cost and scaled gradient met the tolerance."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Roots:
-    """Poles or zeros with their covariance; numpy sees the complex values."""
-
-    values: Complex
-    """Roots in the z plane, (n,)."""
-    covariance: NDArray[np.float64]
-    """Of (real, imaginary part) of each root, (n, 2, 2)."""
-
-    @property
-    def std(self) -> Vector:
-        """Root of the covariance's trace, (n,): the spread in the complex plane."""
-        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Return the values as a plain array."""
-        return np.array(self.values, dtype=dtype)
-
-    def __iter__(self) -> Iterator[complex]:
-        """Iterate over the values."""
-        return iter(self.values.tolist())
-
-    def __len__(self) -> int:
-        """Return the number of roots."""
-        return int(self.values.size)
-
-    def __getitem__(self, i: int) -> complex:
-        """Return number i."""
-        return complex(self.values[i])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FrequencyResponse:
-    """G(exp(i omega Ts)) with standard deviations by linearisation."""
-
-    omega: Vector
-    """Frequencies in rad/s, (n,)."""
-    G: Complex
-    """Response, (n,), in y's unit per u's."""
-    std_magnitude: Vector
-    """Of |G|, (n,)."""
-    std_phase: Vector
-    """Of arg G, (n,), in rad."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StepResponse:
-    """Answer to a unit step at t = 0, with standard deviations by linearisation."""
-
-    t: Vector
-    """Time in s, (n,)."""
-    y: Vector
-    """Output, (n,)."""
-    std: Vector
-    """Of y, (n,)."""
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        """Return the output as a plain array."""
-        return np.array(self.y, dtype=dtype)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -318,7 +258,8 @@ class Fit:
         )
 
     def step_response(self, n: int) -> StepResponse:
-        """Return the first n samples of the answer to a unit step from rest."""
+        """Return the first n samples, n >= 1, of the answer to a unit step from rest."""
+        require_integers(n=(n, 1))
         u = np.ones(n)
         return StepResponse(
             t=self.Ts * np.arange(n, dtype=np.float64),
@@ -341,8 +282,13 @@ class Fit:
 
         The model's own u counts from its offset: subtract `free[i].offset` from a raw input where
         an integrator was identified with one.
+
+        Raises
+        ------
+        ValueError
+            u is not (N,).
         """
-        return filtered(self.B, self.denominator, np.asarray(u, dtype=np.float64))
+        return filtered(self.B, self.denominator, column("u", u))
 
     def predict(self, data: Dataset, horizon: int | None = 1) -> Vector:
         """Return ŷ(t) (N,) from u up to t and y up to t - horizon; None is simulation.
@@ -353,6 +299,15 @@ class Fit:
         from armrig.prediction import predicted
 
         return predicted(self, data, horizon)
+
+    def plot(self) -> Figure:
+        """Return a figure of frequency and step response with ±3 σ, and of poles and zeros.
+
+        For one of them, for several models and for axes of your own see `armrig.plots`.
+        """
+        from armrig.plots.models import plot_fit
+
+        return plot_fit(self)
 
     def __repr__(self) -> str:
         """Say it in a few lines, equation first."""

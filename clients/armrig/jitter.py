@@ -44,13 +44,13 @@ class SamplingStatistics:
     jitter: Spread
     """|interval - Ts| on the device's clock, in µs."""
     lateness: Spread
-    """When the host asked, less when the sample was due, in µs."""
+    """When the host asked (exchange) or had it (scheduled), less when it was due, in µs."""
     samples: int
     """Samples that came."""
     missing: int
     """Samples that did not."""
     longest_gap: int
-    """Most samples missing in a row."""
+    """Most samples missing in a row, those before the first and after the last that came too."""
 
 
 def intervals_us(recording: Recording) -> Vector:
@@ -66,16 +66,26 @@ def jitter_us(recording: Recording) -> Vector:
 
 
 def lateness_us(recording: Recording) -> Vector:
-    """Return how late the host asked for each sample, in µs."""
+    """Return how late the host asked for each sample, or had it where the device paced, in µs."""
     samples = recording.samples
     return np.asarray((samples["t_host_ns"] - samples["t_sched_ns"]) / 1e3)
 
 
 def sampling_statistics(recording: Recording) -> SamplingStatistics:
-    """Return sampling time and jitter of a recording; NaN where it has too few samples."""
+    """Return sampling time and jitter of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its intervals count where neither sample is missing.
+
+    Returns
+    -------
+    SamplingStatistics
+        Times in µs, NaN where there are too few samples, and counts of samples.
+    """
     t = intervals_us(recording)
     some = t if t.size else np.full(1, np.nan)
-    k = recording.samples["k"].astype(np.int64)
     return SamplingStatistics(
         Ts_us=recording.Ts * 1e6,
         mean_us=float(some.mean()),
@@ -84,10 +94,16 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
         greatest_us=float(some.max()),
         jitter=_spread(jitter_us(recording)),
         lateness=_spread(lateness_us(recording)),
-        samples=int(k.size),
+        samples=int(recording.samples.size),
         missing=recording.missing,
-        longest_gap=int(np.diff(k).max(initial=1)) - 1,
+        longest_gap=_longest_run(~recording.present),
     )
+
+
+def _longest_run(marked: NDArray[np.bool_]) -> int:
+    """Return how many are marked in a row at most."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _spread(x: Vector) -> Spread:

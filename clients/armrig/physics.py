@@ -13,7 +13,18 @@ __all__ = ["ArmParameters", "arm", "chassis"]
 
 
 def arm(p: ArmParameters) -> control.StateSpace:
-    """Return the whole rig from u in V to theta_1 and alpha in rad; states and their rates."""
+    """Return the whole rig as a state space, in continuous time.
+
+    Parameters
+    ----------
+    p : ArmParameters
+        Inertias, spring and motor, in SI units; `ArmParameters()` is the handout's.
+
+    Returns
+    -------
+    control.StateSpace
+        Input u in V; outputs theta_1 and alpha in rad; states these two and their rates in rad/s.
+    """
     import control
 
     A, B, C = arm_matrices(p)
@@ -24,7 +35,18 @@ def arm(p: ArmParameters) -> control.StateSpace:
 
 
 def chassis(p: ArmParameters) -> control.StateSpace:
-    """Return the rig without its rotating part (handout, figure 6), from u in V to theta_1."""
+    """Return the rig without its rotating part (handout, figure 6), in continuous time.
+
+    Parameters
+    ----------
+    p : ArmParameters
+        Inertia of the chassis and motor, in SI units; `ArmParameters()` is the handout's.
+
+    Returns
+    -------
+    control.StateSpace
+        Input u in V; output theta_1 in rad; states theta_1 and its rate in rad/s.
+    """
     import control
 
     A, B, C = chassis_matrices(p)

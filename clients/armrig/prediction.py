@@ -92,9 +92,9 @@ def predicted(fit: Fit, data: Dataset, horizon: int | None) -> Vector:
     Raises
     ------
     ValueError
-        horizon is below 1, or the data's Ts is not the model's.
+        horizon is below 1, or output, unit or Ts of the data are not the model's.
     """
-    require_same_clock(fit, data)
+    require_same_signals(fit, data)
     if horizon is not None and horizon < 1:
         msg = f"horizon={horizon!r} must be >= 1, or None for simulation"
         raise ValueError(msg)
@@ -190,9 +190,19 @@ def spread(known: Array, rows: Mask) -> Array:
     return whole
 
 
-def require_same_clock(fit: Fit, data: Dataset) -> None:
-    """Refuse data that were sampled at another rate than the model."""
+def require_same_signals(fit: Fit, data: Dataset) -> None:
+    """Refuse data of another output than the model's, or sampled at another rate.
+
+    Nothing is refused for a name or a unit that is not given; an output named y is not.
+    """
     if not np.isclose(fit.Ts, data.Ts, rtol=1e-9, atol=0.0):
         msg = f"the model has Ts={fit.Ts:g} s and the data have Ts={data.Ts:g} s; "
         msg += "identify at the rate that you validate at"
+        raise ValueError(msg)
+    names = {fit.output, data.output} - {"", "y"}
+    units = {fit.unit, data.unit} - {""}
+    if len(names) > 1 or len(units) > 1:
+        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (fit, data))
+        msg = f"the model is of {of_model} and the data show {of_data}; validate with the output "
+        msg += f"that was identified from, recording.dataset(output={fit.output!r})"
         raise ValueError(msg)

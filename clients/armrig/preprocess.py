@@ -26,6 +26,18 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
 
     Each experiment loses its own, fitted to its valid samples by least squares.
 
+    Parameters
+    ----------
+    data : Dataset
+        N samples.
+    order : {0, 1}
+        Remove the mean, or the straight line.
+
+    Returns
+    -------
+    Dataset
+        N samples in the same units, the step written into `history`.
+
     Warns
     -----
     IntegratingOutputWarning
@@ -60,6 +72,16 @@ def difference(data: Dataset) -> Dataset:
 
     It is missing where either neighbour is, and at the first sample of each experiment. A model
     of it has the orders of the position's without the integrator, and the same nk.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples, Ts in s.
+
+    Returns
+    -------
+    Dataset
+        N samples whose output is in y's unit per s: `velocity` for theta_1.
     """
     y = np.full(data.N, np.nan)
     y[1:] = np.diff(data.y) / data.Ts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
@@ -16,86 +16,31 @@ from numpy.typing import NDArray
 
 from armrig.container import Content, read
 from armrig.dataset import Dataset
+from armrig.grid import Grid, grid
+from armrig.happenings import Clock, Event, Gap, Timing, event_of, gap_of, timing_of
 from armrig.preprocess import difference
 from armrig.unwrapping import outside_dead_band, turns_unknown, unwrap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 OUTPUTS = ("theta_1", "alpha", "velocity")
-
-# A grid is made for the missing samples, too: a file of two samples must not ask for 10^18 of them.
-_MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
-_LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
+_LONGEST_TS_S = 86_400.0
 
 
 class RecordingError(ValueError):
     """A file that cannot be read as a recording; says what it is instead."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gap:
-    """Samples that are missing."""
-
-    k_first: int
-    """Index of the first of them."""
-    count: int
-    """How many."""
-    t: float
-    """When the first was due, in s from the recording's first sample."""
-    u_held_v: float
-    """Voltage that the motor kept meanwhile, in V."""
-    reason: str
-    """Why they are missing."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Event:
-    """What the daemon had to say."""
-
-    t: float
-    """When, in s from the recording's first sample."""
-    level: str
-    """info, warning, error or fatal."""
-    message: str
-    """What happened."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Distribution:
-    """How a time in µs was distributed over one second."""
-
-    p50: float
-    p90: float
-    p99: float
-    p999: float
-    max: float
-    n: int
-    """How many there were."""
-    missed: int
-    """How many were not in time at all."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Timing:
-    """Timing as the daemon measured it while it ran."""
-
-    t: float
-    """When, in s from the recording's first sample."""
-    wake_lateness_us: Distribution
-    """Of the host, against the sample's deadline."""
-    device_tick_error_us: Distribution
-    """Of the device's clock, against the sampling time."""
-    link_round_trip_us: Distribution
-    """Of the link."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Recording:
-    """What the rig did in one run; row i of every array is the sample k_first + i.
+    """What the rig did in one run; row i of every array is the sample `k_first` + i.
 
-    The grid is complete: where a sample is missing its row is there, with `theta_1` and `alpha`
-    NaN, so that no formula can use it unseen.
+    The grid is complete, from the first sample that was due to the last: where a sample is missing
+    its row is there, with `theta_1` and `alpha` NaN, so that no formula can use it unseen.
     """
 
     path: Path
@@ -108,8 +53,10 @@ class Recording:
     """How it ended; None where the file was cut off before."""
     calibration: Calibration | None
     """Counts to angles; None where it is missing, and then the daemon's angles are used."""
+    k_first: int
+    """Index of the first row; older files begin with their first sample that came."""
     t: Vector
-    """Time in s from the first sample, (N,)."""
+    """Time in s from the first sample that was due, (N,)."""
     u: Vector
     """Motor voltage in V that the device held from `t` on, (N,).
 
@@ -160,6 +107,11 @@ class Recording:
         return self.N - int(self.samples.size)
 
     @property
+    def hidden(self) -> int:
+        """Number of samples that came and show no theta_1: in the dead band, and just after it."""
+        return int(np.count_nonzero(self.present & ~self.valid))
+
+    @property
     def short_hash(self) -> str:
         """First twelve digits of the hash, as figures carry it."""
         return self.sha256[:12]
@@ -207,20 +159,35 @@ class Recording:
         )
         return difference(data) if output == "velocity" else data
 
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Show theta_1 and u against time: see `armrig.plots.plot_data`."""
+        from armrig.plots.data import plot_data
+
+        return plot_data(self, ax=ax)
+
     def __repr__(self) -> str:
         """Say it in a line."""
         parts = [f"{self.manifest.experiment}, {self.N} samples at {self.Ts:g} s"]
         parts += [f"{self.missing} missing"] if self.missing else []
-        hidden = int(np.count_nonzero(self.present & ~self.valid))
-        parts += [f"{hidden} in the dead band"] if hidden else []
+        parts += [f"{self.hidden} in the dead band or just after"] if self.hidden else []
         parts += [self.damage] if self.truncated else []
         return f"<Recording {self.short_hash}: {'; '.join(parts)}>"
 
 
 def load(path: str | Path) -> Recording:
-    """Return the recording in the file at `path`.
+    """Return the recording in a file.
 
     A file that was cut off or damaged gives what is whole at its beginning, with `truncated`.
+
+    Parameters
+    ----------
+    path : str or Path
+        An MCAP file of armrigd's, also an unfinished one (*.mcap.active).
+
+    Returns
+    -------
+    Recording
+        N samples: `t` in s, `u` in V, `theta_1` and `alpha` in rad, each (N,).
 
     Raises
     ------
@@ -247,8 +214,8 @@ def load(path: str | Path) -> Recording:
     except (msgspec.DecodeError, ValueError) as err:
         msg = f"{path}: its manifest or calibration is not armrig's: {err}"
         raise RecordingError(msg) from err
-    if not manifest.Ts > 0:
-        msg = f"{path}: its manifest says Ts={manifest.Ts!r} s, which must be > 0"
+    if not 0 < manifest.Ts < _LONGEST_TS_S:
+        msg = f"{path}: its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
         raise RecordingError(msg)
     return _assembled(path, content, manifest, ended, calibration)
 
@@ -265,39 +232,15 @@ def _assembled(
     outcome: Outcome | None,
     calibration: Calibration | None,
 ) -> Recording:
-    samples = content.samples
-    rows = _rows(path, samples["k"])
-    N = int(rows[-1]) + 1 if rows.size else 0
-    present = np.zeros(N, np.bool_)
-    present[rows] = True
-
-    u = np.full(N, np.nan)
-    u[rows] = samples["u_applied_v"]
-    clock = _Clock(samples, manifest.clock_offset_ns)
-    gaps = tuple(_gap(message, clock) for message in content.messages.get("gap", []))
-    k_first = int(samples["k"][0]) if samples.size else 0
-    for gap in gaps:
-        begin, end = gap.k_first - k_first, gap.k_first - k_first + gap.count
-        hole = slice(max(begin, 0), max(min(end, N), 0))
-        u[hole] = np.where(present[hole], u[hole], gap.u_held_v)
-
-    theta_1, alpha = np.full(N, np.nan), np.full(N, np.nan)
-    valid, valid_alpha = present.copy(), present.copy()
-    rails = samples["flags"]
-    valid[rows] = outside_dead_band((rails & Flag.ADC0_RAIL) != 0)
-    valid_alpha[rows] = (rails & Flag.ADC1_RAIL) == 0
-    pots = (calibration.theta_1, calibration.alpha) if calibration else (None, None)
-    theta_1[rows] = _angle(samples, "theta_1", pots[0])
-    alpha[rows] = _angle(samples, "alpha", pots[1])
-    valid &= np.isfinite(theta_1)
-    valid_alpha &= np.isfinite(alpha)
-    alpha[~valid_alpha] = np.nan
-    turns = pots[0] is None or pots[0].wraps
-    if turns:
-        theta_1 = unwrap(theta_1, valid)
-    theta_1[~valid] = np.nan
-    unknown = turns_unknown(valid, present, manifest.Ts) if turns else ()
-
+    samples, messages = content.samples, content.messages
+    try:
+        spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
+        rows = grid(samples["k"], manifest, outcome, spots)
+    except ValueError as err:
+        msg = f"{path}: {err}"
+        raise RecordingError(msg) from err
+    clock = _clock(content, manifest, rows.k_first)
+    gaps = tuple(gap_of(message, clock) for message in messages.get("gap", []))
     saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B"
     recording = Recording(
         path=path,
@@ -305,18 +248,15 @@ def _assembled(
         manifest=manifest,
         outcome=outcome,
         calibration=calibration,
-        t=np.arange(N, dtype=np.float64) * np.float64(manifest.Ts),
-        u=u,
-        theta_1=theta_1,
-        alpha=alpha,
-        valid=valid,
-        valid_alpha=valid_alpha,
-        present=present,
-        turns_unknown=tuple(int(i) for i in unknown),
+        k_first=rows.k_first,
+        t=np.arange(rows.N, dtype=np.float64) * np.float64(manifest.Ts),
+        u=_input(samples, rows, gaps),
+        **_angles(samples, rows, calibration, manifest.Ts),
+        present=rows.present,
         samples=samples,
         gaps=gaps,
-        events=tuple(_event(message, clock) for message in content.messages.get("event", [])),
-        timing=tuple(_timing(message, clock) for message in content.messages.get("timing", [])),
+        events=tuple(event_of(message, clock) for message in messages.get("event", [])),
+        timing=tuple(timing_of(message, clock) for message in messages.get("timing", [])),
         truncated=bool(content.damage),
         damage=content.damage and content.damage + saved,
     )
@@ -328,16 +268,57 @@ def _assembled(
 _ARRAYS = ("t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present")
 
 
-def _rows(path: Path, k: NDArray[np.uint64]) -> NDArray[np.intp]:
-    """Return the row of each sample in the complete grid."""
-    if not k.size:
-        return np.zeros(0, np.intp)
-    missing = int(k[-1]) - int(k[0]) + 1 - k.size
-    if missing > _MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size:
-        msg = f"{path}: its {k.size} samples run from k={k[0]} to {k[-1]}, {missing} are missing: "
-        msg += "too many for a recording"
-        raise RecordingError(msg)
-    return np.asarray(k - k[0], np.intp)
+def _clock(content: Content, manifest: Manifest, k_first: int) -> Clock:
+    """Return the clock whose zero is when sample `k_first` was due."""
+    if content.samples.size:
+        k, due_ns = (int(content.samples[name][0]) for name in ("k", "t_sched_ns"))
+    elif content.messages.get("gap"):
+        gap = content.messages["gap"][0]
+        k, due_ns = gap.k_first, gap.t_from_ns
+    else:
+        k, due_ns = k_first, 0
+    zero_ns = due_ns - round((k - k_first) * manifest.Ts * 1e9)
+    return Clock(zero_ns=zero_ns, offset_ns=manifest.clock_offset_ns)
+
+
+def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
+    """Return u (N,) in V: as applied, or as held while samples were missing, else NaN."""
+    u, present = np.full(rows.N, np.nan), rows.present
+    u[rows.rows] = samples["u_applied_v"]
+    for gap in gaps:
+        hole = rows.hole(gap.k_first, gap.count)
+        u[hole] = np.where(present[hole], u[hole], gap.u_held_v)
+    return u
+
+
+def _angles(
+    samples: NDArray[np.void], rows: Grid, calibration: Calibration | None, Ts: float
+) -> dict[str, Any]:
+    """Return theta_1, alpha, where they are valid, and where the turns are not known."""
+    theta_1, alpha = np.full(rows.N, np.nan), np.full(rows.N, np.nan)
+    present = rows.present
+    valid, valid_alpha = present.copy(), present.copy()
+    rails = samples["flags"]
+    valid[rows.rows] = outside_dead_band((rails & Flag.ADC0_RAIL) != 0)
+    valid_alpha[rows.rows] = (rails & Flag.ADC1_RAIL) == 0
+    pots = (calibration.theta_1, calibration.alpha) if calibration else (None, None)
+    theta_1[rows.rows] = _angle(samples, "theta_1", pots[0])
+    alpha[rows.rows] = _angle(samples, "alpha", pots[1])
+    valid &= np.isfinite(theta_1)
+    valid_alpha &= np.isfinite(alpha)
+    alpha[~valid_alpha] = np.nan
+    turns = pots[0] is None or pots[0].wraps
+    if turns:
+        theta_1 = unwrap(theta_1, valid)
+    theta_1[~valid] = np.nan
+    unknown = turns_unknown(valid, present, Ts).tolist() if turns else []
+    return {
+        "theta_1": theta_1,
+        "alpha": alpha,
+        "valid": valid,
+        "valid_alpha": valid_alpha,
+        "turns_unknown": tuple(unknown),
+    }
 
 
 def _angle(samples: NDArray[np.void], name: str, pot: Potentiometer | None) -> Vector:
@@ -345,43 +326,3 @@ def _angle(samples: NDArray[np.void], name: str, pot: Potentiometer | None) -> V
         return np.asarray(samples[f"{name}_rad"], np.float64)
     counts = samples[f"{name}_counts"].astype(np.float64)
     return np.asarray((counts - pot.zero_counts) * pot.rad_per_count)
-
-
-class _Clock:
-    """Host times to seconds from the first sample."""
-
-    def __init__(self, samples: NDArray[np.void], offset_ns: int) -> None:
-        self.zero_ns = int(samples["t_sched_ns"][0]) if samples.size else 0
-        self.offset_ns = offset_ns
-
-    def seconds(self, host_ns: int) -> float:
-        return (host_ns - self.zero_ns) / 1e9
-
-
-def _gap(message: Any, clock: _Clock) -> Gap:
-    return Gap(
-        k_first=message.k_first,
-        count=message.count,
-        t=clock.seconds(message.t_from_ns),
-        u_held_v=message.u_held_v,
-        reason=message.reason,
-    )
-
-
-def _event(message: Any, clock: _Clock) -> Event:
-    stamp = message.timestamp
-    real_ns = stamp.seconds * 1_000_000_000 + stamp.nanos
-    level = _LEVELS[message.level] if 0 <= message.level < len(_LEVELS) else str(message.level)
-    return Event(t=clock.seconds(real_ns - clock.offset_ns), level=level, message=message.message)
-
-
-def _timing(message: Any, clock: _Clock) -> Timing:
-    def distribution(part: Any) -> Distribution:
-        return Distribution(**{name: getattr(part, name) for name in Distribution.__slots__})
-
-    return Timing(
-        t=clock.seconds(message.t_host_ns),
-        wake_lateness_us=distribution(message.wake_lateness_us),
-        device_tick_error_us=distribution(message.device_tick_error_us),
-        link_round_trip_us=distribution(message.link_round_trip_us),
-    )

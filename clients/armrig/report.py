@@ -148,13 +148,19 @@ def _facts(study: Study) -> list[list[str]]:
     row("experiment", lambda r: r.manifest.experiment)
     row("made of", lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()))
     row("started", lambda r: r.manifest.started.replace("T", " ")[:19])
+    row("paced by", lambda r: {"scheduled": "the device"}.get(r.manifest.pacing, "the host"))
     row("samples at Ts", lambda r: f"{r.N} at {milliseconds(r.Ts)}")
     row("length", lambda r: f"{r.N * r.Ts:.1f} s")
-    row("input", lambda r: f"{np.nanmin(r.u):.2f} to {np.nanmax(r.u):.2f} V" if r.N else "")
+    row("input", _input_range)
     row("missing samples", lambda r: str(r.missing))
-    row("in the dead band", lambda r: str(int(np.count_nonzero(r.present & ~r.valid))))
+    row("in the dead band, or just after", lambda r: str(r.hidden))
     row("outcome", lambda r: r.outcome.outcome if r.outcome else "cut off")
     return rows
+
+
+def _input_range(recording: Recording) -> str:
+    u = recording.u[np.isfinite(recording.u)]
+    return f"{u.min():.2f} to {u.max():.2f} V" if u.size else ""
 
 
 def _shared_facts(study: Study) -> list[str]:
@@ -247,16 +253,15 @@ def _percent_warning(study: Study) -> str:
 
 
 def _physics(study: Study) -> str:
-    deviations = np.median(study.deviation, axis=1), np.max(study.deviation, axis=1)
+    median, most = np.median(study.deviation, axis=1), np.max(study.deviation, axis=1)
+    arx_at, oe_at = study.omega[np.argmax(study.deviation, axis=1)]
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor, with its "
         "parameters as given, sampled exactly for a held input; nothing in it was fitted. From "
         f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s the OE model differs from it by "
-        f"{percent(100 * deviations[0][1])} (median) and at most "
-        f"{percent(100 * deviations[1][1])}, the ARX model by "
-        f"{percent(100 * deviations[0][0])} and {percent(100 * deviations[1][0])}. The largest "
-        "deviations lie at the notch near 15.7 rad/s, where the arm absorbs the motion and there "
-        "is next to nothing to compare."
+        f"{percent(100 * median[1])} (median) and at most {percent(100 * most[1])}, at "
+        f"{number(oe_at)} rad/s; the ARX model by {percent(100 * median[0])} and "
+        f"{percent(100 * most[0])}, at {number(arx_at)} rad/s."
     )
 
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import msgspec
 import numpy as np
 import zenoh
-from armrig_core import commands, protobuf, telemetry, topics
-from armrig_core.endpoint import endpoint, socket_directory
+from armrig_core import commands, topics
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
+
+from armrig.listening import listen
+from armrig.session import RigError, default_endpoint, no_reply, open_session
 
 Progress = Callable[[int, int], None]
 """Called with the samples taken and the samples asked for."""
@@ -25,23 +24,7 @@ Progress = Callable[[int, int], None]
 REPLY_S = 5.0
 """How long a reply may take, in s."""
 _POLL_S = 0.1
-_LISTEN_S = 0.002
-_RING = 10_000  # samples that a slow listener may be behind before it misses some
-_MESSAGES = {
-    "gap": protobuf.GAP,
-    "event": protobuf.LOG,
-    "timing": protobuf.TIMING,
-    "state": protobuf.STATE,
-}
 _R = TypeVar("_R")
-
-
-class RigError(RuntimeError):
-    """What a rig, or the way to it, refuses; says what to do."""
-
-
-class NoReplyError(RigError):
-    """Nobody answers."""
 
 
 class RefusedError(RigError):
@@ -80,6 +63,7 @@ class Rig:
         self._session: zenoh.Session | None = None
         self._lease = ""
         self._n = 0
+        self._limits_v = (0.0, U_MAX_V)
 
     def __enter__(self) -> Self:
         """Connect."""
@@ -104,23 +88,64 @@ class Rig:
         return self._ask(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
-        """Take the rig, at 0 V, with the sampling time `Ts` in s or the configured one."""
+        """Take the rig, at 0 V.
+
+        Parameters
+        ----------
+        owner : str
+            Who takes it, for others to read; 1 to 80 characters.
+        Ts : float, optional
+            Sampling time in s; the configured one where it is left out.
+
+        Returns
+        -------
+        LeaseGranted
+            The sampling time in force, in s, and the voltages allowed, in V: `u_min`, `u_max`.
+
+        Raises
+        ------
+        RefusedError
+            Somebody else has the rig, it is in a fault, or `Ts` is not possible.
+        NoReplyError
+            The daemon does not answer.
+        """
         granted = self._ask(commands.Arm(owner=owner, Ts=Ts), commands.LeaseGranted)
         self._lease, self._n = granted.lease, 0
+        self._limits_v = (granted.u_min, granted.u_max)
         return granted
 
     def run(
         self,
         u: ArrayLike,
         *,
+        pacing: Literal["scheduled", "exchange"] = "scheduled",
         experiment: str = "run",
         details: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
     ) -> Path:
-        """Play `u` (N,) in V, wait until it is recorded, and return the recording's path.
+        """Play `u`, wait until it is recorded, and return the recording's path.
 
         Whatever ends the wait early, Ctrl-C too, stops the rig. With the run the lease ends: `arm`
         again for the next one.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,)
+            Motor voltage at each sample, in V, inside what `arm` granted; N from 1 to 1 000 000.
+        pacing : {"scheduled", "exchange"}
+            Who makes the samples: the device's timer, or the host at each tick, which shows the
+            host's jitter as data.
+        experiment : str, default "run"
+            Kind of experiment, of a-z, 0-9 and -; part of the recording's name.
+        details : mapping, optional
+            What the experiment was made of, such as its seed; kept in the recording.
+        progress : callable, optional
+            Called with the samples taken and the samples asked for, some ten times a second.
+
+        Returns
+        -------
+        Path
+            The recording, complete on the disk of the daemon.
 
         Raises
         ------
@@ -129,24 +154,27 @@ class Rig:
         RefusedError
             The rig is not armed, or a value is not allowed.
         ValueError
-            A voltage is outside 0 … 5 V or no number; nothing was sent.
+            `u` is not (N,), or a voltage is not allowed or no number; nothing was sent.
         """
-        voltage = _inside(u)
+        voltage = self._allowed(u)
         request = commands.Run(
             **self._stamp(),
             u=voltage.tolist(),
+            pacing=pacing,
             experiment=experiment,
             details=dict(details or {}),
         )
-        accepted = self._ask(request, commands.RunAccepted)
         try:
+            accepted = self._ask(request, commands.RunAccepted)
             last = self._finished(accepted, voltage.size, progress or (lambda done, total: None))
+        except RefusedError:
+            raise  # nothing began
         except BaseException:
+            self._lease = ""
             with suppress(RigError):
                 self.stop()
             raise
-        finally:
-            self._lease = ""
+        self._lease = ""
         recording = Path(last.recording)
         if last.outcome != "complete":
             msg = f"the run ended after {last.samples} of {voltage.size} samples: {last.outcome}; "
@@ -171,12 +199,31 @@ class Rig:
             time.sleep(_POLL_S)
 
     def set(self, u: float) -> None:
-        """Hold `u` volts until the next `set`, or the end of the lease's period."""
-        (volts,) = _inside([u])
+        """Hold a voltage until the next `set`, or the end of the lease's period.
+
+        Parameters
+        ----------
+        u : float
+            Motor voltage in V, inside what `arm` granted.
+
+        Raises
+        ------
+        RefusedError
+            The rig is not armed, or not ours any more.
+        ValueError
+            The voltage is not allowed or no number; nothing was sent.
+        """
+        (volts,) = self._allowed([u])
         self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
 
     def stop(self) -> None:
-        """Go to 0 V; needs no lease."""
+        """Go to 0 V; needs no lease, and ends whatever runs.
+
+        Raises
+        ------
+        NoReplyError
+            The daemon does not answer; the device itself stops soon after a daemon that is gone.
+        """
         self._ask(commands.Stop(), commands.Done)
 
     def reset(self) -> None:
@@ -190,8 +237,23 @@ class Rig:
         self._ask(commands.Disarm(**stamp), commands.Done)
 
     def stream(self, name: str = "sample") -> Iterator[Any]:
-        """Iterate over what the rig publishes from now on: see `stream`."""
+        """Iterate over what the rig publishes from now on: see `armrig.stream`."""
         return listen(self._connected(), topics.stream_key(self.rig, name))
+
+    def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:
+        """Return the voltages (N,), or refuse them: never clamped, and never sent."""
+        volts = np.asarray(u, dtype=np.float64)
+        if volts.ndim != 1 or volts.size == 0:
+            msg = f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage a sample"
+            raise ValueError(msg)
+        lowest, highest = self._limits_v
+        outside = ~((volts >= lowest) & (volts <= highest))  # NaN is outside, too
+        if outside.any():
+            k = int(np.argmax(outside))
+            msg = f"u[{k}] = {volts[k]:g} V is outside {lowest:g} … {highest:g} V, what rig "
+            msg += f"{self.rig} allows; beyond 0 … {U_MAX_V:g} V it is destroyed"
+            raise ValueError(msg)
+        return volts
 
     def _stamp(self) -> dict[str, Any]:
         if not self._lease:
@@ -220,119 +282,8 @@ class Rig:
         raise no_reply(self.rig, self.endpoint)
 
 
-def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
-    """Iterate over the live messages of a key such as `rig/1/sample`.
-
-    Samples are `armrig_core.telemetry.Sample`, everything else protobuf messages. A listener that
-    falls behind misses the oldest ones: a break in `k` shows it.
-
-    Raises
-    ------
-    NoReplyError
-        There is no daemon, or it went away.
-    ValueError
-        The key is no stream of a rig.
-    """
-    rig, _ = _stream_of(key)
-    where = connect or default_endpoint(rig)
-    with open_session(where, rig=rig) as session:
-        yield from listen(session, key)
-
-
-def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
-    """Iterate over the messages of a key in an open session: see `stream`."""
-    rig, name = _stream_of(key)
-    # A ring, not a queue: one that nobody drains would block zenoh's own thread.
-    with (
-        session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber,
-        session.liveliness().declare_subscriber(
-            topics.alive_key(rig), zenoh.handlers.RingChannel(8)
-        ) as alive,
-    ):
-        while True:
-            while (received := subscriber.try_recv()) is not None:
-                yield decoded(name, received.payload.to_bytes())
-            if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
-                msg = f"rig {rig}: its daemon went away"
-                raise NoReplyError(msg)
-            time.sleep(_LISTEN_S)
-
-
-def decoded(name: str, payload: bytes) -> Any:
-    """Return one message of the stream `name`."""
-    if name != "sample":
-        return protobuf.message_class(_MESSAGES[name]).FromString(payload)
-    sample = telemetry.decode_sample(payload)
-    if sample is not None:
-        return sample
-    # A later version's, with more fields.
-    message = protobuf.message_class(protobuf.SAMPLE).FromString(payload)
-    return telemetry.Sample._make(getattr(message, field) for field in telemetry.Sample._fields)
-
-
-def default_endpoint(rig: str) -> str:
-    """Return where the daemon of this user and rig listens."""
-    directory = socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
-    return endpoint(rig, directory)
-
-
-def open_session(where: str, *, rig: str) -> zenoh.Session:
-    """Return a zenoh session as a client of the endpoint `where`; it must be closed.
-
-    Raises
-    ------
-    NoReplyError
-        Nobody listens there.
-    """
-    config = zenoh.Config()
-    for key, value in (
-        ("mode", "client"),
-        ("connect/endpoints", [where]),
-        # Only the endpoint asked for: nobody is looked for, nobody is told of.
-        ("scouting/multicast/enabled", False),
-        ("scouting/gossip/enabled", False),
-        ("transport/shared_memory/enabled", False),
-    ):
-        try:
-            config.insert_json5(key, json.dumps(value))
-        except zenoh.ZError as err:
-            msg = f"{where!r} is no zenoh endpoint, such as unixsock-stream/run/armrig/1.sock"
-            raise RigError(msg) from err
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError as err:
-        raise no_reply(rig, where) from err
-
-
-def no_reply(rig: str, where: str) -> NoReplyError:
-    """Return the error of a daemon that does not answer."""
-    return NoReplyError(
-        f"no reply from rig {rig} at {where}: not running, or not permitted; "
-        "start it with `armrigd run`, or give its endpoint with --connect"
-    )
-
-
-def _inside(u: ArrayLike) -> NDArray[np.float64]:
-    """Return the voltages (N,), or refuse them: never clamped, and never sent."""
-    volts = np.atleast_1d(np.asarray(u, dtype=np.float64)).ravel()
-    outside = ~((volts >= 0) & (volts <= U_MAX_V))  # NaN is outside, too
-    if outside.any():
-        k = int(np.argmax(outside))
-        msg = f"u[{k}] = {volts[k]:g} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed"
-        raise ValueError(msg)
-    return volts
-
-
 def _refusal(name: str, payload: bytes) -> RefusedError:
     try:
         return RefusedError(msgspec.json.decode(payload, type=commands.Refused).error)
     except msgspec.DecodeError:
         return RefusedError(f"{name}: {payload[:200].decode(errors='replace')}")
-
-
-def _stream_of(key: str) -> tuple[str, str]:
-    parts = key.split("/")
-    if len(parts) != 3 or parts[0] != "rig" or parts[2] not in topics.STREAMS:
-        msg = f"key {key!r}: a stream is rig/<id>/ and one of {', '.join(topics.STREAMS)}"
-        raise ValueError(msg)
-    return topics.check_rig_id(parts[1]), parts[2]

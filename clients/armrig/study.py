@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
+from armrig.estimation.orders import require_sensible
 from armrig.fit import Fit
 from armrig.jitter import SamplingStatistics, sampling_statistics
 from armrig.recording import Recording, RecordingError
@@ -26,9 +27,13 @@ class Orders:
     """Orders of the models; the arm has four poles, one of them an integrator."""
 
     na: int = 4
+    """Number of a's of the ARX model."""
     nb: int = 4
+    """Number of b's of both."""
     nf: int = 4
+    """Number of all f's of the OE model, the integrator's included."""
     nk: int = 1
+    """Samples before u reaches y, of both."""
     integrator: bool = True
     """Of the OE model; an ARX model finds its own."""
 
@@ -38,7 +43,9 @@ class Judged:
     """A model, and what data that it has not seen say of it."""
 
     name: str
+    """ARX, OE or physics."""
     fit: Fit
+    """The model."""
     tests: ResidualTest | None
     """Of its residuals; None for the physics, which has no noise model to test."""
 
@@ -48,8 +55,11 @@ class Study:
     """Everything that a report tells."""
 
     recordings: tuple[Recording, ...]
+    """All that were given, in their order."""
     estimation: Dataset
+    """What the models were estimated from: u in V, theta_1 in rad."""
     validation: Dataset
+    """What they were judged by, in the same units."""
     halves: bool
     """There was one recording: its first half estimates, its second half validates."""
     models: tuple[Judged, ...]
@@ -57,7 +67,7 @@ class Study:
     table: ComparisonTable
     """The models simulated on the validation data, in the same order."""
     timing: tuple[SamplingStatistics, ...]
-    """Of each recording."""
+    """Of each recording, times in µs."""
     omega: NDArray[np.float64]
     """Frequencies of `deviation`, in rad/s."""
     deviation: NDArray[np.float64]
@@ -79,6 +89,18 @@ def study(recordings: Sequence[Recording], *, orders: Orders | None = None) -> S
     The first recording that is no step estimates, the next one validates; where there is only one,
     its second half validates.
 
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        At least one that is no step.
+    orders : Orders, optional
+        Of the models; the arm's by default.
+
+    Returns
+    -------
+    Study
+        Models, their comparison and their residual tests.
+
     Raises
     ------
     ValueError
@@ -94,6 +116,11 @@ def study(recordings: Sequence[Recording], *, orders: Orders | None = None) -> S
         estimation, validation = excited[0].dataset(), excited[1].dataset()
     else:
         estimation, validation = excited[0].dataset().split(2)
+    samples, nk = estimation.N - estimation.missing, orders.nk
+    require_sensible(samples=samples, nk=nk, na=orders.na, nb=orders.nb)
+    require_sensible(
+        samples=samples, nk=nk, integrator=orders.integrator, nb=orders.nb, nf=orders.nf
+    )
     models = (
         ("ARX", arx(estimation, na=orders.na, nb=orders.nb, nk=orders.nk)),
         (

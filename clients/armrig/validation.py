@@ -15,7 +15,7 @@ from armrig.fit import Fit
 from armrig.goodness import fit_percent
 from armrig.least_squares import orthonormal
 from armrig.polynomial import Array, lagged
-from armrig.prediction import Residuals, prediction_errors, require_same_clock, spread
+from armrig.prediction import Residuals, prediction_errors, require_same_signals, spread
 from armrig.preprocess import INTEGRATING_OUTPUTS, difference
 from armrig.whiteness import (
     autocovariance,
@@ -96,10 +96,24 @@ def compare(data: Dataset, *fits: Fit, horizon: int | None = None) -> Comparison
     velocity (measured and modelled angle both differenced, so the measured one carries the
     noise of two samples).
 
+    Parameters
+    ----------
+    data : Dataset
+        N samples, best of an experiment that no model has seen.
+    *fits : Fit
+        At least one, of the output that the data show.
+    horizon : int, optional
+        Predict so many samples ahead, >= 1, from the measured past; by default simulate.
+
+    Returns
+    -------
+    ComparisonTable
+        One row a model: fit in percent, rms error in y's unit, ŷ (N,).
+
     Raises
     ------
     ValueError
-        No model was given, or one has another sampling time.
+        No model was given, or one has another output, unit or sampling time.
     """
     if not fits:
         msg = "compare needs at least one model: compare(data, fit)"
@@ -209,15 +223,29 @@ def residuals(fit: Fit, data: Dataset, lags: int | None = None) -> ResidualTest:
 
     Parameters
     ----------
+    fit : Fit
+        Of the output that the data show.
+    data : Dataset
+        N samples.
     lags : int, optional
-        L; 25 by default, fewer for short data.
+        L, from 1 to half of the residuals; 25 by default, fewer for short data.
+
+    Returns
+    -------
+    ResidualTest
+        Residuals (N,) in y's unit, correlations (without unit) with bands, and p values.
+
+    Raises
+    ------
+    ValueError
+        The model has another output, unit or sampling time, or L is not possible.
 
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
     """
-    require_same_clock(fit, data)
+    require_same_signals(fit, data)
     parts = list(data.experiments())
     known = [prediction_errors(fit, part) for part in parts]
     N = sum(int(np.count_nonzero(np.isfinite(r.e))) for r in known)

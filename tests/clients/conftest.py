@@ -2,9 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
 
 import pytest
+from armrig_core.endpoint import endpoint
+from fake_daemon import FakeDaemon
+
+
+@pytest.fixture
+def where() -> Iterator[str]:
+    """Give an endpoint; not pytest's own directory, whose path may be too long for a socket."""
+    with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
+        yield endpoint("1", PurePosixPath(directory))
+
+
+@pytest.fixture
+def daemon(where: str) -> Iterator[FakeDaemon]:
+    """Give a daemon that answers at the endpoint."""
+    with FakeDaemon(where) as running:
+        yield running
 
 
 @pytest.fixture(scope="session")

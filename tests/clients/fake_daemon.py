@@ -18,9 +18,11 @@ class FakeDaemon:
         self.endpoint, self.rig = endpoint, rig
         self.asked: list[commands.Request] = []
         self.polls_per_run = 3
+        self.limits_v = (0.0, 5.0)
         self.outcome = "complete"
         self.recording = "/nowhere/run.mcap"
         self.refusals: dict[str, str] = {}
+        self.fault = ""
         self._run: commands.Run | None = None
         self._polls = 0
 
@@ -63,12 +65,12 @@ class FakeDaemon:
         return StatusReport(
             rig=self.rig,
             version="0.1.0",
-            phase="active" if running else "safe",
-            reason="",
+            phase="fault" if self.fault else "active" if running else "safe",
+            reason=self.fault,
             owner="",
             Ts=0.01,
-            u_min=0.0,
-            u_max=5.0,
+            u_min=self.limits_v[0],
+            u_max=self.limits_v[1],
             endpoint=self.endpoint,
             device={"uid": "1"},
             host={"fifo": 0, "refused": ["SCHED_FIFO (set LimitRTPRIO=)"]},
@@ -96,9 +98,15 @@ class FakeDaemon:
             return self.status()
         if isinstance(request, commands.Arm):
             return commands.LeaseGranted(
-                lease="0" * 32, period_s=0.1, Ts=request.Ts or 0.01, u_min=0.0, u_max=5.0
+                lease="0" * 32,
+                period_s=0.1,
+                Ts=request.Ts or 0.01,
+                u_min=self.limits_v[0],
+                u_max=self.limits_v[1],
             )
         if isinstance(request, commands.Run):
             self._run, self._polls = request, 0
             return commands.RunAccepted(run_id="r1", recording=self.recording)
+        if isinstance(request, commands.Stop):
+            self.outcome, self.polls_per_run = "stopped", 0
         return commands.Done()

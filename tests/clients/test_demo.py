@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 from armrig import demo
-from armrig.rig import NoReplyError, Rig, RigError
+from armrig.rig import Rig
+from armrig.session import NoReplyError, RigError
 from rich.console import Console
 
 

@@ -172,3 +172,30 @@ def test_identical_errors_need_no_logarithm(done: Study) -> None:
     ax = plots.plot_compare(done.validation, oe, oe, ax=Figure().add_subplot())
 
     assert ax.figure.axes[1].get_yscale() == "linear"
+
+
+def test_a_fit_shows_itself(done: Study) -> None:
+    """Frequency response with bands, step response, poles and zeros with regions, all named."""
+    fit = done.models[1].fit
+
+    figure = fit.plot()
+
+    labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in figure.axes]
+    assert {x for x, _ in labels} >= {r"$\omega$ [rad/s]", "$t$ [s]", "Re $z$"}
+    bands = [ax for ax in figure.axes if ax.collections]
+    assert len(bands) == 3  # magnitude, phase, step
+    [roots] = [ax for ax in figure.axes if ax.get_xlabel() == "Re $z$"]
+    regions = len(fit.poles()) + len(fit.zeros())
+    assert len(roots.lines) == 3 + 2 + regions  # circle and axes, poles and zeros
+    signed = [ax.get_title(loc="right") for ax in figure.axes]
+    assert signed.count(f"recording {fit.source[:12]}") == 3
+    assert len(plt.get_fignums()) == 1
+
+
+def test_a_recording_and_its_data_show_themselves(recording: Recording) -> None:
+    """Into the axes given, as plot_data does."""
+    for source in (recording, recording.dataset("alpha")):
+        ax = Figure().add_subplot()
+
+        assert source.plot(ax=ax) is ax
+        assert ax.get_title(loc="right") == f"recording {recording.short_hash}"

@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 import zstandard
 from armrig import container
+from armrig.jitter import sampling_statistics
 from armrig.recording import Recording, RecordingError, load
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
-from armrig_core.manifest import RUN
+from armrig_core.manifest import RUN, Manifest, Outcome
 from armrig_protocol.messages import Flag
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -119,6 +120,88 @@ def test_where_the_input_is_not_known_a_new_experiment_begins(tmp_path: Path) ->
     assert np.isnan(rec.u[8:12]).all()
     assert data.N == 16
     assert data.starts == (0, 8)
+
+
+def a_run(**changes: Any) -> Manifest:
+    """Return the manifest of a run of 100 samples from k = 40 on."""
+    return manifest(**({"k_first": 40, "samples": 100} | changes))
+
+
+def test_samples_missing_at_both_ends_have_their_rows(tmp_path: Path) -> None:
+    """The grid is the run's; t = 0 is when its first sample was due."""
+    messages = [gap(40, 2, 0.0), *(sample(k) for k in range(42, 137)), gap(137, 3, 2.5)]
+    ended = Outcome(outcome="complete", samples=95, missing=5)
+
+    rec = load(written(tmp_path, recorded(messages, manifest=a_run(), outcome=ended)))
+    data = rec.dataset()
+    statistics = sampling_statistics(rec)
+
+    assert (rec.k_first, rec.N, rec.missing) == (40, 100, 5)
+    np.testing.assert_array_equal(np.flatnonzero(~rec.present), [0, 1, 97, 98, 99])
+    np.testing.assert_array_equal(rec.u[[0, 1, 2, 96, 97, 99]], [0, 0, 1, 1, 2.5, 2.5])
+    assert np.isnan(rec.theta_1[:2]).all()
+    assert [g.t for g in rec.gaps] == pytest.approx([0.0, 97 * TS])
+    assert (data.N, data.missing, data.starts) == (100, 5, (0,))
+    assert (statistics.samples, statistics.missing, statistics.longest_gap) == (95, 5, 3)
+    assert "100 samples at 0.01 s; 5 missing" in repr(rec)
+
+
+def test_without_a_gap_record_the_input_at_the_beginning_is_not_known(tmp_path: Path) -> None:
+    """No value is put in its place, and it is not identified from."""
+    rec = load(written(tmp_path, recorded([sample(k) for k in range(43, 140)], manifest=a_run())))
+
+    assert (rec.N, rec.missing) == (100, 3)
+    assert np.isnan(rec.u[:3]).all()
+    assert rec.events == ()
+    assert rec.dataset().N == 97
+
+
+def test_a_run_in_which_nothing_came_is_all_missing(tmp_path: Path) -> None:
+    """Its time begins with the first gap."""
+    rec = load(written(tmp_path, recorded([gap(40, 100, 0.0)], manifest=a_run())))
+
+    assert (rec.N, rec.missing, rec.gaps[0].t) == (100, 100, 0.0)
+    assert sampling_statistics(rec).longest_gap == 100
+
+
+def test_a_run_that_was_stopped_is_as_long_as_it_was(tmp_path: Path) -> None:
+    """What was never due is not missing; what was due and did not come is."""
+    messages = [*(sample(k) for k in range(40, 60)), gap(60, 4, 1.0)]
+    ended = Outcome(outcome="stopped", samples=20, missing=4)
+
+    rec = load(written(tmp_path, recorded(messages, manifest=a_run(), outcome=ended)))
+    no_gap = load(written(tmp_path, recorded(messages[:-1], manifest=a_run(), outcome=ended)))
+
+    assert (rec.N, rec.missing) == (24, 4)
+    assert (no_gap.N, no_gap.missing) == (24, 4)
+    assert np.isnan(no_gap.u[20:]).all()
+
+
+def test_a_run_that_was_cut_off_is_as_long_as_is_known(tmp_path: Path) -> None:
+    """Up to the last sample that is told of, as come or as missing."""
+    messages = [*(sample(k) for k in range(42, 60)), gap(60, 4, 1.0)]
+
+    cut = load(written(tmp_path, recorded(messages[:-1], manifest=a_run(), outcome=None)))
+    told = load(written(tmp_path, recorded(messages, manifest=a_run(), outcome=None)))
+
+    assert (cut.N, cut.missing) == (20, 2)
+    assert (told.N, told.missing) == (24, 6)
+
+
+@pytest.mark.parametrize("k", [39, 140])
+def test_a_sample_outside_its_run_is_told(tmp_path: Path, k: int) -> None:
+    """Such a file was not written by a daemon."""
+    messages = sorted([sample(50), sample(k)])
+
+    with pytest.raises(RecordingError, match=r"those of the run from 40 to 139"):
+        load(written(tmp_path, recorded(messages, manifest=a_run())))
+
+
+@pytest.mark.parametrize("claimed", [{"samples": 10**15}, {"k_first": 2**80}, {"Ts": 1e300}])
+def test_a_manifest_cannot_ask_for_all_memory(tmp_path: Path, claimed: dict[str, Any]) -> None:
+    """What it says of the run is checked against what came."""
+    with pytest.raises(RecordingError, match=r"run\.mcap: "):
+        load(written(tmp_path, recorded([sample(50)], manifest=a_run(**claimed))))
 
 
 def test_a_long_silence_leaves_the_turns_unknown(tmp_path: Path) -> None:

@@ -71,10 +71,10 @@ def test_a_step_alone_is_nothing_to_identify_from(three_recordings: tuple[Path, 
 
 
 def test_orders_too_high_for_the_data_are_refused(tmp_path: Path) -> None:
-    """In the estimator's words."""
+    """What came, and what so many samples allow."""
     short = load(written(tmp_path, recorded([sample(k) for k in range(20)])))
 
-    with pytest.raises(ValueError, match="na=4, nb=4, nk=1 needs at least 13 samples, got 10"):
+    with pytest.raises(ValueError, match="na=4, nb=4: 8 parameters from 10 samples; at most 1"):
         study([short])
     with pytest.raises(ValueError, match="nb=0"):
         study([short], orders=Orders(nb=0))
@@ -120,6 +120,26 @@ def test_the_verdict_changes_with_the_facts(done: Study) -> None:
     agreeing = replace(done.table, rows=(replace(arx, rms_error=oe.rms_error), oe, physics))
 
     assert "disagree" not in " ".join(verdict(replace(done, table=agreeing)))
+
+
+def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None:
+    """Computed from these data: another deviation is said to lie elsewhere."""
+    deviation = np.full_like(done.deviation, 0.01)
+    deviation[0, 20], deviation[1, 150] = 0.5, 0.25
+
+    said = str(content(replace(done, deviation=deviation), ())["physics"])
+
+    oe, arx = said.split("; the ARX model")
+    assert oe.endswith(f"at most 25\u00a0%, at {done.omega[150]:.3g} rad/s")
+    assert arx.endswith(f"and 50\u00a0%, at {done.omega[20]:.3g} rad/s.")
+
+
+def test_the_sample_after_the_dead_band_is_counted_and_named(done: Study) -> None:
+    """It shows no angle either, and the row says that it is among them."""
+    rows = {name: values for name, *values in content(done, ())["facts"]}
+
+    hidden = [np.count_nonzero(r.present & ~r.valid) for r in done.recordings]
+    assert rows["in the dead band, or just after"] == [str(n) for n in hidden]
 
 
 def test_a_truncated_recording_is_named_in_the_report(

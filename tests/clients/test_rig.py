@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
-import tempfile
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path, PurePosixPath
+from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
-from armrig.rig import NoReplyError, RefusedError, Rig, RigError, RunEndedError, decoded, stream
+from armrig import listening
+from armrig.listening import decoded, stream
+from armrig.rig import RefusedError, Rig, RunEndedError
+from armrig.session import NoReplyError, RigError
 from armrig_core import commands, protobuf, telemetry
 from armrig_core.endpoint import endpoint, socket_directory
 from fake_daemon import FakeDaemon
 from recordings import sample
 
-
-@pytest.fixture
-def where() -> Iterator[str]:
-    """Give an endpoint; not pytest's own directory, whose path may be too long for a socket."""
-    with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
-        yield endpoint("1", PurePosixPath(directory))
-
-
-@pytest.fixture
-def daemon(where: str) -> Iterator[FakeDaemon]:
-    """Give a daemon that answers at the endpoint."""
-    with FakeDaemon(where) as running:
-        yield running
+ALIVE = """
+import sys, time
+sys.path.insert(0, sys.argv[1])
+from armrig_core import telemetry
+from fake_daemon import FakeDaemon
+from recordings import sample
+with FakeDaemon(sys.argv[2]) as daemon:
+    print("up", flush=True)
+    for k in range(10_000):
+        daemon.session.put("rig/1/sample", telemetry.encode_sample(sample(k)))
+        time.sleep(0.01)
+"""
 
 
 def test_a_service_finds_its_socket_where_systemd_says() -> None:
@@ -130,6 +136,55 @@ def test_a_voltage_outside_the_rig_s_never_leaves_the_client(
     assert not {"run", "set"} & {request.name for request in daemon.asked}
 
 
+def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
+    daemon: FakeDaemon, where: str
+) -> None:
+    """A rig may allow less than 0 to 5 V."""
+    daemon.limits_v = (0.5, 4.5)
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        with pytest.raises(ValueError, match=r"u\[2\] = 4.8 V is outside 0.5 … 4.5 V"):
+            rig.run([1.0, 4.5, 4.8, 0.0])
+        with pytest.raises(ValueError, match=r"u\[0\] = 0 V is outside 0.5 … 4.5 V"):
+            rig.set(0.0)
+
+    assert not {"run", "set"} & {request.name for request in daemon.asked}
+
+
+@pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], 1.0, []])
+def test_an_input_that_is_no_row_of_voltages_is_refused(
+    u: Any, daemon: FakeDaemon, where: str
+) -> None:
+    """It is not ravelled: nobody knows in which order it was meant."""
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\)"):
+            rig.run(np.array(u))
+
+    assert "run" not in daemon.names()
+
+
+def test_a_run_whose_answer_was_lost_is_stopped(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while the answer is under way: it may have begun."""
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        ask = rig._ask
+
+        def interrupted(request: commands.Request, answer: Any) -> Any:
+            answered = ask(request, answer)
+            if isinstance(request, commands.Run):
+                raise KeyboardInterrupt
+            return answered
+
+        monkeypatch.setattr(rig, "_ask", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            rig.run([1.0])
+
+    assert daemon.names() == ["arm", "run", "stop"]
+
+
 def test_a_refusal_is_told_in_the_daemons_words(daemon: FakeDaemon, where: str) -> None:
     """What the daemon alone can know."""
     with Rig("1", connect=where) as rig:
@@ -218,6 +273,49 @@ def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, where: str) -> N
         with pytest.raises(NoReplyError, match="went away"):
             for _ in samples:
                 pass
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_stream_ends_when_the_process_of_its_daemon_does(
+    number: signal.Signals, where: str
+) -> None:
+    """Killed or ended in order: its last word may not arrive, so silence is looked into."""
+    program = [sys.executable, "-c", ALIVE, str(Path(__file__).parent), where]
+    with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as daemon:
+        assert daemon.stdout is not None
+        assert daemon.stdout.readline() == b"up\n"
+        samples = stream("rig/1/sample", connect=where)
+        assert next(samples).k >= 0
+        daemon.send_signal(number)
+        daemon.wait()
+
+        with pytest.raises(NoReplyError, match="went away"):
+            for _ in samples:
+                pass
+
+
+def test_silence_of_a_living_daemon_is_waited_through(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An event may come after hours."""
+    monkeypatch.setattr(listening, "SILENCE_S", 0.0)
+    looked = threading.Event()
+    is_alive = listening._is_alive
+
+    def counted(*arguments: Any) -> bool:
+        looked.set()
+        return is_alive(*arguments)
+
+    monkeypatch.setattr(listening, "_is_alive", counted)
+
+    def publish() -> None:
+        looked.wait()
+        daemon.session.put("rig/1/sample", telemetry.encode_sample(sample(7)))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    assert next(stream("rig/1/sample", connect=where)).k == 7
+    thread.join()
 
 
 @pytest.mark.parametrize("key", ["rig/1", "rig/1/nothing", "rig/../sample", "sample"])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.estimation.covariance import correlated_score
-from armrig.estimation.orders import require_order, require_samples
+from armrig.estimation.orders import require_samples
 from armrig.fit import Fit
 from armrig.goodness import fit_percent
 from armrig.least_squares import orthonormal
@@ -45,7 +46,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 7.3.
     """
-    require_order(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
+    require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     orders = f"na={na}, nb={nb}, nk={nk}"
     skipped = max(na, nb + nk - 1)
     require_samples(orders, needed=na + nb + skipped + 1, got=data.N)
@@ -82,10 +83,5 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         Ts=data.Ts,
         fit_percent=fit_percent(y, sse),
         whiteness=portmanteau(residuals, blocks, none, default_lags(y.size)),
-        output=data.output,
-        unit=data.unit,
-        input_unit=data.input_unit,
-        source=data.source,
-        history=data.history,
-        digest=data.digest,
+        **data.origin(),
     )

@@ -21,16 +21,26 @@ class Sizes:
     """Level and ramp of each experiment are free."""
 
 
-def require_order(**orders: tuple[int, int]) -> None:
-    """Refuse an order (value, lowest allowed) that is no integer or too low."""
-    for name, (value, lowest) in orders.items():
-        if not isinstance(value, int) or isinstance(value, bool) or value < lowest:
-            msg = f"{name}={value!r} must be an integer >= {lowest}"
-            raise ValueError(msg)
-
-
 def require_samples(orders: str, *, needed: int, got: int) -> None:
     """Refuse orders too high for the data."""
     if got < needed:
         msg = f"{orders} needs at least {needed} samples, got {got}"
+        raise ValueError(msg)
+
+
+SAMPLES_PER_PARAMETER = 10
+"""Fewer say nothing: the standard deviations, right for many samples, do not hold any more."""
+
+
+def require_sensible(*, samples: int, nk: int, integrator: bool = False, **orders: int) -> None:
+    """Refuse orders that are absurd for so many measured samples."""
+    asked = ", ".join(f"{name}={n}" for name, n in orders.items())
+    parameters, most = sum(orders.values()) - int(integrator), samples // SAMPLES_PER_PARAMETER
+    if parameters > most:
+        msg = f"{asked}: {parameters} parameters from {samples} samples; at most {most}, one for "
+        msg += f"each {SAMPLES_PER_PARAMETER} samples: lower {' or '.join(orders)}, or record "
+        msg += "longer"
+        raise ValueError(msg)
+    if nk > most:
+        msg = f"nk={nk}: at most {most} of {samples} samples; lower nk, or record longer"
         raise ValueError(msg)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from armrig.excitation import step, telegraph
@@ -48,9 +50,33 @@ def test_a_step_is_low_before_and_high_from_its_sample_on() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [((0, 0.1), "N=0"), ((9, 1.5), "a=1.5 is a probability"), ((9, 0.1, 3.0, 2.0), "below high")],
+    [
+        ((0, 0.1), "N=0 must be an integer >= 1"),
+        ((10.5, 0.1), "N=10.5 must be an integer >= 1"),
+        (("10", 0.1), "N='10' must be an integer >= 1"),
+        ((True, 0.1), "N=True must be an integer >= 1"),
+        ((9, 1.5), "a=1.5 is a probability"),
+        ((9, float("nan")), "a=nan is a probability"),
+        ((9, "0.1"), "a='0.1' must be a number"),
+        ((9, 0.1, 3.0, 2.0), "below high"),
+        ((9, 0.1, "0", 2.0), "low='0' must be a number"),
+        ((9, 0.1, 0.5, 4.5, -1), "seed=-1 must be an integer >= 0"),
+        ((9, 0.1, 0.5, 4.5, "x"), "seed='x' must be an integer >= 0"),
+    ],
 )
-def test_an_impossible_signal_is_refused(arguments: tuple[float, ...], message: str) -> None:
-    """The message names the argument."""
+def test_an_impossible_signal_is_refused(arguments: tuple[Any, ...], message: str) -> None:
+    """What came and what is allowed, in our words."""
     with pytest.raises(ValueError, match=message):
-        telegraph(*arguments)  # type: ignore[arg-type]
+        telegraph(*arguments)
+
+
+@pytest.mark.parametrize(("N", "at"), [(0, 0), (4.0, 1), (4, 1.5), (4, -1), (4, 5)])
+def test_an_impossible_step_is_refused(N: Any, at: Any) -> None:
+    """Before numpy meets it."""
+    with pytest.raises(ValueError, match=r"(N|at)=.* must be"):
+        step(N, at=at)
+
+
+def test_numpy_s_integers_are_integers() -> None:
+    """A length may come out of a computation."""
+    np.testing.assert_array_equal(telegraph(np.int64(5), 0.5), telegraph(5, 0.5))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 import pytest
 from armrig.dataset import Dataset
@@ -11,6 +13,9 @@ from armrig.fit import Fit
 from armrig.polynomial import filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
 
 B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
 
@@ -54,6 +59,7 @@ def test_python_control_gives_the_same_responses(fit: Fit) -> None:
 
     np.testing.assert_allclose(system(np.exp(1j * omega * 0.1)), G, rtol=1e-10)
     assert system.dt == 0.1
+    assert system.output_labels == ["speed"]
     assert sorted(np.abs(system.poles()))[-2:] == pytest.approx(np.abs(np.array(fit.poles())))
 
 
@@ -100,6 +106,46 @@ def test_an_integrator_has_infinite_gain_at_rest() -> None:
     integrating = oe(Dataset(u=u, y=y, Ts=1), nb=1, nf=2, integrator=True)
 
     assert np.isinf(np.abs(integrating.frequency_response([0.0]).G[0]))
+
+
+def test_near_rest_an_integrator_is_as_exact_as_anywhere() -> None:
+    """G tends to b / (F̃(1) i omega Ts): no difference of coefficients that cancel."""
+    rest = np.array([1, -1.3, 0.47])
+    fit = Fit(
+        structure="oe", A=np.ones(1), B=np.array([0, 0.3]), F=np.convolve([1, -1], rest),
+        nk=1, integrator=True, Ts=0.01, covariance=np.eye(4), covariance_robust=np.eye(4),
+        noise_variance=1.0, loss=1.0, N=100, fit_percent=0.0, whiteness=0.5,
+    )  # fmt: skip
+    omega = np.array([1e-9, 1e-8])
+
+    G = fit.frequency_response(omega).G
+
+    np.testing.assert_allclose(G, 0.3 / (rest.sum() * 1j * omega * 0.01), rtol=1e-8)
+
+
+def test_an_integrator_is_no_parameter(plant: HandoutPlant) -> None:
+    """By hand: nb + nf - 1 of them were free."""
+    fit = oe(plant.dataset(1, N=500), nb=3, nf=3, integrator=True)
+    d, N, V = 5, 500, fit.loss
+
+    assert fit.parameters == d
+    assert fit.fpe == pytest.approx(V * (1 + d / N) / (1 - d / N))
+    assert fit.aic == pytest.approx(N * (np.log(2 * np.pi * V) + 1) + 2 * d)
+    assert fit.mdl == pytest.approx(N * (np.log(2 * np.pi * V) + 1) + d * np.log(N))
+
+
+@pytest.mark.parametrize("n", [0, -1, 2.5, "3", None, True])
+def test_a_step_response_of_no_length_is_refused(fit: Fit, n: Any) -> None:
+    """What came, and what is allowed."""
+    with pytest.raises(ValueError, match=f"n={n!r} must be an integer >= 1"):
+        fit.step_response(n)
+
+
+@pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], [], 1.0])
+def test_an_input_that_is_no_row_is_not_simulated(fit: Fit, u: Any) -> None:
+    """It would be filtered along the wrong axis."""
+    with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\) with N >= 1"):
+        fit.simulate(u)
 
 
 def test_the_criteria_are_the_textbook_s(fit: Fit) -> None:

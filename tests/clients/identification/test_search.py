@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.estimation.levenberg_marquardt import levenberg_marquardt
-from armrig.estimation.oe import OutputError
 from armrig.estimation.orders import Sizes
+from armrig.estimation.output_error import OutputError
 from armrig.polynomial import filtered
 from armrig.sensitivity import by_denominator, by_numerator
 from numpy.typing import NDArray

@@ -11,7 +11,9 @@ from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.polynomial import filtered
-from armrig.validation import compare, residuals
+from armrig.preprocess import difference
+from armrig.validation import _free_covariance, compare, residuals
+from scipy.stats import chi2
 
 if TYPE_CHECKING:
     from conftest import HandoutPlant
@@ -147,6 +149,76 @@ def test_experiments_are_judged_each_from_its_own_state() -> None:
 
     apart = np.concatenate([residuals(fit, part).e for part in parts])
     np.testing.assert_allclose(together.e, apart)
+
+
+def test_a_model_of_another_output_is_refused() -> None:
+    """A velocity is not compared with an angle; the way out is named."""
+    angle = Dataset(u=data(1).u, y=np.cumsum(data(1).y), Ts=1, output="theta_1", unit="rad")
+    fit = arx(difference(angle), na=1, nb=1)
+    said = r"of velocity \[rad/s\] and the data show theta_1 \[rad\]; .*output='velocity'"
+
+    for judged in (compare, lambda d, f: residuals(f, d), lambda d, f: f.predict(d)):
+        with pytest.raises(ValueError, match=said):
+            judged(angle, fit)
+
+
+def test_a_name_alone_tells_another_output() -> None:
+    """Both angles are in rad."""
+    theta_1, alpha = (
+        Dataset(u=data(1).u, y=data(1).y, Ts=1, output=name, unit="rad")
+        for name in ("theta_1", "alpha")
+    )
+
+    with pytest.raises(ValueError, match=r"of theta_1 \[rad\] and the data show alpha \[rad\]"):
+        residuals(oe(theta_1, nb=2, nf=2), alpha)
+
+
+def test_a_unit_alone_tells_another_output() -> None:
+    """Degrees are no radians."""
+    in_degrees = Dataset(u=data(1).u, y=data(1).y, Ts=1, unit="°")
+
+    with pytest.raises(ValueError, match=r"of y \[V\] and the data show y \[°\]"):
+        compare(in_degrees, oe(data(1), nb=2, nf=2))
+
+
+def test_a_name_that_was_not_given_is_no_other_output() -> None:
+    """Plain arrays may be compared with a model of a recording."""
+    named = Dataset(u=data(1).u, y=data(1).y, Ts=1, output="theta_1", unit="V")
+
+    assert compare(data(2), oe(named, nb=2, nf=2))[0].fit_percent > 50
+
+
+def test_ljung_and_box_lessen_the_degrees_of_freedom_by_na_on_estimation_data() -> None:
+    """Q against chi-squared with L - na degrees of freedom there, with L on other data."""
+    L = 10
+    e = np.random.default_rng(6).standard_normal((2, 500))
+    seen, fresh = (Dataset(u=data(1).u[:500], y=filtered([1], [1, -0.8, 0.2], x), Ts=1) for x in e)
+    fit = arx(seen, na=2, nb=1)
+    for judged, degrees in ((seen, L - 2), (fresh, L)):
+        tested = residuals(fit, judged, lags=L)
+
+        r, n = tested.autocorrelation[1:], int(np.isfinite(tested.e).sum())
+        Q = (n + 2) / n * np.sum((n - np.arange(1, L + 1)) * r**2)
+        assert 0.01 < tested.ljung_box < 0.99
+        assert tested.ljung_box == pytest.approx(chi2.sf(Q, degrees), rel=1e-3)
+
+
+def test_the_covariance_of_the_free_parameters_gives_back_the_whole_one(
+    plant: HandoutPlant,
+) -> None:
+    """With an integrator: through F = (1 - q^-1) F̃ it is that of (b, f) again."""
+    fit = oe(plant.dataset(1), nb=3, nf=4, integrator=True)
+    by_free = np.zeros((7, 6))
+    by_free[:3, :3] = np.eye(3)
+    for k in range(3):
+        by_free[3 + k : 5 + k, 3 + k] = [1.0, -1.0]
+
+    free = _free_covariance(fit)
+
+    scale = np.sqrt(np.outer(np.diag(fit.covariance_robust), np.diag(fit.covariance_robust)))
+    back = by_free @ free @ by_free.T
+    np.testing.assert_allclose(back / scale, fit.covariance_robust / scale, atol=1e-6)
+    assert np.linalg.matrix_rank(free / np.sqrt(np.outer(np.diag(free), np.diag(free)))) == 6
 
 
 def test_what_cannot_be_judged_is_refused() -> None:

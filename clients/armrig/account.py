@@ -1,0 +1,99 @@
+"""A model and its tests as a table and a few lines, for a person at the terminal."""
+
+from __future__ import annotations
+
+from math import isnan
+
+import numpy as np
+
+from armrig.fit import Fit
+from armrig.preprocess import INTEGRATING_OUTPUTS
+from armrig.quantities import p_relation, places
+from armrig.validation import ResidualTest
+from armrig.whiteness import WHITE_LEVEL
+
+_FORMS = {"arx": "A(q) y(t) = B(q) u(t) + e(t)", "oe": "y(t) = B(q)/F(q) u(t) + e(t)"}
+_MOST_DECIMALS = 9
+
+
+def of_model(fit: Fit) -> list[str]:
+    """Return the model: equation, coefficients with both standard deviations, and verdict."""
+    orders = ", ".join(f"{name}={n}" for name, n in fit.orders.items())
+    squared = _squared(fit.unit)
+    root = "; one root of F is 1 by construction" if fit.integrator else ""
+    lines = [
+        f"{fit.structure.upper()}({orders}): {_with_unit('u', fit.input_unit)} to "
+        f"{_with_unit(fit.output, fit.unit)}, Ts {fit.Ts:g} s, N {fit.N}",
+        f"  {_FORMS[fit.structure]}{root}",
+        *coefficients(fit),
+        f"  fit {fit.fit_percent:.2f} % one step ahead on estimation data",
+        f"  loss {fit.loss:.4g}{squared}, FPE {fit.fpe:.4g}{squared}, AIC {fit.aic:.5g}",
+        f"  {_whiteness(fit)}",
+    ]
+    if fit.starts:
+        how = "agree" if fit.agreed else "DISAGREE, the best was taken"
+        ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
+        lines.append(f"  starts {how}: {ends}{squared}" + ("" if fit.converged else _UNFINISHED))
+    return [*lines, *(f"  warning: {w.replace('std_robust', 'σ robust')}" for w in fit.warnings)]
+
+
+_UNFINISHED = " (NOT CONVERGED)"
+
+
+def coefficients(fit: Fit) -> list[str]:
+    """Return the table of the parameters."""
+    lines = [f"  {'coefficient':12} {'estimate':>14} {'σ':>10} {'σ robust':>10}"]
+    with np.errstate(invalid="ignore"):  # a variance that rounding made negative is not known
+        stds = fit.std, fit.std_robust
+    rows = zip(fit.names, fit.theta, *stds, strict=True)
+    for name, value, std, robust in rows:
+        power = int(name[1:]) - 1 + (fit.nk if name[0] == "b" else 1)
+        finite = [s for s in (std, robust) if np.isfinite(s) and s > 0]
+        decimals = min(places(min(finite, default=0.0)), _MOST_DECIMALS)
+        lines.append(
+            f"  {f'{name} q^-{power}':12} {value:>14.{decimals}f} {_std(std)} {_std(robust)}"
+        )
+    return lines
+
+
+def of_tests(tests: ResidualTest) -> list[str]:
+    """Return the tests of the residuals, each with the hypothesis that its p value is of."""
+    where = "estimation" if tests.on_estimation_data else "validation"
+    return [
+        f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples",
+        f"  white residuals: {_p(tests.whiteness, 'look at the noise model or the orders')}",
+        f"  no dynamics missing: {_p(tests.missing_dynamics, 'look at the orders or the delay')}",
+        f"  no feedback: {_p(tests.feedback, 'look at the experiment, or the delay is too large')}",
+    ]
+
+
+def hint(fit: Fit) -> str:
+    """Return what to try next, or nothing."""
+    integrates = fit.output in INTEGRATING_OUTPUTS
+    searched = fit.converged and fit.agreed
+    if fit.structure == "oe" and integrates and not fit.integrator and not searched:
+        return f"the angle {fit.output} integrates: try --integrator"
+    return ""
+
+
+def _whiteness(fit: Fit) -> str:
+    return f"white residuals: {_p(fit.whiteness, 'trust σ robust, not σ', 'trust σ')}"
+
+
+def _p(p: float, otherwise: str, good: str = "") -> str:
+    if isnan(p):
+        return "too few samples, or no residual, to test"
+    said = f", rejected: {otherwise}" if p < WHITE_LEVEL else f": {good}" if good else ""
+    return f"p {p_relation(p)}{said}"
+
+
+def _std(std: float) -> str:
+    return f"{std:>10.2g}" if np.isfinite(std) else f"{'not known':>10}"
+
+
+def _squared(unit: str) -> str:
+    return f" ({unit})²" if "/" in unit else f" {unit}²" if unit else ""
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit else name

@@ -1,0 +1,74 @@
+"""What a model answers, with its uncertainty: roots, frequency response, step response."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Roots:
+    """Poles or zeros with their covariance; numpy sees the complex values."""
+
+    values: Complex
+    """Roots in the z plane, (n,)."""
+    covariance: NDArray[np.float64]
+    """Of (real, imaginary part) of each root, (n, 2, 2)."""
+
+    @property
+    def std(self) -> Vector:
+        """Root of the covariance's trace, (n,): the spread in the complex plane."""
+        return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return the values as a plain array."""
+        return np.array(self.values, dtype=dtype)
+
+    def __iter__(self) -> Iterator[complex]:
+        """Iterate over the values."""
+        return iter(self.values.tolist())
+
+    def __len__(self) -> int:
+        """Return the number of roots."""
+        return int(self.values.size)
+
+    def __getitem__(self, i: int) -> complex:
+        """Return number i."""
+        return complex(self.values[i])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrequencyResponse:
+    """G(exp(i omega Ts)) with standard deviations by linearisation."""
+
+    omega: Vector
+    """Frequencies in rad/s, (n,)."""
+    G: Complex
+    """Response, (n,), in y's unit per u's."""
+    std_magnitude: Vector
+    """Of |G|, (n,)."""
+    std_phase: Vector
+    """Of arg G, (n,), in rad."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StepResponse:
+    """Answer to a unit step at t = 0, with standard deviations by linearisation."""
+
+    t: Vector
+    """Time in s, (n,)."""
+    y: Vector
+    """Output, (n,)."""
+    std: Vector
+    """Of y, (n,)."""
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return the output as a plain array."""
+        return np.array(self.y, dtype=dtype)

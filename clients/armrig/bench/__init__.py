@@ -1,0 +1,5 @@
+"""The timing of one host against the limit: what runs in turn, what is compared, the targets.
+
+Each of the contestants is a program of its own; `turns` lets them take turns, `judge` compares
+what they measured. Nothing here imports the daemon: it is started as its users start it.
+"""

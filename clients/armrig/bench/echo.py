@@ -1,0 +1,38 @@
+"""A program: a pseudo-terminal that answers each request of fixed length with a fixed answer.
+
+It stands in the emulator's place for the bare loop: the same lengths on the same kind of line, at
+the same priority, and nothing worked out.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import tty
+
+from armrig_protocol.frame import wire_length
+from armrig_protocol.messages import Exchange, Sample
+
+from armrig.bench.kernel import be_punctual, end_with_parent
+
+REQUEST_LENGTH, ANSWER_LENGTH = wire_length(Exchange), wire_length(Sample)
+PRIORITY = 20  # the emulator's
+
+
+def main() -> None:
+    """Print the port, then answer until the parent ends."""
+    end_with_parent()
+    master, slave = pty.openpty()
+    tty.setraw(slave)  # kept open, or the master would see the end of it between two openings
+    print(os.ttyname(slave), flush=True)
+    be_punctual(PRIORITY)
+    answer, come = bytes(ANSWER_LENGTH), 0
+    while True:
+        come += len(os.read(master, 4096))
+        while come >= REQUEST_LENGTH:
+            come -= REQUEST_LENGTH
+            os.write(master, answer)
+
+
+if __name__ == "__main__":
+    main()

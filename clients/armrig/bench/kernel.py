@@ -1,0 +1,81 @@
+"""What a measuring program asks of the kernel: the same that the daemon's loop asks for."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import time
+from contextlib import suppress
+
+PARENT = "BENCH_PARENT"
+"""Environment variable: the process that the programs must not outlive."""
+
+_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+_PR_SET_TIMERSLACK = 29
+_MCL_CURRENT_AND_FUTURE = 3
+_TIMER_ABSTIME = 1
+
+
+class _Timespec(ctypes.Structure):
+    _fields_ = (("tv_sec", ctypes.c_long), ("tv_nsec", ctypes.c_long))
+
+
+_libc = ctypes.CDLL(None, use_errno=True)
+_until = _Timespec()
+_until_at = ctypes.byref(_until)
+
+
+def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
+    """Sleep until shortly before the deadline, spin the rest, and return the time it then is."""
+    wake = deadline_ns - spin_ns
+    if time.monotonic_ns() < wake:
+        _until.tv_sec, _until.tv_nsec = divmod(wake, 1_000_000_000)
+        while _libc.clock_nanosleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, _until_at, None):
+            pass  # interrupted by a signal; the deadline is absolute
+    while (now := time.monotonic_ns()) < deadline_ns:
+        pass
+    return now
+
+
+def be_punctual(priority: int, *, lock: bool = False) -> bool:
+    """Ask for SCHED_FIFO (not at priority 0) and the rest; return whether FIFO was granted."""
+    _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+    fifo = set_fifo(priority)
+    if lock:
+        lock_memory()
+        _keep_awake()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    return fifo
+
+
+def _keep_awake() -> None:
+    """Hold the processors off deep idle states until this process ends; cyclictest does, too."""
+    with suppress(OSError):
+        fd = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
+        os.write(fd, (0).to_bytes(4, "little"))
+
+
+def set_fifo(priority: int) -> bool:
+    """Ask for SCHED_FIFO, which knows no priority 0; return whether it was granted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        return False
+    return True
+
+
+def lock_memory() -> bool:
+    """Keep all memory in place; return whether that was granted."""
+    return bool(_libc.mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
+
+
+def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
+    """Have the kernel end this process when the benchmark ends, however that ends."""
+    _libc.prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
+    # It may have ended before we asked; then our parent is another one already.
+    if str(os.getppid()) != os.environ.get(PARENT, str(os.getppid())):
+        os.kill(os.getpid(), number)

@@ -1,0 +1,23 @@
+"""A program: become another one that ends with our parent, however that ends.
+
+For programs that are not ours, and would outlive a benchmark that was killed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+from armrig.bench.kernel import end_with_parent
+
+
+def main() -> None:
+    """Become the program in the arguments."""
+    # The kernel's promise to send the signal outlives exec (prctl(2), PR_SET_PDEATHSIG).
+    end_with_parent(signal.SIGTERM)
+    os.execvp(sys.argv[1], sys.argv[1:])
+
+
+if __name__ == "__main__":
+    main()

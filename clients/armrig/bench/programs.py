@@ -1,0 +1,222 @@
+"""The contestants' programs: started for one turn, ended whatever happens."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from armrig_core.endpoint import endpoint
+from numpy.typing import NDArray
+
+from armrig.bench.kernel import PARENT
+from armrig.rig import Rig
+from armrig.session import NoReplyError, RigError
+
+RIG = "bench"
+BAUD = 1_000_000
+SUBSCRIBERS = 4
+_START_S, _STOP_S = 15.0, 5.0
+_CONFIG = f"""\
+# The benchmark's: an emulated rig behind a pseudo-terminal, its wire modelled.
+[rig]
+id = "{RIG}"
+
+[device]
+baud = {BAUD}
+
+[recording]
+directory = "{{directory}}"
+"""
+
+
+@contextmanager
+def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[bytes]]:
+    """Run one of our modules with pipes to and from it, and end it."""
+    leash = [] if module else ["armrig.bench.leashed"]
+    command = [sys.executable, "-m", *leash, *arguments]
+    # A session of its own: Ctrl-C is ours, and everything is ended in order.
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE if not module else None,
+        env={**os.environ, PARENT: str(os.getpid())},
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        _end(process)
+
+
+def output(process: subprocess.Popen[bytes], within_s: float) -> bytes:
+    """Return what a program says until it ends by itself.
+
+    Raises
+    ------
+    RigError
+        It fails or does not end in time.
+    """
+    name = _name(process)
+    try:
+        said, complained = process.communicate(timeout=within_s)
+    except subprocess.TimeoutExpired as err:
+        msg = f"{name} did not end within {within_s:.0f} s; is this machine very busy?"
+        raise RigError(msg) from err
+    if process.returncode:
+        why = (complained or b"").decode(errors="replace").strip().splitlines()[-1:]
+        msg = f"{name} ended with exit code {process.returncode} {' '.join(why)}".strip()
+        raise RigError(msg)
+    return said
+
+
+def line(process: subprocess.Popen[bytes]) -> str:
+    """Return the next line that a program says."""
+    said = process.stdout.readline().decode().strip() if process.stdout else ""
+    if not said:
+        msg = f"{_name(process)} did not start; see what it says above"
+        raise RigError(msg)
+    return said
+
+
+def tell(process: subprocess.Popen[bytes], text: str) -> None:
+    """Write a line to a program."""
+    if process.stdin is not None:
+        process.stdin.write(f"{text}\n".encode())
+        process.stdin.flush()
+
+
+class Subscribers:
+    """Processes that note when each sample is called back."""
+
+    def __init__(self, processes: Sequence[subprocess.Popen[bytes]]) -> None:
+        """Wait until all listen."""
+        self._processes = processes
+        for process in processes:
+            line(process)
+
+    def heard(self) -> list[NDArray[np.int64]]:
+        """End them; return k, the sample's host time and the callback's, (n, 3) for each."""
+        triples = [output(p, _STOP_S + _START_S) for p in self._processes]
+        return [np.frombuffer(data, np.int64).reshape(-1, 3) for data in triples]
+
+
+class Daemon:
+    """The daemon on an emulated rig, in a directory of its own."""
+
+    def __init__(self, directory: Path) -> None:
+        self.endpoint = endpoint(RIG, PurePosixPath(directory) / "armrig")
+        self.log = directory / "armrigd.log"
+        self._directory = directory
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Start it and wait until it samples."""
+        config = self._directory / "armrig.toml"
+        config.write_text(_CONFIG.format(directory=self._directory), encoding="utf-8")
+        leash = [sys.executable, "-m", "armrig.bench.leashed"]
+        command = [*leash, sys.executable, "-m", "armrig_daemon", "run", "--config", str(config)]
+        with self.log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [*command, "--emulate"],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=_environment(self._directory),
+                start_new_session=True,
+            )
+        until = time.monotonic() + _START_S
+        while time.monotonic() < until:
+            if self._process.poll() is not None:
+                msg = f"the daemon ended with exit code {self._process.returncode}: {self._said()}"
+                raise RigError(msg)
+            with suppress(NoReplyError), self.rig() as rig:
+                if rig.status().phase == "safe":
+                    return
+            time.sleep(0.1)
+        msg = f"the daemon is not ready after {_START_S:g} s: {self._said()}"
+        raise RigError(msg)
+
+    def rig(self) -> Rig:
+        """Return a client of it."""
+        return Rig(RIG, connect=self.endpoint)
+
+    def loop_pid(self) -> int | None:
+        """Return the process of the loop, or None where the kernel does not tell."""
+        if self._process is None:
+            return None
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            with suppress(OSError):
+                parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
+                named = b"armrig_daemon.loop_process" in (stat.parent / "cmdline").read_bytes()
+                if parent == self._process.pid and named:
+                    return int(stat.parent.name)
+        return None
+
+    def stop(self) -> None:
+        """Have it end by itself, which brings the motor to 0 V, or else end it."""
+        if self._process is not None:
+            _end(self._process)
+
+    def _said(self) -> str:
+        said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return said[-1] if said else "it said nothing"
+
+
+@contextmanager
+def daemon() -> Iterator[Daemon]:
+    """Run the daemon; it and its directory are gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
+        running = Daemon(Path(directory))
+        try:
+            running.start()
+            yield running
+        finally:
+            running.stop()
+
+
+@contextmanager
+def subscribers(where: str) -> Iterator[Subscribers]:
+    """Run the subscribers of an endpoint."""
+    with ExitStack() as stack:
+        yield Subscribers(
+            [
+                stack.enter_context(program("armrig.bench.subscriber", where, RIG))
+                for _ in range(SUBSCRIBERS)
+            ]
+        )
+
+
+def _environment(directory: Path) -> dict[str, str]:
+    """Return ours, with sockets apart from a daemon's that the user may have, and no settings."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("ARMRIG_")}
+    kept.pop("RUNTIME_DIRECTORY", None)
+    return kept | {"XDG_RUNTIME_DIR": str(directory), PARENT: str(os.getpid())}
+
+
+def _name(process: subprocess.Popen[bytes]) -> str:
+    """Return what a person calls the program: our module's name, or what is on the leash."""
+    arguments = process.args if isinstance(process.args, list) else [process.args]
+    named = [str(a) for a in arguments if a not in (sys.executable, "-m", "armrig.bench.leashed")]
+    return Path(named[0]).name
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.terminate()
+        try:
+            process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+    for pipe in (process.stdin, process.stdout, process.stderr):
+        if pipe is not None:
+            with suppress(OSError):
+                pipe.close()

@@ -1,0 +1,98 @@
+"""A program: wake at each deadline, and with a port write a request and read the answer.
+
+Without a port and spin it is the stand-in for cyclictest; with both it is the bare loop. What it
+does beside is nothing, so what the daemon's loop needs more is the daemon's own work.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+import time
+
+import msgspec
+
+from armrig.bench.echo import ANSWER_LENGTH, REQUEST_LENGTH
+from armrig.bench.kernel import be_punctual, end_with_parent, sleep_until
+
+ANSWER_S = 1.0
+"""How long the answer may take before the program gives up, in s."""
+WARM_UP = 2
+"""Ticks before those that count: the first call of each function takes longer."""
+WINDOW_NS = 100_000_000
+"""Over how long processor time is counted, in ns."""
+
+
+class Task(msgspec.Struct, frozen=True, kw_only=True):
+    """What to do."""
+
+    period_ns: int
+    count: int
+    priority: int
+    """SCHED_FIFO priority; 0 is the ordinary policy."""
+    spin_ns: int = 0
+    port: str = ""
+    """Where to write and read at each tick; empty is nowhere."""
+
+
+class Done(msgspec.Struct, frozen=True, kw_only=True):
+    """What came of it."""
+
+    fifo: bool
+    late_ns: list[int]
+    """Wake-up less deadline; deadlines missed meanwhile are skipped, as cyclictest does."""
+    trip_ns: list[int]
+    """From before the write to after the read."""
+    cpu_ns: list[float]
+    """Processor time per tick, over windows of `WINDOW_NS`."""
+
+
+def play(task: Task, *, fifo: bool) -> Done:
+    """Tick as often as asked."""
+    fd = os.open(task.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK) if task.port else -1
+    late: list[int] = []
+    trips: list[int] = []
+    cpu: list[float] = []
+    spin_ns = task.spin_ns if fifo else 0
+    due = time.monotonic_ns() + task.period_ns
+    window = due, 0, 0
+    for n in range(-WARM_UP, task.count + 1):
+        now = sleep_until(due, spin_ns)
+        if n > 0:
+            late.append(now - due)
+        if fd >= 0:
+            trip = _exchange(fd, now)
+            if n > 0:
+                trips.append(trip)
+        due += task.period_ns * (1 + max(0, now - due) // task.period_ns)
+        if n == 0:
+            window = now, time.thread_time_ns(), 0
+        elif n > 0 and (now - window[0] >= WINDOW_NS or n == task.count):
+            used = time.thread_time_ns()
+            cpu.append((used - window[1]) / (n - window[2]))
+            window = now, used, n
+    return Done(fifo=fifo, late_ns=late, trip_ns=trips, cpu_ns=cpu)
+
+
+def _exchange(fd: int, began_ns: int) -> int:
+    os.write(fd, bytes(REQUEST_LENGTH))
+    come = 0
+    while come < ANSWER_LENGTH:
+        if not select.select([fd], [], [], ANSWER_S)[0]:
+            msg = f"no answer within {ANSWER_S:g} s"
+            raise SystemExit(msg)
+        come += len(os.read(fd, 4096))
+    return time.monotonic_ns() - began_ns
+
+
+def main() -> None:
+    """Do the task in the first argument and print what came of it."""
+    end_with_parent()
+    task = msgspec.json.decode(sys.argv[1], type=Task)
+    fifo = be_punctual(task.priority, lock=True)
+    sys.stdout.buffer.write(msgspec.json.encode(play(task, fifo=fifo)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""One collection: how long it may be, and what is told when it does not end well."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import floor, isclose, isfinite
+from pathlib import Path
+from typing import Any, Literal
+
+from armrig_core.commands import LastRun
+from numpy.typing import NDArray
+
+from armrig.progress import bar
+from armrig.rig import Rig, RunEndedError
+from armrig.session import NoReplyError, RigError
+
+MOST_SAMPLES = 1_000_000
+"""As many as the daemon takes in one run."""
+LONGEST_TS = 1.0
+"""Longest sampling time that the daemon takes, in s."""
+LONGEST_OWNER = 80
+_FINISHED_S = 2.0  # how long a stopped run may take to be complete on the disk
+_POLL_S = 0.05
+
+
+class InterruptedRunError(KeyboardInterrupt):
+    """Ctrl-C in a collection; says how the rig was left and where the recording lies."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """What to play, and for whom."""
+
+    experiment: str
+    """Kind of experiment, part of the recording's name."""
+    make: Callable[[int, float], NDArray[Any]]
+    """N and Ts in s -> u (N,) in V."""
+    details: Mapping[str, Any]
+    """What makes the same input again."""
+    seconds: float
+    """Length, in s."""
+    Ts: float | None
+    """Sampling time in s; None is the daemon's."""
+    pacing: Literal["scheduled", "exchange"]
+    """Who makes the samples."""
+    owner: str
+    """Who takes the rig."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no sampling time makes possible, before a rig is asked for."""
+        for name, value in (("--seconds", self.seconds), ("--Ts", self.Ts)):
+            if value is not None and not (isfinite(value) and value > 0):
+                msg = f"{name} {value:g}: must be a number of seconds, more than 0"
+                raise ValueError(msg)
+        if self.Ts is not None and self.Ts > LONGEST_TS:
+            msg = f"--Ts {self.Ts:g}: at most {LONGEST_TS:g} s"
+            raise ValueError(msg)
+        if not 1 <= len(self.owner) <= LONGEST_OWNER:
+            msg = f"--owner has {len(self.owner)} characters: 1 to {LONGEST_OWNER} are allowed"
+            raise ValueError(msg)
+        if self.Ts is not None or self.seconds > MOST_SAMPLES * LONGEST_TS:
+            number_of_samples(self.seconds, self.Ts or LONGEST_TS)
+
+
+def number_of_samples(seconds: float, Ts: float) -> int:
+    """Return the whole number of samples nearest to a length.
+
+    Raises
+    ------
+    ValueError
+        It is none, or more than one run may have.
+    """
+    N = floor(seconds / Ts + 0.5)
+    if N < 1:
+        msg = f"--seconds {seconds:g}: too short for one sample of {Ts:g} s; at least {Ts:g}"
+        raise ValueError(msg)
+    if N > MOST_SAMPLES:
+        msg = f"--seconds {seconds:g}: at most {MOST_SAMPLES} samples, that is "
+        msg += f"{MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s"
+        raise ValueError(msg)
+    return N
+
+
+def collect(
+    plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], None]
+) -> tuple[Path, int, float]:
+    """Arm, play, record, and return the recording's path, its samples asked for and Ts in s.
+
+    Raises
+    ------
+    InterruptedRunError
+        Ctrl-C, once the rig was ours; it has been told to stop.
+    RigError
+        It was refused, or ended early; a fault is told with its reason.
+    ValueError
+        The length is not possible at the sampling time in force; the rig is given back.
+    """
+    with Rig(rig, connect=connect) as opened:
+        before = opened.status().last_run
+        granted = None
+        try:
+            granted = opened.arm(plan.owner, plan.Ts)
+            N = number_of_samples(plan.seconds, granted.Ts)
+            if not isclose(N * granted.Ts, plan.seconds, rel_tol=1e-9):
+                tell(
+                    f"{plan.seconds:g} s are no whole number of samples of {granted.Ts:g} s: "
+                    f"{N} are played, {N * granted.Ts:g} s"
+                )
+            u = plan.make(N, granted.Ts)
+            with bar(plan.experiment) as progress:
+                path = opened.run(
+                    u,
+                    pacing=plan.pacing,
+                    experiment=plan.experiment,
+                    details=plan.details,
+                    progress=progress,
+                )
+        except KeyboardInterrupt as err:
+            if granted is None:
+                raise
+            raise InterruptedRunError(_left(opened, before)) from err
+        except NoReplyError:
+            raise
+        except RigError as err:
+            raise RigError(_reason(opened, err, connect)) from err
+    return path, N, granted.Ts
+
+
+def with_commands(text: str, rig: str, connect: str | None) -> str:
+    """Return what the daemon said with the command in place of a bare `reset`."""
+    return re.sub(r"then `?reset\b`?", f"then {reset_command(rig, connect)}", text)
+
+
+def reset_command(rig: str, connect: str | None) -> str:
+    """Return what a person types to reset this very rig."""
+    given = [*(["--rig", rig] * (rig != "1")), *(["--connect", connect] if connect else [])]
+    return f"`{' '.join(['armrig', 'reset', *given])}`"
+
+
+def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
+    """Return why it failed: a trip shows only as a lease or a run that is gone."""
+    try:
+        status = rig.status()
+    except RigError:
+        return str(err)
+    if status.phase != "fault":
+        return with_commands(str(err), rig.rig, connect)
+    way_out = f"mend it, then {reset_command(rig.rig, connect)}"
+    if isinstance(err, RunEndedError):
+        return f"{err}; {way_out}"
+    return f"rig {rig.rig} is in fault: {status.reason}; {way_out}"
+
+
+def _left(rig: Rig, before: LastRun | None) -> str:
+    """Return how an interrupted run has left the rig, once its recording is finished."""
+    told = f"interrupted: rig {rig.rig} was told to stop (0 V)"
+    until = time.monotonic() + _FINISHED_S
+    try:
+        while True:
+            last = rig.status().last_run
+            if last is None or (before is not None and last.run_id == before.run_id):
+                return f"{told}; nothing was recorded"
+            if last.finished:
+                return f"{told}; the {last.samples} samples until then are in {last.recording}"
+            if time.monotonic() > until:
+                return f"{told}; its recording is still being written: {last.recording}"
+            time.sleep(_POLL_S)
+    except RigError:
+        return f"{told}, but its daemon does not answer: look at the rig"

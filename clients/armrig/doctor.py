@@ -1,0 +1,383 @@
+"""What on this host costs timing, and how to mend each.
+
+Read from the kernel's files under a root that a test can make up; what only a trial tells is in
+`Granted`. Nothing is changed.
+"""
+
+from __future__ import annotations
+
+import grp
+import os
+import re
+import shutil
+import tomllib
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import platformdirs
+
+from armrig.bench.machine import (
+    PRIORITY,
+    governors,
+    granted,
+    load,
+    preemption,
+    text,
+    virtual,
+)
+
+Level = Literal["good", "note", "bad"]
+
+IDLE_MOST_US = 20
+"""Waking from an idle state that takes longer than this is seen in the lateness, in µs."""
+STEAL_MOST = 0.01
+"""Share of the time that a hypervisor may take away."""
+FREE_LEAST = 1 << 30
+"""Free space for recordings, in B; 2 kHz takes some 15 MB a minute."""
+_LIMITS = "/etc/security/limits.d/armrig.conf, then log in anew"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that was looked at."""
+
+    name: str
+    level: Level
+    """good; bad: it costs timing here; note: it cannot be told or mended here, or costs little."""
+    found: str
+    costs: str = ""
+    """What it costs; nothing where it is good."""
+    mend: str = ""
+    """How to mend it."""
+
+    def __str__(self) -> str:
+        """Say it in a line."""
+        parts = [f"{self.level:4}  {self.name}: {self.found}", self.costs, self.mend]
+        return "; ".join(part for part in parts if part)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Granted:
+    """What only a trial tells."""
+
+    fifo: bool
+    """SCHED_FIFO at the loop's priority."""
+    memory_lock: bool
+    """mlockall."""
+    is_root: bool
+    groups: frozenset[str]
+    """Names of this user's groups."""
+    cpus: int
+    """Processors that this process may use."""
+    recordings: Path
+    """Where recordings go."""
+    free_bytes: int
+    """Free space there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Host:
+    """One host: its files and what it grants."""
+
+    root: Path
+    granted: Granted
+
+
+def doctor() -> list[Finding]:
+    """Look at this host and return what was found."""
+    return examine(Host(root=Path("/"), granted=probe()))
+
+
+def examine(host: Host) -> list[Finding]:
+    """Return what was found on a host, each check's in turn."""
+    return [finding for check in _CHECKS for finding in check(host)]
+
+
+def is_well(findings: Iterable[Finding]) -> bool:
+    """Return whether nothing found costs timing here."""
+    return not any(finding.level == "bad" for finding in findings)
+
+
+def probe() -> Granted:
+    """Try what only a trial tells, in a process of its own."""
+    fifo, memory_lock = granted()
+    directory = recordings_directory(Path("/"), Path(platformdirs.user_config_dir("armrig")))
+    there = next(path for path in (directory, *directory.parents) if path.exists())
+    names = set()
+    for gid in {os.getegid(), *os.getgroups()}:
+        with suppress(KeyError):  # a group without a name
+            names.add(grp.getgrgid(gid).gr_name)
+    return Granted(
+        fifo=fifo,
+        memory_lock=memory_lock,
+        is_root=os.geteuid() == 0,
+        groups=frozenset(names),
+        cpus=len(os.sched_getaffinity(0)),
+        recordings=directory,
+        free_bytes=shutil.disk_usage(there).free,
+    )
+
+
+def recordings_directory(root: Path, user: Path) -> Path:
+    """Return where the installed configuration, or none, lets recordings go."""
+    chosen = ""
+    for path in (root / "etc/armrig/armrig.toml", user / "armrig.toml"):
+        with suppress(OSError, ValueError, AttributeError):  # the daemon says what is wrong with it
+            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+            chosen = tables.get("recording", {}).get("directory", "") or chosen
+    if chosen:
+        return Path(chosen).expanduser().absolute()
+    return Path(platformdirs.user_data_dir("armrig")) / "recordings"
+
+
+def _fifo(host: Host) -> list[Finding]:
+    if host.granted.fifo:
+        return [_good("SCHED_FIFO", f"allowed at priority {PRIORITY}")]
+    return [
+        _bad(
+            "SCHED_FIFO",
+            f"not allowed at priority {PRIORITY}",
+            "any busy program delays ticks by milliseconds",
+            f"`@dialout - rtprio 95` in {_LIMITS}; or LimitRTPRIO=95 in systemd's unit",
+        )
+    ]
+
+
+def _memory_lock(host: Host) -> list[Finding]:
+    if host.granted.memory_lock:
+        return [_good("mlockall", "allowed")]
+    return [
+        _bad(
+            "mlockall",
+            "not allowed",
+            "a page that was put away delays a tick by milliseconds",
+            f"`@dialout - memlock unlimited` in {_LIMITS}; or LimitMEMLOCK=infinity in the unit",
+        )
+    ]
+
+
+def _governor(host: Host) -> list[Finding]:
+    found = governors(host.root)
+    if not found:
+        return [_good("governor", "the kernel scales no frequency")]
+    named = ", ".join(found)
+    if found == ["performance"]:
+        return [_good("governor", named)]
+    return [
+        _bad(
+            "governor",
+            named,
+            "a processor that slept runs slowly at first: tens of µs each tick",
+            "`cpupower frequency-set -g performance`",
+        )
+    ]
+
+
+def _idle(host: Host) -> list[Finding]:
+    deepest, name = 0, ""
+    for state in (host.root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpuidle/state[0-9]*"):
+        latency = text(state / "latency")
+        if latency.isdigit() and text(state / "disable") != "1" and int(latency) > deepest:
+            deepest, name = int(latency), text(state / "name")
+    if deepest <= IDLE_MOST_US:
+        return [_good("idle states", f"waking takes at most {deepest} µs")]
+    if os.access(host.root / "dev/cpu_dma_latency", os.W_OK):
+        return [_good("idle states", f"the loop holds off {name}, {deepest} µs to wake from")]
+    return [
+        _bad(
+            "idle states",
+            f"{name} takes {deepest} µs to wake from",
+            f"up to {deepest} µs each tick, for /dev/cpu_dma_latency may not be written",
+            f"the udev rule for cpu_dma_latency, or `cpupower idle-set -D {IDLE_MOST_US}`",
+        )
+    ]
+
+
+def _dma_latency(host: Host) -> list[Finding]:
+    device = host.root / "dev/cpu_dma_latency"
+    if not device.exists():
+        return [_note("cpu_dma_latency", "not there", "idle states cannot be held off by a file")]
+    if os.access(device, os.W_OK):
+        return [_good("cpu_dma_latency", "may be written")]
+    return [
+        _note(
+            "cpu_dma_latency",
+            "may not be written",
+            "the loop cannot hold off deep idle states",
+            'udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`',
+        )
+    ]
+
+
+def _timer_slack(host: Host) -> list[Finding]:
+    slack = text(host.root / "proc/self/timerslack_ns")
+    if not slack.isdigit():
+        return [_note("timer slack", "not told by this kernel")]
+    return [_good("timer slack", f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")]
+
+
+def _swap(host: Host) -> list[Finding]:
+    rows = [row.split() for row in text(host.root / "proc/swaps").splitlines()[1:]]
+    used_kb = sum(int(row[3]) for row in rows if len(row) > 3 and row[3].isdigit())
+    if not used_kb:
+        return [_good("swap", "there, and not used" if rows else "none")]
+    return [
+        _bad(
+            "swap",
+            f"{used_kb / 1024:.0f} MB in use",
+            "what is not locked in memory, the service too, waits for the disk",
+            "end programs, then `swapoff -a`",
+        )
+    ]
+
+
+def _preemption(host: Host) -> list[Finding]:
+    model = preemption(host.root)
+    if model == "PREEMPT_RT":
+        return [_good("preemption", model)]
+    if model in ("none", "voluntary"):
+        return [
+            _bad(
+                "preemption",
+                model,
+                "a long call of the kernel delays a tick by up to milliseconds",
+                "`preempt=full` on the kernel's command line, or Debian's linux-image-rt-amd64",
+            )
+        ]
+    return [
+        _note(
+            "preemption",
+            model,
+            "the worst case has no bound",
+            "Debian's linux-image-rt-amd64, where p99.9 matters",
+        )
+    ]
+
+
+def _ftdi(host: Host) -> list[Finding]:
+    files = sorted((host.root / "sys/bus/usb-serial/devices").glob("*/latency_timer"))
+    findings = []
+    for file in files:
+        ms, port = text(file), file.parent.name
+        if not ms.isdigit() or int(ms) <= 1:
+            findings.append(_good("FTDI latency timer", f"{port} {ms or '?'} ms"))
+            continue
+        findings.append(
+            _bad(
+                "FTDI latency timer",
+                f"{port} {ms} ms",
+                f"an answer may wait {ms} ms in the adapter",
+                f"`echo 1 > /{file.relative_to(host.root)}`, or `setserial /dev/{port} low_latency`"
+                " (armrigd asks for it, too)",
+            )
+        )
+    return findings or [_good("FTDI latency timer", "no such port here")]
+
+
+def _throttling(host: Host) -> list[Finding]:
+    kernel = host.root / "proc/sys/kernel"
+    runtime, period = text(kernel / "sched_rt_runtime_us"), text(kernel / "sched_rt_period_us")
+    if not re.fullmatch(r"-?\d+", runtime):
+        return [_note("RT throttling", "not told by this kernel")]
+    if int(runtime) < 0:
+        return [_good("RT throttling", "off")]
+    share = int(runtime) / int(period) if period.isdigit() and int(period) else 0.0
+    if share >= 0.9:
+        return [_good("RT throttling", f"beyond {share:.0%} of a processor; the loop uses less")]
+    return [
+        _bad(
+            "RT throttling",
+            f"real-time programs may use {share:.0%} of a processor",
+            "beyond it the loop is stopped until the period ends",
+            "`sysctl kernel.sched_rt_runtime_us=950000`",
+        )
+    ]
+
+
+def _virtual(host: Host) -> list[Finding]:
+    fields = (text(host.root / "proc/stat").splitlines() or [""])[0].split()[1:9]
+    ticks = [int(f) for f in fields if f.isdigit()]
+    total = sum(ticks)
+    steal = ticks[7] / total if len(ticks) == 8 and total else 0.0
+    if steal > STEAL_MOST:
+        return [
+            _bad(
+                "virtual machine",
+                f"{steal:.1%} of the time since the start was taken away by the host below",
+                "ticks are late by whole time slices",
+                "run the daemon on real hardware, or give this machine processors of its own",
+            )
+        ]
+    if virtual(host.root):
+        return [
+            _note(
+                "virtual machine",
+                f"yes; {steal:.1%} of the time since the start was taken away",
+                "each wake-up goes through the host below, and no tail is bounded",
+                "run the daemon on real hardware",
+            )
+        ]
+    return [_good("virtual machine", "no")]
+
+
+def _load(host: Host) -> list[Finding]:
+    mean, cpus = load(host.root), host.granted.cpus
+    if not mean > cpus:  # NaN is not told
+        return [_good("load", f"{mean:g} on {cpus} processors")]
+    return [
+        _bad(
+            "load",
+            f"{mean:g} on {cpus} processors",
+            "service and subscribers wait for a processor, and so does the loop without FIFO",
+            "end other programs (`top` names them)",
+        )
+    ]
+
+
+def _serial_group(host: Host) -> list[Finding]:
+    ours = sorted(host.granted.groups & {"dialout", "uucp"})
+    if ours or host.granted.is_root:
+        return [_good("serial ports", f"member of {', '.join(ours)}" if ours else "root")]
+    return [
+        _bad(
+            "serial ports",
+            "this user is not in dialout",
+            "the rig's port cannot be opened",
+            "`usermod -aG dialout $USER`, then log in anew",
+        )
+    ]
+
+
+def _disk(host: Host) -> list[Finding]:
+    free, where = host.granted.free_bytes, host.granted.recordings
+    if free >= FREE_LEAST:
+        return [_good("disk", f"{free / 2**30:.1f} GiB free in {where}")]
+    return [
+        _bad(
+            "disk",
+            f"{free / 2**20:.0f} MiB free in {where}",
+            "a full disk ends the recording",
+            "make room, or set [recording] directory",
+        )
+    ]
+
+
+_CHECKS: tuple[Callable[[Host], list[Finding]], ...] = (
+    *(_fifo, _memory_lock, _governor, _idle, _dma_latency, _timer_slack, _swap, _preemption),
+    *(_ftdi, _throttling, _virtual, _load, _serial_group, _disk),
+)
+
+
+def _good(name: str, found: str) -> Finding:
+    return Finding(name=name, level="good", found=found)
+
+
+def _note(name: str, found: str, costs: str = "", mend: str = "") -> Finding:
+    return Finding(name=name, level="note", found=found, costs=costs, mend=mend)
+
+
+def _bad(name: str, found: str, costs: str, mend: str) -> Finding:
+    return Finding(name=name, level="bad", found=found, costs=costs, mend=mend)

@@ -1,0 +1,111 @@
+"""What a rig publishes, live."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import zenoh
+from armrig_core import protobuf, telemetry, topics
+
+from armrig.session import NoReplyError, default_endpoint, open_session
+
+SILENCE_S = 1.0
+"""After so long without a message the daemon is looked for, in s."""
+_LOOK_S = 1.0
+_LISTEN_S = 0.002
+_RING = 10_000  # samples that a slow listener may be behind before it misses some
+_MESSAGES = {
+    "gap": protobuf.GAP,
+    "event": protobuf.LOG,
+    "timing": protobuf.TIMING,
+    "clock": protobuf.CLOCK,
+    "state": protobuf.STATE,
+}
+
+
+def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
+    """Iterate over the live messages of a key such as `rig/1/sample`.
+
+    A listener that falls behind misses the oldest ones: a break in `k` shows it.
+
+    Parameters
+    ----------
+    key : str
+        `rig/<id>/` and one of sample, gap, event, timing and state.
+    connect : str, optional
+        zenoh endpoint of the daemon; by default the socket of this user's daemon.
+
+    Yields
+    ------
+    armrig_core.telemetry.Sample or protobuf message
+        Samples as named tuples whose fields carry their unit (`u_applied_v`, `theta_1_rad`);
+        everything else as `armrig.v1` messages.
+
+    Raises
+    ------
+    NoReplyError
+        There is no daemon, or it went away.
+    ValueError
+        The key is no stream of a rig.
+    """
+    rig, _ = _stream_of(key)
+    where = connect or default_endpoint(rig)
+    with open_session(where, rig=rig) as session:
+        yield from listen(session, key)
+
+
+def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
+    """Iterate over the messages of a key in an open session: see `stream`."""
+    rig, name = _stream_of(key)
+    # A ring, not a queue: one that nobody drains would block zenoh's own thread.
+    with (
+        session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber,
+        session.liveliness().declare_subscriber(
+            topics.alive_key(rig), zenoh.handlers.RingChannel(8)
+        ) as alive,
+    ):
+        heard_s = time.monotonic()
+        while True:
+            while (received := subscriber.try_recv()) is not None:
+                yield decoded(name, received.payload.to_bytes())
+                heard_s = time.monotonic()
+            if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
+                raise _gone(rig)
+            if time.monotonic() - heard_s > SILENCE_S:
+                # A token is withdrawn over the very connection that ends with the daemon, so its
+                # withdrawal may never come: ask.
+                if not _is_alive(session, rig):
+                    raise _gone(rig)
+                heard_s = time.monotonic()
+            time.sleep(_LISTEN_S)
+
+
+def decoded(name: str, payload: bytes) -> Any:
+    """Return one message of the stream `name`."""
+    if name != "sample":
+        return protobuf.message_class(_MESSAGES[name]).FromString(payload)
+    sample = telemetry.decode_sample(payload)
+    if sample is not None:
+        return sample
+    # A later version's, with more fields.
+    message = protobuf.message_class(protobuf.SAMPLE).FromString(payload)
+    return telemetry.Sample._make(getattr(message, field) for field in telemetry.Sample._fields)
+
+
+def _is_alive(session: zenoh.Session, rig: str) -> bool:
+    replies = session.liveliness().get(topics.alive_key(rig), timeout=_LOOK_S)
+    return any(reply.ok is not None for reply in replies)
+
+
+def _gone(rig: str) -> NoReplyError:
+    return NoReplyError(f"rig {rig}: its daemon went away; start it with `armrigd run`")
+
+
+def _stream_of(key: str) -> tuple[str, str]:
+    parts = key.split("/")
+    if len(parts) != 3 or parts[0] != "rig" or parts[2] not in topics.STREAMS:
+        msg = f"key {key!r}: a stream is rig/<id>/ and one of {', '.join(topics.STREAMS)}"
+        raise ValueError(msg)
+    return topics.check_rig_id(parts[1]), parts[2]

@@ -1,0 +1,92 @@
+"""What all figures share: colours, line styles, panels, and the signature of a recording."""
+
+from __future__ import annotations
+
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.dataset import Dataset
+
+# M. Okabe, K. Ito, "Color Universal Design", 2008; without the yellow, too pale on paper.
+BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = (
+    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"),
+)
+INK, GREY = "#222222", "#777777"
+COLOURS = (VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY)
+DASHES: tuple[Any, ...] = ("--", "-", "-.", ":", (0, (6, 1.5, 1.5, 1.5)), (0, (3, 1)))
+NAMES = {"theta_1": r"$\theta_1$", "alpha": r"$\alpha$", "velocity": r"$\dot\theta_1$"}
+MISSING = "#BBBBBB"
+
+
+def axes(ax: Axes | None) -> Axes:
+    """Return `ax`, or those of a new figure of pyplot's."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot as plt
+
+    return plt.subplots()[1]
+
+
+def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
+    """Return `ax`, shortened, and a panel below it that takes `share` of the height of both."""
+    from mpl_toolkits.axes_grid1 import (  # type: ignore[import-untyped]
+        make_axes_locatable,
+    )
+
+    ax = axes(ax)
+    size = f"{100 * share / (1 - share):.0f}%"
+    pad = 0.08 if sharex else 0.28
+    below = make_axes_locatable(ax).append_axes(
+        "bottom", size=size, pad=pad, sharex=ax if sharex else None
+    )
+    if sharex:
+        ax.tick_params(labelbottom=False)
+    return ax, below
+
+
+def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
+    """Give panels the look that all have."""
+    for ax in panels:
+        ax.grid(visible=True, which="major", color="#DDDDDD", lw=0.5)
+        ax.set_axisbelow(True)
+        for side in ("top", "right"):
+            ax.spines[side].set_visible(False)
+        if xlim:
+            ax.set_xlim(*xlim)
+    panels[0].figure.align_ylabels(panels)
+
+
+def sign(ax: Axes, *sources: str) -> Axes:
+    """Write the hashes of the recordings above the axes, small."""
+    hashes = list(dict.fromkeys(h[:12] for source in sources for h in source.split("+") if h))
+    if hashes:
+        text = ("recording " if len(hashes) == 1 else "recordings ") + ", ".join(hashes)
+        ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3)
+    return ax
+
+
+def shade(ax: Axes, data: Dataset) -> None:
+    """Shade the time in which y is missing."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~data.valid, [False]]).astype(int)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        ax.axvspan((begin - 0.5) * data.Ts, (end - 0.5) * data.Ts, color=MISSING, alpha=0.5, lw=0)
+
+
+def pens() -> Any:
+    """Iterate over colours and line styles, in pairs, for ever."""
+    return cycle(zip(COLOURS, DASHES, strict=True))
+
+
+def named(output: str, unit: str) -> str:
+    """Return an output's label for an axis."""
+    return f"{NAMES.get(output, output)} [{unit or '–'}]"
+
+
+def short(x: float) -> str:
+    """Return a number with three digits, or all before the point."""
+    return f"{x:.3g}" if x < 1000 else f"{x:.0f}"

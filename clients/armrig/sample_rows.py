@@ -1,0 +1,130 @@
+"""The samples of a file: rows of constant layout taken many at once, others one by one."""
+
+from __future__ import annotations
+
+from struct import Struct
+from typing import Any
+
+import numpy as np
+from armrig_core import telemetry
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+_FORMATS = {"fixed64": "<u8", "sfixed64": "<i8", "double": "<f8", "fixed32": "<u4"}
+SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMPLE_FIELDS])
+"""One sample as a numpy record: the fields of `armrig_core.telemetry.Sample`."""
+
+RECORD_HEAD = Struct("<BQ")
+"""Opcode and length, before each record's content."""
+CHANNEL = slice(RECORD_HEAD.size, RECORD_HEAD.size + 2)
+"""Where a message record says its channel."""
+
+_FIRST_WINDOW, _GROWTH = 512, 8  # rows
+_PENDING_LIMIT = 8 << 20  # bytes of rows kept before they are turned into samples
+
+
+class DamageError(Exception):
+    """Reading cannot go on from here; says why."""
+
+
+class SampleRows:
+    """Collects samples, whose k must rise."""
+
+    def __init__(self) -> None:
+        self._last_k = -1
+        self._batches: list[NDArray[np.void]] = []
+        self._pending: list[NDArray[np.uint8]] = []
+        self._pending_size = 0
+
+    def take_run(self, data: bytes, at: int) -> int:
+        """Take the samples of constant layout that begin at `at`, and return their size in B.
+
+        All are of the channel of the first, which holds samples.
+        """
+        channel = tuple(data[at + CHANNEL.start : at + CHANNEL.stop])
+        width, first, window = _ROW.itemsize, at, _FIRST_WINDOW
+        # In windows that grow: to compare all that is left, after each message of another kind
+        # again, would take quadratic time on a file made for it.
+        while n := min(window, (len(data) - at) // width):
+            rows = np.frombuffer(data, np.uint8, n * width, at).reshape(n, width)
+            same = (rows[:, _FIXED] == _TEMPLATE).all(axis=1)
+            same &= (rows[:, CHANNEL] == channel).all(axis=1)
+            count = n if same.all() else int(same.argmin())
+            if count:
+                self._pending.append(rows[:count])
+                self._pending_size += count * width
+            at += count * width
+            if count < n:
+                break
+            window *= _GROWTH
+        if self._pending_size > _PENDING_LIMIT:
+            self._pack()
+        return at - first
+
+    def take(self, message: Any) -> None:
+        """Take one sample, a protobuf message."""
+        self._pack()
+        names = telemetry.Sample._fields
+        self._keep(np.array([tuple(getattr(message, name) for name in names)], SAMPLE_DTYPE))
+
+    def finish(self) -> str:
+        """Take what is left; return what is wrong with it, or nothing."""
+        try:
+            self._pack()
+        except DamageError as damage:
+            return str(damage)
+        return ""
+
+    def samples(self) -> NDArray[np.void]:
+        """Return what was taken, `SAMPLE_DTYPE`, k rising strictly."""
+        return np.concatenate(self._batches) if self._batches else np.zeros(0, SAMPLE_DTYPE)
+
+    def _pack(self) -> None:
+        """Turn the rows collected into samples."""
+        if not self._pending:
+            return
+        rows = np.concatenate(self._pending).reshape(-1).view(_ROW)
+        self._pending, self._pending_size = [], 0
+        samples = np.empty(rows.size, SAMPLE_DTYPE)
+        for name in telemetry.Sample._fields:
+            samples[name] = rows[name]
+        self._keep(samples)
+
+    def _keep(self, samples: NDArray[np.void]) -> None:
+        k = samples["k"]
+        rising = np.empty(k.size, np.bool_)
+        rising[0] = self._last_k < int(k[0])
+        rising[1:] = k[1:] > k[:-1]
+        good = k.size if rising.all() else int(rising.argmin())
+        if good:
+            self._batches.append(samples[:good])
+            self._last_k = int(k[good - 1])
+        if good < k.size:
+            msg = f"sample {k[good]} follows sample {self._last_k}: k must rise"
+            raise DamageError(msg)
+
+
+def _layout() -> tuple[np.dtype[np.void], list[int], NDArray[np.uint8]]:
+    """Return the row of a sample's message record, where its constant bytes are, and what they are.
+
+    A record is opcode, length, channel, sequence, log time, publish time; then the message.
+    """
+    head = RECORD_HEAD.size + 2 + 4 + 8 + 8
+    names, formats, offsets = list(SAMPLE_DTYPE.names or ()), [], []
+    at = head
+    for name in names:
+        formats.append(SAMPLE_DTYPE[name])
+        offsets.append(at + 1)  # after the tag
+        at += 1 + SAMPLE_DTYPE[name].itemsize
+    row = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": at})
+    places = [*range(RECORD_HEAD.size), *(offset - 1 for offset in offsets)]
+    example = telemetry.encode_sample(telemetry.Sample(*(0,) * len(names)))
+    record = (
+        RECORD_HEAD.pack(Opcode.MESSAGE, at - RECORD_HEAD.size)
+        + bytes(head - RECORD_HEAD.size)
+        + example
+    )
+    return row, places, np.frombuffer(record, np.uint8)[places]
+
+
+_ROW, _FIXED, _TEMPLATE = _layout()

@@ -1,0 +1,250 @@
+"""The doctor on hosts made of files: what it finds, what that costs, and how to mend it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig import doctor
+from armrig.bench import machine
+from armrig.cli import main
+from armrig.doctor import Finding, Granted, Host, examine, is_well
+
+GRANTED: dict[str, Any] = {
+    "fifo": True,
+    "memory_lock": True,
+    "is_root": False,
+    "groups": frozenset({"student", "dialout"}),
+    "cpus": 4,
+    "recordings": Path("/data"),
+    "free_bytes": 50 << 30,
+}
+GOOD = {
+    "proc/sys/kernel/version": "#1 SMP PREEMPT_RT Debian 6.12.48-1",
+    "proc/cmdline": "quiet",
+    "proc/cpuinfo": "model name\t: a real one\nflags\t\t: fpu tsc\n",
+    "proc/loadavg": "0.40 0.50 0.60 1/200 4711",
+    "proc/stat": "cpu  100 0 100 9800 0 0 0 0 0 0\ncpu0 1 1 1 1 1 1 1 1 0 0",
+    "proc/swaps": "Filename\tType\tSize\tUsed\tPriority\n",
+    "proc/self/timerslack_ns": "50000",
+    "proc/sys/kernel/sched_rt_runtime_us": "950000",
+    "proc/sys/kernel/sched_rt_period_us": "1000000",
+    "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor": "performance",
+    "sys/devices/system/cpu/cpu0/cpuidle/state1/latency": "2",
+    "sys/devices/system/cpu/cpu0/cpuidle/state1/name": "C1",
+    "sys/devices/system/cpu/cpu0/cpuidle/state1/disable": "0",
+    "sys/bus/usb-serial/devices/ttyUSB0/latency_timer": "1",
+    "dev/cpu_dma_latency": "",
+}
+
+
+def host(root: Path, files: dict[str, str] | None = None, **granted: Any) -> Host:
+    """Return a good host but for these files and grants."""
+    for name, content in (GOOD | (files or {})).items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content)
+    return Host(root=root, granted=Granted(**(GRANTED | granted)))
+
+
+def found(findings: list[Finding], name: str) -> Finding:
+    """Return the one finding of a name."""
+    (finding,) = (f for f in findings if f.name == name)
+    return finding
+
+
+def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
+    """Each check says in a line what it found, and asks for nothing."""
+    findings = examine(host(tmp_path))
+
+    assert {f.level for f in findings} == {"good"}
+    assert len(findings) == 14
+    assert all("\n" not in str(f) and not f.mend for f in findings)
+
+
+@pytest.mark.parametrize(
+    ("name", "files", "granted", "words", "way_out"),
+    [
+        ("SCHED_FIFO", {}, {"fifo": False}, "priority 80", "rtprio 95"),
+        ("mlockall", {}, {"memory_lock": False}, "not allowed", "memlock unlimited"),
+        (
+            "governor",
+            {"sys/devices/system/cpu/cpu1/cpufreq/scaling_governor": "powersave"},
+            {},
+            "performance, powersave",
+            "frequency-set -g performance",
+        ),
+        (
+            "swap",
+            {"proc/swaps": "Filename Type Size Used Priority\n/dev/sda2 partition 9999 2048 -2"},
+            {},
+            "2 MB in use",
+            "swapoff",
+        ),
+        (
+            "preemption",
+            {
+                "proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC Debian",
+                "sys/kernel/debug/sched/preempt": "none (voluntary) full lazy",
+            },
+            {},
+            "voluntary",
+            "preempt=full",
+        ),
+        (
+            "FTDI latency timer",
+            {"sys/bus/usb-serial/devices/ttyUSB0/latency_timer": "16"},
+            {},
+            "ttyUSB0 16 ms",
+            "echo 1 > /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
+        ),
+        (
+            "RT throttling",
+            {"proc/sys/kernel/sched_rt_runtime_us": "300000"},
+            {},
+            "30%",
+            "sched_rt_runtime_us",
+        ),
+        (
+            "virtual machine",
+            {"proc/stat": "cpu  100 0 100 8800 0 0 0 1000 0 0"},
+            {},
+            "10.0%",
+            "real hardware",
+        ),
+        ("load", {"proc/loadavg": "7.10 1 1 1/2 3"}, {}, "7.1 on 4", "end other programs"),
+        ("serial ports", {}, {"groups": frozenset({"student"})}, "dialout", "usermod -aG dialout"),
+        ("disk", {}, {"free_bytes": 3 << 20}, "3 MiB free in /data", "make room"),
+    ],
+    ids=lambda value: value if isinstance(value, str) and value[:1] != "#" else "",
+)
+def test_what_costs_timing_is_told_with_the_way_out(
+    tmp_path: Path,
+    name: str,
+    files: dict[str, str],
+    granted: dict[str, Any],
+    words: str,
+    way_out: str,
+) -> None:
+    """One bad thing is one bad finding, and nothing else changes."""
+    findings = examine(host(tmp_path, files, **granted))
+
+    assert [f.name for f in findings if f.level == "bad"] == [name]
+    finding = found(findings, name)
+    assert words in finding.found
+    assert finding.costs
+    assert way_out in finding.mend
+    assert not is_well(findings)
+
+
+def test_what_cannot_be_mended_here_is_a_note_and_does_not_count(tmp_path: Path) -> None:
+    """A virtual machine that gets its time, and a kernel without a bound."""
+    files = {
+        "proc/cpuinfo": "flags\t\t: fpu hypervisor tsc\n",
+        "proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC @0",
+    }
+
+    findings = examine(host(tmp_path, files))
+
+    assert [f.name for f in findings if f.level == "note"] == ["preemption", "virtual machine"]
+    assert is_well(findings)
+
+
+def test_a_host_that_tells_nothing_is_no_error(tmp_path: Path) -> None:
+    """An empty tree: what is not told is said, or taken for what its absence means."""
+    findings = examine(Host(root=tmp_path, granted=Granted(**GRANTED)))
+
+    assert {f.name for f in findings if f.level == "note"} == {
+        *("cpu_dma_latency", "timer slack", "preemption", "RT throttling"),
+    }
+    assert is_well(findings)
+
+
+def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Path) -> None:
+    """By /dev/cpu_dma_latency, which the loop holds while it runs."""
+    state = "sys/devices/system/cpu/cpu1/cpuidle/state3"
+    made = host(tmp_path, {f"{state}/latency": "133", f"{state}/name": "C6"})
+
+    assert found(examine(made), "idle states").level == "good"
+
+    (tmp_path / "dev/cpu_dma_latency").unlink()
+    finding = found(examine(made), "idle states")
+    assert finding.level == "bad"
+    assert finding.found == "C6 takes 133 µs to wake from"
+    assert "idle-set" in finding.mend
+
+
+def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
+    """The kernel does not use it."""
+    state = "sys/devices/system/cpu/cpu0/cpuidle/state1"
+    made = host(tmp_path, {f"{state}/latency": "300", f"{state}/disable": "1"})
+    (tmp_path / "dev/cpu_dma_latency").unlink()
+
+    assert found(examine(made), "idle states").found == "waking takes at most 0 µs"
+
+
+@pytest.mark.parametrize(
+    ("files", "model"),
+    [
+        ({"sys/kernel/realtime": "1"}, "PREEMPT_RT"),
+        ({"sys/kernel/debug/sched/preempt": "none voluntary (full) lazy"}, "full"),
+        ({"proc/cmdline": "quiet preempt=none ro"}, "none"),
+        ({"proc/sys/kernel/version": "#1 SMP PREEMPT 2024"}, "full"),
+        ({"proc/sys/kernel/version": "#1 SMP 2024"}, "unknown"),
+        ({}, "unknown"),
+    ],
+)
+def test_the_preemption_model_is_told_by_the_first_that_knows(
+    tmp_path: Path, files: dict[str, str], model: str
+) -> None:
+    """The kernel's own file, its command line, or the words in its version."""
+    for name, content in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(content)
+
+    assert machine.preemption(tmp_path) == model
+
+
+def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> None:
+    """Over the host's; a file that cannot be read as TOML is the daemon's to complain of."""
+    user = tmp_path / "user"
+    for directory, content in (
+        (tmp_path / "etc/armrig", '[recording]\ndirectory = "/srv/rig"\n'),
+        (user, "no toml"),
+    ):
+        directory.mkdir(parents=True)
+        (directory / "armrig.toml").write_text(content)
+
+    assert doctor.recordings_directory(tmp_path, user) == Path("/srv/rig")
+
+    (user / "armrig.toml").write_text('[recording]\ndirectory = "/home/a"\n')
+    assert doctor.recordings_directory(tmp_path, user) == Path("/home/a")
+
+
+@pytest.mark.parametrize(("fifo", "code"), [(True, 0), (False, 1)])
+def test_the_exit_code_says_whether_all_is_well(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    fifo: bool,
+    code: int,
+) -> None:
+    """0 only when nothing costs timing; one line each, or JSON."""
+    findings = examine(host(tmp_path, fifo=fifo))
+    monkeypatch.setattr(doctor, "doctor", lambda: findings)
+
+    assert main(["doctor"]) == code
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(findings)
+    assert lines[0].startswith("good  SCHED_FIFO" if fifo else "bad   SCHED_FIFO")
+
+    assert main(["doctor", "--json"]) == code
+    said = json.loads(capsys.readouterr().out)
+    assert [f["level"] for f in said].count("bad") == code
+
+
+def test_this_host_is_looked_at_whatever_it_is() -> None:
+    """The real files and a real trial: all checks say something."""
+    assert len(doctor.doctor()) >= 14
