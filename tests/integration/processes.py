@@ -66,10 +66,10 @@ class Bench:
         self.processes: list[Process] = []
         self.configure()
 
-    def configure(self, baud: int = 1_000_000, more: str = "") -> None:
+    def configure(self, baud: int = 1_000_000, more: str = "", watchdog_ms: int = 100) -> None:
         """Write the configuration that both programs read."""
         self.config.write_text(
-            f'[device]\nport = "{self.port}"\nbaud = {baud}\n'
+            f'[device]\nport = "{self.port}"\nbaud = {baud}\nwatchdog_ms = {watchdog_ms}\n'
             f'[recording]\ndirectory = "{self.recordings}"\n'
             f"[emulator]\nbaud = {baud}\n{more}\n"
         )
