@@ -55,7 +55,7 @@ def subscribe(endpoint: str) -> subprocess.Popen[str]:
     return process
 
 
-def play(bench: Bench, seconds: int) -> None:
+def play(bench: Bench, seconds: int, pacing: str) -> None:
     """Run for so long and print the figures."""
     emulator, daemon = bench.emulate(), bench.serve()
     pids = {
@@ -65,12 +65,12 @@ def play(bench: Bench, seconds: int) -> None:
     }
     with bench.rig() as rig:
         subscribers = [subscribe(rig.endpoint) for _ in range(2)]
-        path, used = _record(rig, pids, seconds)
+        path, used = _record(rig, pids, seconds, pacing)
         time.sleep(0.5)  # the last samples are on their way to the subscribers
         heard = [json.loads(s.communicate("\n")[0].splitlines()[-1]) for s in subscribers]
     recording = armrig.load(path)
     n, asked = recording.samples.size, seconds * 1000
-    print(f"{asked} ticks, {n} samples recorded, {asked - n} skipped, in {path}")
+    print(f"{asked} ticks, {n} samples recorded, {asked - n} skipped, in {path.name}")
     told = sum(gap.count for gap in recording.gaps)
     print(f"gaps in the file account for {told} samples; of those, by reason:")
     reasons: dict[str, int] = {}
@@ -89,21 +89,30 @@ def play(bench: Bench, seconds: int) -> None:
         print(f"{name}: {100 * value / seconds:.1f} % of one core")
 
 
-def _record(rig: Rig, pids: dict[str, int], seconds: int) -> tuple[Path, dict[str, float]]:
+def _record(
+    rig: Rig, pids: dict[str, int], seconds: int, pacing: str
+) -> tuple[Path, dict[str, float]]:
     u = armrig.telegraph(seconds * 1000, 0.05, seed=1)
     rig.arm("benchmark", Ts=0.001)
     before = {name: cpu_s(pid) for name, pid in pids.items()}
-    path = rig.run(u, experiment="benchmark")
+    path = rig.run(u, pacing=pacing, experiment="benchmark")  # type: ignore[arg-type]
     return path, {name: cpu_s(pid) - before[name] for name, pid in pids.items()}
 
 
 def main() -> None:
-    """Run for 60 s, or as many seconds as the first argument says."""
+    """Run for 60 s in either mode, or as many seconds as the first argument says."""
     seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    for pacing in ("exchange", "scheduled"):
+        print(f"-- {pacing}")
+        run(seconds, pacing)
+
+
+def run(seconds: int, pacing: str) -> None:
+    """Start everything, play, and end everything."""
     bench = Bench(Path(tempfile.mkdtemp(prefix="armrig-bench-")))
     processes: list[Process] = bench.processes
     try:
-        play(bench, seconds)
+        play(bench, seconds, pacing)
     finally:
         for process in reversed(processes):
             process.end()
