@@ -33,8 +33,10 @@ def account(state: State, end: int, now_ns: int, u_before: int | None = None) ->
         Code that was in force just before it, as that sample says (u_km1).
     """
     first = state.told + 1
+    # Ticks may have been skipped already behind a sample that is still on its way.
+    later = tuple(a for a in state.absent if a.k + a.n > end)
     if state.told < 0 or first >= end:
-        return state._replace(told=max(state.told, end - 1), absent=()), []
+        return state._replace(told=max(state.told, end - 1), absent=later), []
     pieces = list(_pieces(state, first, end, now_ns))
     done: list[Action] = []
     code = state.applied
@@ -43,7 +45,7 @@ def account(state: State, end: int, now_ns: int, u_before: int | None = None) ->
         if i == len(pieces) - 1 and u_before is not None and (piece.n == 1 or piece.code is None):
             code = u_before  # nothing was latched since: all of the piece was held at it
         done.append(Emit(_gap(piece, code)))
-    return state._replace(told=end - 1, absent=()), done
+    return state._replace(told=end - 1, absent=later), done
 
 
 def _pieces(state: State, first: int, end: int, now_ns: int) -> list[Absent]:

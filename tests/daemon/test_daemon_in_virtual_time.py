@@ -492,6 +492,21 @@ def test_no_more_than_two_commands_are_ever_on_the_way(bench: Bench) -> None:
     assert waiting == MAX_UNECHOED
 
 
+def test_ticks_that_wait_for_a_late_device_say_so(bench: Bench) -> None:
+    """35 ms for an answer at Ts 10 ms: two on the way, the next ticks are skipped, and told why."""
+    ports = bench.ports
+
+    def delay(data: bytes) -> bytes:
+        ports.send(ports.now + 35 * MS, Received(data))
+        return b""
+
+    ports.from_device = delay
+    bench.run_for(1000)
+
+    reasons = {gap.reason for gap in bench.of(Gap)}
+    assert reasons == {"the device was late"}
+
+
 def test_a_device_that_applies_something_else_is_stopped(driven: Bench) -> None:
     """S5: what it says it latched is compared with what was commanded."""
 
