@@ -493,11 +493,11 @@ def test_no_more_than_two_commands_are_ever_on_the_way(bench: Bench) -> None:
 
 
 def test_ticks_that_wait_for_a_late_device_say_so(bench: Bench) -> None:
-    """35 ms for an answer at Ts 10 ms: two on the way, the next ticks are skipped, and told why."""
+    """25 ms for an answer at Ts 10 ms: two on the way, the next ticks are skipped, and told why."""
     ports = bench.ports
 
     def delay(data: bytes) -> bytes:
-        ports.send(ports.now + 35 * MS, Received(data))
+        ports.send(ports.now + 25 * MS, Received(data))
         return b""
 
     ports.from_device = delay
