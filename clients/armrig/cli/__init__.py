@@ -1,0 +1,148 @@
+"""The command `armrig`: what a person types. Everything heavy is imported where it is needed."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from armrig.cli import collect, files, models, rig, tools
+from armrig.cli.options import tell
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+# In the order in which `armrig --help` tells them.
+for _command in (
+    tools.demo,
+    rig.status,
+    rig.watch,
+    rig.stop,
+    rig.reset,
+    tools.bench,
+    tools.doctor,
+    files.info,
+    models.identify,
+    models.compare,
+    files.report,
+):
+    app.command()(_command)
+app.add_typer(collect.app, name="collect")
+
+# Newer typers bring a click of their own, older ones use the click installed: this is either's.
+_UsageError: Any = typer.BadParameter.__base__
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from armrig import __version__
+
+        typer.echo(f"armrig {__version__}")
+        raise typer.Exit
+
+
+@app.callback(help="Record, identify and validate models of a control laboratory's rig.")
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=_print_version, help="Say the version, and exit."
+        ),
+    ] = False,
+) -> None:
+    """Take the options before the command."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0 only when it did what was asked.
+
+    SIGTERM and SIGHUP (a closed terminal) end it as Ctrl-C does, which stops a rig that is running
+    for us; the exit code is then 128 and the signal's number.
+    """
+    with _signals() as received:
+        code = _run(arguments)
+    if received:
+        return _failed(f"ended by {received[0].name}", 128 + received[0])
+    return code
+
+
+@contextmanager
+def _signals() -> Iterator[list[signal.Signals]]:
+    """Raise KeyboardInterrupt at the first of SIGTERM and SIGHUP; give those that came."""
+    received: list[signal.Signals] = []
+
+    def interrupt(number: int, _: object) -> None:
+        received.append(signal.Signals(number))
+        # Only once: a second one, such as SIGHUP before SIGTERM, must not end the stopping.
+        if len(received) == 1:
+            raise KeyboardInterrupt
+
+    # What nohup ignores stays ignored.
+    before = {
+        number: handler
+        for number in (signal.SIGTERM, signal.SIGHUP)
+        if (handler := signal.getsignal(number)) not in (None, signal.SIG_IGN)
+    }
+    for number in before:
+        signal.signal(number, interrupt)
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    command = typer.main.get_command(app)
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        # Not command.main(): that has exit codes of its own for Ctrl-C and for a broken pipe.
+        with command.make_context("armrig", [*given] or ["--help"]) as context:
+            command.invoke(context)
+    except typer.Exit as err:
+        return int(err.exit_code) if given else 2  # nothing was asked for: help, as armrigd does
+    except _UsageError as err:
+        where = err.ctx.command_path if err.ctx else "armrig"
+        return _failed(f"{_plainly(err.format_message())}; see `{where} --help`", 2)
+    except (typer.Abort, KeyboardInterrupt) as err:
+        return _failed(str(err) or "interrupted", 130)
+    except BrokenPipeError:  # `armrig info F | head`
+        # Nobody reads: what is still buffered must not complain when the interpreter ends.
+        with suppress(OSError, ValueError), Path(os.devnull).open("wb") as nothing:
+            os.dup2(nothing.fileno(), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+    except OSError as err:
+        named = f"{err.filename}: {err.strerror}" if err.filename and err.strerror else str(err)
+        return _failed(named, 1)
+    except (ValueError, RuntimeError) as err:
+        return _failed(str(err), 1)
+    return 0
+
+
+def _failed(message: str, code: int) -> int:
+    tell(message)
+    return code
+
+
+def _plainly(message: str) -> str:
+    """Return what typer and its checks say in our words: option first, then what is allowed."""
+    message = message.strip().rstrip(".")
+    for theirs, ours in (
+        (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),
+        (r"^Invalid value: ", ""),
+        (r"Value error, ", ""),
+        (r"Input should be ", "must be "),
+        (r"must be a valid (integer|number),? .*$", r"must be a \1"),
+        (r"must be a integer", "must be an integer"),
+    ):
+        message = re.sub(theirs, ours, message)
+    return message

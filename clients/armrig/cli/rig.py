@@ -1,0 +1,119 @@
+"""The commands about a rig: status, watch, stop, reset."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Annotated, Any
+
+import typer
+
+from armrig.cli.options import Connect, Json, RigId, print_json, print_table
+
+
+def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
+    """Say how the daemon and its rig are."""
+    from armrig.scheduling import scheduling
+
+    with _opened(rig, connect) as opened:
+        report = opened.status()
+    if json:
+        print_json(report)
+        return
+    last = report.last_run
+    device = report.device
+    print_table(
+        ("rig", f"{report.rig}, armrig {report.version}, at {report.endpoint}"),
+        ("phase", f"{report.phase} {report.reason}".strip()),
+        ("owner", report.owner or "nobody"),
+        ("Ts", f"{report.Ts:g} s"),
+        ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
+        ("device", ", ".join(f"{k} {v}" for k, v in device.items()) or "has not answered yet"),
+        ("host", "; ".join(scheduling(report.host))),
+        (
+            "last run",
+            "none"
+            if last is None
+            else f"{last.recording}, {last.samples} samples, "
+            + (last.outcome if last.finished else "running"),
+        ),
+        ("recordings", report.recordings),
+    )
+
+
+def watch(
+    rig: RigId = "1",
+    connect: Connect = None,
+    count: Annotated[int | None, typer.Option("--count", min=1, help="End after so many.")] = None,
+    json: Json = False,
+) -> None:
+    """Show the live samples until Ctrl-C."""
+    from itertools import islice
+
+    with _opened(rig, connect) as opened:
+        samples = islice(opened.stream("sample"), count)
+        with suppress(KeyboardInterrupt):  # the way to end it
+            if json:
+                for sample in samples:
+                    print_json(sample._asdict())
+            elif sys.stdout.isatty():
+                _watch(samples)
+            else:
+                _watch_in_lines(samples)
+
+
+def stop(rig: RigId = "1", connect: Connect = None) -> None:
+    """Bring the rig to 0 V, whoever has it."""
+    with _opened(rig, connect) as opened:
+        opened.stop()
+    typer.echo(f"rig {rig} was told to stop; `armrig status` says how it is")
+
+
+def reset(rig: RigId = "1", connect: Connect = None) -> None:
+    """Leave a latched fault; the rig is then at 0 V and nobody's."""
+    with _opened(rig, connect) as opened:
+        opened.reset()
+    typer.echo(f"rig {rig} was reset; `armrig status` says how it is")
+
+
+@contextmanager
+def _opened(rig: str, connect: str | None) -> Iterator[Any]:
+    """Give the rig; what its daemon refuses is told with the command that helps."""
+    from armrig.collection import with_commands
+    from armrig.rig import RefusedError, Rig
+
+    with Rig(rig, connect=connect) as opened:
+        try:
+            yield opened
+        except RefusedError as err:
+            raise RefusedError(with_commands(str(err), rig, connect)) from err
+
+
+_WATCH_HEADING = f"{'k':>10} {'u [V]':>8} {'theta_1 [°]':>12} {'alpha [°]':>10} {'late [µs]':>10}"
+
+
+def _watch(samples: Any) -> None:
+    from rich.console import Console
+    from rich.live import Live
+
+    with Live(console=Console(), refresh_per_second=10) as live:
+        for sample in samples:
+            live.update(f"{_WATCH_HEADING}\n{_in_a_line(sample)}")
+
+
+def _watch_in_lines(samples: Any) -> None:
+    """Print a line for each sample, at once: a program reads them."""
+    typer.echo(_WATCH_HEADING)
+    for sample in samples:
+        typer.echo(_in_a_line(sample))
+
+
+def _in_a_line(sample: Any) -> str:
+    from math import degrees
+
+    late = (sample.t_host_ns - sample.t_sched_ns) / 1e3
+    return (
+        f"{sample.k:>10} {sample.u_applied_v:>8.3f} {degrees(sample.theta_1_rad):>12.2f} "
+        f"{degrees(sample.alpha_rad):>10.2f} {late:>10.1f}"
+    )

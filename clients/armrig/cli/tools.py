@@ -1,0 +1,96 @@
+"""The commands about this host: demo, bench, doctor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from armrig.cli.files import check_output
+from armrig.cli.options import Json, print_json
+
+_LONGEST_DEMO_S = 600.0
+
+
+def demo(
+    directory: Annotated[Path, typer.Option(help="Where everything goes.")] = Path("demo"),
+    seconds: Annotated[float, typer.Option(min=5, help="Length of each telegraph.")] = 30.0,
+) -> None:
+    """Emulate a rig, record it, identify it and write a report: two minutes, no hardware."""
+    from armrig.demo import demo as run_demo
+
+    if directory.exists() and not directory.is_dir():
+        msg = f"--directory {directory}: is a file; give a directory, which is made where none is"
+        raise ValueError(msg)
+    if not seconds <= _LONGEST_DEMO_S:  # NaN neither
+        msg = f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s"
+        raise ValueError(msg)
+    run_demo(directory, seconds=seconds)
+
+
+def bench(
+    seconds: Annotated[
+        float, typer.Option("--seconds", help="For each contestant at each rate, over 4 rounds.")
+    ] = 20.0,
+    rates: Annotated[
+        str, typer.Option("--rates", metavar="HZ,…", help="Sampling rates.")
+    ] = "100,500,1000,2000",
+    burn: Annotated[
+        bool, typer.Option("--burn", help="Keep all processors busy beside everybody.")
+    ] = False,
+    json: Annotated[Path | None, typer.Option("--json", metavar="F", help="JSON to write.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="F", help="Figure to write.")
+    ] = None,
+) -> None:
+    """Measure this host's timing against the limit: daemon, cyclictest, bare loop, bare zenoh.
+
+    The exit code says that all was measured, not that the targets are met.
+    """
+    from rich.console import Console
+
+    from armrig.bench.machine import machine
+    from armrig.bench.tell import Result, check_figure, lines, write_figure
+    from armrig.bench.turns import Plan, measure
+
+    for file in (json, plot):  # not after minutes of measuring
+        if file is not None:
+            check_output(file, [])
+    if plot is not None:
+        check_figure(plot)
+    host = machine()
+    plan = Plan(rates_hz=_rates(rates), seconds=seconds, burners=host.cpus if burn else 0)
+    with Console(stderr=True).status("measuring") as status:
+        result = Result(machine=host, plan=plan, rates=measure(plan, host, status.update))
+    typer.echo("\n".join(lines(result)))
+    if json is not None:
+        import msgspec
+
+        json.write_bytes(msgspec.json.format(msgspec.json.encode(result.facts())))
+    if plot is not None:
+        write_figure(result, plot)
+
+
+def doctor(json: Json = False) -> None:
+    """Say what on this host costs timing, and how to mend each; exit code 1 if anything does.
+
+    What cannot be told or mended here is a note, and does not count.
+    """
+    from armrig import doctor as looks
+
+    findings = looks.doctor()
+    if json:
+        print_json(findings)
+    else:
+        typer.echo("\n".join(map(str, findings)))
+    if not looks.is_well(findings):
+        raise typer.Exit(1)
+
+
+def _rates(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(rate) for rate in text.split(","))
+    except ValueError as err:
+        msg = f"--rates {text!r}: whole numbers of Hz with commas are wanted, such as 100,1000"
+        raise typer.BadParameter(msg) from err
