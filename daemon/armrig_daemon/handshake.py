@@ -80,8 +80,11 @@ def failed(state: State, now_ns: int, error: str) -> Step:
     return state, [*done, log(now_ns, "warning", error), *actions]
 
 
-def seen(state: State, now_ns: int, device_state: int) -> Step:
-    """Take note of the state in a frame of the device: it is what shows that a request worked."""
+def seen(state: State, now_ns: int, device_state: int, *, ended: bool = False) -> Step:
+    """Take note of the state in a frame of the device: it is what shows that a request worked.
+
+    `ended` says that the frame tells of the end of a run, at its k_stop.
+    """
     before, state = state.device_state, state._replace(device_state=device_state)
     if state.asked is not None:
         reached = {
@@ -93,7 +96,8 @@ def seen(state: State, now_ns: int, device_state: int) -> Step:
         if reached.get(state.asked.want, False):
             return _reached(state, now_ns, state.asked)
     run = state.run
-    if device_state == DeviceState.IDLE and before == DeviceState.RUN and run and run.scheduled:
+    idle = device_state == DeviceState.IDLE and before == DeviceState.RUN
+    if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
         # The device has come to k_stop; what it sampled before has arrived before this.
         state, done = scheduling.complete(state, now_ns)
         state, actions = rest(state, now_ns, None)
@@ -107,6 +111,11 @@ def seen(state: State, now_ns: int, device_state: int) -> Step:
     if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
         return trip(state, now_ns, f"the device is in {DeviceState(device_state).name}")
     return state, []
+
+
+def _is_over(state: State, run: Run, now_ns: int) -> bool:
+    """Return whether a scheduled run must be over by now, should its end not have been heard."""
+    return run.due >= run.samples or now_ns >= run.t_zero_ns + run.samples * state.ts_us * 1000
 
 
 def _reached(state: State, now_ns: int, asked: Asked) -> Step:

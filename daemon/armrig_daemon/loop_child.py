@@ -60,6 +60,10 @@ class LoopChild:
         self._pending += data
         return take_records(self._pending)
 
+    def kill(self) -> None:
+        """End a loop that does not end by itself: the device's watchdog stops the motor."""
+        self._process.kill()
+
     def end(self) -> int:
         """Close the pipes, which ends the loop too, and return its exit code."""
         os.close(self.orders_fd)

@@ -88,7 +88,7 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
         detail = f", code {event.detail}" if event.detail else ""
         state = state._replace(device_state=event.state)
         return trip(state, now_ns, f"the device stopped by itself: {cause}{detail}")
-    return handshake.seen(state, now_ns, event.state)
+    return handshake.seen(state, now_ns, event.state, ended=event.cause == Cause.END)
 
 
 def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:

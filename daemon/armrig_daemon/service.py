@@ -59,6 +59,7 @@ ANSWER_S = 3.0
 SILENCE_NS = 3_000_000_000
 """How long the loop drives the motor on without hearing from us, in ns."""
 _FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
+_QUIT_S = 2.0  # a loop that is frozen is not waited for any longer
 _READ = 1 << 16
 _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})
 
@@ -87,6 +88,7 @@ class Service:
         self._waiting: dict[int, Waiting] = {}
         self._numbers = 0
         self._quitting = False
+        self._kill_at = float("inf")
         self._pressure = Pressure()
         self._wake_fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
@@ -131,7 +133,7 @@ class Service:
         """Carry records out and commands in until the loop's pipe ends."""
         state_due = time.monotonic() + 1
         while True:
-            timeout = max(0.0, state_due - time.monotonic())
+            timeout = max(0.0, min(state_due, self._kill_at) - time.monotonic())
             sources = [self._loop.records_fd, self._wake_fd]
             sinks = [self._loop.orders_fd] if self._loop.is_behind else []
             ready, writable, _ = select.select(sources, sinks, [], timeout)
@@ -145,6 +147,10 @@ class Service:
                     self._woken()  # a signal may have ended the loop before we looked
                     return
                 self._take(records)
+            if time.monotonic() >= self._kill_at:
+                self._say("error", "the loop does not end: killed; the device stops the motor")
+                self._kill_at = float("inf")
+                self._loop.kill()
             if time.monotonic() >= state_due:
                 state_due = time.monotonic() + 1
                 self._each_second()
@@ -229,6 +235,7 @@ class Service:
         with contextlib.suppress(BlockingIOError):
             if any(os.read(self._wake_fd, _READ)):  # a signal's number; a 0 is our own
                 self._quitting = True
+                self._kill_at = min(self._kill_at, time.monotonic() + _QUIT_S)
                 self._loop.order(Quit(reason="the service was told to end"))
         if self._runs.failed():
             self._loop.order(Halt())

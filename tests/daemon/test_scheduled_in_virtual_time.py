@@ -12,8 +12,9 @@ from armrig_daemon.config import Config, Device, Timing
 from armrig_daemon.records import Clock, Gap, Halt, Log, Play, RunEnded, RunStarted, Take
 from armrig_daemon.records import Timing as TimingRecord
 from armrig_daemon.state import Phase
+from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import Flag, Ping, Setpoints
+from armrig_protocol.messages import Event, Flag, Ping, Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
 from virtual_bench import LEASE, MS, Bench, codes
 
@@ -223,6 +224,32 @@ def test_a_stop_ends_a_scheduled_run_at_once() -> None:
     assert bench.volts == 0.0
     assert bench.ports.device.state is DeviceState.READY
     assert bench.of(RunEnded)[0].outcome == "stopped"
+
+
+def test_a_device_that_leaves_the_run_early_is_not_at_its_end() -> None:
+    """A STOP that is not ours: a trip, and the samples that will not come are told."""
+    bench = Bench()
+    play(bench, telegraph(1000))
+    bench.run_for(2000)
+
+    bench.ports.device.receive(bench.ports.now, encode(Stop(0, 9)))
+    bench.run_for(300)
+
+    assert bench.phase is Phase.FAULT
+    assert "nobody asked it to" in bench.of(RunEnded)[0].outcome
+    assert bench.volts == 0.0
+
+
+def test_an_end_that_is_not_heard_is_an_end_all_the_same() -> None:
+    """EVENT(END) is lost: by the time the run is over, IDLE means that it has come to its end."""
+    bench = Bench()
+    bench.ports.from_device = lambda data: (
+        b"" if any(isinstance(m, Event) for m in feed(b"", data)[1]) else data
+    )
+
+    run(bench, telegraph(100))
+
+    assert bench.of(RunEnded)[0].outcome == "complete"
 
 
 def test_a_stop_while_the_queue_is_filled_refuses_the_run() -> None:

@@ -155,6 +155,16 @@ def test_a_loop_that_is_frozen_is_stopped_by_the_device(run: Run) -> None:
     assert run.bench.volts() == 0.0
 
 
+def test_a_frozen_loop_does_not_keep_the_service_from_ending(run: Run) -> None:
+    """SIGTERM after SIGSTOP of the loop: the device stops the motor, the service ends."""
+    os.kill(run.loop_pid, signal.SIGSTOP)
+    told_ns = run.daemon.kill(signal.SIGTERM)
+
+    assert run.daemon.popen.wait(WITHIN_S) == 1
+    assert run.bench.went_to_0_v_after(told_ns) < STOPPED_S
+    assert "killed; the device stops the motor" in run.daemon.said
+
+
 def test_a_client_that_is_killed_does_not_cost_the_recording(bench: Bench) -> None:
     """An experiment is one command: it is played to its end without its client."""
     run = Run(bench, periods=150)
