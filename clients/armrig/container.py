@@ -8,7 +8,9 @@ a prefix without holes.
 from __future__ import annotations
 
 import hashlib
+import os
 import re
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
@@ -21,13 +23,13 @@ from typing import IO, Any
 import numpy as np
 import zstandard
 from armrig_core import protobuf
-from armrig_core.manifest import CALIBRATION, CONFIG
+from armrig_core.manifest import CALIBRATION, CONFIG, OUTCOME, RUN
 from armrig_core.topics import STREAMS
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, DataEnd, Message, Metadata, Schema
+from mcap.records import Attachment, DataEnd, Metadata
 from numpy.typing import NDArray
 
 from armrig.sample_rows import CHANNEL, RECORD_HEAD, SAMPLE_DTYPE, DamageError, SampleRows
@@ -39,10 +41,24 @@ MESSAGES_LIMIT = 16 << 20
 """Most that is kept of messages other than samples, in B."""
 RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
 """Longest record that is read, in B; a longer attachment is passed over."""
+UNPACKED_LIMIT, UNPACKED_PER_BYTE, UNPACKED_MORE = 64 << 20, 64, 1 << 30
+"""A file of n B may unpack to the first plus 64 n, but no more than n and the third, in B."""
+WORK_LIMIT = 3_000_000
+"""Most work with records, in messages passed over, which take about 1 µs each."""
 
+_IDS = Struct("<HH")  # a channel and its schema, or a schema
 _CHUNK_HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of a name
-_PASSED_OVER = (Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX, Opcode.STATISTICS)
-_IGNORED_COST = 16  # so that a million of them are allowed
+_PASSED_OVER = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
+_INDEX_HEAD = Struct("<HI")  # of a message index: channel, length of what follows
+# What may stand before the end of the data; a changed opcode must not make a chunk disappear.
+_DATA = (
+    *(Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK),
+    *(Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END),
+)
+_NAME_LIMIT, _MESSAGE_HEAD = 100, 2 + 4 + 8 + 8  # B; channel, sequence, log and publish time
+_WORK, _KEPT = "units of work with records", "B of messages other than samples"
+_UNPACKED = "B in its chunks, unpacked"
+_RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 1, 10  # measured, roughly
 _MESSAGE_OVERHEAD = 200  # bytes that a short message costs us beyond its payload
 _KINDS = {
     "sample": protobuf.SAMPLE,
@@ -83,9 +99,15 @@ def read(path: Path) -> Content | None:
     ------
     OSError
         The file cannot be opened or read.
+    DamageError
+        It is no regular file: a pipe or a device would keep us waiting, or never end.
     """
-    with path.open("rb") as stream:
-        content = Content(size=path.stat().st_size)
+    with open(path, "rb", opener=_opened) as stream:
+        found = os.fstat(stream.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            msg = "not a regular file"
+            raise DamageError(msg)
+        content = Content(size=found.st_size)
         source = _Source(stream, content.size)
         if source.take(len(MAGIC)) != MAGIC:
             return None
@@ -95,7 +117,7 @@ def read(path: Path) -> Content | None:
         except DamageError as damage:
             content.damage = str(damage)
         # What the libraries raise on damaged bytes; the CRCs make it rare.
-        except (McapError, struct.error, DecodeError, ValueError) as err:
+        except (McapError, struct.error, DecodeError, ValueError, OverflowError) as err:
             content.damage = f"a record cannot be read ({err or type(err).__name__})"
         content.read = source.whole
         left = reader.rows.finish()
@@ -103,6 +125,11 @@ def read(path: Path) -> Content | None:
         content.samples = reader.rows.samples()
         content.sha256 = source.sha256()
     return content
+
+
+def _opened(path: str, flags: int) -> int:
+    # Without waiting for somebody to write to a pipe; Windows has neither of the two.
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))
 
 
 class _Source:
@@ -151,6 +178,7 @@ class _Source:
 
 def _read_records(source: _Source, reader: _Reader) -> None:
     """Read until the closing magic; raises DamageError where the file ends or breaks before."""
+    ended = False
     while True:
         source.whole = source.at
         head = source.take(RECORD_HEAD.size)
@@ -158,9 +186,16 @@ def _read_records(source: _Source, reader: _Reader) -> None:
             msg = "the file ends without its footer"
             raise DamageError(msg)
         opcode, length = RECORD_HEAD.unpack(head)
+        if not ended and opcode not in _DATA:
+            msg = f"a record of opcode {opcode} stands among the data"
+            raise DamageError(msg)
         if length > source.left:
             msg = f"the file ends {length - source.left} B before the end of its last record"
             raise DamageError(msg)
+        reader.spend(_WORK, 1)
+        if opcode == Opcode.MESSAGE_INDEX:
+            _pass_index(source, length)
+            continue
         if opcode in _PASSED_OVER or (opcode == Opcode.ATTACHMENT and length > RECORD_LIMIT):
             source.skip(length)
             continue
@@ -176,11 +211,22 @@ def _read_records(source: _Source, reader: _Reader) -> None:
             return
         if opcode == Opcode.DATA_END:
             expected = DataEnd.read(_stream(body)).data_section_crc
-            if expected and expected != source.crc(source.whole):
+            # Once: each costs another reading of the file.
+            if expected and (ended or expected != source.crc(source.whole)):
                 msg = "the checksum over all data is wrong: something in the file was changed"
                 raise DamageError(msg)
+            ended = True
         else:
             reader.take(opcode, body)
+
+
+def _pass_index(source: _Source, length: int) -> None:
+    """Pass over an index of messages, which must have the form of one: a chunk has not."""
+    head = source.take(min(_INDEX_HEAD.size, length))
+    if len(head) < _INDEX_HEAD.size or _INDEX_HEAD.unpack(head)[1] != length - len(head):
+        msg = "an index of messages has not the form of one"
+        raise DamageError(msg)
+    source.skip(length - len(head))
 
 
 class _Reader:
@@ -190,28 +236,32 @@ class _Reader:
         self.content = content
         self.schemas: dict[int, str] = {}
         self.streams: dict[int, str] = {}
-        self.kept = 0
+        more = min(UNPACKED_PER_BYTE * content.size, content.size + UNPACKED_MORE)
+        self.limits = {_WORK: WORK_LIMIT, _KEPT: MESSAGES_LIMIT, _UNPACKED: UNPACKED_LIMIT + more}
+        self.spent = dict.fromkeys(self.limits, 0)
         self.rows = SampleRows()
         self.zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
 
     def take(self, opcode: int, body: bytes) -> None:
         """Take one record of the file, or of a chunk."""
+        self.spend(_WORK, 1 if opcode == Opcode.MESSAGE else _RECORD_WORK)
         match opcode:
             case Opcode.CHUNK:
                 self._chunk(body)
             case Opcode.MESSAGE:
                 self._message(body)
             case Opcode.SCHEMA:
-                schema = Schema.read(_stream(body))
-                self.schemas[schema.id] = schema.name
+                name = _text(body, 2)
+                if name in _KINDS.values():
+                    self.schemas[_IDS.unpack_from(body)[0]] = name
             case Opcode.CHANNEL:
-                channel = Channel.read(_stream(body))
-                stream = stream_of(channel.topic)
-                if stream and self.schemas.get(channel.schema_id) == _KINDS[stream]:
-                    self.streams[channel.id] = stream
+                (channel, schema), stream = _IDS.unpack_from(body), stream_of(_text(body, 4))
+                if stream and self.schemas.get(schema) == _KINDS[stream]:
+                    self.streams[channel] = stream
             case Opcode.METADATA:
-                metadata = Metadata.read(_stream(body))
-                self.content.metadata.setdefault(metadata.name, metadata.metadata)
+                name = _text(body, 0)
+                if name in (RUN, OUTCOME) and name not in self.content.metadata:
+                    self.content.metadata[name] = Metadata.read(_stream(body)).metadata
             case Opcode.ATTACHMENT:
                 self._attachment(body)
             case _:
@@ -234,6 +284,7 @@ class _Reader:
         if size > CHUNK_LIMIT:
             msg = f"a chunk of {size} B is larger than the {CHUNK_LIMIT} B allowed"
             raise DamageError(msg)
+        self.spend(_UNPACKED, size)
         data = packed
         if compression == "zstd":
             data = self._unpack(packed)
@@ -266,7 +317,9 @@ class _Reader:
                 msg = "a record runs over the end of its chunk"
                 raise DamageError(msg)
             run = self.rows.take_run(data, at) if self._begins_samples(opcode, data, at) else 0
-            if not run:
+            if run:
+                self.spend(_WORK, _RUN_WORK)
+            else:
                 if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                     msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
                     raise DamageError(msg)
@@ -281,28 +334,36 @@ class _Reader:
     def _message(self, body: bytes) -> None:
         stream = self.streams.get(int.from_bytes(body[:2], "little"))
         if stream is None:
-            # Nothing is kept of it; it counts, so that a small file cannot cost hours.
-            self._count(_IGNORED_COST)
             return
-        message = Message.read(_stream(body), len(body))
-        parsed = protobuf.message_class(_KINDS[stream]).FromString(message.data)
+        data = body[_MESSAGE_HEAD:]
+        parsed = protobuf.message_class(_KINDS[stream]).FromString(data)
         if stream == "sample":
+            self.spend(_WORK, _SAMPLE_WORK)
             self.rows.take(parsed)
             return
-        self._count(len(message.data) + _MESSAGE_OVERHEAD)
+        self.spend(_WORK, _RECORD_WORK)
+        self.spend(_KEPT, len(data) + _MESSAGE_OVERHEAD)
         self.content.messages.setdefault(stream, []).append(parsed)
 
-    def _count(self, cost: int) -> None:
-        self.kept += cost
-        if self.kept > MESSAGES_LIMIT:
-            msg = f"more than {MESSAGES_LIMIT} B of messages other than samples"
+    def spend(self, what: str, cost: int) -> None:
+        """Count what a record costs: a small file must not cost hours, or all memory."""
+        self.spent[what] += cost
+        if self.spent[what] > self.limits[what]:
+            msg = f"more than {self.limits[what]} {what}"
             raise DamageError(msg)
 
 
 def stream_of(topic: str) -> str:
     """Return the stream of a topic such as /rig/1/sample, "" where it is none of ours."""
-    found = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]+)", topic)
+    found = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]{1,20})", topic)
     return found[1] if found and found[1] in STREAMS else ""
+
+
+def _text(body: bytes, at: int) -> str:
+    """Return the text at `at`, "" for one that is too long to be a name of ours."""
+    (n,) = struct.unpack_from("<I", body, at)
+    struct.unpack_from(f"{n}x", body, at + 4)  # raises where the text runs over the end
+    return body[at + 4 : at + 4 + n].decode() if n <= _NAME_LIMIT else ""
 
 
 def _stream(data: bytes) -> ReadDataStream:

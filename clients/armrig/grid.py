@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from heapq import heappop, heappush
 
 import numpy as np
 from armrig_core.manifest import Manifest, Outcome
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 # A grid is made for the missing samples, too: a file of two samples must not ask for 10^18 of them.
 _MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
+ROWS_LIMIT = 1_100_000
+"""Most rows of a grid; a run has 1 000 000 at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,10 +34,38 @@ class Grid:
         present[self.rows] = True
         return present
 
-    def hole(self, k_first: int, count: int) -> slice:
-        """Return the rows of `count` samples from `k_first` on, those outside the grid left out."""
-        begin, end = (min(max(k - self.k_first, 0), self.N) for k in (k_first, k_first + count))
-        return slice(begin, end)
+    def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
+        """Return (N,): the value of the gap that a row lies in, NaN outside of all.
+
+        What lies outside the grid is left out. Of gaps that overlap the last given counts. Each row
+        is written once, however many gaps claim it.
+
+        Parameters
+        ----------
+        gaps : iterable of (int, int, float)
+            First index, number of samples, and value of each.
+        """
+        values = np.full(self.N, np.nan)
+        # Rows where a gap begins or ends, rising; between two of them the latest open one counts.
+        edges: list[tuple[int, int, int, float]] = []
+        for i, (k_gap, count, value) in enumerate(gaps):
+            begin, end = (min(max(k - self.k_first, 0), self.N) for k in (k_gap, k_gap + count))
+            if begin < end:
+                edges.append((begin, -i, end, value))
+        edges.sort()
+        open_gaps: list[tuple[int, int, float]] = []  # a heap: the last given first
+        row = 0
+        for begin, order, end, value in [*edges, (self.N, 1, self.N, np.nan)]:
+            while open_gaps and row < begin:
+                _, until, held = open_gaps[0]
+                if until > row:
+                    values[row : min(until, begin)] = held
+                    row = min(until, begin)
+                if until <= row:
+                    heappop(open_gaps)
+            row = begin
+            heappush(open_gaps, (order, end, value))
+        return values
 
 
 def grid(
@@ -72,7 +103,8 @@ def grid(
             whole = outcome.outcome == "complete"
             told.append(last if whole else first + outcome.samples + outcome.missing)
         begin, end = first, min(max(told), last)
-    if end - begin - k.size > _MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size:
+    missing_limit = _MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
+    if end - begin - k.size > missing_limit or end - begin > ROWS_LIMIT:
         msg = f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
         msg += "many for a recording"
         raise ValueError(msg)

@@ -17,8 +17,18 @@ from numpy.typing import NDArray
 from armrig.container import Content, read
 from armrig.dataset import Dataset
 from armrig.grid import Grid, grid
-from armrig.happenings import Clock, Event, Gap, Timing, event_of, gap_of, timing_of
+from armrig.happenings import (
+    Clock,
+    Event,
+    Gap,
+    Timing,
+    check_whole_numbers,
+    event_of,
+    gap_of,
+    timing_of,
+)
 from armrig.preprocess import difference
+from armrig.sample_rows import DamageError
 from armrig.unwrapping import outside_dead_band, turns_unknown, unwrap
 
 if TYPE_CHECKING:
@@ -197,7 +207,11 @@ def load(path: str | Path) -> Recording:
         The file cannot be opened or read.
     """
     path = Path(path)
-    content = read(path)
+    try:
+        content = read(path)
+    except DamageError as err:
+        msg = f"{path}: {err}; armrig reads what armrigd has recorded (*.mcap)"
+        raise RecordingError(msg) from err
     if content is None:
         msg = f"{path}: not an MCAP file; armrig reads what armrigd has recorded (*.mcap)"
         raise RecordingError(msg)
@@ -211,13 +225,18 @@ def load(path: str | Path) -> Recording:
         outcome = content.metadata.get(records.OUTCOME)
         ended = None if outcome is None else records.outcome_of(outcome)
         calibration = _calibration(content)
-    except (msgspec.DecodeError, ValueError) as err:
-        msg = f"{path}: its manifest or calibration is not armrig's: {err}"
+        check_whole_numbers(manifest, *([ended] if ended else []))
+    except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
+        msg = f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
         raise RecordingError(msg) from err
     if not 0 < manifest.Ts < _LONGEST_TS_S:
         msg = f"{path}: its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
         raise RecordingError(msg)
     return _assembled(path, content, manifest, ended, calibration)
+
+
+def _first_line(err: Exception) -> str:
+    return (str(err).splitlines() or [type(err).__name__])[0][:300]
 
 
 def _calibration(content: Content) -> Calibration | None:
@@ -283,11 +302,8 @@ def _clock(content: Content, manifest: Manifest, k_first: int) -> Clock:
 
 def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
     """Return u (N,) in V: as applied, or as held while samples were missing, else NaN."""
-    u, present = np.full(rows.N, np.nan), rows.present
+    u = rows.filled((gap.k_first, gap.count, gap.u_held_v) for gap in gaps)
     u[rows.rows] = samples["u_applied_v"]
-    for gap in gaps:
-        hole = rows.hole(gap.k_first, gap.count)
-        u[hole] = np.where(present[hole], u[hole], gap.u_held_v)
     return u
 
 

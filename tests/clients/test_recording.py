@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import struct
 import sys
+import zlib
 from io import BytesIO
 from itertools import pairwise
 from math import nan, radians, tau
@@ -15,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from armrig import container
+from armrig import container, grid, sample_rows
 from armrig.jitter import sampling_statistics
 from armrig.recording import Recording, RecordingError, load
 from armrig_core import protobuf, telemetry
@@ -39,6 +41,21 @@ from recordings import (
 )
 
 IDENTITY = Calibration(theta_1=Potentiometer(rad_per_count=tau / 65536))
+
+
+def _record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def _chunk(data: bytes) -> bytes:
+    packed = zstandard.compress(data)
+    head = struct.pack("<QQQII", 0, 0, len(data), zlib.crc32(data), 4) + b"zstd"
+    return _record(0x06, head + struct.pack("<Q", len(packed)) + packed)
+
+
+def _channel_record(topic: str) -> bytes:
+    text = struct.pack("<I", len(topic)) + topic.encode()
+    return _record(0x04, struct.pack("<HH", 1, 0) + text + bytes(8))
 
 
 def as_protobuf(one: telemetry.Sample, **unknown: bytes) -> bytes:
@@ -376,6 +393,22 @@ def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> No
     assert set(lengths) == {0, 8, 16, 24, 32, 40}
 
 
+def test_a_changed_opcode_makes_no_hole() -> None:
+    """A chunk that looks like something to pass over ends the prefix; each bit of each opcode."""
+    path = Path(SMALL_DIRECTORY.name) / "opcode.mcap"
+    at = len(container.MAGIC)
+    while at < len(SMALL) - len(container.MAGIC):
+        _, length = struct.unpack_from("<BQ", SMALL, at)
+        for bit in range(8):
+            spoilt = bytearray(SMALL)
+            spoilt[at] ^= 1 << bit
+            path.write_bytes(spoilt)
+            rec, _ = tried(path)
+            if rec is not None:
+                np.testing.assert_array_equal(rec.samples["k"], np.arange(rec.samples.size))
+        at += 9 + length
+
+
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
@@ -502,16 +535,230 @@ def test_a_flood_of_messages_ends_the_reading(
 
 def test_a_small_file_cannot_cost_hours(tmp_path: Path) -> None:
     """Chunks of messages that nobody asked for: 260 000 in each, hardly any bytes in the file."""
-    message = struct.pack("<BQ", 0x05, 22) + struct.pack("<HIQQ", 999, 0, 0, 0)
-    data = message * (container.CHUNK_LIMIT // len(message))
-    packed = zstandard.compress(data)
-    head = struct.pack("<QQQII", 0, 0, len(data), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
-    chunk = struct.pack("<BQ", 0x06, len(head) + len(packed)) + head + packed
+    message = _record(0x05, struct.pack("<HIQQ", 999, 0, 0, 0))
+    chunk = _chunk(message * (container.CHUNK_LIMIT // len(message)))
 
-    rec = load(written(tmp_path, _with_record(0x06, head + packed) + chunk * 20))
+    rec = load(written(tmp_path, _broken_off(chunk * 20)))
 
-    assert "messages other than samples" in rec.damage
-    assert rec.damage.endswith("B")
+    assert "B in its chunks, unpacked" in rec.damage
+    assert _read_of(rec) < 10 * len(chunk)
+
+
+HOSTILE = {
+    "channels": _channel_record("/rig/1/" + "x" * 90) * 200,
+    "channels with nothing": _record(0x04, bytes(16)) * 200,
+    "schemas": _record(0x03, struct.pack("<HI", 1, 50_000) + bytes(50_008)) * 4,
+    "messages": _record(0x05, struct.pack("<HIQQ", 999, 0, 0, 0) + bytes(50_000)) * 4,
+}
+
+
+@pytest.mark.parametrize("records", HOSTILE.values(), ids=HOSTILE.keys())
+def test_every_record_in_a_chunk_counts_by_its_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: bytes
+) -> None:
+    """Whatever it is: a file of its size unpacks to so much and no more."""
+    monkeypatch.setattr(container, "UNPACKED_LIMIT", 3 * len(records))
+    monkeypatch.setattr(container, "UNPACKED_PER_BYTE", 0)
+
+    rec = load(written(tmp_path, _broken_off(_chunk(records) * 10)))
+
+    assert f"more than {3 * len(records)} B in its chunks, unpacked" in rec.damage
+    assert _read_of(rec) < len(_broken_off(_chunk(records) * 4))
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        pytest.param(_channel_record(""), id="channel"),
+        pytest.param(_record(0x03, bytes(14)), id="schema"),
+        pytest.param(_record(0x05, bytes(22)), id="message"),
+    ],
+)
+@pytest.mark.parametrize("within_a_chunk", [True, False])
+def test_every_record_is_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record: bytes, within_a_chunk: bool
+) -> None:
+    """However short: a file has so many and no more."""
+    monkeypatch.setattr(container, "WORK_LIMIT", 900)
+    chunk = _chunk(record * 1000) if within_a_chunk else record * 1000
+
+    rec = load(written(tmp_path, _broken_off(chunk)))
+
+    assert "more than 900 units of work with records" in rec.damage
+
+
+def test_samples_of_another_layout_and_their_runs_are_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Made to change with each sample, so that none can be read many at once."""
+    monkeypatch.setattr(container, "WORK_LIMIT", 900)
+    messages = [as_protobuf(sample(k)) if k % 2 else sample(k) for k in range(1000)]
+
+    rec = load(written(tmp_path, recorded(messages)))
+
+    assert "units of work" in rec.damage
+    assert 100 < rec.N < 500
+
+
+def test_only_our_names_are_kept(tmp_path: Path) -> None:
+    """Schemas and metadata of others may be as long as they like; they cost no memory."""
+    foreign = b"A" * 100_000
+    schema = _record(0x03, struct.pack("<HI", 77, len(foreign)) + foreign + bytes(8))
+    metadata = _record(0x0C, struct.pack("<I", len(foreign)) + foreign + bytes(4))
+    content = container.Content()
+    reader = container._Reader(content)
+    for record in (schema, metadata):
+        reader.take(record[0], record[9:])
+
+    assert reader.schemas == {}
+    assert content.metadata == {}
+    assert "without its footer" in load(written(tmp_path, _broken_off(schema + metadata))).damage
+
+
+def test_a_file_has_no_more_samples_than_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those up to there are kept."""
+    monkeypatch.setattr(sample_rows, "SAMPLES_LIMIT", 250)
+
+    rec = load(written(tmp_path, recorded([sample(k) for k in range(300)])))
+
+    assert rec.N == 250
+    assert "more than 250 samples" in rec.damage
+
+
+def test_samples_do_not_keep_the_chunk_they_came_in() -> None:
+    """One sample in each of many chunks of 8 MB must not hold all of them."""
+    head = struct.pack("<BQHIQQ", 0x05, 22 + telemetry.SAMPLE_LENGTH, 1, 0, 0, 0)
+    chunk = head + telemetry.encode_sample(sample(0)) + bytes(100_000)
+    rows = sample_rows.SampleRows()
+    before = sys.getrefcount(chunk)
+
+    taken = rows.take_run(chunk, 0)
+
+    assert taken == len(head) + telemetry.SAMPLE_LENGTH
+    assert sys.getrefcount(chunk) == before
+
+
+def test_a_grid_has_no_more_rows_than_a_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those that are missing count, too."""
+    monkeypatch.setattr(grid, "ROWS_LIMIT", 250)
+
+    with pytest.raises(RecordingError, match="too many for a recording"):
+        load(written(tmp_path, recorded([sample(k) for k in (0, 1, 299)])))
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 60), st.integers(0, 2**64), st.floats(-9, 9)), max_size=12)
+    | st.lists(st.tuples(st.integers(0, 60), st.integers(0, 20), st.floats(-9, 9)), max_size=12)
+)
+def test_gaps_fill_rows_as_if_one_after_the_other(gaps: list[tuple[int, int, float]]) -> None:
+    """Of those that overlap the last counts."""
+    rows = grid.Grid(k_first=10, N=40, rows=np.zeros(0, np.intp))
+    expected = np.full(40, nan)
+    for k_first, count, value in gaps:
+        expected[max(k_first - 10, 0) : max(k_first + count - 10, 0)] = value
+
+    np.testing.assert_array_equal(rows.filled(gaps), expected)
+
+
+def test_gaps_without_end_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The work is rows plus gaps, not rows times gaps."""
+    written_rows = 0
+
+    class Counting(np.ndarray[Any, Any]):
+        def __setitem__(self, rows: Any, value: Any) -> None:
+            nonlocal written_rows
+            written_rows += rows.stop - rows.start
+            super().__setitem__(rows, value)
+
+    full = np.full
+    monkeypatch.setattr(np, "full", lambda *args: full(*args).view(Counting))
+
+    grid.Grid(k_first=0, N=500, rows=np.zeros(0, np.intp)).filled([(0, 10**9, 1.0)] * 300)
+
+    assert written_rows == 500
+
+
+def test_a_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
+    """Nobody may ever write to it."""
+    path = tmp_path / "run.mcap"
+    os.mkfifo(path)
+
+    with pytest.raises(RecordingError, match=r"run\.mcap: not a regular file"):
+        load(path)
+
+
+def test_a_device_is_refused(tmp_path: Path) -> None:
+    """Zeros without end are no recording."""
+    path = tmp_path / "run.mcap"
+    path.symlink_to("/dev/zero")
+
+    with pytest.raises(RecordingError, match="not a regular file"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "why"),
+    [
+        ("clock_offset_ns", "1" + "0" * 400, "clock_offset_ns does not fit into 64 bit"),
+        ("clock_offset_ns", "-" + "9" * 309, "clock_offset_ns does not fit into 64 bit"),
+        ("clock_offset_ns", str(2**63), "clock_offset_ns does not fit into 64 bit"),
+        ("k_first", "1" + "0" * 400, "k_first does not fit into 64 bit"),
+        ("details", '{"a":' + "[" * 3000 + "]" * 3000 + "}", "recursion"),
+        ("details", '{"a":' + "[" * 100 + "]" * 100 + "}", "details is nested more than 32 deep"),
+        ("experiment", "[" * 100_000, "recursion"),
+    ],
+)
+def test_a_manifest_that_overstrains_is_told_in_a_line(
+    tmp_path: Path, name: str, text: str, why: str
+) -> None:
+    """Numbers without end, and brackets without end."""
+    entries = manifest().metadata() | {name: text}
+    out = BytesIO()
+    writer = Writer(out)
+    writer.start()
+    writer.add_metadata(RUN, entries)
+    writer.finish()
+
+    with pytest.raises(RecordingError, match=why) as caught:
+        load(written(tmp_path, out.getvalue()))
+
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+def test_an_attachment_longer_than_memory_ends_the_reading(tmp_path: Path) -> None:
+    """Its length is a number that the file says; it overflowed a C integer."""
+    body = bytes(16) + bytes(8) + struct.pack("<Q", 2**64 - 1) + bytes(4)
+
+    rec = load(written(tmp_path, _with_record(0x09, body)))
+
+    assert "a record cannot be read" in rec.damage
+
+
+def test_the_end_of_the_data_is_checked_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each check reads the file again."""
+    lengths: list[int] = []
+    crc = container._Source.crc
+
+    def counted(self: Any, length: int) -> int:
+        lengths.append(length)
+        return crc(self, length)
+
+    monkeypatch.setattr(container._Source, "crc", counted)
+    data = _broken_off(b"")
+    for _ in range(50):
+        data += _record(0x0F, struct.pack("<I", zlib.crc32(data)))
+
+    rec = load(written(tmp_path, data))
+
+    assert len(lengths) == 1
+    assert "checksum over all data" in rec.damage
 
 
 def test_compression_that_is_not_known_is_named(tmp_path: Path) -> None:
@@ -556,9 +803,18 @@ def test_experiments_follow_each_other_in_order(tmp_path: Path) -> None:
 
 def _with_record(opcode: int, body: bytes) -> bytes:
     """Return a recording whose last record, before where it breaks off, is this one."""
+    return _broken_off(_record(opcode, body))
+
+
+def _broken_off(rest: bytes) -> bytes:
+    """Return a recording that goes on with this and then breaks off."""
     whole = recorded([], outcome=None, calibration=None)
-    end = whole.index(struct.pack("<BQ", 0x0F, 4))  # DataEnd
-    return whole[:end] + struct.pack("<BQ", opcode, len(body)) + body
+    return whole[: whole.index(struct.pack("<BQ", 0x0F, 4))] + rest  # DataEnd
+
+
+def _read_of(rec: Recording) -> int:
+    """Return how many bytes of the file were read."""
+    return int(rec.damage.rsplit(" samples, ", 1)[1].split()[0])
 
 
 def _peak_mib() -> float:
