@@ -116,8 +116,9 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
 def _beat(state: State, now_ns: int) -> Step:
     if state.asked is not None:
         return handshake.retry(state, now_ns)
-    if not state.link_up:
-        return state._replace(any_ns=now_ns), []
+    drives = state.device_state == DeviceState.RUN
+    if not state.link_up or (drives and scheduling.is_stopping(state)):
+        return state._replace(any_ns=now_ns), []  # nothing that would feed its watchdog
     return send(state, now_ns, encode(Keepalive(0, state.seq)))
 
 

@@ -41,7 +41,7 @@ def begin(state: State, now_ns: int, order: Play) -> Step:
 def refill(state: State, now_ns: int) -> Step:
     """Send what the device has room for."""
     queue, run = state.queue, state.run
-    if queue is None or run is None or state.device is None:
+    if queue is None or run is None or state.device is None or is_stopping(state):
         return state, []
     sent, moved_ns = queue.sent, queue.moved_ns
     if queue.held < sent and now_ns - moved_ns > RESEND_NS:
@@ -99,8 +99,17 @@ def heard(state: State, echo: int) -> State:
     return state._replace(beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
 
 
+def is_stopping(state: State) -> bool:
+    """Return whether the device is to stop: then it gets no setpoint and nothing to live on."""
+    asked = state.asked
+    return state.phase is Phase.FAULT or (asked is not None and asked.want is Want.STOP)
+
+
 def tick(state: State, now_ns: int) -> Step:
     """Keep the device fed and the clock compared while it paces itself."""
+    if is_stopping(state):
+        # Given up, but it still drives: on and on, and its own watchdog beside it.
+        return (state, []) if state.asked is not None else ask(state, now_ns, Want.STOP)
     state, done = refill(state, now_ns)
     if now_ns - state.ping_ns >= PING_US * 1000:
         ping = encode(Ping(0, state.seq, now_ns))
@@ -154,7 +163,7 @@ def complete(state: State, now_ns: int) -> Step:
 def _without(state: State, run: Run, end: int, now_ns: int) -> State:
     """Note the samples before `end` that have not come; their input was the queue's."""
     bits = state.device.pwm_bits if state.device else 16
-    for i in range(run.due, end):
+    for i in range(max(run.due, end - gaps.MOST_ABSENT), end):
         code = applied_code(run.code(i), bits)
         absent = Absent(run.k_first + i, 1, "a frame was lost", code, now_ns, now_ns)
         state = gaps.note(state, absent)

@@ -11,7 +11,7 @@ from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config, Device, Timing
 from armrig_daemon.records import Clock, Gap, Halt, Log, Play, RunEnded, RunStarted, Take
 from armrig_daemon.records import Timing as TimingRecord
-from armrig_daemon.state import Phase
+from armrig_daemon.state import Ordered, Phase
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Event, Flag, Ping, Setpoints, Stop
@@ -224,6 +224,44 @@ def test_a_stop_ends_a_scheduled_run_at_once() -> None:
     assert bench.volts == 0.0
     assert bench.ports.device.state is DeviceState.READY
     assert bench.of(RunEnded)[0].outcome == "stopped"
+
+
+def test_after_a_trip_no_setpoint_and_no_life_is_sent() -> None:
+    """S4, S6: STOP does not get through, everything else would; the watchdog stops the motor."""
+    bench = Bench()
+    play(bench, telegraph(1000))
+    bench.run_for(2000)
+    sent: list[type] = []
+
+    def without_stop(data: bytes) -> bytes:
+        (message,) = feed(b"", data)[1]
+        sent.append(type(message))
+        return b"" if isinstance(message, Stop) else data
+
+    bench.ports.to_device = without_stop
+    bench.ports.send(bench.ports.now, Ordered(Halt(order=9)))
+    bench.run_for(130)
+
+    assert set(sent) == {Stop}
+    assert bench.ports.device.state is DeviceState.FAULT
+    assert bench.volts == 0.0
+
+
+def test_a_stop_is_asked_for_until_the_device_has_stopped() -> None:
+    """Five tries are given up as an answer to a person, never as a wish."""
+    bench = Bench(Config(device=Device(watchdog_ms=250)))
+    play(bench, telegraph(1000))
+    bench.run_for(2000)
+    bench.ports.to_device = lambda data: b"" if isinstance(feed(b"", data)[1][0], Stop) else data
+    bench.order(Halt(order=9))
+    bench.run_for(150)
+    bench.ports.to_device = lambda data: data
+
+    bench.run_for(60)
+
+    assert bench.phase is Phase.FAULT
+    assert bench.ports.device.state is DeviceState.IDLE
+    assert bench.volts == 0.0
 
 
 def test_a_device_that_leaves_the_run_early_is_not_at_its_end() -> None:
