@@ -17,6 +17,7 @@ from armrig_protocol.messages import (
     Stop,
     Underrun,
 )
+from msgspec.structs import replace
 
 from armrig_daemon.records import Answer, Log, Order
 from armrig_daemon.records import State as StateRecord
@@ -35,7 +36,7 @@ def send(state: State, now_ns: int, data: bytes) -> Step:
     if state.scheduled:
         beats = (*beats[1 - MOST_BEATS :], Heard(state.seq, now_ns))
     seq = (state.seq + 1) & 0xFFFF
-    return state._replace(seq=seq, any_ns=now_ns, beats=beats), [Send(data)]
+    return replace(state, seq=seq, any_ns=now_ns, beats=beats), [Send(data)]
 
 
 def log(now_ns: int, level: str, message: str) -> Action:
@@ -134,5 +135,5 @@ def ask(
     asked = Asked(want, now_ns, state.seq, tries, ts_us, scheduled, order)
     # A frame begins with a 00 of its own where the line may hold rubbish.
     lead = b"\0" if want is Want.HELLO else b""
-    state, sending = send(state._replace(asked=asked), now_ns, lead + encode(request))
+    state, sending = send(replace(state, asked=asked), now_ns, lead + encode(request))
     return state, [*overtaken, *sending]

@@ -165,8 +165,22 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
     return _take(moved._replace(rejected=rejected), d, y, r, w, innovation)
 
 
-def host_ns_at(clock: ClockMap, device_us: int) -> tuple[int, float]:
-    """Return the host's time at a time of the device, and its standard deviation, in ns.
+def host_ns_at(clock: ClockMap, device_us: int) -> int:
+    """Return the host's time at a time of the device, in ns.
+
+    Raises
+    ------
+    ValueError
+        The map has seen no exchange.
+    """
+    _require_exchange(clock)
+    past_us = device_us - clock.device_us
+    y = clock.y + _slope(clock) * (past_us - clock.d)
+    return clock.host_ns + 1000 * past_us + round(y)
+
+
+def std_ns_at(clock: ClockMap, device_us: int) -> float:
+    """Return the standard deviation of `host_ns_at`, in ns.
 
     Beyond the last exchange what is known fades with the time constant of the regression, and
     the standard deviation grows. It holds at least the device's resolution, which repeats from
@@ -177,13 +191,14 @@ def host_ns_at(clock: ClockMap, device_us: int) -> tuple[int, float]:
     ValueError
         The map has seen no exchange.
     """
+    _require_exchange(clock)
+    past_us = device_us - clock.device_us
+    return math.sqrt(_variance(clock, past_us, _fading(clock.link, 1000 * past_us)))
+
+
+def _require_exchange(clock: ClockMap) -> None:
     if clock.weight == 0:
         raise ValueError("the map knows no exchange yet; PING the device first")
-    past_us = device_us - clock.device_us
-    y = clock.y + _slope(clock) * (past_us - clock.d)
-    fading = _fading(clock.link, 1000 * past_us)
-    std_ns = math.sqrt(_variance(clock, past_us, fading))
-    return clock.host_ns + 1000 * past_us + round(y), std_ns
 
 
 def estimate(clock: ClockMap) -> Estimate:
@@ -194,7 +209,8 @@ def estimate(clock: ClockMap) -> Estimate:
     ValueError
         The map has seen no exchange.
     """
-    host_ns, std_ns = host_ns_at(clock, clock.device_us)
+    host_ns = host_ns_at(clock, clock.device_us)
+    std_ns = std_ns_at(clock, clock.device_us)
     link = clock.link
     variance = 1 / (clock.dd + _DRIFT_PRIOR) + _C_VARIANCE * _trend(clock) ** 2
     # Where the drift changes at a rate a, y lags by a s² and the drift by 2 a s, s² the variance

@@ -5,6 +5,7 @@ from __future__ import annotations
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Message, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
+from msgspec.structs import replace
 
 from armrig_daemon import clockmap
 from armrig_daemon.budget import BITS_PER_BYTE, PING_US
@@ -45,4 +46,4 @@ def _compared(
     tx = clockmap.extend(rx, tx_us)
     # The time on the wire is known, and different for each pair of frames: it is taken off here.
     clock = clockmap.update(state.clock, h1_ns + request_ns, rx, tx, h4_ns - answer_ns)
-    return state._replace(clock=clock, device_us=tx, compared_ns=h4_ns)
+    return replace(state, clock=clock, device_us=tx, compared_ns=h4_ns)

@@ -13,6 +13,7 @@ from armrig_protocol.decoder import feed
 from armrig_protocol.frame import Spoilt, Unknown, encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
 from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
 
 from armrig_daemon import gaps, handshake, orders, replies, scheduling
 from armrig_daemon.asking import Step, ask, log, refuse, say_state, send
@@ -78,7 +79,7 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
         case Ordered():
             return orders.take(state, now_ns, event.order)
         case LinkUp():
-            state = state._replace(link_up=True, pending=b"", sent=(), seq=0)
+            state = replace(state, link_up=True, pending=b"", sent=(), seq=0)
             return ask(state, now_ns, Want.HELLO)
         case LinkDown():
             return _link_down(state, now_ns, event.reason)
@@ -88,20 +89,20 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
 
 def _link_down(state: State, now_ns: int, reason: str) -> Step:
     done = refuse(state.asked.order if state.asked else None, f"link lost: {reason}")
-    state = state._replace(link_up=False, device=None, asked=None, sent=(), pending=b"")
+    state = replace(state, link_up=False, device=None, asked=None, sent=(), pending=b"")
     if state.quitting:
         return state, [*done, Exit()]
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
         state, actions = trip(state, now_ns, f"link lost: {reason}")
         return state, done + actions
     phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
-    state = state._replace(phase=phase)
+    state = replace(state, phase=phase)
     return state, [*done, log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
 
 
 def _received(state: State, now_ns: int, data: bytes) -> Step:
     pending, received = feed(state.pending, data)
-    state = state._replace(pending=pending)
+    state = replace(state, pending=pending)
     done: list[Action] = []
     for message in received:
         if isinstance(message, Spoilt | Unknown):
@@ -118,7 +119,7 @@ def _beat(state: State, now_ns: int) -> Step:
         return handshake.retry(state, now_ns)
     drives = state.device_state == DeviceState.RUN
     if not state.link_up or (drives and scheduling.is_stopping(state)):
-        return state._replace(any_ns=now_ns), []  # nothing that would feed its watchdog
+        return replace(state, any_ns=now_ns), []  # nothing that would feed its watchdog
     return send(state, now_ns, encode(Keepalive(0, state.seq)))
 
 
@@ -129,7 +130,7 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
     if skipped > 0 and not self_paced:
         state = _skip(state, tick.k - skipped, skipped, now_ns, "the host was late")
-    state = state._replace(k=tick.k, tick_ns=now_ns)
+    state = replace(state, k=tick.k, tick_ns=now_ns)
     if not state.link_up or state.device is None:
         return state, done
     rules, driving = state.rules, state.phase in (Phase.ARMED, Phase.ACTIVE)
@@ -156,7 +157,7 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     done += actions
     sent = Sent(state.seq, tick.k, tick.sched_ns, now_ns, code)
     state, actions = send(state, now_ns, encode(Exchange(0, state.seq, tick.k & 0xFFFFFFFF, code)))
-    return state._replace(sent=(*state.sent, sent)), done + actions
+    return replace(state, sent=(*state.sent, sent)), done + actions
 
 
 def _skip(state: State, k: int, count: int, now_ns: int, reason: str) -> State:
@@ -169,9 +170,9 @@ def _stale(state: State, now_ns: int, *, driving: bool) -> Step:
         return trip(state, now_ns, f"no answer from the device for {age_ms:.0f} ms")
     if state.asked is not None:
         return state, []
-    state = state._replace(sent=(), device=None)
+    state = replace(state, sent=(), device=None)
     if state.phase is not Phase.FAULT:
-        state = state._replace(phase=Phase.INIT)
+        state = replace(state, phase=Phase.INIT)
     state, actions = ask(state, now_ns, Want.HELLO)
     text = f"no answer from the device for {age_ms:.0f} ms; asking who is there"
     return state, [log(now_ns, "warning", text), say_state(state, now_ns), *actions]
@@ -196,8 +197,8 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
     done: list[Action] = []
     run = state.run
     if run.k_first < 0:
-        run = run._replace(k_first=k)
-        state = state._replace(run=run)
+        run = replace(run, k_first=k)
+        state = replace(state, run=run)
         started = RunStarted(run_id=run.run_id, k_first=k, count=run.samples, t_host_ns=now_ns)
         done.append(Emit(started))
     i = k - run.k_first
@@ -206,7 +207,7 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
         if not state.rules.allows(run.code(i - 1), code):
             state, actions = trip(state, now_ns, f"u[{i}] is not within the limits")
             return state, 0, done + actions
-        return state._replace(run=run._replace(due=i + 1)), code, done
-    state = state._replace(run=run._replace(due=run.samples))
+        return replace(state, run=replace(run, due=i + 1)), code, done
+    state = replace(state, run=replace(run, due=run.samples))
     state, actions = stop(state, now_ns, "complete")
     return state, 0, done + actions

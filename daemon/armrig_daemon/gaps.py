@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.volts import volts_of
+from msgspec.structs import replace
 
 from armrig_daemon.asking import Step
 from armrig_daemon.records import Gap
@@ -14,7 +15,7 @@ MOST_ABSENT = 1000  # pieces of one outage that are told apart; the rest is one 
 
 def note(state: State, absent: Absent) -> State:
     """Remember samples that will not come, until the next one that does."""
-    return state._replace(absent=(*state.absent[1 - MOST_ABSENT :], absent))
+    return replace(state, absent=(*state.absent[1 - MOST_ABSENT :], absent))
 
 
 def lost(sent: Sent, now_ns: int) -> Absent:
@@ -36,7 +37,7 @@ def account(state: State, end: int, now_ns: int, u_before: int | None = None) ->
     # Ticks may have been skipped already behind a sample that is still on its way.
     later = tuple(a for a in state.absent if a.k + a.n > end)
     if state.told < 0 or first >= end:
-        return state._replace(told=max(state.told, end - 1), absent=later), []
+        return replace(state, told=max(state.told, end - 1), absent=later), []
     pieces = list(_pieces(state, first, end, now_ns))
     done: list[Action] = []
     code = state.applied
@@ -45,7 +46,7 @@ def account(state: State, end: int, now_ns: int, u_before: int | None = None) ->
         if i == len(pieces) - 1 and u_before is not None and (piece.n == 1 or piece.code is None):
             code = u_before  # nothing was latched since: all of the piece was held at it
         done.append(Emit(_gap(piece, code)))
-    return state._replace(told=end - 1, absent=later), done
+    return replace(state, told=end - 1, absent=later), done
 
 
 def _pieces(state: State, first: int, end: int, now_ns: int) -> list[Absent]:

@@ -14,6 +14,7 @@ from armrig_protocol.messages import (
     HelloReply,
 )
 from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
 
 from armrig_daemon import scheduling
 from armrig_daemon.asking import Step, answer, ask, config, log, refuse, say_state
@@ -44,7 +45,7 @@ def retry(state: State, now_ns: int) -> Step:
     if asked is None or now_ns < retry_ns(asked):
         return state, []
     if not state.link_up:
-        return state._replace(asked=None), refuse(asked.order, "the link is down")
+        return replace(state, asked=None), refuse(asked.order, "the link is down")
     if asked.want is Want.HELLO or asked.tries < _TRIES:
         return ask(
             state,
@@ -61,7 +62,7 @@ def retry(state: State, now_ns: int) -> Step:
 def failed(state: State, now_ns: int, error: str) -> Step:
     """Give up what was asked for."""
     asked = state.asked
-    state = state._replace(asked=None)
+    state = replace(state, asked=None)
     done = refuse(asked.order if asked else None, error)
     if asked is not None and asked.want is Want.STOP:
         # More cannot be done from here: the device's own watchdog is next.
@@ -72,7 +73,7 @@ def failed(state: State, now_ns: int, error: str) -> Step:
         if state.phase is Phase.FAULT:
             return state, [*done, log(now_ns, "error", error)]
         state, actions = trip(state, now_ns, error)
-        return state._replace(asked=None), done + actions
+        return replace(state, asked=None), done + actions
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
         state, actions = trip(state, now_ns, error)
         return state, done + actions
@@ -85,7 +86,7 @@ def seen(state: State, now_ns: int, device_state: int, *, ended: bool = False) -
 
     `ended` says that the frame tells of the end of a run, at its k_stop.
     """
-    before, state = state.device_state, state._replace(device_state=device_state)
+    before, state = state.device_state, replace(state, device_state=device_state)
     if state.asked is not None:
         reached = {
             Want.ARM: device_state == DeviceState.ARMED,
@@ -119,7 +120,7 @@ def _is_over(state: State, run: Run, now_ns: int) -> bool:
 
 
 def _reached(state: State, now_ns: int, asked: Asked) -> Step:
-    state = state._replace(asked=None)
+    state = replace(state, asked=None)
     match asked.want:
         case Want.ARM:
             return _armed(state, now_ns, asked)
@@ -140,7 +141,7 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
     lease = Lease(order.lease, order.owner, ts_us, -1, now_ns)
-    state = state._replace(phase=Phase.ARMED, reason="", lease=lease)
+    state = replace(state, phase=Phase.ARMED, reason="", lease=lease)
     granted = {
         "lease": order.lease,
         "period_s": rules.lease_ns(ts_us) / 1e9,
@@ -155,21 +156,21 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Play | Hold):
         return trip(state, now_ns, "started without an owner")
-    lease = state.lease._replace(renewed_ns=now_ns)
-    state = state._replace(phase=Phase.ACTIVE, lease=lease, outcome="", code=0, beats=())
+    lease = replace(state.lease, renewed_ns=now_ns)
+    state = replace(state, phase=Phase.ACTIVE, lease=lease, outcome="", code=0, beats=())
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
     if isinstance(order, Hold):
-        return state._replace(code=order.code), done
+        return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
-        return state._replace(run=Run(order.run_id, order.codes, -1)), done
+        return replace(state, run=Run(order.run_id, order.codes, -1)), done
     # The device takes its first sample one Ts after it heard START.
     heard_ns = (asked.sent_ns + now_ns) // 2
-    run = state.run._replace(k_first=state.k + 1, t_zero_ns=heard_ns + state.ts_us * 1000)
+    run = replace(state.run, k_first=state.k + 1, t_zero_ns=heard_ns + state.ts_us * 1000)
     started = RunStarted(
         run_id=run.run_id, k_first=run.k_first, count=run.samples, t_host_ns=now_ns
     )
-    queue = state.queue._replace(order=None)
-    state = state._replace(run=run, queue=queue, fresh_ns=asked.sent_ns)
+    queue = replace(state.queue, order=None)
+    state = replace(state, run=run, queue=queue, fresh_ns=asked.sent_ns)
     return state, [*done, Emit(started)]
 
 
@@ -186,7 +187,7 @@ def rest(state: State, now_ns: int, order: Order | None) -> Step:
     state, done = end_run(state, now_ns)
     if state.quitting:
         return state, [*done, Exit()]
-    state = state._replace(lease=None)
+    state = replace(state, lease=None)
     if state.phase is Phase.FAULT and not isinstance(order, Reset):
         return state, done
     state, actions = ask(state, now_ns, Want.CONFIGURE, order, ts_us=state.rules.ts_us)
@@ -199,8 +200,9 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     if asked is None or asked.want is not Want.HELLO:
         return state, []  # nobody asked: it proves no round trip
     if state.boot_id != reply.boot_id:  # its clock has begun anew
-        state = state._replace(boot_id=reply.boot_id, clock=ClockMap(), device_us=0, t_us=0)
-    state = state._replace(
+        state = replace(state, boot_id=reply.boot_id, clock=ClockMap(), device_us=0, t_us=0)
+    state = replace(
+        state,
         asked=None,
         device=reply,
         token=reply.token,
@@ -245,7 +247,7 @@ def _latch(state: State, now_ns: int, asked: Asked, error: str) -> Step:
     done = refuse(asked.order, error)
     if (state.phase, state.reason) == (Phase.FAULT, error):
         return state, done
-    state = state._replace(phase=Phase.FAULT, reason=error)
+    state = replace(state, phase=Phase.FAULT, reason=error)
     return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
 
 
@@ -262,7 +264,8 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
         return failed(state, now_ns, "the device accepted another configuration than was sent")
     before_us = _pace_us(state.ts_us, scheduled=state.scheduled)
     # The pace begins anew here: the ticks before it say nothing of the new period.
-    state = state._replace(
+    state = replace(
+        state,
         asked=None,
         config_crc=reply.config_crc,
         ts_us=asked.ts_us,
@@ -276,7 +279,7 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
     if isinstance(asked.order, Take | Play):
         state, actions = ask(state, now_ns, Want.ARM, asked.order)
         return state, done + actions
-    state = state._replace(phase=Phase.SAFE, reason="", lease=None)
+    state = replace(state, phase=Phase.SAFE, reason="", lease=None)
     return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
 
 

@@ -27,9 +27,6 @@ from armrig_daemon.state import (
     Tick,
 )
 
-MARGIN_NS = 150_000
-"""How long before a deadline waiting for bytes ends and waiting for the time begins, in ns."""
-
 
 class Loop:
     """One rig's loop; `run` returns when the core wants to exit."""
@@ -53,9 +50,10 @@ class Loop:
     def turn(self) -> None:
         """Serve what comes until the next tick is due, and tick."""
         due = self._pace.due_ns(self._k)
-        now = self._serve_until(due - MARGIN_NS)
+        until = due - self.ports.margin_ns
+        now = self._serve_until(until)
         # Else the pace has changed meanwhile, or it is over.
-        if not self.ended and now >= due - MARGIN_NS:
+        if not self.ended and now >= until:
             self._tick(due)
 
     def _serve_until(self, until_ns: int) -> int:

@@ -27,6 +27,7 @@ NO_PORT = 2
 """Exit code where the port could not be opened; why has been said."""
 REOPEN_NS = 500_000_000
 _READ = 65536
+_MARGIN_NS = 150_000  # without a spin: `select` sleeps less exactly than `clock_nanosleep`
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -62,6 +63,12 @@ class ProcessPorts:
         self._gone = False
         self.quit_reason = ""
         self.spin_ns = 0
+        self._sources = self._readable()
+
+    @property
+    def margin_ns(self) -> int:
+        """Return the time of the spin: `select` has slept until there, and need not once more."""
+        return self.spin_ns or _MARGIN_NS
 
     def now_ns(self) -> int:
         """Return the monotonic time."""
@@ -81,12 +88,9 @@ class ProcessPorts:
         if self._link is None and now >= self._reopen_ns:
             self._reopen_ns = now + REOPEN_NS
             events += self._open()
-        fds = [] if self._gone else [self._orders_fd]
-        if self._link is not None:
-            fds.append(self._link.fd)
         timeout = 0 if events else max(0, until_ns - now) / 1e9
         try:
-            ready, _, _ = select.select(fds, [], [], timeout)
+            ready, _, _ = select.select(self._sources, [], [], timeout)
         except OSError as err:  # the port's descriptor went bad
             return [*events, *self._lost(err)]
         if self._link is not None and self._link.fd in ready:
@@ -118,6 +122,7 @@ class ProcessPorts:
             return False
         except BrokenPipeError:
             self._gone = True
+            self._sources = self._readable()
             return False
 
     def tidy(self) -> None:
@@ -133,6 +138,11 @@ class ProcessPorts:
             for seq in range(3):
                 self._link.write(b"\0" + encode(Estop(0, seq)))
 
+    def _readable(self) -> list[int]:
+        """Return the descriptors that `wait` waits for."""
+        orders = [] if self._gone else [self._orders_fd]
+        return orders if self._link is None else [*orders, self._link.fd]
+
     def _open(self) -> list[Event]:
         try:
             self._link = Link(self._settings.port, self._settings.baud)
@@ -142,12 +152,14 @@ class ProcessPorts:
                 return [LinkDown(self._said)]
             return []
         self._said = ""
+        self._sources = self._readable()
         return [LinkUp()]
 
     def _lost(self, err: OSError) -> list[Event]:
         if self._link is not None:
             self._link.close()
             self._link = None
+            self._sources = self._readable()
         self._reopen_ns = realtime.now_ns() + REOPEN_NS
         self._said = str(err)
         return [LinkDown(self._said)]
@@ -168,6 +180,7 @@ class ProcessPorts:
             return []
         if not data:
             self._gone = True
+            self._sources = self._readable()
             return [ServiceGone()]
         self._orders += data
         return [Ordered(order) for order in take_orders(self._orders)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from armrig_core.volts import volts_of
 from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
 
 from armrig_daemon.asking import Step, answer, ask, refuse
 from armrig_daemon.handshake import begin_arming
@@ -15,7 +16,7 @@ from armrig_daemon.stopping import end_run, stop
 
 def take(state: State, now_ns: int, order: Order) -> Step:
     """Carry out one order, or refuse it."""
-    state = state._replace(service_ns=now_ns)
+    state = replace(state, service_ns=now_ns)
     match order:
         case Alive():
             return state, []
@@ -36,7 +37,7 @@ def quit_(state: State, now_ns: int) -> Step:
     """Stop and exit; the exit waits until the device is seen stopped, or cannot be."""
     if state.quitting:
         return state, []
-    state = state._replace(quitting=True)
+    state = replace(state, quitting=True)
     if not state.link_up or state.device is None:
         state, done = end_run(state, now_ns)
         return state, [*done, Exit()]
@@ -87,11 +88,11 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
     error = _error(state, order)
     if error:
         return state, refuse(order, error)
-    state = state._replace(lease=lease._replace(n=order.n, renewed_ns=now_ns))
+    state = replace(state, lease=replace(lease, n=order.n, renewed_ns=now_ns))
     if isinstance(order, Release):
         return stop(state, now_ns, "disarmed", order)
     if isinstance(order, Hold) and state.phase is Phase.ACTIVE:
-        return state._replace(code=order.code), answer(order, {"done": True})
+        return replace(state, code=order.code), answer(order, {"done": True})
     if isinstance(order, Play) and order.scheduled:
         # By way of a stop: a device takes another mode in IDLE and READY only.
         return ask(state, now_ns, Want.STOP, order)

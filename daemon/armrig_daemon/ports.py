@@ -10,6 +10,10 @@ from armrig_daemon.state import Event
 class Ports(Protocol):
     """Clock, line and pipes of one loop."""
 
+    @property
+    def margin_ns(self) -> int:
+        """How long before a deadline `wait` ends and `sleep_until` begins, in ns."""
+
     def now_ns(self) -> int:
         """Return the monotonic time."""
 

@@ -15,12 +15,15 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import Event as DeviceEvent
 from armrig_protocol.messages import Sample as DeviceSample
+from msgspec.structs import replace
 
 from armrig_daemon import comparing, gaps, handshake, scheduling
 from armrig_daemon.asking import Step, ask, log, say_state
 from armrig_daemon.conversion import converted, extended
 from armrig_daemon.state import Action, Phase, Publish, RoundTrip, State, Want
 from armrig_daemon.stopping import trip
+
+_RUN = int(Flag.RUN)  # an enum's `&` makes an enum: 0.5 µs each time
 
 
 def take(state: State, now_ns: int, message: Message) -> Step:
@@ -45,7 +48,7 @@ def _pong(state: State, now_ns: int, pong: Pong) -> Step:
     if pong.host_ns != state.ping_ns:
         return state, []  # an old one: it says nothing of now
     round_trip = RoundTrip(now_ns - pong.host_ns)
-    state = state._replace(fresh_ns=max(state.fresh_ns, pong.host_ns))
+    state = replace(state, fresh_ns=max(state.fresh_ns, pong.host_ns))
     state = comparing.by_pong(state, now_ns, pong)
     state, done = handshake.seen(state, now_ns, pong.state)
     return state, [round_trip, *done]
@@ -58,12 +61,12 @@ def _is_other_boot(state: State, boot: int) -> bool:
 def _rebooted(state: State, now_ns: int) -> Step:
     """Meet a device that has started anew: it is at 0 V and knows nothing of us."""
     was_driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
-    state = state._replace(device=None, sent=(), device_state=0)
+    state = replace(state, device=None, sent=(), device_state=0)
     done: list[Action] = []
     if was_driving:
         state, done = trip(state, now_ns, "the device was reset")
     elif state.phase is not Phase.FAULT:
-        state = state._replace(phase=Phase.INIT)
+        state = replace(state, phase=Phase.INIT)
         done = [log(now_ns, "warning", "the device was reset"), say_state(state, now_ns)]
     state, actions = ask(state, now_ns, Want.HELLO)
     return state, done + actions
@@ -83,10 +86,10 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
     if _is_other_boot(state, event.boot):
         return _rebooted(state, now_ns)
     cause = Cause(event.cause).name if event.cause in set(Cause) else str(event.cause)
-    state = state._replace(token=event.token)
+    state = replace(state, token=event.token)
     if event.token and state.phase is not Phase.FAULT:
         detail = f", code {event.detail}" if event.detail else ""
-        state = state._replace(device_state=event.state)
+        state = replace(state, device_state=event.state)
         return trip(state, now_ns, f"the device stopped by itself: {cause}{detail}")
     return handshake.seen(state, now_ns, event.state, ended=event.cause == Cause.END)
 
@@ -94,7 +97,7 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
 def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     if _is_other_boot(state, m.boot):
         return _rebooted(state, now_ns)
-    if state.scheduled and m.flags & Flag.RUN:
+    if state.scheduled and m.flags & _RUN:
         return _self_paced(state, now_ns, m)
     at = next((i for i, s in enumerate(state.sent) if s.k & 0xFFFFFFFF == m.k), None)
     device = state.device
@@ -109,9 +112,14 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
         state.rules.calibration, m, sent.k, sent.sched_ns, sent.sent_ns, t_us, sent.code
     )
     done += [RoundTrip(now_ns - sent.sent_ns), Publish(published)]
-    expected = applied_code(sent.code, device.pwm_bits) if m.flags & Flag.RUN else 0
-    state = state._replace(
-        sent=state.sent[at + 1 :], fresh_ns=sent.sent_ns, t_us=t_us, applied=m.u_k, told=sent.k
+    expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
+    state = replace(
+        state,
+        sent=state.sent[at + 1 :],
+        fresh_ns=sent.sent_ns,
+        t_us=t_us,
+        applied=m.u_k,
+        told=sent.k,
     )
     state = comparing.by_sample(state, now_ns, sent, m)
     state, actions = handshake.seen(state, now_ns, m.state)

@@ -11,6 +11,7 @@ from armrig_core.volts import applied_code, volts_of
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SETPOINTS_PER_FRAME, Flag, Ping, Setpoints
 from armrig_protocol.messages import Sample as DeviceSample
+from msgspec.structs import replace
 
 from armrig_daemon import gaps
 from armrig_daemon.asking import Step, ask, log, send
@@ -20,6 +21,8 @@ from armrig_daemon.conversion import converted, extended
 from armrig_daemon.records import Play
 from armrig_daemon.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
 from armrig_daemon.stopping import stop, trip
+
+_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
 
 RESEND_NS = 30_000_000
 """Setpoints that the device does not show after so long are sent again, in ns."""
@@ -35,7 +38,7 @@ def begin(state: State, now_ns: int, order: Play) -> Step:
     """Fill the queue of a device that was armed for this run, at 0 V."""
     run = Run(order.run_id, order.codes, -1, scheduled=True)
     queue = Queue(order, moved_ns=now_ns, asked_ns=now_ns)
-    return refill(state._replace(run=run, queue=queue), now_ns)
+    return refill(replace(state, run=run, queue=queue), now_ns)
 
 
 def refill(state: State, now_ns: int) -> Step:
@@ -62,7 +65,7 @@ def refill(state: State, now_ns: int) -> Step:
         done += sending
         moved_ns = now_ns if sent == queue.held else moved_ns
         sent += n
-    return state._replace(queue=queue._replace(sent=sent, moved_ns=moved_ns)), done
+    return replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns)), done
 
 
 def counted(state: State, now_ns: int, base: int, queued: int) -> Step:
@@ -73,8 +76,8 @@ def counted(state: State, now_ns: int, base: int, queued: int) -> Step:
     held = base + queued
     moved_ns = now_ns if held > queue.held else queue.moved_ns
     # A sample may be older than what was sent since; a start again from `held` may be behind it.
-    queue = queue._replace(base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
-    state = state._replace(queue=queue)
+    queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
+    state = replace(state, queue=queue)
     if state.phase is Phase.ARMED and state.asked is None:
         if _is_filled(state):
             return ask(state, now_ns, Want.START, queue.order)
@@ -96,7 +99,7 @@ def heard(state: State, echo: int) -> State:
     newest = [b for b in state.beats if (echo - b.seq) & 0xFFFF < 0x8000]
     if not newest:
         return state
-    return state._replace(beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
+    return replace(state, beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
 
 
 def is_stopping(state: State) -> bool:
@@ -113,7 +116,7 @@ def tick(state: State, now_ns: int) -> Step:
     state, done = refill(state, now_ns)
     if now_ns - state.ping_ns >= PING_US * 1000:
         ping = encode(Ping(0, state.seq, now_ns))
-        state, sending = send(state._replace(ping_ns=now_ns), now_ns, ping)
+        state, sending = send(replace(state, ping_ns=now_ns), now_ns, ping)
         done += sending
     return state, done
 
@@ -130,13 +133,13 @@ def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     code = run.code(m.k)
     published = converted(state.rules.calibration, m, k, sched_ns, now_ns, t_us, code)
     done.append(Publish(published, m.queued))
-    state = state._replace(run=run._replace(due=m.k + 1), t_us=t_us, applied=m.u_k, told=k)
+    state = replace(state, run=replace(run, due=m.k + 1), t_us=t_us, applied=m.u_k, told=k)
     state, actions = counted(state, now_ns, m.k + 1, m.queued)
     done += actions
-    if m.flags & Flag.UNDERRUN:
+    if m.flags & _UNDERRUN:
         text = f"no setpoint was there for sample {k}: the input was {volts_of(m.u_k):.3g} V"
         return state, [*done, log(now_ns, "warning", text)]
-    if m.flags & Flag.RUN and m.u_k != applied_code(code, device.pwm_bits):
+    if m.flags & _RUN and m.u_k != applied_code(code, device.pwm_bits):
         text = f"the device applied code {m.u_k} where {code} was commanded"
         state, actions = trip(state, now_ns, text)
         done += actions
@@ -146,7 +149,7 @@ def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
 def _due_ns(state: State, run: Run, i: int, t_us: int) -> int:
     """Return when sample i was due on our clock: by the map of the clocks, once there is one."""
     if state.clock.weight and len(state.clock.round_trips) >= ENOUGH_EXCHANGES:
-        return host_ns_at(state.clock, extend(state.device_us, t_us & 0xFFFFFFFF))[0]
+        return host_ns_at(state.clock, extend(state.device_us, t_us & 0xFFFFFFFF))
     return run.t_zero_ns + i * state.ts_us * 1000
 
 
@@ -156,8 +159,8 @@ def complete(state: State, now_ns: int) -> Step:
     if run is None:
         return state, []
     state = _without(state, run, run.samples, now_ns)
-    run = run._replace(due=run.samples)
-    return state._replace(run=run, outcome=state.outcome or "complete"), []
+    run = replace(run, due=run.samples)
+    return replace(state, run=run, outcome=state.outcome or "complete"), []
 
 
 def _without(state: State, run: Run, end: int, now_ns: int) -> State:

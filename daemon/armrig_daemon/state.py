@@ -128,7 +128,7 @@ class Absent(NamedTuple):
     t_to_ns: int
 
 
-class Lease(NamedTuple):
+class Lease(msgspec.Struct, frozen=True, gc=False):
     """Who holds the rig."""
 
     lease: str
@@ -140,7 +140,7 @@ class Lease(NamedTuple):
     renewed_ns: int
 
 
-class Run(NamedTuple):
+class Run(msgspec.Struct, frozen=True, gc=False):
     """An experiment that is played."""
 
     run_id: str
@@ -165,7 +165,7 @@ class Run(NamedTuple):
         return self.codes[2 * i] | self.codes[2 * i + 1] << 8 if i >= 0 else 0
 
 
-class Queue(NamedTuple):
+class Queue(msgspec.Struct, frozen=True, gc=False):
     """The setpoints of a scheduled run on their way to the device."""
 
     order: Play | None
@@ -189,8 +189,8 @@ class Heard(NamedTuple):
     sent_ns: int
 
 
-class State(NamedTuple):
-    """All that the core knows; a named tuple for speed (docs/decisions/0003)."""
+class State(msgspec.Struct, frozen=True, gc=False):
+    """All that the core knows; a struct for speed (docs/decisions/0003)."""
 
     rules: Rules
     phase: Phase = Phase.INIT

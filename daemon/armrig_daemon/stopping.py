@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from armrig_daemon import gaps
 from armrig_daemon.asking import Step, ask, log, refuse, say_state
 from armrig_daemon.records import Order, RunEnded
@@ -12,9 +14,9 @@ def end_run(state: State, now_ns: int) -> Step:
     """Say that the run is over, once no sample of it can come any more."""
     queue, run = state.queue, state.run
     done = refuse(queue.order, state.outcome or "stopped") if queue else []
-    state = state._replace(queue=None, beats=())
+    state = replace(state, queue=None, beats=())
     if run is None:
-        return state._replace(outcome=""), done
+        return replace(state, outcome=""), done
     if run.k_first >= 0:
         end = run.k_first + min(run.due, run.samples)
         for sent in (s for s in state.sent if s.k < end):
@@ -24,29 +26,29 @@ def end_run(state: State, now_ns: int) -> Step:
             by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
             n = max(0, min(by_now, run.samples) - run.due)
             state = gaps.note(state, Absent(end, n, state.outcome, 0, state.tick_ns, now_ns))
-            run, end = run._replace(due=run.due + n), end + n
+            run, end = replace(run, due=run.due + n), end + n
         state, actions = gaps.account(state, end, now_ns)
         done += actions
-        state = state._replace(sent=tuple(s for s in state.sent if s.k >= end))
+        state = replace(state, sent=tuple(s for s in state.sent if s.k >= end))
     if run.scheduled and run.k_first >= 0:
         # The device has counted on its own: our ticks go on behind its last sample.
         k = run.k_first + run.due - 1
-        state = state._replace(k=k)
+        state = replace(state, k=k)
         done.append(Repace(state.rules.ts_us, k + 1))
     done.append(Emit(RunEnded(run_id=run.run_id, outcome=state.outcome)))
-    return state._replace(run=None, outcome=""), done
+    return replace(state, run=None, outcome=""), done
 
 
 def stop(state: State, now_ns: int, outcome: str, order: Order | None = None) -> Step:
     """Go to 0 V in good order: the run ends when the device has stopped."""
-    state = state._replace(outcome=state.outcome or outcome, code=0)
+    state = replace(state, outcome=state.outcome or outcome, code=0)
     return ask(state, now_ns, Want.STOP, order)
 
 
 def trip(state: State, now_ns: int, reason: str) -> Step:
     """Go to 0 V and latch: only a reset, then arm, leads out (S6)."""
-    state = state._replace(
-        phase=Phase.FAULT, reason=reason, lease=None, code=0, outcome=state.outcome or reason
+    state = replace(
+        state, phase=Phase.FAULT, reason=reason, lease=None, code=0, outcome=state.outcome or reason
     )
     text = f"stopped at 0 V: {reason}; mend it, then `reset`, then arm again"
     done = [log(now_ns, "error", text), say_state(state, now_ns)]

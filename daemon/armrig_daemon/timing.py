@@ -8,6 +8,8 @@ References
 
 from __future__ import annotations
 
+from collections import defaultdict
+
 from armrig_daemon.records import Distribution
 
 _STEPS = 32  # a power of two is cut into so many: values are known to 1/32, that is 3 %
@@ -31,7 +33,7 @@ class Histogram:
 
     def __init__(self) -> None:
         """Start empty."""
-        self._bins: dict[int, int] = {}
+        self._bins: defaultdict[int, int] = defaultdict(int)
         self._max = 0
         self.n = 0
         self.missed = 0
@@ -40,12 +42,11 @@ class Histogram:
         """Count a value; `missed` ticks behind it count too, each a period less late."""
         value = max(0, value_ns)
         self._max = max(self._max, value)
-        for _ in range(min(missed, _MOST_MISSED) + 1):
-            index = _bin(max(0, value))
-            self._bins[index] = self._bins.get(index, 0) + 1
-            value -= period_ns
+        self._bins[_bin(value)] += 1
         self.n += missed + 1
         self.missed += missed
+        for n in range(1, min(missed, _MOST_MISSED) + 1):
+            self._bins[_bin(max(0, value - n * period_ns))] += 1
 
     def quantile(self, q: float) -> int:
         """Return the value in ns that a share `q` of all counts does not exceed."""

@@ -29,6 +29,8 @@ def sound(data: bytes) -> bytes:
 class VirtualPorts:
     """The ports of a loop whose clock is a number and whose line ends in an emulated device."""
 
+    margin_ns = 150_000
+
     def __init__(self, settings: EmulatorSettings, lateness: Lateness = lambda: 0) -> None:
         """Switch the device on at time 0, and plug it in."""
         self.now = 0

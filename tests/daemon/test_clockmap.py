@@ -16,6 +16,7 @@ from armrig_daemon.clockmap import (
     extend,
     host_ns_at,
     start,
+    std_ns_at,
     update,
 )
 from hypothesis import given
@@ -82,7 +83,8 @@ def follow(rig: Rig, n: int, clock: ClockMap | None = None) -> ClockMap:
 def error_ns(rig: Rig, clock: ClockMap, ahead_ns: int = 0) -> tuple[float, float]:
     """Return the map's error at the present, or later, and what it holds it for."""
     at_ns = rig.t_ns + ahead_ns
-    host_ns, std_ns = host_ns_at(clock, rig.device_us(at_ns))
+    device_us = rig.device_us(at_ns)
+    host_ns, std_ns = host_ns_at(clock, device_us), std_ns_at(clock, device_us)
     return host_ns - at_ns, std_ns
 
 
@@ -210,6 +212,7 @@ def test_an_exchange_that_cannot_be_is_left_out() -> None:
 
     assert after.rejected == 1
     assert host_ns_at(after, rx) == host_ns_at(clock, rx)
+    assert std_ns_at(after, rx) == std_ns_at(clock, rx)
 
 
 def test_a_jump_between_the_devices_stamps_does_not_spoil_the_least_round_trip() -> None:
@@ -262,7 +265,7 @@ def test_only_differences_of_the_clocks_count() -> None:
         there = update(there, h1 + moved_ns, rx + moved_us, tx + moved_us, h4 + moved_ns)
 
     at_us = exchanges[-1][1] + 1234
-    assert host_ns_at(there, at_us + moved_us)[0] == host_ns_at(here, at_us)[0] + moved_ns
+    assert host_ns_at(there, at_us + moved_us) == host_ns_at(here, at_us) + moved_ns
     assert estimate(there)[1:] == estimate(here)[1:]
 
 

@@ -622,8 +622,8 @@ def test_a_link_that_goes_while_a_run_begins_refuses_the_run(bench: Bench) -> No
 def test_a_service_that_is_frozen_cannot_keep_the_motor_on(scheduled: bool) -> None:
     """Through it goes every stop: 3 s after it was last heard of, 0 V."""
     bench = Bench()
-    bench.loop.state = bench.loop.state._replace(
-        rules=replace(bench.loop.state.rules, service_ns=3_000 * MS)
+    bench.loop.state = replace(
+        bench.loop.state, rules=replace(bench.loop.state.rules, service_ns=3_000 * MS)
     )
     bench.take()
     play = Play(
