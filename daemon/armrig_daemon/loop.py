@@ -11,7 +11,7 @@ from armrig_daemon.meter import Meter, clock_record
 from armrig_daemon.outbox import Outbox
 from armrig_daemon.pacing import Pace, change
 from armrig_daemon.ports import Ports
-from armrig_daemon.records import RunEnded
+from armrig_daemon.records import RunEnded, RunStarted
 from armrig_daemon.state import (
     Action,
     Beat,
@@ -79,7 +79,7 @@ class Loop:
         # The tick first: after a pause it trips before orders from before the pause are looked at.
         self._step(now, [Tick(k, sched_ns)])
         self._outbox.flush()
-        timing = self._meter.each_second(now)
+        timing = self._meter.each_second(now, self.ports.collections)
         if timing is not None:
             self._outbox.put(timing)
             clock = clock_record(self.state.clock, now)
@@ -106,7 +106,9 @@ class Loop:
                 self._meter.came_back(action.ns)
             case Emit():
                 self._outbox.put(action.record)
-                if isinstance(action.record, RunEnded):
+                if isinstance(action.record, RunStarted):
+                    self._meter.forget_device()
+                elif isinstance(action.record, RunEnded):
                     self.ports.tidy()
             case Repace():
                 self._k = action.k

@@ -70,6 +70,11 @@ class ProcessPorts:
         """Return the time of the spin: `select` has slept until there, and need not once more."""
         return self.spin_ns or _MARGIN_NS
 
+    @property
+    def collections(self) -> int:
+        """Return how often garbage was collected; it is done between runs, and nowhere else."""
+        return sum(generation["collections"] for generation in gc.get_stats())
+
     def now_ns(self) -> int:
         """Return the monotonic time."""
         return realtime.now_ns()

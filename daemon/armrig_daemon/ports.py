@@ -14,6 +14,10 @@ class Ports(Protocol):
     def margin_ns(self) -> int:
         """How long before a deadline `wait` ends and `sleep_until` begins, in ns."""
 
+    @property
+    def collections(self) -> int:
+        """How often garbage was collected, each time a stall."""
+
     def now_ns(self) -> int:
         """Return the monotonic time."""
 

@@ -30,11 +30,14 @@ class VirtualPorts:
     """The ports of a loop whose clock is a number and whose line ends in an emulated device."""
 
     margin_ns = 150_000
+    collections = 0
 
-    def __init__(self, settings: EmulatorSettings, lateness: Lateness = lambda: 0) -> None:
-        """Switch the device on at time 0, and plug it in."""
+    def __init__(
+        self, settings: EmulatorSettings, lateness: Lateness = lambda: 0, switched_on_ns: int = 0
+    ) -> None:
+        """Switch the device on, at time 0 or before it, and plug it in at time 0."""
         self.now = 0
-        self.device = Device(settings, 0)
+        self.device = Device(settings, switched_on_ns)
         self.to_device: Line = sound
         self.from_device: Line = sound
         self._lateness = lateness
@@ -101,10 +104,14 @@ class VirtualRig:
     """A loop, its device, and a service that only keeps what it is told."""
 
     def __init__(
-        self, rules: Rules, settings: EmulatorSettings, lateness: Lateness = lambda: 0
+        self,
+        rules: Rules,
+        settings: EmulatorSettings,
+        lateness: Lateness = lambda: 0,
+        switched_on_ns: int = 0,
     ) -> None:
-        """Switch everything on at time 0."""
-        self.ports = VirtualPorts(settings, lateness)
+        """Switch everything on at time 0, or the device before it."""
+        self.ports = VirtualPorts(settings, lateness, switched_on_ns)
         self.loop = Loop(rules, self.ports)
         self.records: list[bytes | Record] = []
 

@@ -19,11 +19,20 @@ MS = 1_000_000
 class Bench(VirtualRig):
     """A virtual rig with the words of these tests."""
 
-    def __init__(self, config: Config | None = None, **emulator: float) -> None:
+    def __init__(
+        self,
+        config: Config | None = None,
+        *,
+        switched_on_ns: int = 0,
+        k: int = 0,
+        **emulator: float,
+    ) -> None:
         self.lateness_ns = 0
         rules = (config or Config()).rules()
         settings = EmulatorSettings(**{"boot_ms": 0.0, "baud": rules.baud, **emulator})
-        super().__init__(rules, settings, lambda: self.lateness_ns)
+        super().__init__(rules, settings, lambda: self.lateness_ns, switched_on_ns)
+        self.loop._k = k
+        self.loop._pace = self.loop._pace._replace(k_origin=k)
         self._number = 0
         self.run_for(300)
 
