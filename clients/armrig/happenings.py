@@ -1,9 +1,10 @@
-"""What a recording holds beside samples: gaps, events, and timing, on the recording's own time."""
+"""What a recording holds beside samples: gaps, events, timing and clock, on its own time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import nan
 from typing import Any
 
 from armrig_core.manifest import Manifest, Outcome
@@ -42,18 +43,18 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distribution:
-    """How a time was distributed over one second."""
+    """How a quantity was distributed over one second, in its own unit."""
 
     p50: float
-    """Median, in µs."""
+    """Median."""
     p90: float
-    """90th percentile, in µs."""
+    """90th percentile."""
     p99: float
-    """99th percentile, in µs."""
+    """99th percentile."""
     p999: float
-    """99.9th percentile, in µs."""
+    """99.9th percentile."""
     max: float
-    """Longest, in µs."""
+    """Greatest."""
     n: int
     """How many there were."""
     missed: int
@@ -72,6 +73,32 @@ class Timing:
     """Of the device's clock, against the sampling time, in µs."""
     link_round_trip_us: Distribution
     """Of the link, from request to answer, in µs."""
+    queue_depth: Distribution
+    """Setpoints that the device held ahead; n is 0 where it had no queue."""
+    collections: int
+    """Garbage collections of the loop since it was started: each is a stall."""
+    cpu_pressure_percent: float
+    """Share of the second in which some task of the host waited for a processor; NaN: not told."""
+    run_queue: int
+    """Tasks of the host that were runnable; -1: not told."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceClock:
+    """The device's clock against the host's, as known at `t`; no time recorded is changed by it."""
+
+    t: float
+    """When, in s from the recording's first sample."""
+    offset_ns: int
+    """Host's monotonic time less 1000 times the device's µs."""
+    offset_std_ns: float
+    """Standard deviation of the offset, in ns."""
+    drift_ppm: float
+    """What the offset gains, in parts per million; positive where the device's clock is slow."""
+    drift_std_ppm: float
+    """Standard deviation of the drift, in parts per million."""
+    bound_ns: float
+    """The most that a constant asymmetry of the way can hide in the offset, in ns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,4 +171,18 @@ def timing_of(message: Any, clock: Clock) -> Timing:
         wake_lateness_us=distribution(message.wake_lateness_us),
         device_tick_error_us=distribution(message.device_tick_error_us),
         link_round_trip_us=distribution(message.link_round_trip_us),
+        queue_depth=distribution(message.queue_depth),
+        collections=_told(message, "collections", 0),
+        cpu_pressure_percent=_told(message, "cpu_pressure_percent", nan),
+        run_queue=_told(message, "run_queue", -1),
     )
+
+
+def _told(message: Any, name: str, otherwise: float) -> Any:
+    return getattr(message, name) if message.HasField(name) else otherwise
+
+
+def device_clock_of(message: Any, clock: Clock) -> DeviceClock:
+    """Return the comparison of the clocks in a protobuf message."""
+    fields = {name: getattr(message, name) for name in DeviceClock.__slots__ if name != "t"}
+    return DeviceClock(t=clock.seconds(message.t_host_ns), **fields)

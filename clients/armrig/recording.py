@@ -19,10 +19,12 @@ from armrig.dataset import Dataset
 from armrig.grid import Grid, grid
 from armrig.happenings import (
     Clock,
+    DeviceClock,
     Event,
     Gap,
     Timing,
     check_whole_numbers,
+    device_clock_of,
     event_of,
     gap_of,
     timing_of,
@@ -96,6 +98,8 @@ class Recording:
     """What the daemon had to say."""
     timing: tuple[Timing, ...]
     """Timing, once a second."""
+    clock: tuple[DeviceClock, ...]
+    """The device's clock against the host's, once a second."""
     truncated: bool
     """The file is not whole: see `damage`."""
     damage: str
@@ -276,6 +280,7 @@ def _assembled(
         gaps=gaps,
         events=tuple(event_of(message, clock) for message in messages.get("event", [])),
         timing=tuple(timing_of(message, clock) for message in messages.get("timing", [])),
+        clock=tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
         truncated=bool(content.damage),
         damage=content.damage and content.damage + saved,
     )

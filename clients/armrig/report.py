@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib import resources
+from math import isnan
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 import typst
 
+from armrig.causes import Causes
 from armrig.fit import Fit
 from armrig.jitter import SamplingStatistics, Spread
 from armrig.quantities import (
@@ -98,7 +100,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "facts": _facts(study),
         "remarks": [*remarks, *truncated],
         "chain": _shared_facts(study),
-        "timing": _timing_rows(study.timing),
+        "timing": [*_timing_rows(study.timing), *_causes_rows(study.causes)],
         "data": _data_text(study),
         "step": _step_caption(study),
         "orders": f"na = nb = {arx.orders['na']}, nk = {arx.nk}"
@@ -191,6 +193,26 @@ def _timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
         row("lateness p50, p99, p99.9", lambda s: _percentiles(s.lateness)),
         row("largest lateness", lambda s: microseconds(s.lateness.max)),
         row("missing samples, most in a row", lambda s: f"{s.missing}, {s.longest_gap}"),
+    ]
+
+
+def _causes_rows(found: Sequence[Causes]) -> list[list[str]]:
+    def row(name: str, value: Callable[[Causes], str]) -> list[str]:
+        return [name, *(value(c) if c.seconds else "–" for c in found)]
+
+    return [
+        row("garbage collections of the loop", lambda c: str(c.collections)),
+        row(
+            "processor wanted by others, worst second",
+            lambda c: "–" if isnan(c.cpu_pressure_percent) else f"{c.cpu_pressure_percent:.0f} %",
+        ),
+        row("most tasks runnable", lambda c: "–" if c.run_queue < 0 else str(c.run_queue)),
+        row(
+            "device's clock slow by",
+            lambda c: (
+                "–" if isnan(c.drift_ppm) else f"({c.drift_ppm:.1f} ± {c.drift_std_ppm:.1f}) · 10⁻⁶"
+            ),
+        ),
     ]
 
 

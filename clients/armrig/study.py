@@ -9,6 +9,7 @@ import numpy as np
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
+from armrig.causes import Causes, causes
 from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
@@ -68,6 +69,8 @@ class Study:
     """The models simulated on the validation data, in the same order."""
     timing: tuple[SamplingStatistics, ...]
     """Of each recording, times in µs."""
+    causes: tuple[Causes, ...]
+    """What disturbed the timing of each recording."""
     omega: NDArray[np.float64]
     """Frequencies of `deviation`, in rad/s."""
     deviation: NDArray[np.float64]
@@ -146,6 +149,7 @@ def study(recordings: Sequence[Recording], *, orders: Orders | None = None) -> S
         models=(*judged, Judged(name="physics", fit=physics, tests=None)),
         table=compare(validation, *(f for _, f in models), physics),
         timing=tuple(sampling_statistics(r) for r in recordings),
+        causes=tuple(causes(r) for r in recordings),
         omega=omega,
         deviation=np.array([np.abs(g - G[-1]) / np.abs(G[-1]) for g in G[:-1]]),
     )

@@ -110,7 +110,12 @@ def recorded(
         writer.add_attachment(0, 0, CALIBRATION, "application/json", text)
     channels = {}
     kinds = {"sample": protobuf.SAMPLE, "gap": protobuf.GAP, "event": protobuf.LOG}
-    for stream, name in {**kinds, "timing": protobuf.TIMING, "state": protobuf.STATE}.items():
+    for stream, name in {
+        **kinds,
+        "timing": protobuf.TIMING,
+        "clock": protobuf.CLOCK,
+        "state": protobuf.STATE,
+    }.items():
         schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))
         channels[name] = writer.register_channel(topic(manifest.rig, stream), "protobuf", schema)
     for i, message in enumerate(messages):

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import zstandard
 from armrig import container, grid, sample_rows
+from armrig.causes import causes, in_words
 from armrig.jitter import sampling_statistics
 from armrig.recording import Recording, RecordingError, load
 from armrig_core import protobuf, telemetry
@@ -824,3 +825,35 @@ def _peak_mib() -> float:
 
 SMALL = recorded([sample(k) for k in range(30)], flush_every=10)
 SMALL_DIRECTORY = TemporaryDirectory(prefix="armrig-tests-")
+
+
+def test_the_causes_of_jitter_are_told_with_the_clock(tmp_path: Path) -> None:
+    """Collections are counted within the recording; of pressure and queue the worst second."""
+    reports = [timing(k) for k in (110, 120, 130)]
+    for report, done, pressure, waiting in zip(
+        reports, (7, 7, 9), (1.0, float("nan"), 12.5), (2, 5, 1), strict=True
+    ):
+        report.collections, report.cpu_pressure_percent = done, pressure
+        report.run_queue = waiting
+        report.link_round_trip_us.max, report.link_round_trip_us.n = 900.0 * waiting, 10
+    clock = protobuf.message_class(protobuf.CLOCK)(
+        t_host_ns=sample(120).t_host_ns, drift_ppm=-12.0, drift_std_ppm=0.5, offset_std_ns=4000.0
+    )
+
+    rec = load(written(tmp_path, recorded([*map(sample, range(100, 140)), *reports, clock])))
+
+    found = causes(rec)
+    assert (found.seconds, found.collections, found.run_queue) == (3, 2, 5)
+    assert found.cpu_pressure_percent == 12.5
+    assert found.round_trip_us == 4500.0
+    assert rec.clock[0].t == pytest.approx(20 * TS, abs=1e-4)
+    said = dict(in_words(found))
+    assert "longest round trip 4.50 ms" in said["causes"]
+    assert said["device clock"].startswith("12.0 ± 0.5 ppm fast")
+
+
+def test_a_recording_without_reports_has_no_causes(tmp_path: Path) -> None:
+    """Nothing is claimed of what was not watched."""
+    rec = load(written(tmp_path, recorded([*map(sample, range(10))])))
+
+    assert in_words(causes(rec)) == []

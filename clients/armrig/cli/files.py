@@ -33,6 +33,7 @@ def info(
     ] = None,
 ) -> None:
     """Say what a recording holds and how well it was sampled."""
+    from armrig.causes import causes, in_words
     from armrig.jitter import sampling_statistics
     from armrig.recording import load
 
@@ -46,6 +47,7 @@ def info(
         facts = {"sha256": rec.sha256, "manifest": rec.manifest, "outcome": rec.outcome}
         facts |= {"samples": int(rec.samples.size), "missing": rec.missing, "invalid": rec.hidden}
         facts |= {"truncated": rec.truncated, "damage": rec.damage, "sampling": timing}
+        facts |= {"causes": causes(rec)}
         print_json(facts | {"gaps": rec.gaps, "events": rec.events})
         return
     manifest = rec.manifest
@@ -71,6 +73,7 @@ def info(
         ),
         ("jitter", _microseconds(jitter, 0)),
         ("lateness", _microseconds(lateness, 1)),
+        *in_words(causes(rec)),
         *(("gap", f"{g.count} samples at {g.t:.3f} s, {g.reason}") for g in rec.gaps),
         *(("damage", rec.damage) for _ in range(rec.truncated)),
     )
