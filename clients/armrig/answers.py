@@ -59,6 +59,18 @@ class FrequencyResponse:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoiseSpectrum:
+    """Power spectrum of the model's noise with standard deviations by linearisation."""
+
+    omega: Vector
+    """Frequencies in rad/s, (n,)."""
+    Phi: Vector
+    """Density, (n,), in y's unit squared times s."""
+    std: Vector
+    """Of Phi, (n,)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepResponse:
     """Answer to a unit step at t = 0, with standard deviations by linearisation."""
 

@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import floor, isclose, isfinite
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from armrig_core.commands import LastRun
+from armrig_core.commands import LastRun, RunAccepted
+from armrig_core.rehearsal import Rehearsal, in_words
 from numpy.typing import NDArray
 
 from armrig.progress import bar
@@ -22,12 +23,26 @@ MOST_SAMPLES = 1_000_000
 LONGEST_TS = 1.0
 """Longest sampling time that the daemon takes, in s."""
 LONGEST_OWNER = 80
+DEAD_MAN_S = (0.5, 60.0)
+"""Shortest and longest dead-man that the daemon takes."""
 _FINISHED_S = 2.0  # how long a stopped run may take to be complete on the disk
 _POLL_S = 0.05
 
 
 class InterruptedRunError(KeyboardInterrupt):
     """Ctrl-C in a collection; says how the rig was left and where the recording lies."""
+
+
+class Collected(NamedTuple):
+    """A collection that ended well."""
+
+    path: Path
+    samples: int
+    """Samples asked for."""
+    Ts: float
+    """Sampling time, in s."""
+    rehearsal: Rehearsal | None
+    """What the daemon's model of the rig did; None from a daemon that rehearses nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +63,8 @@ class Plan:
     """Who makes the samples."""
     owner: str
     """Who takes the rig."""
+    dead_man: float | None = None
+    """Silence of this process after which the daemon stops the run, in s; None plays on."""
 
     def __post_init__(self) -> None:
         """Refuse what no sampling time makes possible, before a rig is asked for."""
@@ -55,6 +72,10 @@ class Plan:
             if value is not None and not (isfinite(value) and value > 0):
                 msg = f"{name} {value:g}: must be a number of seconds, more than 0"
                 raise ValueError(msg)
+        low, high = DEAD_MAN_S
+        if self.dead_man is not None and not low <= self.dead_man <= high:
+            msg = f"--dead-man {self.dead_man:g}: must be {low:g} to {high:g} s, or 0 for none"
+            raise ValueError(msg)
         if self.Ts is not None and self.Ts > LONGEST_TS:
             msg = f"--Ts {self.Ts:g}: at most {LONGEST_TS:g} s"
             raise ValueError(msg)
@@ -84,10 +105,8 @@ def number_of_samples(seconds: float, Ts: float) -> int:
     return N
 
 
-def collect(
-    plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], None]
-) -> tuple[Path, int, float]:
-    """Arm, play, record, and return the recording's path, its samples asked for and Ts in s.
+def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], None]) -> Collected:
+    """Arm, play, record, and return what came of it; the rehearsal is told when the run begins.
 
     Raises
     ------
@@ -98,6 +117,13 @@ def collect(
     ValueError
         The length is not possible at the sampling time in force; the rig is given back.
     """
+    rehearsals: list[Rehearsal] = []
+
+    def accepted(run: RunAccepted) -> None:
+        if run.rehearsal is not None:
+            rehearsals.append(run.rehearsal)
+            tell(in_words(run.rehearsal))
+
     with Rig(rig, connect=connect) as opened:
         before = opened.status().last_run
         granted = None
@@ -116,6 +142,8 @@ def collect(
                     pacing=plan.pacing,
                     experiment=plan.experiment,
                     details=plan.details,
+                    dead_man=plan.dead_man,
+                    accepted=accepted,
                     progress=progress,
                 )
         except KeyboardInterrupt as err:
@@ -126,7 +154,7 @@ def collect(
             raise
         except RigError as err:
             raise RigError(_reason(opened, err, connect)) from err
-    return path, N, granted.Ts
+    return Collected(path, N, granted.Ts, rehearsals[0] if rehearsals else None)
 
 
 def with_commands(text: str, rig: str, connect: str | None) -> str:

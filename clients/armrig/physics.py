@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices
+from armrig_core.rehearsal import rehearse
 
 if TYPE_CHECKING:
     import control
 
-__all__ = ["ArmParameters", "arm", "chassis"]
+__all__ = ["ArmParameters", "arm", "chassis", "rehearse"]
 
 
 def arm(p: ArmParameters) -> control.StateSpace:

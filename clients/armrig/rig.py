@@ -121,6 +121,8 @@ class Rig:
         pacing: Literal["scheduled", "exchange"] = "scheduled",
         experiment: str = "run",
         details: Mapping[str, Any] | None = None,
+        dead_man: float | None = None,
+        accepted: Callable[[commands.RunAccepted], None] | None = None,
         progress: Progress | None = None,
     ) -> Path:
         """Play `u`, wait until it is recorded, and return the recording's path.
@@ -139,6 +141,13 @@ class Rig:
             Kind of experiment, of a-z, 0-9 and -; part of the recording's name.
         details : mapping, optional
             What the experiment was made of, such as its seed; kept in the recording.
+        dead_man : float, optional
+            The daemon stops the run when this process has given no sign for so long, in s, 0.5 to
+            60: killed, frozen, or cut off. Left out, the run plays on without it. A sign is given
+            between two calls of `progress`: one that takes longer ends the run.
+        accepted : callable, optional
+            Called once with the daemon's answer, when the run begins: its `rehearsal` says what
+            the model of the rig does.
         progress : callable, optional
             Called with the samples taken and the samples asked for, some ten times a second.
 
@@ -152,7 +161,7 @@ class Rig:
         RunEndedError
             The run ended before its last sample; the recording holds what there was.
         RefusedError
-            The rig is not armed, or a value is not allowed.
+            The rig is not armed, a value is not allowed, or the rehearsal leaves the limits.
         ValueError
             `u` is not (N,), or a voltage is not allowed or no number; nothing was sent.
         """
@@ -163,10 +172,13 @@ class Rig:
             pacing=pacing,
             experiment=experiment,
             details=dict(details or {}),
+            dead_man=dead_man,
         )
         try:
-            accepted = self._ask(request, commands.RunAccepted)
-            last = self._finished(accepted, voltage.size, progress or (lambda done, total: None))
+            run = self._ask(request, commands.RunAccepted)
+            if accepted is not None:
+                accepted(run)
+            last = self._finished(request, run, progress or (lambda done, total: None))
         except RefusedError:
             raise  # nothing began
         except BaseException:
@@ -183,19 +195,24 @@ class Rig:
         return recording
 
     def _finished(
-        self, accepted: commands.RunAccepted, total: int, progress: Progress
+        self, request: commands.Run, run: commands.RunAccepted, progress: Progress
     ) -> commands.LastRun:
+        total = len(request.u)
         while True:
             status = self.status()
             last = status.last_run
-            if last is None or last.run_id != accepted.run_id:
-                msg = f"the daemon does not know the run {accepted.run_id} any more: it was "
+            if last is None or last.run_id != run.run_id:
+                msg = f"the daemon does not know the run {run.run_id} any more: it was "
                 msg += "started anew meanwhile; look at its log"
                 raise RigError(msg)
             # A complete run may be short of samples that are missing; it is at its end, too.
             progress(total if last.outcome == "complete" else last.samples, total)
             if last.finished and status.phase != "active":
                 return last
+            if request.dead_man is not None:
+                # Here, in whose wait it is: a thread would give signs for a client that hangs.
+                with suppress(RefusedError):  # it has just ended
+                    self._ask(commands.Renew(**self._stamp()), commands.Done)
             time.sleep(_POLL_S)
 
     def set(self, u: float) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import msgspec
 from msgspec import Meta
 
+from armrig_core.rehearsal import Rehearsal
 from armrig_core.volts import U_MAX_V
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]
@@ -68,6 +69,14 @@ class Run(Leased, frozen=True, kw_only=True):
     """Kind of experiment; part of the recording's name."""
     details: dict[str, Any] = {}
     """What the experiment was made of, such as its seed; kept in the recording."""
+    dead_man: Annotated[float, Meta(ge=0.5, le=60, description="s")] | None = None
+    """The run is stopped when no `renew` has come for so long, in s; left out, it plays on."""
+
+
+class Renew(Leased, frozen=True, kw_only=True):
+    """Show that the client of the run in hand is still there."""
+
+    name: ClassVar[str] = "renew"
 
 
 class Stop(Request, frozen=True, kw_only=True):
@@ -90,7 +99,7 @@ class Status(Request, frozen=True, kw_only=True):
 
 MOST_DETAILS = 1 << 20
 """Longest `details` of a run, as JSON in B."""
-Requests = Arm | Disarm | Run | Set | Stop | Reset | Status
+Requests = Arm | Disarm | Run | Renew | Set | Stop | Reset | Status
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
 """Class of each command."""
@@ -118,6 +127,8 @@ class RunAccepted(msgspec.Struct, frozen=True, kw_only=True):
     """Names this run in the recording, in events and in `StatusReport`."""
     recording: str
     """Path of the recording once it is finished."""
+    rehearsal: Rehearsal | None = None
+    """What the model of the rig does under the input."""
 
 
 class Done(msgspec.Struct, frozen=True, kw_only=True):

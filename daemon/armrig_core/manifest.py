@@ -6,6 +6,8 @@ from typing import Any
 
 import msgspec
 
+from armrig_core.rehearsal import Rehearsal
+
 RUN = "armrig.run"
 """Name of the metadata record written before the first sample."""
 OUTCOME = "armrig.outcome"
@@ -45,6 +47,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     """Kernel, scheduling and locked memory of the loop, baud rate, port."""
     config_sha256: str = ""
     """Hash of the attached configuration."""
+    rehearsal: Rehearsal | None = None
+    """What the model of the rig did under the input before the run."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""

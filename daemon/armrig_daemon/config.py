@@ -6,10 +6,12 @@ Command line over `ARMRIG_<TABLE>_<KEY>` over `$XDG_CONFIG_HOME/armrig/armrig.to
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
+from math import tau
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import platformdirs
@@ -28,6 +30,9 @@ from armrig_daemon.budget import check
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.state import Rules
 from armrig_daemon.tables import TableError, convert
+
+if TYPE_CHECKING:
+    from armrig_core.arm import ArmParameters
 
 SYSTEM = Path("/etc/armrig/armrig.toml")
 # Set for the tests and for the benefit of others; not keys of the configuration.
@@ -93,13 +98,73 @@ class Limits(Table, frozen=True, kw_only=True):
     slew_v: Volts = 0.0
     """Largest change of the voltage in one sample, in V; 0 is none."""
     revolutions: Annotated[float, Meta(ge=0, le=655)] = 0.0
-    """Turns of the chassis allowed in one run; 0 is no limit."""
+    """Turns of the chassis allowed in one run, from its start; 0 is no limit."""
+    alpha_rad: Annotated[float, Meta(ge=0, le=100)] = 0.0
+    """Deflection of the arm allowed in the rehearsal of a run, in rad; 0 is no limit."""
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
+        """Refuse an empty range, and turns that the wire would round."""
+        if round(self.revolutions * 100, 6) % 1:
+            msg = f"revolutions = {self.revolutions} must be a whole number of hundredths"
+            raise ValueError(msg)
         if self.u_min_v > self.u_max_v:
             msg = f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}"
             raise ValueError(msg)
+
+
+class Motor(Table, frozen=True, kw_only=True):
+    """`[motor]`."""
+
+    rest_v: float = 0.0
+    """Voltage at which the motor's driver stands still, in V."""
+
+    def __post_init__(self) -> None:
+        """Refuse what a stop of ours would not be."""
+        if self.rest_v != 0:
+            msg = (
+                f"rest_v = {self.rest_v} must be 0: every stop of this daemon is 0 V; it cannot "
+                "drive a rig whose driver stands still at another voltage"
+            )
+            raise ValueError(msg)
+
+
+_Parameter = Annotated[float, Meta(gt=0, le=1e6)] | None
+
+
+class Arm(Table, frozen=True, kw_only=True):
+    """`[arm]`: the rig as runs are rehearsed on it; what is left out is the handout's."""
+
+    J_1: _Parameter = None
+    """Inertia of motor, gear and chassis, seen at the chassis, in kg m²."""
+    J_2: _Parameter = None
+    """Inertia of the arm, in kg m²."""
+    N: _Parameter = None
+    """Gear ratio."""
+    K_lin: _Parameter = None
+    """Stiffness of the two springs together, in Nm/rad."""
+    R_m: _Parameter = None
+    """Resistance of the armature, in Ω."""
+    K_m: _Parameter = None
+    """Torque constant, in Nm/A, and back-EMF constant, in Vs/rad."""
+    b_1: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    """Viscous friction of the chassis, in Nms/rad."""
+    removed: bool = False
+    """The rotating part is taken off: the chassis turns alone, and alpha is not looked at."""
+
+    @property
+    def turns_per_volt_s(self) -> float:
+        """Turns of the chassis that 1 V makes in 1 s, when nothing holds it."""
+        p = self.parameters()
+        return p.torque_per_volt / p.damping / tau
+
+    def parameters(self) -> ArmParameters:
+        """Return the parameters of the rig."""
+        # Here, not above: the emulator and the command line read configurations without scipy.
+        from armrig_core.arm import ArmParameters
+
+        given = msgspec.structs.asdict(self)
+        del given["removed"]
+        return ArmParameters(**{key: value for key, value in given.items() if value is not None})
 
 
 class Recording(Table, frozen=True, kw_only=True):
@@ -116,6 +181,8 @@ class Config(Table, frozen=True, kw_only=True):
     device: Device = Device()
     timing: Timing = Timing()
     limits: Limits = Limits()
+    motor: Motor = Motor()
+    arm: Arm = Arm()
     recording: Recording = Recording()
     calibration: Calibration = Calibration()
     emulator: EmulatorSettings = EmulatorSettings()
@@ -204,8 +271,10 @@ def load(
 
 
 def _read(path: Path) -> dict[str, Any]:
+    text = ""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        return tomllib.loads(text + "\n")  # so that an error at the end has a line, too
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file"
         raise ConfigError(msg) from err
@@ -213,11 +282,22 @@ def _read(path: Path) -> dict[str, Any]:
         msg = f"{path}: {err.strerror}"
         raise ConfigError(msg) from err
     except ValueError as err:  # TOMLDecodeError and UnicodeDecodeError
-        msg = f"{path}: not a TOML file: {err}"
+        msg = f"{path}: {_duplicate(text, str(err)) or f'not a TOML file: {err}'}"
         raise ConfigError(msg) from err
     except RecursionError as err:
         msg = f"{path}: nested too deeply"
         raise ConfigError(msg) from err
+
+
+def _duplicate(text: str, error: str) -> str:
+    """Return what is there twice, in the words of the file, or nothing."""
+    kinds = r"Cannot overwrite a value|Cannot declare .* twice|Duplicate inline table key .*"
+    found = re.match(rf"(?:{kinds}) \(at line (\d+)", error)
+    if found is None:
+        return ""
+    number = int(found[1])
+    line = text.splitlines()[number - 1].strip()
+    return f"line {number}: {line}: is there already; a key is given once"
 
 
 def _check(tables: Mapping[str, Any], where: str) -> Config:
@@ -248,7 +328,12 @@ def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
             allowed = ", ".join(Config.__struct_fields__)
             msg = f"environment: {name}={text!r}: must be ARMRIG_<TABLE>_<KEY>; tables: {allowed}"
             raise ConfigError(msg)
-        name = known.get(key, key)
+        variable, name = name, known.get(key, key)
+        if name in tables.get(table, {}):
+            msg = (
+                f"environment: {variable}={text!r}: {table}.{name} is given twice; once is allowed"
+            )
+            raise ConfigError(msg)
         tables.setdefault(table, {})[name] = text if fields.get(name) is str else _value(text)
     return tables
 

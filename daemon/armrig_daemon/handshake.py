@@ -32,6 +32,7 @@ CARE_US = 10_000
 _EXPECTED = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
 _DRIVES = (DeviceState.ARMED, DeviceState.RUN)
 _LATCHED = (DeviceState.FAULT, DeviceState.ESTOP)
+_KNOWN = (DeviceState.IDLE, DeviceState.READY, *_DRIVES, *_LATCHED)
 
 
 def retry_ns(asked: Asked) -> int:
@@ -199,6 +200,8 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     asked = state.asked
     if asked is None or asked.want is not Want.HELLO:
         return state, []  # nobody asked: it proves no round trip
+    if reply.state == DeviceState.BOOT:
+        return state, []  # it is still starting up: the question stands, and is asked again
     if state.boot_id != reply.boot_id:  # its clock has begun anew
         state = replace(state, boot_id=reply.boot_id, clock=ClockMap(), device_us=0, t_us=0)
     state = replace(
@@ -231,6 +234,8 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
 
 def _unfit(device: HelloReply) -> str:
     """Return why a device that speaks our language is none that we may drive."""
+    if device.state not in _KNOWN:
+        return f"the device says that it is in state {device.state}, which is none of a device"
     if device.full_scale_mv != FULL_SCALE_MV:
         return (
             f"the device's full scale is {device.full_scale_mv} mV, not {FULL_SCALE_MV} mV: "

@@ -13,6 +13,8 @@ from armrig_daemon.records import Alive, Halt, Hold, Leased, Order, Play, Quit, 
 from armrig_daemon.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.stopping import end_run, stop
 
+_AT_REST = (DeviceState.IDLE, DeviceState.READY)
+
 
 def take(state: State, now_ns: int, order: Order) -> Step:
     """Carry out one order, or refuse it."""
@@ -48,7 +50,7 @@ def _halt(state: State, now_ns: int, order: Halt) -> Step:
     may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
     if state.device is None or state.phase is Phase.FAULT or not may_turn:
         return state, answer(order, {"done": True})  # at 0 V, or out of our reach
-    return stop(state, now_ns, "stopped", order)
+    return stop(state, now_ns, order.reason, order)
 
 
 def _reset(state: State, now_ns: int, order: Reset) -> Step:
@@ -73,6 +75,14 @@ def _take(state: State, now_ns: int, order: Take) -> Step:
         return state, refuse(order, "there is no device yet: see that it is plugged in")
     if state.asked is not None:
         return state, refuse(order, f"busy with {state.asked.want}: try again")
+    age_ns = now_ns - state.fresh_ns
+    if age_ns > state.rules.age_ns(state.ts_us):
+        return state, refuse(order, f"no answer from the device for {age_ns / 1e6:.0f} ms")
+    if state.device_state not in _AT_REST:
+        # HELLO finds out what it is at, and leads back to rest.
+        error = f"the device is in state {state.device_state}, not at rest: try again"
+        state, actions = ask(state, now_ns, Want.HELLO)
+        return state, [*refuse(order, error), *actions]
     return begin_arming(state, now_ns, order)
 
 

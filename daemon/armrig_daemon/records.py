@@ -94,6 +94,15 @@ class State(Tagged, frozen=True, kw_only=True):
     device: dict[str, Any]
 
 
+class Trace(Tagged, frozen=True, kw_only=True):
+    """Steps of the core in a run; see `armrig_daemon.trace`."""
+
+    t_host_ns: int
+    number: int
+    state: bytes
+    steps: bytes
+
+
 class RunStarted(Tagged, frozen=True, kw_only=True):
     """The samples from `k_first` on belong to the run."""
 
@@ -124,7 +133,7 @@ class Host(Tagged, frozen=True, kw_only=True):
     granted: dict[str, Any]
 
 
-Record = Gap | Log | Timing | Clock | State | RunStarted | RunEnded | Answer | Host
+Record = Gap | Log | Timing | Clock | State | Trace | RunStarted | RunEnded | Answer | Host
 """What the loop tells the service, beside samples."""
 
 
@@ -171,6 +180,9 @@ class Play(Leased, frozen=True, kw_only=True):
 
 class Halt(Order, frozen=True, kw_only=True):
     """Stop, lease or not."""
+
+    reason: str = "stopped"
+    """Outcome of the run that it ends, for a person."""
 
 
 class Reset(Order, frozen=True, kw_only=True):

@@ -5,26 +5,31 @@ from __future__ import annotations
 import hashlib
 import platform
 import secrets
+import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from armrig_core.commands import LastRun, Run, RunAccepted
+from armrig_core.commands import LastRun, Renew, Run, RunAccepted
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
+from armrig_core.rehearsal import Rehearsal, rehearse
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
 from numpy.typing import NDArray
 
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.messages import Outgoing
+from armrig_daemon.presence import Presence, begun, renewed
 from armrig_daemon.record import Recording, RecordingError, check_directory
 from armrig_daemon.records import Gap, Play, RunStarted, State
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
+_ROOM = 1 << 20  # and what a recording takes without any
 
 
 class Planned(NamedTuple):
@@ -33,6 +38,9 @@ class Planned(NamedTuple):
     run_id: str
     path: Path
     request: Run
+    rehearsal: Rehearsal
+    text: bytes
+    """The input as it is attached; made while the motor is at 0 V, for a million take a while."""
 
 
 class Runs:
@@ -49,6 +57,7 @@ class Runs:
         self._first = self._end = 0
         self._missing = 0
         self._last: LastRun | None = None
+        self._presence: Presence | None = None
 
     @property
     def last(self) -> LastRun | None:
@@ -60,25 +69,52 @@ class Runs:
             return self._last
         return msgspec.structs.replace(self._last, samples=recording.samples)
 
-    def plan(self, request: Run) -> tuple[Play, RunAccepted]:
+    def no_room(self) -> str:
+        """Return why nothing could be recorded, or nothing."""
+        return check_directory(self._directory, _ROOM)
+
+    def plan(
+        self, request: Run, Ts: float, theta_1_rad: float | None = None
+    ) -> tuple[Play, RunAccepted]:
         """Return the order for the loop, and what to answer once the loop has taken it.
+
+        Parameters
+        ----------
+        request : Run
+            What was asked for.
+        Ts : float
+            Sampling time of the lease, in s.
+        theta_1_rad : float, optional
+            Where the chassis is, in rad.
 
         Raises
         ------
         ValueError
-            Another run is in hand, or there is no room for the recording.
+            Another run is in hand, there is no room for the recording, or a voltage or the
+            rehearsal is outside the limits.
         """
         if self._planned is not None or self._recording is not None or self._finishing is not None:
             msg = "an experiment is running: stop it first, or wait for its end"
             raise ValueError(msg)
-        error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + (1 << 20))
+        error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + _ROOM)
         if error:
             raise ValueError(error)
-        u = checked(request.u, self._config.limits)
+        limits, arm = self._config.limits, self._config.arm
+        u = checked(request.u, limits)
+        rehearsal = rehearse(
+            u,
+            Ts,
+            parameters=arm.parameters(),
+            arm_removed=arm.removed,
+            theta_1_rad=theta_1_rad,
+            revolutions=limits.revolutions,
+            alpha_rad=limits.alpha_rad,
+        )
+        text = "".join(["u_v\n", *(f"{volts!r}\n" for volts in request.u)]).encode()
         run_id = secrets.token_hex(4)
         stamp = datetime.now(UTC).astimezone().strftime("%Y%m%dT%H%M%S")
         name = f"{self._config.rig.id}-{request.experiment}-{stamp}-{run_id}.mcap"
-        self._planned = Planned(run_id, self._directory / name, request)
+        self._planned = Planned(run_id, self._directory / name, request, rehearsal, text)
         codes = np.rint(u / U_MAX_V * CODE_FULL_SCALE).astype("<u2").tobytes()
         order = Play(
             lease=request.lease,
@@ -87,7 +123,23 @@ class Runs:
             codes=codes,
             scheduled=request.pacing == "scheduled",
         )
-        return order, RunAccepted(run_id=run_id, recording=str(self._planned.path))
+        path = str(self._planned.path)
+        return order, RunAccepted(run_id=run_id, recording=path, rehearsal=rehearsal)
+
+    def renew(self, sign: Renew, now_s: float) -> None:
+        """Take a sign of the client; raises ValueError where the run in hand is not its own."""
+        self._presence = renewed(self._presence, sign, now_s)
+
+    @property
+    def client_gone_s(self) -> float:
+        """When the run in hand is to be stopped, unless its client shows itself before."""
+        return self._presence.gone_s if self._presence else inf
+
+    def client_gone(self) -> str:
+        """Return the outcome of a run that is stopped as nobody waits for it."""
+        presence, self._presence = self._presence, None
+        period_s = presence.period_s if presence else 0.0
+        return f"its client went away: no sign of it for {period_s:g} s"
 
     def forget(self, run_id: str) -> None:
         """Drop what was planned: the loop has refused it, or did not answer."""
@@ -114,7 +166,7 @@ class Runs:
         attachments = {
             CONFIG: msgspec.json.encode(self._config),
             CALIBRATION: msgspec.json.encode(self._config.calibration),
-            INPUT: "".join(["u_v\n", *(f"{u!r}\n" for u in planned.request.u)]).encode(),
+            INPUT: planned.text,
         }
         self._last = _begun(planned)
         self._first, self._end = started.k_first, started.k_first + started.count
@@ -130,6 +182,7 @@ class Runs:
         except RecordingError as err:
             self._last = msgspec.structs.replace(self._last, finished=True, outcome=str(err))
             raise
+        self._presence = begun(planned.request, time.monotonic())
         return self._recording.active
 
     def takes_sample(self, k: int) -> bool:
@@ -152,7 +205,7 @@ class Runs:
 
     def end(self, outcome: str) -> None:
         """Have the recording finished."""
-        self._planned = None
+        self._planned = self._presence = None
         recording, self._recording = self._recording, None
         if recording is None or self._last is None:
             return
@@ -226,6 +279,7 @@ class Runs:
                 **host,
             },
             config_sha256=hashlib.sha256(msgspec.json.encode(config)).hexdigest(),
+            rehearsal=planned.rehearsal,
         )
 
 

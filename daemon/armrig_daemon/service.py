@@ -19,11 +19,11 @@ from typing import Any, NamedTuple, assert_never
 
 import zenoh
 from armrig_core import commands
-from armrig_core.telemetry import decode_sample
+from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
-from armrig_daemon import loop_child, realtime
+from armrig_daemon import loop_child, readings, realtime
 from armrig_daemon.budget import check
 from armrig_daemon.config import Config
 from armrig_daemon.loop_process import NO_PORT, Settings
@@ -51,6 +51,7 @@ from armrig_daemon.records import (
     State,
     Take,
     Timing,
+    Trace,
 )
 from armrig_daemon.runs import Runs, checked
 
@@ -90,6 +91,10 @@ class Service:
         self._quitting = False
         self._kill_at = float("inf")
         self._pressure = Pressure()
+        self._readings = readings.Readings()
+        self._turns_per_volt_s = config.arm.turns_per_volt_s
+        self._timing: Timing | None = None
+        self._Ts = config.ts_us / 1e6  # of the newest lease
         self._wake_fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -133,7 +138,8 @@ class Service:
         """Carry records out and commands in until the loop's pipe ends."""
         state_due = time.monotonic() + 1
         while True:
-            timeout = max(0.0, min(state_due, self._kill_at) - time.monotonic())
+            due = min(state_due, self._kill_at, self._runs.client_gone_s)
+            timeout = max(0.0, due - time.monotonic())
             sources = [self._loop.records_fd, self._wake_fd]
             sinks = [self._loop.orders_fd] if self._loop.is_behind else []
             ready, writable, _ = select.select(sources, sinks, [], timeout)
@@ -147,6 +153,9 @@ class Service:
                     self._woken()  # a signal may have ended the loop before we looked
                     return
                 self._take(records)
+            # Behind the commands that have come: a sign that waited for us is a sign.
+            if time.monotonic() >= self._runs.client_gone_s:
+                self._loop.order(Halt(reason=self._runs.client_gone()))
             if time.monotonic() >= self._kill_at:
                 self._say("error", "the loop does not end: killed; the device stops the motor")
                 self._kill_at = float("inf")
@@ -162,7 +171,9 @@ class Service:
         for record in records:
             match record:
                 case bytes():
-                    message = _sample(record)
+                    sample = _decoded(record)
+                    self._readings = readings.seen(self._readings, sample)
+                    message = _outgoing(sample, record)
                     self._session.put(message)
                     if self._runs.takes_sample(message.sequence):
                         batch.append(message)
@@ -178,10 +189,13 @@ class Service:
                     self._host = record.granted
                     for what in record.granted["refused"]:
                         self._say("warning", f"not granted: {what}; timing is less exact")
+                case Trace():
+                    batch.append(outgoing(record, self._offset_ns))
                 case Gap() | Log() | Timing() | Clock() | State():
                     if isinstance(record, Timing):
                         share, runnable = self._pressure.read()
                         record = replace(record, cpu_pressure_percent=share, run_queue=runnable)
+                        self._timing = record
                     message = self._publish(record)
                     if self._runs.takes(record):
                         batch.append(message)
@@ -218,6 +232,8 @@ class Service:
         waiting = self._waiting.pop(answer.order, None)
         if waiting is None:
             return  # it came too late: who asked has been told so
+        if isinstance(waiting.order, Take) and not answer.error:
+            self._Ts = answer.body["Ts"]
         if answer.error:
             self._give_up(waiting, answer.error)
         else:
@@ -255,6 +271,9 @@ class Service:
             case commands.Status():
                 command.answer(self._status())
             case commands.Arm():
+                error = self._objection()
+                if error:
+                    raise ValueError(error)
                 lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
                 self._ask(command, Take(owner=request.owner, lease=lease, ts_us=ts_us))
             case commands.Disarm():
@@ -264,13 +283,30 @@ class Service:
                 code = code_of(volts)
                 self._ask(command, Hold(lease=request.lease, n=request.n, code=code))
             case commands.Run():
-                self._ask(command, *self._runs.plan(request))
+                start = readings.theta_1_rad(self._readings)
+                self._ask(command, *self._runs.plan(request, self._Ts, start))
+            case commands.Renew():
+                self._runs.renew(request, time.monotonic())
+                command.answer(commands.Done())
             case commands.Stop():
                 self._ask(command, Halt())
             case commands.Reset():
                 self._ask(command, Reset())
             case _:
                 assert_never(request)
+
+    def _objection(self) -> str:
+        """Return why the rig is not to be armed, as far as the loop cannot know it, or nothing."""
+        config = self._config
+        return (
+            self._runs.no_room()
+            or readings.objection(
+                self._readings,
+                turns_per_volt_s=self._turns_per_volt_s,
+                alpha_is_read=not (config.arm.removed or config.calibration.alpha.wraps),
+            )
+            or _untimely(self._timing, config.device.watchdog_ms)
+        )
 
     def _ts_us(self, Ts: float | None) -> int:
         """Return the sampling time asked for, in µs; 0 for the configured one."""
@@ -324,11 +360,27 @@ class Service:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
 
 
-def _sample(data: bytes) -> Outgoing:
+def _untimely(timing: Timing | None, watchdog_ms: int) -> str:
+    """Return why a host whose last second was like this is not to drive a motor, or nothing."""
+    # One late tick among a hundred is no reason: only a pause that comes again and again.
+    late_ms = timing.wake_lateness_us.p99 / 1e3 if timing else 0.0
+    if late_ms <= watchdog_ms:
+        return ""
+    return (
+        f"the host woke up to {late_ms:.0f} ms late in the last second, and {watchdog_ms} ms stop "
+        "the motor: end what keeps the machine busy, then try again"
+    )
+
+
+def _decoded(data: bytes) -> Sample:
     sample = decode_sample(data)
     if sample is None:
         msg = "the loop sent a sample of another layout"
         raise RuntimeError(msg)
+    return sample
+
+
+def _outgoing(sample: Sample, data: bytes) -> Outgoing:
     return Outgoing("sample", sample.t_host_ns, sample.t_sched_ns, sample.k, data)
 
 

@@ -9,6 +9,7 @@ import msgspec
 import zenoh
 from armrig_core import commands, topics
 from armrig_core.commands import LastRun, StatusReport
+from armrig_core.rehearsal import Rehearsal
 
 
 class FakeDaemon:
@@ -23,6 +24,7 @@ class FakeDaemon:
         self.recording = "/nowhere/run.mcap"
         self.refusals: dict[str, str] = {}
         self.fault = ""
+        self.rehearsal: Rehearsal | None = None
         self._run: commands.Run | None = None
         self._polls = 0
 
@@ -106,7 +108,9 @@ class FakeDaemon:
             )
         if isinstance(request, commands.Run):
             self._run, self._polls = request, 0
-            return commands.RunAccepted(run_id="r1", recording=self.recording)
+            return commands.RunAccepted(
+                run_id="r1", recording=self.recording, rehearsal=self.rehearsal
+            )
         if isinstance(request, commands.Stop):
             self.outcome, self.polls_per_run = "stopped", 0
         return commands.Done()

@@ -19,6 +19,7 @@ from armrig.collection import MOST_SAMPLES
 from armrig.estimating import estimating, waiting
 from armrig.scheduling import scheduling
 from armrig_core import commands, telemetry
+from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
 from recordings import recorded, sample, written
 from rich.console import Console
@@ -301,6 +302,48 @@ def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str)
     assert run.u == [0.5] * 20 + [4.5] * 30
 
 
+def test_collect_says_what_the_rehearsal_was(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside the path; with --json in it."""
+    daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
+
+    assert main(["collect", "step", "--connect", where]) == 0
+    said = capsys.readouterr()
+    assert main(["collect", "step", "--connect", where, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+
+    assert said.out == "/nowhere/run.mcap\n"
+    assert "the chassis gets 3.5 turns far and ends 1203° from its start" in said.err
+    assert "the arm deflects by up to 11.5°" in said.err
+    assert told["rehearsal"]["revolutions"] == 3.5
+
+
+@pytest.mark.parametrize(("given", "dead_man"), [([], 1.0), (["3"], 3.0), (["0"], None)])
+def test_a_collection_dies_with_its_program_unless_told_otherwise(
+    given: list[str], dead_man: float | None, daemon: FakeDaemon, where: str
+) -> None:
+    """Who closes the terminal expects that the motor stops."""
+    option = ["--dead-man", *given] if given else []
+
+    assert main(["collect", "step", *option, "--connect", where]) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert run.dead_man == dead_man
+    assert ("renew" in daemon.names()) == (dead_man is not None)
+
+
+@pytest.mark.parametrize("text", ["0.1", "61", "-1", "nan"])
+def test_a_dead_man_that_cannot_be_is_told_before_a_rig_is_asked_for(
+    text: str, daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With what is allowed."""
+    assert main(["collect", "step", "--dead-man", text, "--connect", where]) == 1
+
+    assert "must be 0.5 to 60 s, or 0 for none" in capsys.readouterr().err
+    assert daemon.asked == []
+
+
 def test_a_run_that_ends_early_is_a_failure(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -330,7 +373,7 @@ def test_a_signal_that_ends_a_collection_stops_the_rig(
         collecting.send_signal(number)
         out, said = collecting.communicate(timeout=20)
 
-    assert daemon.names() == ["arm", "run", "stop"]
+    assert [name for name in daemon.names() if name != "renew"] == ["arm", "run", "stop"]
     assert collecting.returncode == 128 + number
     assert out == b""
     assert f"armrig: ended by {number.name}" in said.decode()
@@ -726,7 +769,7 @@ def test_info_of_a_recording_cut_off_at_once_says_what_is_not_known(
 ) -> None:
     """Words in place of nan."""
     whole = recorded([sample(k) for k in range(40)], flush_every=10)
-    cut = written(tmp_path, whole[: len(whole) // 3], "cut.mcap")
+    cut = written(tmp_path, whole[: len(whole) // 4], "cut.mcap")
     short = written(tmp_path, recorded([sample(0)]), "short.mcap")
 
     assert main(["info", str(cut)]) == 0

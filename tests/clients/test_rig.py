@@ -20,6 +20,7 @@ from armrig.rig import RefusedError, Rig, RunEndedError
 from armrig.session import NoReplyError, RigError
 from armrig_core import commands, protobuf, telemetry
 from armrig_core.endpoint import endpoint, socket_directory
+from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
 from recordings import sample
 
@@ -91,6 +92,40 @@ def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> N
     )
     assert seen == [(1, 3), (2, 3), (3, 3)]
     assert daemon.names() == ["arm", "run"]
+
+
+def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
+    daemon: FakeDaemon, where: str
+) -> None:
+    """One after each look, each with a greater number; a refusal is the end of the run."""
+    daemon.polls_per_run = 4
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        rig.run([1.0, 2.0], dead_man=2.0)
+        rig.arm("me")
+        daemon.refusals["renew"] = "no run of this lease is in hand"
+        rig.run([1.0, 2.0], dead_man=2.0)
+
+    first = [r for r in daemon.asked if isinstance(r, commands.Leased)][:4]
+    assert [r.name for r in first] == ["run", "renew", "renew", "renew"]
+    assert [r.n for r in first] == [1, 2, 3, 4]
+    assert isinstance(first[0], commands.Run)
+    assert first[0].dead_man == 2.0
+    assert {r.lease for r in first} == {"0" * 32}
+
+
+def test_the_daemon_s_rehearsal_is_handed_over_before_the_run_is_waited_for(
+    daemon: FakeDaemon, where: str
+) -> None:
+    """So that who sees it can still stop."""
+    daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
+    seen: list[Any] = []
+    with Rig("1", connect=where) as rig:
+        rig.arm("me")
+        rig.run([1.0], accepted=seen.append, progress=lambda done, total: seen.append(done))
+
+    assert seen[0].rehearsal == daemon.rehearsal
+    assert seen[1:] != []
 
 
 def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where: str) -> None:

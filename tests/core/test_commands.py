@@ -33,6 +33,8 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": []}}', r"length >= 1.*\$.u"),
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1, 9]}}', r"\$.u\[1\]"),
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "experiment": "../x"}}', "experiment"),
+        ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "dead_man": 0}}', r">= 0.5.*dead_man"),
+        ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "dead_man": 61}}', r"<= 60.*dead_man"),
     ],
 )
 def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str) -> None:
@@ -43,7 +45,8 @@ def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str)
 
 def test_every_command_serves_its_schema() -> None:
     """JSON Schema with the fields' bounds."""
-    assert set(REQUESTS) == {"arm", "disarm", "run", "set", "stop", "reset", "status"}
+    names = {"arm", "disarm", "run", "renew", "set", "stop", "reset", "status"}
+    assert set(REQUESTS) == names
     text = json.loads(json_schema("set"))
 
     fields = text["$defs"][Set.__name__]["properties"]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from armrig_core.arm import ArmParameters
 from armrig_daemon.config import Config, ConfigError, load
 
 
@@ -35,7 +37,19 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[limits]\nu_max_v = nan", r"limits\.u_max_v = nan"),
         ("[limits]\nu_min_v = -1", r"limits\.u_min_v = -1: expected `float` >= 0"),
         ("[limits]\nu_min_v = 4\nu_max_v = 3", r"limits: u_min_v = 4.0 must not be above"),
-        ("[limits]\nu_min_v = 4\nu_min_v = 3", "not a TOML file"),
+        ("[limits]\nu_min_v = 4\nu_min_v = 3", r"line 3: u_min_v = 3: is there already; .* once"),
+        ("[limits]\nu_min_v = 4\n[rig]\n[limits]\n", r"line 4: \[limits\]: is there already"),
+        ("limits = {u_min_v = 4, u_min_v = 3}", r"line 1: .*u_min_v = 3}: is there already"),
+        ("[limits]\nu_min_v 4", "not a TOML file"),
+        ("[limits]\nrevolutions = 0.004", r"revolutions = 0\.004 must be a whole number of hund"),
+        ("[limits]\nrevolutions = 656", r"limits\.revolutions = 656: expected `float` <= 655"),
+        ("[limits]\nalpha_rad = -0.1", r"limits\.alpha_rad = -0\.1: expected `float` >= 0"),
+        ("[limits]\nalpha_rad = true", r"limits\.alpha_rad = True: expected `float`, got `bool`"),
+        ("[motor]\nrest_v = 2.5", r"motor: rest_v = 2\.5 must be 0: every stop .* is 0 V"),
+        ("[motor]\nenable_line = true", r"motor\.enable_line = True: no such key; allowed are"),
+        ("[arm]\nJ_1 = 0", r"arm\.J_1 = 0: expected `float` > 0"),
+        ("[arm]\nJ_1 = inf", r"arm\.J_1 = inf: expected `float` <= 1000000"),
+        ("[arm]\nJ_3 = 1", r"arm\.J_3 = 1: no such key; allowed are J_1, J_2"),
         ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
         ("[rig]\nid = '../1'", r"rig id '\.\./1': 1 to 40 of a-z, 0-9 and - are allowed"),
         ("[emulator]\nbaud = 1", r"emulator: baud=1 must be from 9600"),
@@ -84,6 +98,25 @@ def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) ->
         load([], {name: text}, {})
 
     assert str(refusal.value).startswith("environment: ")
+
+
+def test_a_variable_that_is_given_twice_is_refused() -> None:
+    """In another spelling it is another variable, and the same key."""
+    environ = {"ARMRIG_TIMING_TS": "0.01", "ARMRIG_TIMING_Ts": "0.02"}
+
+    with pytest.raises(ConfigError, match=r"ARMRIG_TIMING_Ts='0.02': timing.Ts is given twice"):
+        load([], environ, {})
+
+
+def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_given(
+    tmp_path: Path,
+) -> None:
+    """Each parameter by itself."""
+    config = _load(tmp_path, "[arm]\nJ_2 = 0.005\nremoved = true")
+
+    assert Config().arm.parameters() == ArmParameters()
+    assert config.arm.parameters() == replace(ArmParameters(), J_2=0.005)
+    assert config.arm.removed
 
 
 def test_the_rules_of_the_core_are_the_configuration_s() -> None:

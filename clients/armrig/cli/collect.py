@@ -27,6 +27,18 @@ Pacing = Annotated[
 ]
 Owner = Annotated[str, typer.Option("--owner", help="Who takes the rig, for others to read.")]
 
+DeadMan = Annotated[
+    float,
+    typer.Option(
+        "--dead-man",
+        metavar="SECONDS",
+        help="The daemon stops the run so long after this program was killed, frozen or cut off; "
+        "0 plays on.",
+    ),
+]
+DEAD_MAN_S = 1.0
+"""Who closes the terminal, or loses the connection, expects that the motor stops."""
+
 
 @app.command()
 def blackbox(
@@ -40,6 +52,7 @@ def blackbox(
     Ts: SamplingTime = None,
     pacing: Pacing = "scheduled",
     owner: Owner = "armrig collect",
+    dead_man: DeadMan = DEAD_MAN_S,
     rig: RigId = "1",
     connect: Connect = None,
     json: Json = False,
@@ -52,7 +65,7 @@ def blackbox(
     _collect(
         "blackbox",
         lambda N, _: telegraph(N, a, low, high, seed),
-        *(details, seconds, Ts, pacing, owner, rig, connect),
+        *(details, seconds, Ts, pacing, owner, dead_man, rig, connect),
         json=json,
     )
 
@@ -66,6 +79,7 @@ def step(
     Ts: SamplingTime = None,
     pacing: Pacing = "scheduled",
     owner: Owner = "armrig collect",
+    dead_man: DeadMan = DEAD_MAN_S,
     rig: RigId = "1",
     connect: Connect = None,
     json: Json = False,
@@ -80,7 +94,7 @@ def step(
         "step",
         # A time just before the end may be nearest to the end, where it would be no step.
         lambda N, Ts: stepped(N, low=low, high=high, at=min(round(at / Ts), N - 1)),
-        *(details, seconds, Ts, pacing, owner, rig, connect),
+        *(details, seconds, Ts, pacing, owner, dead_man, rig, connect),
         json=json,
     )
 
@@ -104,6 +118,7 @@ def _collect(
     Ts: float | None,
     pacing: Literal["scheduled", "exchange"],
     owner: str,
+    dead_man: float,
     rig: str,
     connect: str | None,
     *,
@@ -119,9 +134,11 @@ def _collect(
         Ts=Ts,
         pacing=pacing,
         owner=owner,
+        dead_man=dead_man or None,
     )
-    path, N, Ts = collect(plan, rig=rig, connect=connect, tell=tell)
+    done = collect(plan, rig=rig, connect=connect, tell=tell)
     if json:
-        print_json({"recording": str(path), "samples": N, "Ts": Ts})
+        told = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
+        print_json(told | {"rehearsal": done.rehearsal})
     else:
-        typer.echo(str(path))
+        typer.echo(str(done.path))

@@ -1,0 +1,59 @@
+"""What is looked at when a run is planned, and what goes with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig_core.commands import Run
+from armrig_core.rehearsal import rehearse
+from armrig_daemon.config import Arm, Config, Limits
+from armrig_daemon.runs import Runs
+
+REQUEST = Run(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)
+
+
+def _runs(directory: Path, config: Config) -> Runs:
+    return Runs(config, directory, lambda: None)
+
+
+@pytest.mark.parametrize(
+    ("limits", "complaint"),
+    [
+        (Limits(revolutions=0.1), "limits.revolutions = 0.1 is reached at u"),
+        (Limits(alpha_rad=0.01), r"limits.alpha_rad = 0.01 is reached at u\[10\]"),
+        (Limits(u_max_v=3.0), r"u\[10\]=4 V is outside 0 … 3 V"),
+        (Limits(slew_v=1.0), r"u\[10\] steps by 4 V: at most 1 V"),
+    ],
+)
+def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
+    limits: Limits, complaint: str, tmp_path: Path
+) -> None:
+    """Each by itself; the next run is not in its way."""
+    runs = _runs(tmp_path, Config(limits=limits))
+
+    for _ in range(2):
+        with pytest.raises(ValueError, match=complaint):
+            runs.plan(REQUEST, 0.01)
+    assert runs.last is None
+
+
+def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
+    """Without limits nothing is refused; the figures are told all the same."""
+    arm = Arm(J_2=0.01)
+
+    _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, theta_1_rad=1.0)
+
+    expected = rehearse(REQUEST.u, 0.02, parameters=arm.parameters(), theta_1_rad=1.0)
+    assert answer.rehearsal == expected
+    assert expected != rehearse(REQUEST.u, 0.02, theta_1_rad=1.0)
+
+
+def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
+    """The limit of alpha has nothing to hold."""
+    config = Config(arm=Arm(removed=True), limits=Limits(alpha_rad=0.001))
+
+    _, answer = _runs(tmp_path, config).plan(REQUEST, 0.01)
+
+    assert answer.rehearsal is not None
+    assert answer.rehearsal.alpha_rad == 0.0
