@@ -13,7 +13,7 @@ import re
 import stat
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -23,7 +23,7 @@ from typing import IO, Any
 import numpy as np
 import zstandard
 from armrig_core import protobuf
-from armrig_core.manifest import CALIBRATION, CONFIG, OUTCOME, RUN
+from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, OUTCOME, RUN
 from armrig_core.topics import STREAMS
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
@@ -67,7 +67,10 @@ _KINDS = {
     "timing": protobuf.TIMING,
     "clock": protobuf.CLOCK,
     "state": protobuf.STATE,
+    "trace": protobuf.TRACE,
 }
+READ = STREAMS
+"""What most readers want; the core's steps are for who decides a run once more."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -92,8 +95,15 @@ class Content:
     """Attachments that a reader needs, by name."""
 
 
-def read(path: Path) -> Content | None:
+def read(path: Path, streams: Collection[str] = READ, most: int = MESSAGES_LIMIT) -> Content | None:
     """Return what is in the file at `path`, or None where it is no MCAP.
+
+    Parameters
+    ----------
+    streams : collection of str
+        Of which streams the messages are kept.
+    most : int
+        Bytes of messages other than samples that are kept; more is damage.
 
     Raises
     ------
@@ -111,7 +121,7 @@ def read(path: Path) -> Content | None:
         source = _Source(stream, content.size)
         if source.take(len(MAGIC)) != MAGIC:
             return None
-        reader = _Reader(content)
+        reader = _Reader(content, streams, most)
         try:
             _read_records(source, reader)
         except DamageError as damage:
@@ -232,12 +242,13 @@ def _pass_index(source: _Source, length: int) -> None:
 class _Reader:
     """Collects what the records hold."""
 
-    def __init__(self, content: Content) -> None:
+    def __init__(self, content: Content, streams: Collection[str], most: int) -> None:
         self.content = content
+        self.kept = streams
         self.schemas: dict[int, str] = {}
         self.streams: dict[int, str] = {}
         more = min(UNPACKED_PER_BYTE * content.size, content.size + UNPACKED_MORE)
-        self.limits = {_WORK: WORK_LIMIT, _KEPT: MESSAGES_LIMIT, _UNPACKED: UNPACKED_LIMIT + more}
+        self.limits = {_WORK: WORK_LIMIT, _KEPT: most, _UNPACKED: UNPACKED_LIMIT + more}
         self.spent = dict.fromkeys(self.limits, 0)
         self.rows = SampleRows()
         self.zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
@@ -256,7 +267,7 @@ class _Reader:
                     self.schemas[_IDS.unpack_from(body)[0]] = name
             case Opcode.CHANNEL:
                 (channel, schema), stream = _IDS.unpack_from(body), stream_of(_text(body, 4))
-                if stream and self.schemas.get(schema) == _KINDS[stream]:
+                if stream in self.kept and self.schemas.get(schema) == _KINDS[stream]:
                     self.streams[channel] = stream
             case Opcode.METADATA:
                 name = _text(body, 0)
@@ -273,7 +284,7 @@ class _Reader:
             msg = "the checksum of an attachment is wrong"
             raise DamageError(msg)
         attachment = Attachment.read(_stream(body))
-        if attachment.name in (CALIBRATION, CONFIG):
+        if attachment.name in (CALIBRATION, CONFIG, INPUT):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
     def _chunk(self, body: bytes) -> None:
@@ -356,7 +367,7 @@ class _Reader:
 def stream_of(topic: str) -> str:
     """Return the stream of a topic such as /rig/1/sample, "" where it is none of ours."""
     found = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]{1,20})", topic)
-    return found[1] if found and found[1] in STREAMS else ""
+    return found[1] if found and found[1] in _KINDS else ""
 
 
 def _text(body: bytes, at: int) -> str:

@@ -59,10 +59,16 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("Ts_s", "double"),
         ("device", "string"),
     ),
+    "Trace": (
+        ("t_host_ns", "sfixed64"),
+        ("number", "fixed64"),
+        ("state", "bytes"),
+        ("steps", "bytes"),
+    ),
 }
 
-SAMPLE, GAP, TIMING, CLOCK, STATE = (
-    f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "Clock", "State")
+SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (
+    f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "Clock", "State", "Trace")
 )
 LOG = "foxglove.Log"
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}

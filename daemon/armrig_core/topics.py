@@ -6,6 +6,8 @@ import re
 
 STREAMS = ("sample", "gap", "event", "timing", "clock", "state")
 """What a rig publishes."""
+RECORDED = (*STREAMS, "trace")
+"""What a recording holds: the steps of the core, too, for replay."""
 
 
 def check_rig_id(rig: str) -> str:

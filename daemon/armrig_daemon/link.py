@@ -10,6 +10,10 @@ from pathlib import Path
 import serial
 
 
+READ = 2048
+"""Bytes taken at once: with what is sent for them they fit into one record of the pipe."""
+
+
 class LinkError(OSError):
     """The port cannot be opened or is gone; says which and why."""
 
@@ -35,7 +39,7 @@ class Link:
     def read(self) -> bytes:
         """Return the bytes that are there."""
         try:
-            data = os.read(self.fd, 4096)
+            data = os.read(self.fd, READ)
         except BlockingIOError:
             return b""
         except OSError as err:

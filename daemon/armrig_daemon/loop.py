@@ -12,6 +12,7 @@ from armrig_daemon.outbox import Outbox
 from armrig_daemon.pacing import Pace, change
 from armrig_daemon.ports import Ports
 from armrig_daemon.records import RunEnded, RunStarted
+from armrig_daemon.records import Trace as TraceRecord
 from armrig_daemon.state import (
     Action,
     Beat,
@@ -26,6 +27,7 @@ from armrig_daemon.state import (
     State,
     Tick,
 )
+from armrig_daemon.trace import Chunk, Trace
 
 
 class Loop:
@@ -41,6 +43,7 @@ class Loop:
         self._k = 0  # next tick
         self._outbox = Outbox(ports)
         self._meter = Meter(now)
+        self._trace: Trace | None = None
 
     def run(self) -> None:
         """Tick until the core wants to exit."""
@@ -88,8 +91,16 @@ class Loop:
 
     def _step(self, now_ns: int, events: list[Event]) -> None:
         self.state, actions = core.step(self.state, now_ns, events)
+        if self._trace is not None:
+            self._put_trace(self._trace.add(now_ns, events, actions), now_ns)
         for action in actions:
             self._do(action, now_ns)
+
+    def _put_trace(self, chunk: Chunk | None, now_ns: int) -> None:
+        if chunk is not None:
+            number, state, steps = chunk
+            record = TraceRecord(t_host_ns=now_ns, number=number, state=state, steps=steps)
+            self._outbox.put(record)
 
     def _do(self, action: Action, now_ns: int) -> None:
         match action:
@@ -105,9 +116,13 @@ class Loop:
             case RoundTrip():
                 self._meter.came_back(action.ns)
             case Emit():
+                if self._trace is not None and isinstance(action.record, RunEnded):
+                    self._put_trace(self._trace.take(), now_ns)
+                    self._trace = None
                 self._outbox.put(action.record)
                 if isinstance(action.record, RunStarted):
                     self._meter.forget_device()
+                    self._trace = Trace(self.state)
                 elif isinstance(action.record, RunEnded):
                     self.ports.tidy()
             case Repace():

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import msgspec
 from armrig_core import protobuf
 
-from armrig_daemon.records import Clock, Distribution, Gap, Log, State, Timing
+from armrig_daemon.records import Clock, Distribution, Gap, Log, State, Timing, Trace
 
 NAMES = {
     "sample": protobuf.SAMPLE,
@@ -16,6 +16,7 @@ NAMES = {
     "timing": protobuf.TIMING,
     "clock": protobuf.CLOCK,
     "state": protobuf.STATE,
+    "trace": protobuf.TRACE,
 }
 """Full name of the message of each stream."""
 
@@ -34,7 +35,7 @@ class Outgoing(NamedTuple):
     data: bytes
 
 
-def outgoing(record: Gap | Log | Timing | Clock | State, clock_offset_ns: int) -> Outgoing:
+def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns: int) -> Outgoing:
     """Return a record as a message.
 
     Parameters
@@ -49,6 +50,9 @@ def outgoing(record: Gap | Log | Timing | Clock | State, clock_offset_ns: int) -
         case Clock():
             message = protobuf.message_class(protobuf.CLOCK)(**_fields(record))
             return _out("clock", record.t_host_ns, message.SerializeToString())
+        case Trace():
+            message = protobuf.message_class(protobuf.TRACE)(**_fields(record))
+            return _out("trace", record.t_host_ns, message.SerializeToString())
         case Timing():
             return _out("timing", record.t_host_ns, _timing(record))
         case State():
@@ -73,7 +77,7 @@ def _out(stream: str, t_ns: int, data: bytes) -> Outgoing:
     return Outgoing(stream, t_ns, t_ns, 0, data)
 
 
-def _fields(record: Gap | Clock | Distribution) -> dict[str, object]:
+def _fields(record: Gap | Clock | Trace | Distribution) -> dict[str, object]:
     return msgspec.structs.asdict(record)
 
 

@@ -7,11 +7,21 @@ from collections import deque
 from armrig_core.telemetry import Sample, encode_sample
 
 from armrig_daemon.ports import Ports
-from armrig_daemon.records import Clock, Gap, Log, Record, State, Timing, record_bytes, sample_bytes
+from armrig_daemon.records import (
+    Clock,
+    Gap,
+    Log,
+    Record,
+    State,
+    Timing,
+    Trace,
+    record_bytes,
+    sample_bytes,
+)
 
 MOST_WAITING = 1000
 """Records that may wait for room in the pipe before those that only inform are dropped."""
-_INFORM = (Log, State, Timing, Clock)
+_INFORM = (Log, State, Timing, Clock, Trace)
 
 
 class Outbox:

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome
-from armrig_core.topics import STREAMS, topic
+from armrig_core.topics import RECORDED, topic
 from mcap.writer import CompressionType, Writer
 
 from armrig_daemon.compact import compact
@@ -125,7 +125,7 @@ class Recording:
     def _begin(self, manifest: Manifest, attachments: dict[str, bytes]) -> dict[str, int]:
         writer, channels = self._writer, {}
         writer.start(profile="", library=f"armrig {manifest.armrig}")
-        for stream in STREAMS:
+        for stream in RECORDED:
             name = NAMES[stream]
             schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))
             channels[stream] = writer.register_channel(

@@ -31,6 +31,7 @@ for _command in (
     tools.bench,
     tools.doctor,
     files.info,
+    files.replay,
     models.identify,
     models.compare,
     files.report,

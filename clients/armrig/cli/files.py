@@ -79,6 +79,26 @@ def info(
     )
 
 
+def replay(file: File, json: Json = False) -> None:
+    """Have the daemon's core decide a recorded run once more; exit code 1 where it differs."""
+    from armrig.replay import replay as decided_again
+
+    found = decided_again(file)
+    if json:
+        print_json(found)
+    else:
+        same = found.difference or "decided the same, to the last bit"
+        print_table(
+            ("replayed", f"{found.steps} steps of the core over {found.seconds:.3f} s"),
+            ("frames", f"{found.frames} to the device, as recorded"),
+            ("samples", f"{found.samples} as recorded"),
+            *((s.level, f"{s.t:.3f} s: {s.message}") for s in found.said),
+            ("verdict", f"DIFFERS: {same}" if found.difference else same),
+        )
+    if found.difference:
+        raise typer.Exit(1)
+
+
 def report(
     files: Annotated[list[Path], typer.Argument(metavar="F…", help="Recordings (*.mcap).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="PDF to write.")] = Path(

@@ -1,0 +1,166 @@
+"""A recorded run decided once more, by the very function that decided it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from armrig_core.manifest import INPUT, RUN, manifest_of
+from armrig_core.volts import code_of
+from armrig_daemon import core, trace
+from armrig_daemon.records import Log
+from armrig_daemon.state import Action, Emit, Publish, Send
+from armrig_protocol.frame import Spoilt, Unknown, decode
+
+from armrig.container import READ, Content, read
+from armrig.recording import RecordingError
+from armrig.sample_rows import SAMPLE_DTYPE, DamageError
+
+MOST = 1 << 28
+"""Bytes of messages that are read; a run of ten minutes at 1 kHz has a quarter of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Said:
+    """What the core had to say in the replay."""
+
+    t: float
+    """When, in s from the first step."""
+    level: str
+    """debug, info, warning or error."""
+    message: str
+    """What it said."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Replay:
+    """What came of deciding a run once more."""
+
+    steps: int
+    """Calls of the core."""
+    frames: int
+    """Frames to the device that were decided as recorded."""
+    samples: int
+    """Samples that came out as recorded, to the last bit."""
+    seconds: float
+    """From the first step to the last, in s."""
+    difference: str
+    """Where the replay first parts from the recording; "" where it nowhere does."""
+    said: tuple[Said, ...]
+    """Warnings and errors of the core on the way, trips among them."""
+
+
+def replay(path: str | Path) -> Replay:
+    """Run the core through a recorded run and compare what it decides with what was decided.
+
+    Compared are all frames to the device, and all samples in the file.
+
+    Raises
+    ------
+    RecordingError
+        The file is no recording of armrig, holds no steps, or those of another release.
+    """
+    path = Path(path)
+    try:
+        content = read(path, streams=(*READ, "trace"), most=MOST)
+    except (OSError, DamageError) as err:
+        msg = f"{path}: {getattr(err, 'strerror', None) or err}"
+        raise RecordingError(msg) from err
+    chunks = content.messages.get("trace", []) if content else []
+    if content is None or not chunks or not chunks[0].state:
+        msg = f"{path}: holds no steps of the daemon's core; recorded before replay was built?"
+        raise RecordingError(msg)
+    try:
+        return _replayed(content, chunks)
+    except (msgspec.DecodeError, msgspec.ValidationError, KeyError, ValueError) as err:
+        by = content.metadata.get(RUN, {}).get("armrig", "another release")
+        msg = f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
+        raise RecordingError(msg) from err
+
+
+def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
+    state = trace.restored(chunks[0].state, _codes(content.attachments[INPUT]))
+    manifest = manifest_of(content.metadata[RUN])
+    difference, frames, published, said = "", 0, [], []
+    first = now_ns = None
+    n = 0
+    for n, step in enumerate(_steps(chunks), 1):
+        now_ns = step.now_ns
+        first = now_ns if first is None else first
+        state, actions = core.step(state, now_ns, step.events)
+        sent = tuple(a.data for a in actions if isinstance(a, Send))
+        if sent != step.sent:
+            difference = f"step {n}, {(now_ns - first) / 1e9:.4f} s: "
+            difference += f"sent {_names(step.sent)}, now decides {_names(sent)}"
+            break
+        frames += len(sent)
+        published += [a.sample for a in actions if isinstance(a, Publish)]
+        said += list(_said(actions, first))
+    ours = np.array([tuple(s) for s in published], dtype=SAMPLE_DTYPE)
+    end = manifest.k_first + manifest.samples
+    ours = ours[(ours["k"] >= manifest.k_first) & (ours["k"] < end)]
+    same = _same_rows(ours, content.samples)
+    if not difference and not (same == ours.size == content.samples.size):
+        difference = f"the file has {content.samples.size} samples, the replay {ours.size}; "
+        difference += f"{same} are the same"
+    if not difference and _holes(chunks):
+        difference = f"{_holes(chunks)} chunks of steps are missing from the file"
+    return Replay(
+        steps=n,
+        frames=frames,
+        samples=same,
+        seconds=0.0 if first is None or now_ns is None else (now_ns - first) / 1e9,
+        difference=difference,
+        said=tuple(said),
+    )
+
+
+def _steps(chunks: Sequence[Any]) -> Iterator[trace.Step]:
+    """Return the steps up to the first hole."""
+    for number, chunk in enumerate(chunks):
+        if chunk.number != number:
+            return
+        yield from trace.steps_of(chunk.steps)
+
+
+def _holes(chunks: Sequence[Any]) -> int:
+    return int(chunks[-1].number) + 1 - len(chunks)
+
+
+def _same_rows(ours: Any, theirs: Any) -> int:
+    """Return how many samples from the first on are the same to the last bit."""
+    n = min(ours.size, theirs.size)
+    a, b = (np.frombuffer(x[:n].tobytes(), np.uint8).reshape(n, -1) for x in (ours, theirs))
+    different = np.flatnonzero((a != b).any(axis=1))
+    return int(different[0]) if different.size else n
+
+
+def _codes(csv: bytes) -> bytes:
+    """Return the codes of an attached input, as the daemon made them of it."""
+    codes = [code_of(float(line)) for line in csv.decode().splitlines()[1:]]
+    return np.asarray(codes, dtype="<u2").tobytes()
+
+
+def _names(frames: Sequence[bytes]) -> str:
+    return ", ".join(_name(frame) for frame in frames) or "nothing"
+
+
+def _name(frame: bytes) -> str:
+    message = decode(frame.strip(b"\0"))
+    if isinstance(message, Spoilt | Unknown):
+        return str(message)
+    body = {k: v for k, v in message._asdict().items() if k != "state"}
+    return f"{type(message).__name__}({', '.join(f'{k}={v}' for k, v in body.items())})"
+
+
+def _said(actions: Sequence[Action], first_ns: int) -> Iterator[Said]:
+    for action in actions:
+        if isinstance(action, Emit) and isinstance(action.record, Log):
+            log = action.record
+            if log.level in ("warning", "error"):
+                t = (log.t_host_ns - first_ns) / 1e9
+                yield Said(t=t, level=log.level, message=log.message)

@@ -1,0 +1,142 @@
+"""What the core was told and what it then sent, step by step: a run can be decided once more.
+
+A trace begins with the state in which the run started and holds the arguments of every `core.step`
+since. The core is a pure function: the same arguments give the same decisions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
+
+from armrig_daemon.records import Order, Orders, Play
+from armrig_daemon.state import (
+    Action,
+    Beat,
+    Event,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Received,
+    Send,
+    ServiceGone,
+    State,
+    Tick,
+)
+
+CHUNK = 3000
+"""Bytes of steps that are handed over together: with its state a chunk fits into 4096."""
+_STEP_BYTES, _EVENT_BYTES = 12, 24  # what a step and an event take beyond their data, at most
+_KINDS: tuple[type[Event], ...] = (
+    Tick, Beat, Received, Ordered, LinkUp, LinkDown, ServiceGone,
+)  # fmt: skip
+_NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
+
+
+class Step(NamedTuple):
+    """One call of the core, and the frames to the device that it decided."""
+
+    now_ns: int
+    events: tuple[Event, ...]
+    sent: tuple[bytes, ...]
+
+
+_Written = list[tuple[int, list[tuple[int, bytes]], list[bytes]]]
+_ENCODER, _STEPS = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Written)
+_STATE = msgspec.msgpack.Decoder(State)
+_EVENTS = [msgspec.msgpack.Decoder(kind) for kind in _KINDS]
+_ORDER = msgspec.msgpack.Decoder(Orders)
+
+
+class Chunk(NamedTuple):
+    """Some steps that follow each other."""
+
+    number: int
+    """Counted from 0 at the start of the run."""
+    state: bytes
+    """The state before the first step, in the first chunk; else empty."""
+    steps: bytes
+
+
+class Trace:
+    """The steps of a run that have not been handed over yet."""
+
+    def __init__(self, state: State) -> None:
+        """Begin with the state in which the run has just started."""
+        self._state = written_state(state)
+        self._number = 0
+        self._steps: _Written = []
+        self._bytes = len(self._state)
+
+    def add(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> Chunk | None:
+        """Note a step; return those so far once they are enough for a chunk."""
+        told = [(_NUMBERS[type(e)], _written_event(e)) for e in events]
+        sent = [a.data for a in actions if isinstance(a, Send)]
+        size = _STEP_BYTES + sum(_EVENT_BYTES + len(d) for _, d in told) + sum(map(len, sent))
+        full = self.take() if self._steps and self._bytes + size > CHUNK else None
+        if size > CHUNK:  # a flood of orders: the hole shows in the numbers
+            self._number += 1
+            return full
+        self._steps.append((now_ns, told, sent))
+        self._bytes += size + 4 * len(sent)
+        return full
+
+    def take(self) -> Chunk:
+        """Return the steps that were not handed over yet."""
+        chunk = Chunk(self._number, self._state, _ENCODER.encode(self._steps))
+        self._number, self._state, self._steps, self._bytes = self._number + 1, b"", [], 0
+        return chunk
+
+
+def written_state(state: State) -> bytes:
+    """Return a state as bytes, without the codes of its run: the recording has its input."""
+    run = state.run
+    return _ENCODER.encode(replace(state, run=replace(run, codes=b"")) if run else state)
+
+
+def restored(data: bytes, codes: bytes) -> State:
+    """Return the state in `written_state`'s bytes, with the codes of its run.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        They are not the bytes of this release's state.
+    """
+    state = _STATE.decode(data)
+    return state if state.run is None else replace(state, run=replace(state.run, codes=codes))
+
+
+def steps_of(chunk: bytes) -> list[Step]:
+    """Return the steps of a chunk; raises as `restored`."""
+    return [
+        Step(now_ns, tuple(_event(*told) for told in events), tuple(sent))
+        for now_ns, events, sent in _STEPS.decode(chunk)
+    ]
+
+
+def _written_event(event: Event) -> bytes:
+    if isinstance(event, Received):
+        return event.data
+    if isinstance(event, Ordered):
+        return _ENCODER.encode(_without_codes(event.order))
+    return _ENCODER.encode(event)
+
+
+def _without_codes(order: Order) -> Order:
+    """Return an order that fits: a second experiment is refused, whatever its codes are."""
+    return replace(order, codes=b"") if isinstance(order, Play) else order
+
+
+def _event(number: int, data: bytes) -> Event:
+    kind = _KINDS[number] if number < len(_KINDS) else None
+    if kind is Received:
+        return Received(data)
+    if kind is Ordered:
+        return Ordered(_ORDER.decode(data))
+    if kind is None:
+        raise msgspec.DecodeError(f"event of kind {number}: 0 to {len(_KINDS) - 1} are known")
+    event: Event = _EVENTS[number].decode(data)
+    return event

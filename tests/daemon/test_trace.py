@@ -1,0 +1,115 @@
+"""The core decides a traced run once more, exactly as it did."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from armrig_daemon import core, trace
+from armrig_daemon.records import Hold, Play, RunStarted, Trace
+from armrig_daemon.state import Beat, LinkDown, LinkUp, Ordered, Received, Send, ServiceGone, Tick
+from virtual_bench import LEASE, Bench, codes
+
+VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
+
+
+def traced(bench: Bench, *, scheduled: bool) -> list[Trace]:
+    """Play a run over a line that spoils some of the bytes, and return its trace."""
+    count = iter(range(1_000_000))
+
+    def spoil(data: bytes) -> bytes:
+        return data if next(count) % 15 else data[:4] + b"\x55" + data[5:]
+
+    assert not bench.take(10_000).error
+    play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=scheduled)
+    bench.order(play)
+    bench.run_for(150)
+    bench.ports.from_device = spoil
+    bench.order(Hold(order=10, lease=LEASE, n=1, code=3))  # refused
+    bench.run_for(2_500)
+    chunks: list[Trace] = bench.of(Trace)
+    return chunks
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_a_run_is_decided_once_more_as_it_was(scheduled: bool) -> None:
+    """From the first state on, each step sends the very bytes that it sent."""
+    bench = Bench()
+
+    chunks = traced(bench, scheduled=scheduled)
+
+    assert [c.number for c in chunks] == list(range(len(chunks)))
+    assert len(chunks) > 3
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    steps = [step for chunk in chunks for step in trace.steps_of(chunk.steps)]
+    assert all(a.now_ns <= b.now_ns for a, b in pairwise(steps))
+    for step in steps:
+        state, actions = core.step(state, step.now_ns, step.events)
+        assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
+    assert sum(len(step.sent) for step in steps) > (10 if scheduled else 150)
+    kinds = {type(e) for step in steps for e in step.events}
+    assert {Tick, Received, Ordered} <= kinds
+    assert state.run is None  # up to the end of the run, that end included
+
+
+def test_another_input_is_found_out() -> None:
+    """One code too high in the replay, and the frames part."""
+    bench = Bench()
+    chunks = traced(bench, scheduled=False)
+    wrong = codes(*VOLTS[:100], VOLTS[100] + 0.01, *VOLTS[101:])
+
+    state = trace.restored(chunks[0].state, wrong)
+    differs = []
+    for step in (s for chunk in chunks for s in trace.steps_of(chunk.steps)):
+        state, actions = core.step(state, step.now_ns, step.events)
+        differs.append(tuple(a.data for a in actions if isinstance(a, Send)) != step.sent)
+
+    assert any(differs)
+    assert not any(differs[:150])
+
+
+def test_every_event_comes_back_from_its_bytes() -> None:
+    """One of each kind; of an experiment that was refused only its codes are left out."""
+    bench = Bench()
+    traced(bench, scheduled=True)
+    book = trace.Trace(bench.loop.state)
+    order = Play(order=1, lease=LEASE, n=5, run_id="x", codes=b"12", scheduled=True)
+    events = [
+        *(Tick(7, 70), Beat(), Received(b"\0\1\2"), LinkUp(), LinkDown("gone"), ServiceGone()),
+        Ordered(order),
+    ]
+
+    book.add(123, events, [Send(b"a"), Send(b"bc")])
+
+    ((now_ns, come_back, sent),) = trace.steps_of(book.take().steps)
+    assert (now_ns, sent) == (123, (b"a", b"bc"))
+    assert come_back[:-1] == tuple(events[:-1])
+    (last,) = (e for e in come_back if isinstance(e, Ordered))
+    assert last.order == Play(order=1, lease=LEASE, n=5, run_id="x", codes=b"", scheduled=True)
+
+
+def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None:
+    """4096 bytes go through at once; what is longer is dropped, and its number with it."""
+    bench = Bench()
+    book = trace.Trace(bench.loop.state)
+    chunks = [
+        book.add(n, [Received(b"x" * (7 * n % 2048))], [Send(b"y" * 57)] * 8) for n in range(999)
+    ]
+
+    taken = [c for c in [*chunks, book.add(1, [Received(b"z" * 5000)], []), book.take()] if c]
+
+    assert all(len(c.state) + len(c.steps) < 4000 for c in taken)
+    numbers = [c.number for c in taken]
+    assert numbers[:-1] == list(range(len(numbers) - 1))
+    assert numbers[-1] > numbers[-2] + 1
+
+
+def test_the_trace_begins_behind_the_start_and_ends_before_the_end() -> None:
+    """RunStarted, steps, RunEnded: in this order in the file."""
+    bench = Bench()
+    traced(bench, scheduled=True)
+
+    names = [type(r).__name__ for r in bench.records if not isinstance(r, bytes)]
+    assert names.index("RunStarted") < names.index("Trace")
+    assert len(names) - 1 - names[::-1].index("Trace") < names.index("RunEnded")
+    assert [type(r) for r in bench.of(RunStarted)] == [RunStarted]

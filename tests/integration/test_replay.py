@@ -1,0 +1,66 @@
+"""`armrig replay`: a real run through the very function that decided it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import armrig
+import pytest
+from armrig.recording import RecordingError
+from armrig.replay import replay
+from armrig_daemon import scheduling
+from processes import Bench
+
+
+@pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
+def test_a_real_run_is_decided_once_more_to_the_last_bit(
+    bench: Bench, pacing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every frame and every sample; and a core that decides otherwise is found out."""
+    bench.emulate()
+    bench.serve()
+    u = armrig.telegraph(400, 0.1, low=0.0, high=5.0, seed=1)
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.005)
+        path = rig.run(u, pacing=pacing)  # type: ignore[arg-type]
+
+    found = replay(path)
+
+    assert found.difference == ""
+    assert found.samples == armrig.load(path).samples.size
+    assert found.frames > (10 if pacing == "scheduled" else 390)
+    assert found.seconds > 1.9
+    if pacing == "scheduled":
+        monkeypatch.setattr(scheduling, "PING_US", 10_000_000)
+        assert "now decides nothing" in replay(path).difference
+
+
+def test_the_command_says_what_it_replayed(bench: Bench) -> None:
+    """A run that tripped, decided once more with its reason."""
+    emulator = bench.emulate()
+    bench.serve()
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.005)
+
+        def unplug(done: int, total: int) -> None:
+            if done > 50:
+                emulator.kill()
+
+        with pytest.raises(armrig.RigError) as stopped:
+            rig.run(armrig.telegraph(2000, 0.1, seed=1), progress=unplug)
+    (path,) = bench.recordings.glob("*.mcap")
+
+    said = subprocess.run(
+        [sys.executable, "-m", "armrig", "replay", path], capture_output=True, text=True, check=True
+    )
+
+    assert "decided the same, to the last bit" in said.stdout
+    assert "stopped at 0 V" in said.stdout
+    assert str(stopped.value).split(";")[0].split(": ")[-1] in said.stdout
+
+
+def test_a_recording_without_steps_is_told(tmp_path: object) -> None:
+    """What is no recording ends in one line."""
+    with pytest.raises(RecordingError, match=r"nowhere\.mcap: No such file"):
+        replay(f"{tmp_path}/nowhere.mcap")
