@@ -8,7 +8,9 @@ References
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import defaultdict
+from itertools import accumulate
 
 from armrig_daemon.records import Distribution
 
@@ -48,18 +50,16 @@ class Histogram:
         for n in range(1, min(missed, _MOST_MISSED) + 1):
             self._bins[_bin(max(0, value - n * period_ns))] += 1
 
-    def quantile(self, q: float) -> int:
-        """Return the value in ns that a share `q` of all counts does not exceed."""
-        want, seen = q * self.n, 0
-        for index in sorted(self._bins):
-            seen += self._bins[index]
-            if seen >= want:
-                return min(_greatest_in(index), self._max)
-        return self._max
+    def quantiles(self, *shares: float) -> list[int]:
+        """Return for each share the value in ns that so much of all counts does not exceed."""
+        indices = sorted(self._bins)
+        seen = list(accumulate(map(self._bins.__getitem__, indices)))
+        at = [bisect_left(seen, share * self.n) for share in shares]
+        return [min(_greatest_in(indices[i]), self._max) if i < len(seen) else 0 for i in at]
 
     def distribution(self, unit: float) -> Distribution:
         """Return the percentiles in `unit` of what was counted; all 0 where nothing was."""
-        p50, p90, p99, p999 = (self.quantile(q) / unit for q in (0.5, 0.9, 0.99, 0.999))
+        p50, p90, p99, p999 = (q / unit for q in self.quantiles(0.5, 0.9, 0.99, 0.999))
         largest = self._max / unit
         return Distribution(
             p50=p50, p90=p90, p99=p99, p999=p999, max=largest, n=self.n, missed=self.missed
