@@ -7,18 +7,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.checks import column
+from armrig.trend import Trend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+_LISTED = 8  # lengths of parts that a history names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
@@ -40,7 +43,9 @@ class Dataset:
     source : str
         Hash of the recording, "" where there is none.
     history : sequence of str
-        The treatment so far, one step an entry.
+        The treatment so far, a sentence a step.
+    trends : sequence of Trend, default ()
+        What `detrend` took from each experiment, so that `retrend` can put it back.
 
     Raises
     ------
@@ -67,7 +72,9 @@ class Dataset:
     source: str
     """Hash of the recording, or ""."""
     history: tuple[str, ...]
-    """Steps of treatment, first to last."""
+    """Steps of treatment, first to last, a sentence each."""
+    trends: tuple[Trend, ...]
+    """What was taken from each experiment; () where nothing was, or it cannot be put back."""
 
     def __init__(
         self,
@@ -82,6 +89,7 @@ class Dataset:
         input_unit: str = "V",
         source: str = "",
         history: Sequence[str] = (),
+        trends: Sequence[Trend] = (),
     ) -> None:
         u_, y_ = column("u", u), column("y", y)
         N = u_.size
@@ -102,11 +110,16 @@ class Dataset:
         if not starts_ or starts_[0] != 0 or not ordered:
             msg = f"starts={starts_} must begin with 0 and rise strictly, below N={N}"
             raise ValueError(msg)
+        if len(trends) not in (0, len(starts_)):
+            msg = f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
+            raise ValueError(msg)
         y_[~valid_] = np.nan
         for array in (u_, y_, valid_):
             array.flags.writeable = False
-        values = (u_, y_, float(Ts), valid_, starts_, output, unit, input_unit, source)
-        for name, value in zip(self.__slots__, (*values, tuple(history)), strict=True):
+        values: tuple[Any, ...] = (u_, y_, float(Ts), valid_, starts_)
+        values += (output, unit, input_unit, source)
+        values = (*values, tuple(history), tuple(trends))
+        for name, value in zip(self.__slots__, values, strict=True):
             object.__setattr__(self, name, value)
 
     @property
@@ -135,11 +148,24 @@ class Dataset:
         names = ("output", "unit", "input_unit", "source", "history", "digest")
         return {name: getattr(self, name) for name in names}
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show output and input against time: see `armrig.plots.plot_data`."""
-        from armrig.plots.data import plot_data
+    def plot(
+        self, kind: Literal["time", "spectrum", "values"] = "time", *, ax: Axes | None = None
+    ) -> Axes:
+        """Show output and input, whatever may be wrong with them.
 
-        return plot_data(self, ax=ax)
+        Parameters
+        ----------
+        kind : {"time", "spectrum", "values"}
+            Against time, their power spectra, or how often each value was taken: see
+            `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
+        """
+        from armrig.plots.data import plot_data, plot_spectrum, plot_values
+
+        kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
+        if kind not in kinds:
+            msg = f"kind={kind!r} must be one of {', '.join(kinds)}"
+            raise ValueError(msg)
+        return kinds[kind](self, ax=ax)
 
     def __len__(self) -> int:
         """Return the number of instants."""
@@ -160,7 +186,16 @@ class Dataset:
             y=self.y[a:b],
             valid=self.valid[a:b],
             starts=(0, *(s - a for s in self.starts if a < s < b)),
-            step=None if whole else f"samples {a}:{b}",
+            trends=self._trends_between(a, b),
+            step=None if whole else f"took samples {a} to {b - 1} of {self.N}",
+        )
+
+    def _trends_between(self, a: int, b: int) -> tuple[Trend, ...]:
+        ends = (*self.starts[1:], self.N)
+        return tuple(
+            trend.later(max(a - start, 0) * self.Ts)
+            for trend, start, end in zip(self.trends, self.starts, ends, strict=False)
+            if end > a and start < b
         )
 
     def split(self, k: int) -> tuple[Dataset, ...]:
@@ -176,6 +211,24 @@ class Dataset:
         for a, b in zip(self.starts, (*self.starts[1:], self.N), strict=True):
             yield self[a:b]
 
+    def select(self, *which: int) -> Dataset:
+        """Return some of the experiments, by their numbers from 0, in the order given.
+
+        Raises
+        ------
+        ValueError
+            There is no such experiment, or none was asked for.
+        """
+        parts = list(self.experiments())
+        for i in which or (-1,):
+            if not 0 <= i < len(parts):
+                msg = f"select{which} needs numbers from 0 to {len(parts) - 1}: there are "
+                msg += f"{len(parts)} experiments"
+                raise ValueError(msg)
+        chosen = [parts[i].replaced(step=None, history=self.history) for i in which]
+        step = f"selected experiments {', '.join(map(str, which))} of {len(parts)}"
+        return merge(chosen).replaced(step=step, history=self.history)
+
     def replaced(
         self,
         *,
@@ -186,8 +239,12 @@ class Dataset:
         starts: tuple[int, ...] | None = None,
         output: str | None = None,
         unit: str | None = None,
+        Ts: float | None = None,
+        history: tuple[str, ...] | None = None,
+        trends: tuple[Trend, ...] | None = None,
     ) -> Dataset:
         """Return a copy with other numbers and `step` written down in its history."""
+        history = self.history if history is None else history
         return Dataset(
             u=self.u if u is None else u,
             y=self.y if y is None else y,
@@ -195,10 +252,11 @@ class Dataset:
             starts=self.starts if starts is None else starts,
             output=self.output if output is None else output,
             unit=self.unit if unit is None else unit,
-            Ts=self.Ts,
+            Ts=self.Ts if Ts is None else Ts,
             input_unit=self.input_unit,
             source=self.source,
-            history=self.history if step is None else (*self.history, step),
+            history=history if step is None else (*history, step),
+            trends=self.trends if trends is None else trends,
         )
 
     def __repr__(self) -> str:
@@ -209,7 +267,7 @@ class Dataset:
             parts.append(f"{self.missing} missing ({100 * self.missing / self.N:.1f} %)")
         if len(self.starts) > 1:
             parts.append(f"{len(self.starts)} experiments")
-        parts += [f"history: {', '.join(self.history)}"] if self.history else []
+        parts += [f"history: {'; '.join(self.history)}"] if self.history else []
         return f"<Dataset: {'; '.join(parts)}>"
 
 
@@ -240,7 +298,8 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
             msg = f"merge needs one {name}, got {values}; treat the data alike before merging"
             raise ValueError(msg)
     offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
-    histories = {d.history for d in parts}
+    taken = any(d.trends for d in parts)
+    trends = [d.trends or (Trend(),) * len(d.starts) for d in parts] if taken else []
     return Dataset(
         u=np.concatenate([d.u for d in parts]),
         y=np.concatenate([d.y for d in parts]),
@@ -251,10 +310,23 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
         unit=parts[0].unit,
         input_unit=parts[0].input_unit,
         source="+".join(dict.fromkeys(d.source for d in parts if d.source)),
-        history=parts[0].history
-        if len(histories) == 1
-        else tuple(f"{i + 1}: {step}" for i, d in enumerate(parts) for step in d.history),
+        history=_joined_history(parts),
+        trends=[trend for of_part in trends for trend in of_part],
     )
+
+
+def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
+    """Return what all parts have in common once, then what is each one's own, and the merge."""
+    if len(parts) == 1:
+        return parts[0].history
+    common: list[str] = []
+    for steps in zip(*(d.history for d in parts), strict=False):
+        if len(set(steps)) > 1:
+            break
+        common.append(steps[0])
+    own = [f"part {i}: {s}" for i, d in enumerate(parts, 1) for s in d.history[len(common) :]]
+    lengths = ", ".join(str(d.N) for d in parts[:_LISTED]) + (", …" if len(parts) > _LISTED else "")
+    return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
 
 
 def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:

@@ -607,7 +607,7 @@ def test_only_our_names_are_kept(tmp_path: Path) -> None:
     schema = _record(0x03, struct.pack("<HI", 77, len(foreign)) + foreign + bytes(8))
     metadata = _record(0x0C, struct.pack("<I", len(foreign)) + foreign + bytes(4))
     content = container.Content()
-    reader = container._Reader(content)
+    reader = container._Reader(content, container.READ, container.MESSAGES_LIMIT)
     for record in (schema, metadata):
         reader.take(record[0], record[9:])
 

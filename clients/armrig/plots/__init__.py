@@ -16,7 +16,8 @@ from armrig.plots.canvas import (
     finish,
     sign,
 )
-from armrig.plots.data import plot_data, plot_timing
+from armrig.plots.data import plot_data, plot_spectrum, plot_timing, plot_values
+from armrig.plots.inputs import plot_input
 from armrig.plots.models import (
     plot_bode,
     plot_compare,
@@ -24,6 +25,14 @@ from armrig.plots.models import (
     plot_poles_zeros,
     plot_residuals,
     plot_step,
+)
+from armrig.plots.nonparametric import (
+    plot_correlation,
+    plot_impulse,
+    plot_sampling_time,
+    plot_spectral,
+    plot_step_analysis,
+    plot_structure,
 )
 
 __all__ = [
@@ -38,11 +47,20 @@ __all__ = [
     "finish",
     "plot_bode",
     "plot_compare",
+    "plot_correlation",
     "plot_data",
     "plot_fit",
+    "plot_impulse",
+    "plot_input",
     "plot_poles_zeros",
     "plot_residuals",
+    "plot_sampling_time",
+    "plot_spectral",
+    "plot_spectrum",
     "plot_step",
+    "plot_step_analysis",
+    "plot_structure",
     "plot_timing",
+    "plot_values",
     "sign",
 ]

@@ -10,6 +10,7 @@ from armrig.jitter import jitter_us, lateness_us
 from armrig.plots.canvas import (
     BLUE,
     INK,
+    NAMES,
     SKY,
     VERMILION,
     axes,
@@ -44,6 +45,56 @@ def plot_data(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
     below.set_xlabel("$t$ [s]")
     below.margins(y=0.15)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
+    return sign(ax, data.source)
+
+
+def plot_spectrum(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
+    """Show the power density of the output and, below it, of the input, both axes logarithmic.
+
+    Averaged over the stretches without a gap, see `armrig.power.power_spectrum`. What rises
+    towards the right edge, the Nyquist frequency, was sampled too slowly, or is noise.
+    """
+    from armrig.power import power_spectrum
+
+    data = _dataset(source)
+    ax, below = panels(ax, 0.5)
+    for panel, signals, colour, label, unit in (
+        (ax, [d.y for d in data.experiments()], BLUE, data.output, data.unit),
+        (below, [d.u for d in data.experiments()], INK, "$u$", data.input_unit),
+    ):
+        omega, density = power_spectrum(signals, data.Ts)
+        # Without 0, and without Nyquist's, whose density is one-sided already.
+        omega, density = omega[1:-1], density[1:-1]
+        panel.plot(omega, np.maximum(density, 1e-300), color=colour, lw=0.9)
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_ylabel(f"{NAMES.get(label, label)} [{squared(unit)}s/rad]")
+        shown = density[density > 0]
+        if shown.size:
+            # A periodic input has nothing between its lines: twelve decades down is nothing.
+            panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
+    below.set_xlabel(r"$\omega$ [rad/s]")
+    finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))
+    return sign(ax, data.source)
+
+
+def plot_values(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
+    """Show how often each value of the output and, below it, of the input was taken.
+
+    The counts are logarithmic: a single sample far from all others, an outlier, shows.
+    """
+    data = _dataset(source)
+    ax, below = panels(ax, 0.5, sharex=False)
+    for panel, values, colour, label in (
+        (ax, data.y[data.valid], BLUE, named(data.output, data.unit)),
+        (below, data.u, INK, f"$u$ [{data.input_unit}]"),
+    ):
+        panel.hist(values, bins=60, color=colour, alpha=0.75)
+        panel.set_yscale("log")
+        panel.set_ylim(0.6, 6 * panel.get_ylim()[1])  # room for the name
+        panel.text(0.5, 0.95, label, ha="center", va="top", transform=panel.transAxes)
+        panel.set_ylabel("samples")
+        finish(panel)
     return sign(ax, data.source)
 
 
@@ -87,6 +138,11 @@ def plot_timing(
     ax.legend(loc="upper center", ncols=3, handlelength=1.2, columnspacing=0.9, borderpad=0.3)
     finish(ax)
     return sign(ax, recording.sha256)
+
+
+def squared(unit: str) -> str:
+    """Return a unit's square and a space, for an axis; nothing where there is no unit."""
+    return f"({unit})² " if "/" in unit else f"{unit}² " if unit else ""
 
 
 def _dataset(source: Recording | Dataset) -> Dataset:

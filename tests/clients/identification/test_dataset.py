@@ -7,6 +7,7 @@ import pytest
 from armrig.dataset import Dataset, merge
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib import pyplot as plt
 
 
 def ramp(N: int, **others: object) -> Dataset:
@@ -102,3 +103,52 @@ def test_what_differs_cannot_be_merged() -> None:
     """One sampling time, one output, one unit."""
     with pytest.raises(ValueError, match=r"merge needs one unit, got \['deg', 'rad'\]"):
         merge([ramp(3, unit="rad"), ramp(3, unit="deg")])
+
+
+def test_the_history_tells_every_cut() -> None:
+    """In sentences; what was done to all parts before they were merged is told once."""
+    whole = ramp(10, history=("recorded",))
+
+    merged = merge([whole[0:4], whole[4:10]])
+
+    assert merged.history == (
+        "recorded",
+        "part 1: took samples 0 to 3 of 10",
+        "part 2: took samples 4 to 9 of 10",
+        "merged 2 parts of 4, 6 samples",
+    )
+    assert whole[:].history == merge([whole]).history == ("recorded",)
+    with pytest.raises(AttributeError):
+        merged.history.append("no")  # type: ignore[attr-defined]
+
+
+def test_experiments_are_selected_by_their_numbers() -> None:
+    """In the order asked for, gaps with them, and the history says which."""
+    data = merge([ramp(2), ramp(3, valid=[True, False, True]), ramp(4)])
+
+    chosen = data.select(2, 1)
+
+    assert [d.N for d in chosen.experiments()] == [4, 3]
+    np.testing.assert_array_equal(chosen.valid[4:], [True, False, True])
+    assert chosen.history == (*data.history, "selected experiments 2, 1 of 3")
+    for which in ((3,), (-1,), ()):
+        with pytest.raises(ValueError, match="needs numbers from 0 to 2: there are 3 experiments"):
+            data.select(*which)
+
+
+@pytest.mark.parametrize("kind", ["time", "spectrum", "values"])
+def test_data_show_themselves_with_their_gaps(kind: str) -> None:
+    """Each view draws what is there, in two experiments, in an axes given."""
+    n = np.arange(200)
+    part = Dataset(
+        u=n % 3, y=np.cos(n), Ts=0.01, valid=n % 70 > 3, output="theta_1", unit="rad", source="ab"
+    )
+    figure, ax = plt.subplots()
+
+    assert merge([part, part]).plot(kind, ax=ax) is ax  # type: ignore[arg-type]
+
+    figure.canvas.draw()
+    assert "rad" in ax.get_ylabel() + "".join(text.get_text() for text in ax.texts)
+    plt.close(figure)
+    with pytest.raises(ValueError, match="kind='bode' must be one of time, spectrum, values"):
+        part.plot("bode")  # type: ignore[arg-type]

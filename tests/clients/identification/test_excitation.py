@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from armrig.excitation import step, telegraph
+from armrig.excitation import (
+    chirp,
+    from_csv,
+    multisine,
+    prbs,
+    staircase,
+    step,
+    telegraph,
+    white_noise,
+    within,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 
 def test_a_telegraph_signal_switches_as_often_as_asked() -> None:
@@ -80,3 +93,211 @@ def test_an_impossible_step_is_refused(N: Any, at: Any) -> None:
 def test_numpy_s_integers_are_integers() -> None:
     """A length may come out of a computation."""
     np.testing.assert_array_equal(telegraph(np.int64(5), 0.5), telegraph(5, 0.5))
+
+
+@settings(deadline=None)
+@given(
+    st.integers(3, 300),
+    st.floats(0, 4.9),
+    st.floats(0.01, 5),
+    st.integers(0, 2**32),
+)
+def test_no_signal_leaves_its_interval(N: int, low: float, width: float, seed: int) -> None:
+    """Each is float64 (N,), whatever the length, the interval and the seed, to the last bit."""
+    high = min(low + width, 5.0)
+    signals = {
+        "telegraph": telegraph(N, 0.3, low, high, seed),
+        "prbs": prbs(N, 2, low, high, seed),
+        "uniform": white_noise(N, low, high, seed),
+        "normal": white_noise(N, low, high, seed, distribution="normal"),
+        "multisine": multisine(N, None, low, high, seed),
+        "chirp": chirp(N, 0.01, 0.1, 20.0, low, high),
+        "logarithmic chirp": chirp(N, 0.01, 20.0, 0.1, low, high, sweep="logarithmic"),
+        "step": step(N, low=low, high=high, at=N // 2),
+        "staircase": staircase(N, 3, low, high),
+    }
+
+    for name, u in signals.items():
+        assert u.shape == (N,), name
+        assert u.dtype == np.float64, name
+        assert low <= u.min() <= u.max() <= high, name
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments"),
+    [
+        (prbs, (9,)),
+        (white_noise, (9,)),
+        (multisine, (9,)),
+        (chirp, (9, 0.01, 1.0, 2.0)),
+        (staircase, (9,)),
+    ],
+)
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 1.0), (0.0, 5.1), (3.0, 2.0)])
+def test_no_kind_takes_an_interval_outside_the_rig_s(
+    make: Any, arguments: tuple[Any, ...], low: float, high: float
+) -> None:
+    """All ask the same guard."""
+    with pytest.raises(ValueError, match=r"outside the rig's 0 to 5 V|must lie below"):
+        make(*arguments, low=low, high=high)
+
+
+@pytest.mark.parametrize("register", [2, 3, 5, 8, 11])
+def test_a_maximal_length_sequence_is_white_over_its_period(register: int) -> None:
+    """Its circular autocorrelation is M at lag 0 and -1 at every other; it repeats after M."""
+    M = 2**register - 1
+
+    u = prbs(2 * M, low=0.0, high=2.0, register=register) - 1.0
+
+    spectrum = np.abs(np.fft.fft(u[:M])) ** 2
+    np.testing.assert_allclose(np.fft.ifft(spectrum).real, [M, *[-1.0] * (M - 1)], atol=1e-9)
+    np.testing.assert_array_equal(u[M:], u[:M])
+
+
+def test_a_clock_holds_each_value() -> None:
+    """The slow sequence is the fast one, every value as often as the clock says."""
+    np.testing.assert_array_equal(prbs(21, 3, register=3)[::3], prbs(7, 1, register=3))
+    np.testing.assert_array_equal(prbs(21, 3, register=3)[2::3], prbs(7, 1, register=3))
+
+
+def test_by_default_a_prbs_does_not_repeat_itself() -> None:
+    """The register is as long as N needs: another seed begins elsewhere in the same period."""
+    u = prbs(127, seed=1)
+
+    assert len({tuple(window) for window in np.lib.stride_tricks.sliding_window_view(u, 7)}) == 121
+    assert not np.array_equal(u, prbs(127, seed=2))
+
+
+@pytest.mark.parametrize("distribution", ["uniform", "normal"])
+def test_noise_is_white_and_as_strong_as_said(distribution: Any) -> None:
+    """Lag correlations within four of 1/sqrt(N); variance as the doc says, 2 %."""
+    N = 40_000
+
+    u = white_noise(N, 0.0, 3.0, seed=2, distribution=distribution) - 1.5
+
+    r = np.array([u[k:] @ u[: N - k] for k in range(1, 20)]) / (u @ u)
+    assert np.abs(r).max() < 4 / np.sqrt(N)
+    # A normal law cut off at three standard deviations has 0.9733 of its variance.
+    expected = {"uniform": 9 / 12, "normal": 0.25 * 0.9733}[distribution]
+    assert np.var(u) == pytest.approx(expected, rel=0.02)
+
+
+def test_a_multisine_has_power_at_its_lines_only_and_equally() -> None:
+    """Whole periods: no leakage, to rounding."""
+    lines = [1, 3, 5, 40]
+
+    u = multisine(600, lines, seed=4, periods=3)
+
+    amplitude = np.abs(np.fft.rfft(u)) / 300
+    np.testing.assert_array_equal(u[:200], u[200:400])
+    np.testing.assert_allclose(amplitude[[3 * line for line in lines]], amplitude[3], rtol=1e-9)
+    amplitude[[0, *(3 * line for line in lines)]] = 0.0
+    assert amplitude.max() < 1e-12
+    assert max(u.max() - 2.5, 2.5 - u.min()) == pytest.approx(2.0)
+
+
+def test_realisations_with_the_same_effective_value_differ_in_their_phases_only() -> None:
+    """Else a scatter between them would not be the plant's."""
+    spectra = [np.abs(np.fft.rfft(multisine(400, seed=s, rms=0.4))) for s in (1, 2)]
+
+    np.testing.assert_allclose(spectra[0], spectra[1], rtol=1e-9, atol=1e-9)
+    assert np.std(multisine(400, seed=1, rms=0.4)) == pytest.approx(0.4)
+
+
+def test_a_value_outside_is_named_by_its_index() -> None:
+    """The first one, with its value and the way out."""
+    with pytest.raises(ValueError, match=r"u\[1\]=6 V is outside 0 to 5 V, the first of 2 of 3"):
+        within([1.0, 6.0, float("nan")])
+    with pytest.raises(ValueError, match=r"u\[2\]=4.6 V is outside 0.5 to 4.5 V"):
+        staircase(9, [1.0, 2.0, 4.6])
+    with pytest.raises(ValueError, match=r"u\[\d+\]=.* V is outside 0.5 to 4.5 V"):
+        multisine(400, rms=3.0)
+
+
+@pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
+def test_a_chirp_moves_from_its_first_frequency_to_its_last(sweep: Any) -> None:
+    """Between upward crossings of the middle, all along the way."""
+    Ts, N = 1e-3, 20_000
+    u = chirp(N, Ts, 1.0, 10.0, sweep=sweep) - 2.5
+
+    crossings = Ts * np.flatnonzero((u[:-1] < 0) & (u[1:] >= 0))
+    share = (crossings[:-1] + crossings[1:]) / 2 / (N * Ts)
+    expected = {"linear": 1 + 9 * share, "logarithmic": 10**share}[sweep]
+    np.testing.assert_allclose(1 / np.diff(crossings), expected, rtol=0.03)
+
+
+def test_a_staircase_stays_equally_long_on_every_level() -> None:
+    """Given ones in their order; a number of them from low to high."""
+    np.testing.assert_array_equal(staircase(7, [1, 3, 2]), [1, 1, 1, 3, 3, 2, 2])
+    np.testing.assert_array_equal(staircase(4, 2, low=0, high=5), [0, 0, 5, 5])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: prbs(9, 0), "clock=0 must be an integer >= 1"),
+        (lambda: prbs(9, register=1), "register=1 must be an integer >= 2"),
+        (lambda: prbs(9, register=25), "register=25 is more than 24"),
+        (lambda: white_noise(9, distribution="pink"), "distribution='pink'"),  # type: ignore[arg-type]
+        (lambda: multisine(10, periods=3), "no whole number of periods=3; take N=9"),
+        (lambda: multisine(10, [5]), "line 5 is above 4"),
+        (lambda: multisine(10, [0]), "line=0 must be an integer >= 1"),
+        (lambda: multisine(10, []), "lines is empty"),
+        (lambda: multisine(2), "needs 3 samples"),
+        (lambda: multisine(10, rms=0), "rms=0 V must be > 0"),
+        (lambda: chirp(9, 0.01, 1.0, 50.0), "to_hz=50.0 must be > 0 and below 50 Hz"),
+        (lambda: chirp(9, 0.0, 1.0, 2.0), "Ts=0.0 must be finite"),
+        (lambda: chirp(9, 0.01, 1.0, 2.0, sweep="up"), "sweep='up'"),  # type: ignore[arg-type]
+        (lambda: staircase(9, 1), "levels=1 must be an integer >= 2"),
+        (lambda: staircase(2, 3), "3 levels need as many samples"),
+    ],
+)
+def test_what_a_kind_cannot_make_is_refused(make: Any, message: str) -> None:
+    """What came, what is allowed, and the way out."""
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,u\n0,1\n0.01,2\n0.02,3\n",
+        "u;t\n1;0\n2;0.01\n3;0.02\n",
+        "# mine\n5.00 1\n5.01 2\n\n5.02 3",
+        "\ufeff1\n2\n3\n",
+    ],
+)
+def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
+    """With names or without, from any first time, with times or without."""
+    path = tmp_path / "u.csv"
+    path.write_text(text, encoding="utf-8")
+
+    np.testing.assert_array_equal(from_csv(path, 0.01), [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,u\n0,1\n0.01,2\n0.03,3\n", r"row 4: t=0.03 s where Ts=0.01 s gives 0.02 s.*0.015 s"),
+        ("0,1\n0.005,2\n0.01,3\n", "row 2: t=0.005 s where Ts=0.01 s gives 0.01 s"),
+        ("0,1\n0.010101,2\n", "row 2: t=0.010101 s"),
+        ("0,1\nnan,2\n", "row 2: t=nan s"),
+        ("t,u\n0,1\n0.01,-1\n0.02,7\n", r"row 3: u=-1 V \(sample 1\) is outside 0 to 5 V.* 2 of 3"),
+        ("1\n2\nnan\n", "row 3: u=nan V"),
+        ("0,1\n0.01,two\n", "row 2: '0.01 two' is not a number a column"),
+        ("0,1\n0.01\n", "row 2: 1 columns"),
+        ("0,1,2\n", "row 1: 3 columns"),
+        ("0;1,5\n", "row 1: 3 columns.*with a point, not a comma"),
+        ("time,voltage\n0,1\n", "columns time, voltage; name them t and u"),
+        ("", "no row of numbers"),
+    ],
+)
+def test_a_file_that_must_not_be_played_is_refused_by_its_row(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    """Handout, 3.2: u and t must agree with the chosen step size."""
+    path = tmp_path / "u.csv"
+    path.write_text(text)
+
+    with pytest.raises(ValueError, match=message):
+        from_csv(path, 0.01)

@@ -10,7 +10,8 @@ import pytest
 from armrig.dataset import Dataset, merge
 from armrig.excitation import telegraph
 from armrig.polynomial import filtered
-from armrig.preprocess import IntegratingOutputWarning, detrend, difference
+from armrig.preprocess import IntegratingOutputWarning, detrend, difference, drift, retrend
+from armrig.trend import Trend
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -44,7 +45,10 @@ def test_each_experiment_loses_its_own_mean() -> None:
 
     np.testing.assert_allclose(treated.y, [-1, 1, -2, 2])
     np.testing.assert_allclose(treated.u, [-1, 1, -1, 1])
-    assert treated.history == ("detrend(order=0)",)
+    assert treated.history == (
+        "merged 2 parts of 2, 2 samples",
+        "removed the mean from u and y of each experiment (order 0)",
+    )
 
 
 def test_a_line_removed_from_the_angle_is_warned_of() -> None:
@@ -52,7 +56,9 @@ def test_a_line_removed_from_the_angle_is_warned_of() -> None:
     data = Dataset(u=np.ones(50), y=np.arange(50.0), Ts=1, output="theta_1")
 
     with pytest.warns(IntegratingOutputWarning, match="theta_1 integrates its input"):
-        detrend(data, order=1)
+        treated = detrend(data, order=1)
+
+    assert treated.history[-1].endswith("(order 1), although theta_1 integrates its input")
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -109,3 +115,123 @@ def test_another_order_is_refused() -> None:
     """The message says which there are."""
     with pytest.raises(ValueError, match="order=2 must be 0"):
         detrend(Dataset(u=[0], y=[0], Ts=1), order=2)
+
+
+@settings(deadline=None)
+@given(
+    arrays(np.float64, (2, 30), elements=finite),
+    arrays(np.bool_, 30),
+    st.lists(st.integers(0, 1), min_size=1, max_size=3),
+)
+def test_what_was_taken_can_be_put_back(
+    signals: NDArray[np.float64], valid: NDArray[np.bool_], orders: list[int]
+) -> None:
+    """On the data, with holes, in two experiments, after several steps; gaps stay gaps."""
+    data = Dataset(u=signals[0], y=signals[1], Ts=0.1, valid=valid, starts=(0, 12))
+
+    treated = data
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", IntegratingOutputWarning)
+        for order in orders:
+            treated = detrend(treated, order)
+    back = retrend(treated)
+
+    np.testing.assert_allclose(back.u, data.u, atol=1e-9)
+    np.testing.assert_allclose(back.y, data.y, atol=1e-9)
+    np.testing.assert_array_equal(back.valid, valid)
+    assert back.trends == ()
+    assert back.history[-1] == "put the trend back on u and y"
+
+
+@settings(deadline=None)
+@given(st.integers(0, 28), st.integers(1, 29), st.integers(1, 5))
+def test_a_part_of_the_data_knows_its_own_part_of_the_trend(a: int, length: int, k: int) -> None:
+    """Slices, splits, selected experiments and merges of them."""
+    rng = np.random.default_rng(3)
+    data = Dataset(
+        u=rng.random(30), y=5 + 0.3 * np.arange(30) + rng.random(30), Ts=0.2, starts=(0, 9, 20)
+    )
+    treated = detrend(data, order=1)
+    b = min(a + length, 30)
+
+    np.testing.assert_allclose(retrend(treated[a:b]).y, data.y[a:b])
+    np.testing.assert_allclose(retrend(treated[a:b]).u, data.u[a:b])
+    np.testing.assert_allclose(retrend(merge(treated.split(k))).y, data.y)
+    np.testing.assert_allclose(retrend(treated.select(2, 0)).y, data.select(2, 0).y)
+    np.testing.assert_allclose(retrend(merge([data, treated])).y, np.concatenate([data.y, data.y]))
+
+
+def test_a_simulated_output_gets_the_level_of_the_measured_one() -> None:
+    """The model knows nothing of it: it was identified about the mean."""
+    rng = np.random.default_rng(0)
+    u = telegraph(400, 0.2, seed=rng)
+    y = 20 + filtered([0, 0.5], [1, -0.5], u - 1)
+    treated = detrend(Dataset(u=u, y=y, Ts=0.1))
+
+    simulated = retrend(treated, filtered([0, 0.5], [1, -0.5], treated.u))
+
+    # From another start, forgotten after 60 samples.
+    np.testing.assert_allclose(simulated[60:], y[60:], atol=0.05)
+    with pytest.raises(ValueError, match="y has 3 samples and the data have 400"):
+        retrend(treated, [1, 2, 3])
+
+
+def test_a_trend_follows_the_data_to_their_velocity() -> None:
+    """The line's slope becomes the level; the input keeps its own."""
+    data = Dataset(u=[1, 2, 4, 3.0], y=[0, 3, 5, 9.0], Ts=0.5)
+    treated = detrend(data, order=1)
+
+    np.testing.assert_allclose(retrend(difference(treated)).y, difference(data).y)
+    np.testing.assert_allclose(retrend(difference(treated)).u, data.u)
+
+
+def test_there_is_nothing_to_put_back_where_nothing_was_taken() -> None:
+    """The message names the steps there were."""
+    with pytest.raises(ValueError, match=r"no trend to put back.*\(history: no step\)"):
+        retrend(Dataset(u=[0, 1], y=[0, 1], Ts=1))
+    with pytest.raises(ValueError, match="2 trends for 1 experiments"):
+        Dataset(u=[0], y=[0], Ts=1, trends=(Trend(), Trend()))
+
+
+def drifting(seed: int, rate: float, N: int = 1500) -> Dataset:
+    """Return a stable output under a slow input and coloured noise, drifting."""
+    rng = np.random.default_rng(seed)
+    u = telegraph(N, 0.01, seed=rng)
+    v = filtered([1], [1, -0.9], 0.05 * rng.standard_normal(N))
+    y = filtered([0, 0.1], [1, -0.9], u) + v + rate * 0.1 * np.arange(N)
+    return Dataset(u=u, y=y, Ts=0.1, unit="V")
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.01])
+def test_a_drift_is_told_from_what_the_input_does(rate: float) -> None:
+    """Its standard deviation holds: |z| of the error is beyond 1.96 in 5 % of 200 runs."""
+    found = [drift(drifting(seed, rate))[0] for seed in range(200)]
+
+    z = np.array([(d.rate - rate) / d.std for d in found])
+    alarms = np.mean(np.abs(z) > 1.96)
+    assert abs(alarms - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 200), alarms
+    assert abs(np.mean(z)) < 4 / np.sqrt(200)
+    assert str(found[0]).startswith("a drift: 0.0" if rate else "no drift that shows: ")
+
+
+def test_each_experiment_has_its_own_drift_and_gaps_are_left_out() -> None:
+    """One figure an experiment, in its unit."""
+    parts = [drifting(1, 0.02), drifting(2, -0.02)]
+    holed = parts[0].replaced(valid=np.arange(1500) % 100 != 3, step=None)
+
+    first, second = drift(merge([holed, parts[1]]))
+
+    assert first.rate == pytest.approx(0.02, abs=4 * first.std)
+    assert second.rate == pytest.approx(-0.02, abs=4 * second.std)
+    assert first.z > 2.58 > -2.58 > second.z
+    assert first.unit == "V"
+
+
+def test_an_angle_has_no_drift_but_an_offset_of_its_input() -> None:
+    """The error says where to find it."""
+    angle = Dataset(u=np.ones(90), y=np.arange(90.0), Ts=1, output="theta_1")
+
+    with pytest.raises(ValueError, match=r"theta_1 integrates its input.*free\[0\].offset"):
+        drift(angle)
+    with pytest.raises(ValueError, match="has 12 samples; a drift by a model of order 10 needs 50"):
+        drift(drifting(0, 0.0)[:12])

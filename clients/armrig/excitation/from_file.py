@@ -1,0 +1,139 @@
+"""An input of one's own, from a file of text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from armrig.checks import require_numbers
+from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
+
+_SEPARATORS = str.maketrans(",;", "  ")
+_TIME_TOLERANCE = 0.01  # share of Ts: what rounding in a text file costs, not another step size
+
+
+def from_csv(
+    path: str | Path, Ts: float, *, low: float = LOWEST_V, high: float = HIGHEST_V
+) -> Vector:
+    """Return the input (N,) in a file of text, its times checked against the sampling time.
+
+    A row has u in V alone, or t in s and u; a first row of names (t, u) may turn them round.
+    Columns are parted by comma, semicolon or white space; a line that begins with # is skipped.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    Ts : float
+        Sampling time in s that the input will be played with. Handout, section 3.2: the time
+        vector "must agree with the chosen step size". Each t may be a hundredth of Ts beside
+        the first t + k Ts.
+    low, high : float
+        The interval in V that u must keep to, 0 <= low < high <= 5.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Voltage in V at each sample.
+
+    Raises
+    ------
+    ValueError
+        A row has no numbers, its t does not agree with Ts, or its u is outside [low, high]; the
+        first such row is named.
+    OSError
+        The file cannot be read.
+    """
+    require_levels(low=low, high=high)
+    require_numbers(Ts=Ts)
+    if not 0 < Ts < np.inf:
+        msg = f"Ts={Ts!r} must be finite and > 0, in s"
+        raise ValueError(msg)
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as err:
+        msg = f"{path}: no file of text (byte {err.start} is not UTF-8); save it as CSV"
+        raise ValueError(msg) from err
+    numbers, rows = _table(path, text)
+    t, u = numbers
+    if t is not None:
+        _require_times(path, t, rows, Ts)
+    outside = ~((u >= low) & (u <= high))
+    if outside.any():
+        k = int(np.argmax(outside))
+        msg = f"{path}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
+        msg += f"the first of {np.count_nonzero(outside)} of {u.size} values"
+        raise ValueError(msg)
+    return u
+
+
+def _require_times(path: Path, t: Vector, rows: list[int], Ts: float) -> None:
+    due = t[0] + Ts * np.arange(t.size)
+    wrong = ~(np.abs(t - due) <= _TIME_TOLERANCE * Ts)  # also finds NaN
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        msg = f"{path}, row {rows[k]}: t={t[k]:.9g} s where Ts={Ts:g} s gives {due[k]:.9g} s; "
+        msg += "the time vector must agree with the step size: sample u anew, or play it with "
+        msg += f"another Ts (the file's times are {np.median(np.diff(t)):.6g} s apart)"
+        raise ValueError(msg)
+
+
+def _table(path: Path, text: str) -> tuple[tuple[Vector | None, Vector], list[int]]:
+    """Return (t or None, u) and the number of the line, from 1, that each row stood in."""
+    lines: list[str] = []
+    rows: list[int] = []
+    for number, line in enumerate(text.translate(_SEPARATORS).splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            lines.append(line)
+            rows.append(number)
+    names = lines[0].split() if lines and not _is_number(lines[0].split()[0]) else []
+    lines, rows = (lines[1:], rows[1:]) if names else (lines, rows)
+    if not lines:
+        msg = f"{path}: no row of numbers; give u in V, or t in s and u, a row for each sample"
+        raise ValueError(msg)
+    try:
+        numbers = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
+    except ValueError:
+        numbers = np.zeros((0, 0))
+    if numbers.shape[1] not in (1, 2):
+        raise ValueError(_unreadable(path, lines, rows))
+    if numbers.shape[1] == 1:
+        return (None, numbers[:, 0]), rows
+    order = _order(path, names)
+    return (numbers[:, order[0]], numbers[:, order[1]].copy()), rows
+
+
+def _unreadable(path: Path, lines: list[str], rows: list[int]) -> str:
+    """Return what is wrong with the first line that is no row of the table."""
+    width = len(lines[0].split())
+    for row, line in zip(rows, lines, strict=True):
+        words = line.split()
+        if len(words) != width or width not in (1, 2):
+            return (
+                f"{path}, row {row}: {len(words)} columns; give u, or t and u, in every row "
+                "(with a point, not a comma, before the decimals)"
+            )
+        if not all(map(_is_number, words)):
+            return f"{path}, row {row}: {' '.join(words)!r} is not a number a column"
+    return f"{path}: its rows cannot be read as numbers"
+
+
+def _order(path: Path, names: list[str]) -> tuple[int, int]:
+    """Return the columns of t and u."""
+    if not names:
+        return 0, 1
+    lower = [name.strip("\"'").lower() for name in names]
+    if sorted(lower) == ["t", "u"]:
+        return lower.index("t"), lower.index("u")
+    msg = f"{path}: columns {', '.join(names)}; name them t and u, or leave the names out"
+    raise ValueError(msg)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,81 @@
+"""Signals that stay: a step, and a staircase."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Integral
+
+import numpy as np
+
+from armrig.checks import require_integers
+from armrig.excitation.limits import Vector, require_levels, within
+
+
+def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
+    """Return a step from one voltage to a higher one.
+
+    Parameters
+    ----------
+    N : int
+        Number of samples, >= 1.
+    low, high : float
+        The levels in V, 0 <= low < high <= 5.
+    at : int, default 0
+        First sample at the higher level, 0 to N; N is a signal that stays low.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Voltage in V at each sample.
+
+    Raises
+    ------
+    ValueError
+        A level is outside 0 to 5 V, or N or `at` is impossible.
+    """
+    require_integers(N=(N, 1), at=(at, 0))
+    require_levels(low=low, high=high)
+    if at > N:
+        msg = f"at={at!r} must be a sample number, 0 <= at <= N={N}"
+        raise ValueError(msg)
+    return np.where(np.arange(N) < at, low, high).astype(np.float64)
+
+
+def staircase(
+    N: int, levels: int | Sequence[float] = 6, low: float = 0.5, high: float = 4.5
+) -> Vector:
+    """Return a staircase (N,): levels one after the other, each held for the same time.
+
+    What the output does at each level shows the static gain and whether it is a constant; up and
+    down again shows friction.
+
+    Parameters
+    ----------
+    N : int
+        Number of samples, >= number of levels.
+    levels : int or sequence of float, default 6
+        How many, >= 2, equally spaced from low up to high; or the voltages themselves in V.
+    low, high : float
+        The interval in V, 0 <= low < high <= 5.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Voltage in V at each sample; the times at the levels differ by one sample at most.
+
+    Raises
+    ------
+    ValueError
+        A level is outside [low, high] (the first is named), or there are more levels than samples.
+    """
+    require_integers(N=(N, 1))
+    require_levels(low=low, high=high)
+    if isinstance(levels, Integral):
+        require_integers(levels=(levels, 2))
+        stairs = np.linspace(low, high, int(levels))
+    else:
+        stairs = within(levels, low=low, high=high)
+    if stairs.size > N:
+        msg = f"{stairs.size} levels need as many samples at least, N={N}"
+        raise ValueError(msg)
+    return stairs[np.arange(N) * stairs.size // N]

@@ -1,0 +1,52 @@
+"""What the rig may be given, and how a value outside it is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.checks import column, require_integers, require_numbers
+
+Vector = NDArray[np.float64]
+
+# Handout, assignment 3.3: outside this interval the lab process is destroyed.
+LOWEST_V, HIGHEST_V = 0.0, 5.0
+
+
+def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> Vector:
+    """Return a copy (N,) of an input in V, every value of which is inside [low, high].
+
+    Raises
+    ------
+    ValueError
+        A value is outside, or no number; the first one is named by its index.
+    """
+    require_levels(low=low, high=high)
+    taken = column("u", u)
+    outside = ~((taken >= low) & (taken <= high))  # also finds NaN
+    if outside.any():
+        first = int(np.argmax(outside))
+        msg = f"u[{first}]={taken[first]:g} V is outside {low:g} to {high:g} V, the first of "
+        msg += f"{np.count_nonzero(outside)} of {taken.size} values; scale or shift the signal"
+        raise ValueError(msg)
+    return taken
+
+
+def require_levels(*, low: float, high: float) -> None:
+    """Refuse an interval that is empty or leaves the rig's."""
+    require_numbers(low=low, high=high)
+    for name, level in (("low", low), ("high", high)):
+        if not LOWEST_V <= level <= HIGHEST_V:  # also refuses NaN
+            msg = f"{name}={level!r} V is outside the rig's {LOWEST_V:g} to {HIGHEST_V:g} V"
+            raise ValueError(msg)
+    if not low < high:
+        msg = f"low={low!r} V must lie below high={high!r} V"
+        raise ValueError(msg)
+
+
+def generator(seed: int | np.random.Generator) -> np.random.Generator:
+    """Return the generator of a seed, an integer >= 0, or the one given."""
+    if isinstance(seed, np.random.Generator):
+        return seed
+    require_integers(seed=(seed, 0))
+    return np.random.default_rng(seed)

@@ -1,0 +1,156 @@
+"""Sums of sines, and a sine that moves through the frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import numpy as np
+
+from armrig.checks import require_integers, require_numbers
+from armrig.excitation.limits import Vector, generator, require_levels, within
+
+
+def multisine(
+    N: int,
+    lines: Iterable[int] | None = None,
+    low: float = 0.5,
+    high: float = 4.5,
+    seed: int | np.random.Generator = 1,
+    *,
+    periods: int = 1,
+    rms: float | None = None,
+) -> Vector:
+    """Return a random-phase multisine (N,): equal power at chosen lines, none between them.
+
+    u(k) = middle + A sum over the lines l of cos(2 pi l k / P + phase_l), with whole periods of
+    P = N / periods samples, so that line l is at 2 pi l / (P Ts) rad/s exactly and leaks nowhere.
+
+    Parameters
+    ----------
+    N : int
+        Number of samples, a whole multiple of `periods`.
+    lines : iterable of int, optional
+        Harmonics, 1 <= l < P/2; by default all. Odd ones alone show even nonlinearities.
+    low, high : float
+        The interval in V, 0 <= low < high <= 5.
+    seed : int or numpy.random.Generator, default 1
+        Draws the phases; another seed is another realisation.
+    periods : int, default 1
+        Whole periods in N.
+    rms : float, optional
+        Effective value about the middle of the interval, in V; by default the most with which
+        the signal just fits. Realisations that are to be compared need the same.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Voltage in V at each sample. `describe_input` tells the crest factor.
+
+    Raises
+    ------
+    ValueError
+        N is no whole number of periods, a line is impossible, or with `rms` a value is outside
+        [low, high]; the first is named.
+
+    References
+    ----------
+    .. [1] R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*,
+       2nd ed., 2012, section 5.3.
+    """
+    require_integers(N=(N, 1), periods=(periods, 1))
+    require_levels(low=low, high=high)
+    if N % periods:
+        msg = f"N={N} is no whole number of periods={periods}; take N={N - N % periods or periods}"
+        raise ValueError(msg)
+    P = N // periods
+    if P < 3:
+        msg = f"a period of N/periods={P} samples has no line; it needs 3 samples at least"
+        raise ValueError(msg)
+    l = _lines(lines, P)  # noqa: E741 - the textbook's letter
+    X = np.zeros(P // 2 + 1, dtype=np.complex128)
+    X[l] = np.exp(2j * np.pi * generator(seed).random(l.size))
+    s = np.fft.irfft(X, P) * P / 2  # cosines of amplitude 1
+    middle = (low + high) / 2
+    if rms is None:
+        s *= (high - low) / 2 / np.max(np.abs(s))
+        u = np.clip(middle + s, low, high)  # against rounding
+    else:
+        require_numbers(rms=rms)
+        if not rms > 0:
+            msg = f"rms={rms!r} V must be > 0"
+            raise ValueError(msg)
+        u = within(middle + s * rms / np.sqrt(l.size / 2), low=low, high=high)
+    return np.tile(u, periods)
+
+
+def _lines(lines: Iterable[int] | None, P: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    highest = (P - 1) // 2
+    chosen = range(1, highest + 1) if lines is None else sorted(set(lines))
+    if not len(chosen):
+        msg = "lines is empty; give harmonics, for example range(1, 50)"
+        raise ValueError(msg)
+    for line in () if lines is None else chosen:
+        require_integers(line=(line, 1))
+        if line > highest:
+            msg = f"line {line} is above {highest}, the highest below half of the period P={P}; "
+            msg += "lower it or lengthen the period"
+            raise ValueError(msg)
+    return np.fromiter(chosen, dtype=np.intp, count=len(chosen))
+
+
+def chirp(
+    N: int,
+    Ts: float,
+    from_hz: float,
+    to_hz: float,
+    low: float = 0.5,
+    high: float = 4.5,
+    *,
+    sweep: Literal["linear", "logarithmic"] = "linear",
+) -> Vector:
+    """Return a sine (N,) whose frequency moves from one value to another.
+
+    Linear: as much time at each hertz; logarithmic: as much in each octave. It begins in the
+    middle of the interval, and fills it, with crest factor sqrt(2).
+
+    Parameters
+    ----------
+    N : int
+        Number of samples, >= 1.
+    Ts : float
+        Sampling time in s.
+    from_hz, to_hz : float
+        Frequency at the first sample and at N Ts, in Hz; > 0 and below 1/(2 Ts).
+    low, high : float
+        The interval in V, 0 <= low < high <= 5.
+    sweep : {"linear", "logarithmic"}
+        Course of the frequency.
+
+    Raises
+    ------
+    ValueError
+        The interval is outside 0 to 5 V, or a frequency cannot be shown at this Ts.
+    """
+    require_integers(N=(N, 1))
+    require_levels(low=low, high=high)
+    require_numbers(Ts=Ts, from_hz=from_hz, to_hz=to_hz)
+    if sweep not in ("linear", "logarithmic"):
+        msg = f'sweep={sweep!r} must be "linear" or "logarithmic"'
+        raise ValueError(msg)
+    if not 0 < Ts < np.inf:
+        msg = f"Ts={Ts!r} must be finite and > 0, in s"
+        raise ValueError(msg)
+    for name, f in (("from_hz", from_hz), ("to_hz", to_hz)):
+        if not 0 < f < 0.5 / Ts:
+            msg = f"{name}={f!r} must be > 0 and below {0.5 / Ts:g} Hz, half the sampling frequency"
+            raise ValueError(msg)
+    t, T, ratio = Ts * np.arange(N), N * Ts, to_hz / from_hz
+    if sweep == "linear":
+        cycles = from_hz * t + (to_hz - from_hz) * t**2 / (2 * T)
+    elif abs(ratio - 1) < 1e-9:
+        cycles = from_hz * t
+    else:
+        cycles = from_hz * T * (ratio ** (t / T) - 1) / np.log(ratio)
+    u = (low + high) / 2 + (high - low) / 2 * np.sin(2 * np.pi * cycles)
+    return np.clip(u, low, high)

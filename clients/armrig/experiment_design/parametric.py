@@ -1,0 +1,163 @@
+"""The Fisher information of a polynomial model for a planned input."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armrig.dataset import Dataset, Vector
+from armrig.experiment_design.planned_model import Model, integrating_polynomial
+from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
+from armrig.free_response import free_columns, transient_count
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array, filtered, lagged, without_integrator
+from armrig.sensitivity import by_denominator, by_numerator
+
+
+def predicted_std(
+    model: Model,
+    u: ArrayLike | Dataset,
+    *,
+    noise_variance: float | None = None,
+    initial: Literal["estimate", "zero"] = "estimate",
+) -> PredictedStd:
+    """Predict the standard deviations of a model's parameters for an input not yet played.
+
+    The inverse of the Fisher information for Gaussian white e in A y = (B/F) u + (C/D) e, ::
+
+        M = (1/lambda) sum psi_u psi_u^T + sum psi_e psi_e^T
+
+    where psi_u, the part of the prediction's gradient that u makes, is simulated, less its
+    projection on the initial states (and level and ramp of an integrator), which an estimate must
+    spend data on; psi_e, the part that e makes, has its variance from impulse responses.
+
+    Parameters
+    ----------
+    model : Fit or PlannedModel
+        From an earlier experiment, or from what is believed.
+    u : array_like, shape (N,), or Dataset
+        Planned input in the unit of the model's, about its offset. A Dataset is planned for as it
+        is, with its gaps and its experiments; its y does not matter.
+    noise_variance : float, optional
+        In place of the model's, in y's unit squared.
+    initial : {"estimate", "zero"}
+        Whether initial states will be estimated along; the first samples of a model with A serve
+        as its past.
+
+    Returns
+    -------
+    PredictedStd
+        Standard deviations in the order of the model's parameters; `explain` tells whether the
+        experiment is long enough.
+
+    Raises
+    ------
+    ValueError
+        The input cannot determine all parameters, the noise variance is not known, or gaps are
+        planned for a model that is not output error.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 7.4, 9.4 and 13.2.
+    """
+    variance = model.noise_variance if noise_variance is None else noise_variance
+    if not (np.isfinite(variance) and variance > 0):
+        msg = f"noise_variance={variance!r} must be > 0; give the variance of e, for example of an "
+        msg += "earlier fit"
+        raise ValueError(msg)
+    if initial not in ("estimate", "zero"):
+        msg = f'initial={initial!r} must be "estimate" or "zero"'
+        raise ValueError(msg)
+    planned = planned_data(u, model.Ts)
+    output_error = model.A.size == model.C.size == model.D.size == 1
+    if planned.missing and not output_error:
+        msg = f"{planned.missing} samples are missing; gaps are planned for with an output-error "
+        msg += "model only: plan with the complete input"
+        raise ValueError(msg)
+    rows = [
+        block
+        for part in planned.experiments()
+        for block in _gradient(model, part, variance, estimate=initial == "estimate")
+    ]
+    names, theta, to_full = _parameters(model)
+    return inverted(np.vstack(rows), variance, names, theta, planned, to_full)
+
+
+def _gradient(model: Model, part: Dataset, variance: float, *, estimate: bool) -> Iterator[Array]:
+    """Yield rows whose squares add up to lambda M, for one experiment.
+
+    The columns belong to a, b, c, d, f; with an integrator to the coefficients without it. One in
+    A is taken out by differences of y, one in F by sums of u.
+    """
+    A, B, C, D = model.A, model.B, model.C, model.D
+    F, u, N = model.F, part.u, part.N
+    inside = integrating_polynomial(model)
+    if inside == "A":
+        A = without_integrator(A)
+    if inside == "F":
+        # Centred for the sake of rounding, where a ramp is projected out anyway.
+        F, u = without_integrator(F), np.cumsum(u - np.mean(u) if estimate else u)
+    na, nf = A.size - 1, F.size - 1
+    forced = filtered(B, F, u)
+    white = filtered(D, C, np.column_stack([u, forced, filtered([1.0], A, forced)]).T)
+    nothing = np.zeros((N, C.size + D.size - 2))
+    Psi = np.hstack(
+        [
+            -lagged(white[2], range(1, na + 1)),
+            by_numerator(white[0], F, range(model.nk, B.size)),
+            nothing,
+            by_denominator(white[1], F, nf),
+        ]
+    )
+    rows = part.valid.copy()
+    Z = np.zeros((N, 0))
+    if model.A.size > 1:
+        rows[: max(model.A.size, B.size) - 1] = False
+        if inside and estimate:
+            Z = filtered(D, C, np.ones((1, N))).T  # the input's offset
+    elif estimate:
+        count = transient_count(
+            numerator_degree=B.size - 1,
+            denominator_degree=model.F.size - 1,
+            integrator=model.integrator,
+        )
+        Z = filtered(D, C, free_columns(F, N, count=count, drift=model.integrator).T).T
+    yield orthonormal(Z[rows]).without(Psi[rows])
+    if na or nothing.size:
+        yield _by_noise(model, np.sqrt(variance * np.arange(N, 0.0, -1.0)), Psi.shape[1])
+
+
+def _by_noise(model: Model, weight: Vector, width: int) -> Array:
+    """Return the impulse responses from e to the gradient, row j weighted by the times it occurs.
+
+    With psi_e(t) = sum_j s_j e(t-j) the expected sum of psi_e psi_e^T over N samples from rest is
+    lambda times the sum of (N - j) s_j s_j^T.
+    """
+    pulse = np.zeros(weight.size)
+    pulse[0] = 1.0
+    s = np.zeros((weight.size, width))
+    A = without_integrator(model.A) if integrating_polynomial(model) == "A" else model.A
+    na, nc, nd = A.size - 1, model.C.size - 1, model.D.size - 1
+    nb = model.B.size - model.nk
+    s[:, :na] = by_denominator(pulse, A, na)
+    s[:, na + nb : na + nb + nc] = -by_denominator(pulse, model.C, nc)
+    s[:, na + nb + nc : na + nb + nc + nd] = by_denominator(pulse, model.D, nd)
+    return np.asarray(s * weight[:, None])
+
+
+def _parameters(model: Model) -> tuple[tuple[str, ...], Vector, Array]:
+    """Return names, values, and the derivatives of them by those that are estimated."""
+    parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
+    parts |= {"d": model.D[1:], "f": model.F[1:]}
+    names = tuple(f"{letter}{k + 1}" for letter, p in parts.items() for k in range(p.size))
+    to_full = np.eye(len(names))
+    if model.integrator:
+        # F = (1 - q^-1) F̃ is linear in F̃: f_k = f̃_k - f̃_(k-1); and so is A.
+        letter = integrating_polynomial(model).lower()
+        own = [k for k, name in enumerate(names) if name[0] == letter]
+        to_full = np.delete(to_full, own[-1], axis=1)
+        to_full[own[1:], own[:-1]] = -1.0
+    return names, np.concatenate(list(parts.values())), to_full

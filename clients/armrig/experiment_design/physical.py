@@ -1,0 +1,112 @@
+"""The Fisher information of physical parameters for a planned input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from armrig_core.arm import ArmParameters, zero_order_hold
+from numpy.typing import ArrayLike
+
+from armrig.checks import require_numbers
+from armrig.dataset import Dataset, Vector
+from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
+from armrig.free_response import free_columns
+from armrig.least_squares import orthonormal
+from armrig.polynomial import filtered
+
+_LOG_STEP = 1e-4  # of a parameter's logarithm: truncation 1e-9, rounding less
+
+
+def predicted_parameter_std(
+    model: Callable[[ArmParameters], Any],
+    u: ArrayLike | Dataset,
+    *,
+    Ts: float,
+    noise_variance: float,
+    free: Sequence[str] = ("J_1",),
+    fixed: ArmParameters | None = None,
+    output: str = "theta_1",
+    initial: Literal["estimate", "zero"] = "estimate",
+) -> PredictedStd:
+    """Predict the standard deviations of physical parameters for an input not yet played.
+
+    As `predicted_std`, for the physics sampled exactly under a held input and white noise on the
+    output; the derivatives by the logarithms of the parameters are central differences. The
+    initial state and the input's offset are estimated along.
+
+    Parameters
+    ----------
+    model : callable
+        ArmParameters -> state space in continuous time: `armrig.arm` or `armrig.chassis`.
+    u : array_like, shape (N,), or Dataset
+        Planned input, in V.
+    Ts : float
+        Sampling time, in s.
+    noise_variance : float
+        Of the noise on the output, in rad².
+    free : sequence of str
+        Names of the parameters to be estimated; the others are taken as known.
+    fixed : ArmParameters, optional
+        Their values; the handout's by default.
+    output : str, default "theta_1"
+        Output of the model that is measured.
+    initial : {"estimate", "zero"}
+        Estimate the initial state and the input's offset along, or take both as known.
+
+    Raises
+    ------
+    ValueError
+        There is no such parameter or output, or the input cannot determine all that are free.
+    """
+    require_numbers(noise_variance=noise_variance, Ts=Ts)
+    p = ArmParameters() if fixed is None else fixed
+    unknown = [name for name in free if not getattr(p, name, 0.0) > 0]
+    if unknown or not free:
+        msg = f"free={tuple(free)} must name parameters that are > 0, of J_1, J_2, N, K_lin, R_m, "
+        msg += "K_m and b_1"
+        raise ValueError(msg)
+    if not noise_variance > 0:
+        msg = f"noise_variance={noise_variance!r} must be > 0, in the output's unit squared"
+        raise ValueError(msg)
+    planned = planned_data(u, Ts)
+    rows = []
+    for part in planned.experiments():
+        columns = []
+        for name in free:
+            value = getattr(p, name)
+            up, down = (
+                _output(model(replace(p, **{name: value * np.exp(h)})), part.u, Ts, output)
+                for h in (_LOG_STEP, -_LOG_STEP)
+            )
+            columns.append((up - down) / (2 * _LOG_STEP * value))
+        Psi, Z = np.column_stack(columns), np.zeros((part.N, 0))
+        if initial == "estimate":
+            _, F = _transfer(model(p), Ts, output)
+            offset = _output(model(p), np.ones(part.N), Ts, output)
+            states = free_columns(F, part.N, count=F.size - 1, drift=False)
+            Z = np.column_stack([states, offset])
+        rows.append(orthonormal(Z[part.valid]).without(Psi[part.valid]))
+    theta = np.array([getattr(p, name) for name in free])
+    whole = np.vstack(rows)
+    return inverted(whole, noise_variance, tuple(free), theta, planned, np.eye(len(free)))
+
+
+def _transfer(system: Any, Ts: float, output: str) -> tuple[Vector, Vector]:
+    """Return B and F of one output of a state space, sampled under a held input."""
+    from scipy.signal import ss2tf
+
+    labels = list(system.output_labels)
+    if output not in labels:
+        msg = f"output={output!r} is none of the model's {', '.join(labels)}"
+        raise ValueError(msg)
+    i = labels.index(output)
+    Phi, Gamma = zero_order_hold(np.asarray(system.A), np.asarray(system.B), Ts)
+    B, F = ss2tf(Phi, Gamma, np.asarray(system.C)[i : i + 1], np.zeros((1, 1)))
+    return B[0], F
+
+
+def _output(system: Any, u: Vector, Ts: float, output: str) -> Vector:
+    return filtered(*_transfer(system, Ts, output), u)

@@ -1,0 +1,120 @@
+"""Predicted standard deviations, and whether an experiment is long enough for those wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.checks import column, require_numbers
+from armrig.dataset import Dataset, Vector
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class PredictedStd:
+    """Standard deviations that an efficient estimate would have (the Cramér-Rao bound)."""
+
+    names: tuple[str, ...]
+    """Of the parameters, in a fit's order."""
+    theta: Vector
+    """The values that they were predicted for, (d,)."""
+    covariance: NDArray[np.float64]
+    """(d, d), the inverse of the Fisher information."""
+    N: int
+    """Samples of the planned experiment that are seen."""
+    seconds: float
+    """Its length, in s."""
+
+    @property
+    def std(self) -> Vector:
+        """Standard deviations (d,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    def seconds_for(self, **wanted: float) -> float:
+        """Return the length in s of an input of this kind that gives every std wanted, by name.
+
+        The information is taken to grow with the length. That is rough where the experiment is
+        short against the slowest mode.
+        """
+        return self.seconds * max(self._times_longer(name, std) for name, std in wanted.items())
+
+    def explain(self, **wanted: float) -> str:
+        """Say whether the experiment is long enough for standard deviations wanted, by name.
+
+        For example ``predicted.explain(f1=0.001)``; without any, all that are predicted are told.
+        """
+        if not wanted:
+            return repr(self)
+        lines = []
+        for name, std in wanted.items():
+            got = float(self.std[self._index(name)])
+            times = self._times_longer(name, std)
+            verdict = "will do" if times <= 1 else "will not do"
+            lines.append(
+                f"{name}: {self.seconds:.3g} s give a standard deviation of {got:.3g}, {std:.3g} "
+                f"is wanted: {self.seconds:.3g} s {verdict}, about {self.seconds * times:.3g} s "
+                "are needed"
+            )
+        if len(wanted) > 1:
+            needed = self.seconds_for(**wanted)
+            verdict = "will do" if needed <= self.seconds else "will not do"
+            lines.append(
+                f"together: {self.seconds:.3g} s {verdict}, about {needed:.3g} s are needed"
+            )
+        return "\n".join(lines)
+
+    def _index(self, name: str) -> int:
+        if name not in self.names:
+            msg = f"{name!r} is none of the parameters {', '.join(self.names)}"
+            raise ValueError(msg)
+        return self.names.index(name)
+
+    def _times_longer(self, name: str, std: float) -> float:
+        require_numbers(**{name: std})
+        if not std > 0:
+            msg = f"{name}={std!r}: a standard deviation wanted must be > 0"
+            raise ValueError(msg)
+        return float(self.std[self._index(name)] / std) ** 2
+
+    def __repr__(self) -> str:
+        """Say it in a few lines."""
+        lines = [f"predicted for {self.N} samples in {self.seconds:.4g} s:"]
+        for name, value, std in zip(self.names, self.theta, self.std, strict=True):
+            share = f" ({100 * std / abs(value):.2g} %)" if value != 0 else ""
+            lines.append(f"  {name} = {value:.5g} ± {std:.2g}{share}")
+        return "\n".join(lines)
+
+
+def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
+    """Return the input as data to plan for."""
+    if not isinstance(u, Dataset):
+        taken = column("u", u)
+        return Dataset(u=taken, y=np.zeros(taken.size), Ts=Ts)
+    if not np.isclose(u.Ts, Ts, rtol=1e-9, atol=0.0):
+        msg = f"the model has Ts={Ts:g} s and the data have Ts={u.Ts:g} s; plan at one rate"
+        raise ValueError(msg)
+    return u
+
+
+def inverted(
+    Psi: Array, variance: float, names: tuple[str, ...], theta: Vector, planned: Dataset, to: Array
+) -> PredictedStd:
+    """Return the bound from rows Psi whose squares add up to the variance times the information.
+
+    `to` are the derivatives of the parameters told by those that Psi belongs to.
+    """
+    basis = orthonormal(Psi)
+    if basis.rank < Psi.shape[1]:
+        msg = f"the planned input determines only {basis.rank} of {Psi.shape[1]} parameters; "
+        msg += "excite with a richer input (describe_input tells its order), or lower the orders"
+        raise ValueError(msg)
+    return PredictedStd(
+        names=names,
+        theta=theta,
+        covariance=to @ (variance * (basis.W @ basis.W.T)) @ to.T,
+        N=planned.N - planned.missing,
+        seconds=planned.N * planned.Ts,
+    )

@@ -1,0 +1,87 @@
+"""How fast the output drifts while the input explains nothing of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armrig.dataset import Dataset
+from armrig.preprocess.integration import integrating
+from armrig.preprocess.whitening import whitening
+
+_ORDER = 10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drift:
+    """A straight line under the output of one experiment, with its standard deviation."""
+
+    rate: float
+    """Slope, in `unit` per s."""
+    std: float
+    """Its standard deviation, in `unit` per s."""
+    seconds: float
+    """Length of the experiment, in s."""
+    unit: str
+    """Unit of the output."""
+
+    @property
+    def z(self) -> float:
+        """Rate over its standard deviation: beyond 2.58 a drift, at 1 %."""
+        return self.rate / self.std if self.std > 0 else float("nan")
+
+    def __str__(self) -> str:
+        """Say it in a line."""
+        unit = self.unit or "1"
+        found = "a drift" if abs(self.z) > 2.58 else "no drift that shows"
+        return (
+            f"{found}: {self.rate:.3g} ± {self.std:.2g} {unit}/s, "
+            f"{self.rate * self.seconds:.3g} {unit} in {self.seconds:g} s"
+        )
+
+
+def drift(data: Dataset, order: int = _ORDER) -> tuple[Drift, ...]:
+    """Estimate the drift of the output of each experiment, with the input's answer set apart.
+
+    From A(q) y(t) = B(q) u(t) + c + d t + e(t) of high order by least squares; the output drifts
+    by d / A(1) a sample. A line through y alone would take for drift what the input did, and its
+    standard deviation would not know of the noise's colour.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples; rows that a missing sample touches are left out.
+    order : int, default 10
+        Order of A and B.
+
+    Returns
+    -------
+    tuple of Drift
+        One for each experiment.
+
+    Raises
+    ------
+    ValueError
+        The output integrates, so that its line is the input's work; or there are too few samples.
+    """
+    if reason := integrating(data):
+        msg = f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
+        msg += "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
+        raise ValueError(msg)
+    return tuple(_of_experiment(part, order) for part in data.experiments())
+
+
+def _of_experiment(part: Dataset, n: int) -> Drift:
+    needed = 4 * n + 10
+    if part.N - part.missing < needed:
+        msg = f"an experiment has {part.N - part.missing} samples; a drift by a model of order {n} "
+        msg += f"needs {needed}: lower the order"
+        raise ValueError(msg)
+    model = whitening([(part.u, part.y)], n, slope=True)
+    gain = float(np.sum(model.A))
+    rate = model.d / gain / part.Ts
+    by_theta = np.zeros(2 * n + 3)
+    by_theta[:n], by_theta[-1] = -rate / gain, 1 / gain / part.Ts
+    variance = float(by_theta @ model.covariance @ by_theta)
+    return Drift(rate=rate, std=variance**0.5, seconds=part.N * part.Ts, unit=part.unit)

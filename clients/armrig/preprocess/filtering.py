@@ -1,0 +1,254 @@
+"""Filters of u and y alike: a band to identify in, and a slower sampling rate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isclose
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armrig.checks import column, require_integers, require_numbers
+from armrig.dataset import Dataset, Mask, Vector
+from armrig.polynomial import filtered, stable
+
+_FORGOTTEN = 1e-4  # share of the impulse response's weight that may still be to come
+_LONGEST_MEMORY = 200_000
+_SIDE = 8  # half length of the anti-alias filter, in samples of the slower rate
+_KAISER = 5.0
+
+
+def prefilter(
+    data: Dataset,
+    numerator: ArrayLike | None = None,
+    denominator: ArrayLike = (1.0,),
+    *,
+    band: tuple[float, float] | None = None,
+    order: int = 4,
+) -> Dataset:
+    """Return u and y both through one filter L(q): the model stays the same, its weighting not.
+
+    L y = G L u + L v, so L says in which frequencies the model is to be good (Ljung 14.4); an
+    output-error fit is weighted by |L|², and its residuals are white where L v is.
+
+    A value depends on the past: it is missing until the filter has forgotten all but 1e-4 of what
+    went before the experiment, or of a gap in it.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples.
+    numerator, denominator : array_like
+        Coefficients of L in q^-1; a denominator of 1 alone is forgotten soonest.
+    band : (float, float), optional
+        Instead: a Butterworth filter from one frequency to another in rad/s; (0, w) is a low-pass,
+        (w, inf) a high-pass.
+    order : int, default 4
+        Of the Butterworth filter.
+
+    Returns
+    -------
+    Dataset
+        N samples in the same units; the trends that `detrend` took cannot be put back on it.
+
+    Raises
+    ------
+    ValueError
+        Neither or both of numerator and band are given, the filter is unstable, the band is not
+        inside 0 to pi/Ts, or no sample would be left.
+    """
+    if (numerator is None) == (band is None):
+        msg = "give either numerator (and denominator) of the filter, or band=(low, high) in rad/s"
+        raise ValueError(msg)
+    if band is not None:
+        L = _butterworth(band, order, data.Ts)
+    else:
+        L = _rational(numerator, denominator)
+    memory = _memory(L)
+    u, y = np.empty(data.N), np.empty(data.N)
+    valid = np.zeros(data.N, dtype=np.bool_)
+    for part, start in zip(data.experiments(), data.starts, strict=True):
+        rows = slice(start, start + part.N)
+        u[rows] = _from_steady(L, part.u)
+        y[rows] = _from_steady(L, _held(part.y, part.valid))
+        valid[rows] = _known_for(part.valid, memory)
+    if not valid.any():
+        msg = (
+            f"{L.name} remembers {memory} samples, and no stretch of y without a gap is that long; "
+        )
+        msg += "take a shorter filter (a wider band, a lower order, or a numerator alone)"
+        raise ValueError(msg)
+    lost = int(np.count_nonzero(data.valid & ~valid))
+    step = f"filtered u and y with {L.name}; {lost} more samples are missing, where the filter "
+    step += f"(memory {memory} samples) had not forgotten the start or a gap"
+    return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
+
+
+def resample(data: Dataset, Ts: float) -> Dataset:
+    """Return the data at a slower rate, u and y both through one anti-alias filter.
+
+    A symmetric low-pass filter of 16 Ts_new/Ts + 1 coefficients (Kaiser window, 53 dB down from
+    the new Nyquist frequency on, flat to 60 % of it) that shifts nothing and leaves straight lines
+    as they are; then every (Ts_new/Ts)-th sample is kept. A sample is missing where any that its
+    filter would weigh is. The first and last 8 new samples of each experiment cannot be made, and
+    are cut off. Only to slower rates: a faster one would invent samples.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples.
+    Ts : float
+        New sampling time in s, a whole multiple of the data's.
+
+    Returns
+    -------
+    Dataset
+        About N Ts_old/Ts_new samples. Between them u is no longer held: a model for a held input
+        is an approximation, good well below the new Nyquist frequency.
+
+    Raises
+    ------
+    ValueError
+        Ts is no whole multiple of the data's, an experiment is too short, or all would be missing.
+    """
+    from scipy.signal import firwin, upfirdn
+
+    require_numbers(Ts=Ts)
+    factor = round(Ts / data.Ts) if 0 < Ts < np.inf else 0
+    if factor < 1 or not isclose(factor * data.Ts, Ts, rel_tol=1e-6):
+        msg = f"Ts={Ts!r} s must be a whole multiple of the data's {data.Ts:g} s, for example "
+        msg += f"{2 * data.Ts:g} s; a faster rate would invent samples"
+        raise ValueError(msg)
+    if factor == 1:
+        return data
+    half = _SIDE * factor
+    h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER))
+    us, ys, masks, trends = [], [], [], []
+    for i, part in enumerate(data.experiments()):
+        if 2 * half + 1 > part.N:
+            msg = f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
+            msg += f"{2 * half + 1}: leave it out with select, or take a shorter Ts"
+            raise ValueError(msg)
+        # Row j of the decimated convolution is centred on sample j factor - half.
+        level = float(np.mean(part.y[part.valid])) if part.valid.any() else 0.0
+        y = np.where(part.valid, part.y - level, 0.0)
+        rows = slice(2 * _SIDE, (part.N - 1) // factor + 1)
+        us.append(upfirdn(h, part.u, down=factor)[rows])
+        ys.append(upfirdn(h, y, down=factor)[rows] + level)
+        masks.append(_known_for(part.valid, 2 * half + 1)[2 * half :: factor])
+        trends += [t.later(half * data.Ts) for t in data.trends[i : i + 1]]
+    valid = np.concatenate(masks)
+    if not valid.any():
+        msg = f"no stretch of y without a gap has {2 * half + 1} samples, as the anti-alias filter "
+        msg += f"for {Ts:g} s needs: record at that rate instead, or difference and average"
+        raise ValueError(msg)
+    step = f"resampled from {data.Ts:g} s to {factor * data.Ts:g} s behind a low-pass filter of "
+    step += f"{2 * half + 1} coefficients; {np.count_nonzero(~valid)} of {valid.size} samples "
+    step += "are missing"
+    return data.replaced(
+        u=np.concatenate(us),
+        y=np.concatenate(ys),
+        valid=valid,
+        starts=tuple(int(s) for s in np.cumsum([0, *(m.size for m in masks[:-1])])),
+        trends=tuple(trends),
+        Ts=factor * data.Ts,
+        step=step,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Filter:
+    """One filter L(q), as it is applied and as it is told."""
+
+    apply: Callable[[Vector], Vector]
+    """From rest."""
+    gain: float
+    """L(1)."""
+    name: str
+
+
+def _rational(numerator: ArrayLike | None, denominator: ArrayLike) -> _Filter:
+    b, a = (
+        column("numerator", () if numerator is None else numerator),
+        column("denominator", denominator),
+    )
+    if a[0] == 0 or not stable(a):
+        msg = f"the filter's denominator {a.tolist()} must begin with a number that is not 0 and "
+        msg += "have its roots inside the unit circle; differences are made with difference(data)"
+        raise ValueError(msg)
+    name = f"L = {_listed(b)}" + (f" / {_listed(a)}" if a.size > 1 or a[0] != 1 else "")
+    return _Filter(apply=lambda x: filtered(b, a, x), gain=float(np.sum(b) / np.sum(a)), name=name)
+
+
+def _listed(p: Vector) -> str:
+    return f"[{' '.join(f'{c:.4g}' for c in p)}]"
+
+
+def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
+    from scipy.signal import butter, sosfilt
+
+    low, high = band
+    require_numbers(low=low, high=high)
+    require_integers(order=(order, 1))
+    nyquist = np.pi / Ts
+    if not (0 <= low < high and low < nyquist) or (low == 0 and high >= nyquist):
+        msg = f"band=({low:g}, {high:g}) rad/s must lie inside 0 to {nyquist:g} rad/s (pi/Ts), "
+        msg += "with low < high and not all of it"
+        raise ValueError(msg)
+    edges: float | tuple[float, float]
+    if low == 0:
+        kind, edges, told = "lowpass", high / nyquist, f"low-pass to {high:g}"
+    elif high >= nyquist:
+        kind, edges, told = "highpass", low / nyquist, f"high-pass from {low:g}"
+    else:
+        kind, edges = "bandpass", (low / nyquist, high / nyquist)
+        told = f"band-pass from {low:g} to {high:g}"
+    # Sections, not polynomials: these lose their poles to rounding where a band is low and narrow.
+    sections = butter(order, edges, kind, output="sos")
+    return _Filter(
+        apply=lambda x: np.asarray(sosfilt(sections, x)),
+        gain=float(np.prod(sections[:, :3].sum(axis=1) / sections[:, 3:].sum(axis=1))),
+        name=f"a Butterworth {told} rad/s of order {order}",
+    )
+
+
+def _memory(L: _Filter) -> int:
+    """Return the samples after which all but 1e-4 of the impulse response has passed."""
+    length = 256
+    while True:
+        pulse = np.zeros(length)
+        pulse[0] = 1.0
+        weight = np.abs(L.apply(pulse))
+        ahead = np.cumsum(weight[::-1])[::-1]
+        short = np.flatnonzero(ahead <= _FORGOTTEN * ahead[0])
+        # The tail beyond what was computed is as small as its last half.
+        if short.size and short[0] <= length // 2:
+            return max(int(short[0]), 1)
+        length *= 4
+        if length > _LONGEST_MEMORY:
+            msg = f"the filter remembers more than {length // 8} samples; widen its band"
+            raise ValueError(msg)
+
+
+def _from_steady(L: _Filter, x: Vector) -> Vector:
+    """Return x filtered as though its first value had always been there."""
+    return np.asarray(L.apply(x - x[0]) + L.gain * x[0])
+
+
+def _held(y: Vector, valid: Mask) -> Vector:
+    """Return y with the last known value in its gaps, whose traces are then marked missing."""
+    if not valid.any():
+        return np.zeros(y.size)
+    known = np.flatnonzero(valid)
+    before = np.clip(np.searchsorted(known, np.arange(y.size), side="right") - 1, 0, None)
+    return np.asarray(y[known[before]])
+
+
+def _known_for(valid: Mask, memory: int) -> Mask:
+    """Return where `memory` samples in a row, the last of them here, are all known."""
+    count = np.concatenate([[0], np.cumsum(valid)])
+    whole = np.zeros(valid.size, dtype=np.bool_)
+    if valid.size >= memory:
+        whole[memory - 1 :] = count[memory:] - count[:-memory] == memory
+    return whole

@@ -1,0 +1,59 @@
+"""Whether an output integrates its input, so that its line is no drift."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from armrig.dataset import Dataset
+from armrig.least_squares import orthonormal
+from armrig.polynomial import lagged
+
+# Outputs that integrate by construction, whatever a test on a short record says.
+INTEGRATING_OUTPUTS = frozenset({"theta_1"})
+
+DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
+_TEST_LAGS = 5
+
+
+class IntegratingOutputWarning(UserWarning):
+    """A linear trend was removed from an output that integrates its input."""
+
+
+def integrating(data: Dataset) -> str:
+    """Say why the output must be taken as integrating, "" where nothing speaks for it.
+
+    An output that is known by name to integrate does. Another one is tested with the
+    Dickey-Fuller regression with a trend, lags and the input as covariate ::
+
+        y(t) - y(t-1) = c + d t + g y(t-1) + lags of the difference and of u + e(t)
+
+    and taken as integrating where g is not significantly negative (5 %). The input lowers the
+    critical value's magnitude (Hansen 1995), so the one used here errs towards a warning.
+
+    References
+    ----------
+    .. [1] D. A. Dickey, W. A. Fuller, J. Amer. Statist. Assoc. 74 (1979) 427-431.
+    .. [2] B. E. Hansen, Econometric Theory 11 (1995) 1148-1171.
+    """
+    if data.output in INTEGRATING_OUTPUTS:
+        return f"{data.output} integrates its input"
+    lags = range(1, _TEST_LAGS + 1)
+    rows, targets = [], []
+    for part in data.experiments():
+        change = np.diff(part.y, prepend=np.nan)
+        trend = np.column_stack([np.ones(part.N), np.arange(part.N) / max(part.N, 1)])
+        columns = [lagged(part.y, [1]), trend, lagged(change, lags), lagged(part.u, lags)]
+        rows.append(np.hstack(columns)[_TEST_LAGS + 1 :])
+        targets.append(change[_TEST_LAGS + 1 :])
+    Phi, target = np.vstack(rows), np.concatenate(targets)
+    usable = np.isfinite(target) & np.isfinite(Phi).all(axis=1)
+    Phi, target = Phi[usable], target[usable]
+    basis = orthonormal(Phi)
+    degrees = target.size - basis.rank
+    if degrees < 10 or not basis.W[0].any():
+        return ""  # too little to tell, or y is constant
+    variance = float(np.sum(basis.without(target) ** 2)) / degrees
+    g, std = basis.coefficients(target)[0], np.sqrt(variance * np.sum(basis.W[0] ** 2))
+    if g < DICKEY_FULLER_TREND_5_PERCENT * std:
+        return ""
+    return f"{data.output} behaves as an integrating output (no pull back to its line is found)"

@@ -1,0 +1,133 @@
+"""Means and straight lines: taken from the data, and put back."""
+
+from __future__ import annotations
+
+import warnings
+from typing import overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armrig.checks import column
+from armrig.dataset import Dataset, Mask, Vector
+from armrig.least_squares import orthonormal
+from armrig.preprocess.integration import IntegratingOutputWarning, integrating
+from armrig.trend import Trend
+
+
+def detrend(data: Dataset, order: int = 0) -> Dataset:
+    """Return the data with mean (order 0) or straight line (order 1) removed from u and y.
+
+    Each experiment loses its own, fitted to its valid samples by least squares. What was taken
+    stays with the data in `trends`, and `retrend` puts it back.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples.
+    order : {0, 1}
+        Remove the mean, or the straight line.
+
+    Returns
+    -------
+    Dataset
+        N samples in the same units, the step written into `history`.
+
+    Warns
+    -----
+    IntegratingOutputWarning
+        order=1 on an output that integrates: the line is then the answer to the input's mean,
+        not a drift, and the model is wrong without it. An output integrates by its name
+        (theta_1) or by a test, see `armrig.preprocess.integrating`.
+
+    Raises
+    ------
+    ValueError
+        order is neither 0 nor 1.
+    """
+    if order not in (0, 1):
+        msg = f"order={order!r} must be 0 (remove the mean) or 1 (remove a straight line)"
+        raise ValueError(msg)
+    reason = integrating(data) if order == 1 else ""
+    if reason:
+        warnings.warn(
+            f"detrend(order=1): {reason}, so its line is the answer to the mean of u and not a "
+            "drift; keep it, and use order=0, oe(integrator=True) or difference(data)",
+            IntegratingOutputWarning,
+            stacklevel=2,
+        )
+    u, y, trends = data.u.copy(), data.y.copy(), []
+    for k, part in enumerate(data.experiments()):
+        t = part.t
+        u_line = _line(t, part.u, np.ones(part.N, dtype=np.bool_), order)
+        y_line = _line(t, part.y, part.valid, order)
+        taken = Trend(u_level=u_line[0], u_slope=u_line[1], y_level=y_line[0], y_slope=y_line[1])
+        rows = slice(data.starts[k], data.starts[k] + part.N)
+        u[rows] -= taken.u(t)
+        y[rows] -= taken.y(t)
+        trends.append(data.trends[k] + taken if data.trends else taken)
+    what = ("the mean", "a straight line")[order]
+    each = "" if len(trends) == 1 else " of each experiment"
+    despite = f", although {reason}" if reason else ""
+    return data.replaced(
+        u=u,
+        y=y,
+        trends=tuple(trends),
+        step=f"removed {what} from u and y{each} (order {order}){despite}",
+    )
+
+
+@overload
+def retrend(data: Dataset) -> Dataset: ...
+@overload
+def retrend(data: Dataset, y: ArrayLike) -> Vector: ...
+def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
+    """Return the data, or an output that a model made from them, with the trend put back.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples that `detrend` has treated; slices, parts and merged data know their trends too.
+    y : array_like, shape (N,), optional
+        An output simulated or predicted from these data, in y's unit.
+
+    Returns
+    -------
+    Dataset or ndarray, shape (N,)
+        The data as they were measured; with `y`, that output about the level measured.
+
+    Raises
+    ------
+    ValueError
+        Nothing was taken from these data, or a later step made it impossible to put back; or y
+        is not (N,).
+    """
+    if not data.trends:
+        done = "; ".join(data.history) or "no step"
+        msg = "there is no trend to put back: detrend was not applied to these data, or they were "
+        msg += f"filtered after it (history: {done}); keep the data from before that step"
+        raise ValueError(msg)
+    of_u, of_y = np.zeros(data.N), np.zeros(data.N)
+    for trend, part, start in zip(data.trends, data.experiments(), data.starts, strict=True):
+        of_u[start : start + part.N] = trend.u(part.t)
+        of_y[start : start + part.N] = trend.y(part.t)
+    if y is None:
+        return data.replaced(
+            u=data.u + of_u, y=data.y + of_y, trends=(), step="put the trend back on u and y"
+        )
+    taken = column("y", y)
+    if taken.size != data.N:
+        msg = f"y has {taken.size} samples and the data have {data.N}; give one for each instant"
+        raise ValueError(msg)
+    return taken + of_y
+
+
+def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:
+    """Return level at t = 0 and slope of the line of best fit; 0 where nothing is known."""
+    if not where.any():
+        return 0.0, 0.0
+    # Least squares about the middle of the known times: level and slope do not disturb each other.
+    middle = float(np.mean(t[where]))
+    basis = orthonormal(np.vander(t[where] - middle, order + 1, increasing=True))
+    level, slope = (*basis.coefficients(x[where]), 0.0)[:2]
+    return float(level - slope * middle), float(slope)

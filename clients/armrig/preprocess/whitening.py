@@ -1,0 +1,81 @@
+"""A high-order ARX model that takes the dynamics out of the data and leaves what is unforeseen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from armrig.dataset import Vector
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array
+from armrig.triangular import triangle
+
+_ROWS = 5_000
+_ENOUGH = 100_000  # rows: more do not make it a better judge of single samples
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Whitening:
+    """A(q) y(t) = B(q) u(t) + c + d t + e(t), estimated by least squares."""
+
+    A: Vector
+    """(n + 1,), beginning with 1."""
+    B: Vector
+    """(n + 1,), beginning with the direct term."""
+    c: float
+    """Constant."""
+    d: float
+    """Slope, per sample; 0 where there is none."""
+    covariance: Array
+    """Of (a1 … an, b0 … bn, c, d), (2n + 3, 2n + 3)."""
+
+    def residuals(self, u: Vector, y: Vector) -> Vector:
+        """Return e (N,), NaN where y or the past it needs is missing or before the start."""
+        n = self.A.size - 1
+        e = np.convolve(y, self.A)[: y.size] - np.convolve(u, self.B)[: u.size]
+        e -= self.c + self.d * np.arange(y.size)
+        e[:n] = np.nan
+        return np.asarray(e)
+
+
+def whitening(parts: Sequence[tuple[Vector, Vector]], n: int, *, slope: bool = False) -> Whitening:
+    """Estimate a model of order n from (u, y) of each experiment, y NaN where it is missing.
+
+    Of more than 100 000 rows evenly spread blocks are used.
+    """
+    width = 2 * n + 2 + int(slope)
+    total = sum(u.size for u, _ in parts)
+    skip = max(1, total // _ENOUGH)
+    blocks = [b for i, b in enumerate(_all_blocks(parts, n, slope)) if i % skip == 0]
+    rows = sum(b.shape[0] for b in blocks)
+    R = triangle(blocks, width + 1)
+    basis = orthonormal(R[:, :-1])
+    theta = basis.coefficients(R[:, -1])
+    sse = float(np.sum(basis.without(R[:, -1]) ** 2))
+    covariance = np.zeros((2 * n + 3,) * 2)
+    covariance[:width, :width] = sse / max(rows - basis.rank, 1) * (basis.W @ basis.W.T)
+    return Whitening(
+        A=np.append(1.0, theta[:n]),
+        B=theta[n : 2 * n + 1],
+        c=float(theta[2 * n + 1]),
+        d=float(theta[2 * n + 2]) if slope else 0.0,
+        covariance=covariance,
+    )
+
+
+def _all_blocks(parts: Sequence[tuple[Vector, Vector]], n: int, slope: bool) -> Iterator[Array]:
+    """Yield [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t) y(t)] of the rows that are complete."""
+    for u, y in parts:
+        if y.size <= n:
+            continue
+        ys, us = (sliding_window_view(x, n + 1)[:, ::-1] for x in (y, u))
+        for a in range(0, ys.shape[0], _ROWS):
+            past, driven = ys[a : a + _ROWS], us[a : a + _ROWS]
+            whole = np.isfinite(past).all(axis=1)
+            t = np.arange(a + n, a + n + past.shape[0], dtype=np.float64)
+            columns = [-past[:, 1:], driven, np.ones((t.size, 1))]
+            columns += [t[:, None]] if slope else []
+            yield np.hstack([*columns, past[:, :1]])[whole]

@@ -1,0 +1,129 @@
+"""The search for single wrong samples, by what each would leave in a model's residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Mask, Vector
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array
+from armrig.preprocess.whitening import Whitening, whitening
+
+Indices = NDArray[np.intp]
+
+_MAD_TO_STD = 1.4826  # of a normal distribution
+_ROUNDS = 25
+_SHOWN = 1e-3  # share of its own trace that a sample must leave beside those marked already
+
+
+def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[Mask]:
+    """Return which samples are wrong, for (u, y) of each experiment, y NaN where it is missing.
+
+    n is the order of the model, `limit` the least size in robust standard deviations.
+    """
+    wrong: list[Mask] = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
+    expected = [(u, y.copy()) for u, y in parts]
+    seen = set()
+    for _ in range(_ROUNDS):
+        model = whitening(expected, n)
+        sizes = [
+            _sizes(model, model.residuals(u, y), marked)
+            for (u, y), marked in zip(expected, wrong, strict=True)
+        ]
+        s = _robust_std(np.concatenate(sizes), parts)
+        for (u, y), (_, y_expected), x, marked in zip(parts, expected, sizes, wrong, strict=True):
+            marked[_peaks(np.where(np.isnan(x), 0.0, np.abs(x) / s), limit, n)] = True
+            y_expected[:] = _expect(model, u, y, marked, s * limit)
+        found = b"".join(marked.tobytes() for marked in wrong)
+        if found in seen:
+            break
+        seen.add(found)
+    return wrong
+
+
+def _robust_std(x: Vector, parts: Sequence[tuple[Vector, Vector]]) -> float:
+    # Of x itself, not of e: where the noise is no ARX model's, e is coloured and x larger.
+    known = x[np.isfinite(x)]
+    if known.size == 0:
+        msg = "no stretch of y is long enough for the model: there are too many gaps; "
+        msg += "lower the order"
+        raise ValueError(msg)
+    mad = float(np.median(np.abs(known)))
+    # Without noise rounding errors would be outliers.
+    largest = max(float(np.nanmax(np.abs(y), initial=0.0)) for _, y in parts)
+    return max(_MAD_TO_STD * mad, 1e-9 * largest, np.finfo(np.float64).tiny)
+
+
+def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
+    """Return x (N,), the size of an outlier at each sample as a residual; NaN where none shows.
+
+    Beside samples that are marked already, only what those do not explain counts.
+    """
+    n = model.A.size - 1
+    there = np.isfinite(e)
+    ahead = np.convolve(np.where(there, e, 0.0)[::-1], model.A)[: e.size][::-1]
+    weight = np.convolve(there[::-1].astype(np.float64), model.A**2)[: e.size][::-1]
+    for group in _groups(np.flatnonzero(marked), n):
+        near = np.arange(max(group[0] - n, 0), min(group[-1] + n + 1, e.size))
+        rows = _rows(there, group, n)
+        explained = orthonormal(_columns(model, rows, group)).Q.T @ _columns(model, rows, near)
+        weight[near] -= np.sum(explained**2, axis=0)
+    shows = weight > _SHOWN * np.sum(model.A**2)
+    return np.asarray(np.where(shows, ahead / np.sqrt(np.where(shows, weight, 1.0)), np.nan))
+
+
+def _peaks(z: Vector, limit: float, n: int) -> Indices:
+    """Return where z is beyond the limit, none within n samples of a larger one."""
+    candidates = np.flatnonzero(z > limit)
+    taken = np.zeros(z.size, dtype=np.bool_)
+    peaks = []
+    for t in candidates[np.argsort(-z[candidates], kind="stable")]:
+        if not taken[max(t - n, 0) : t + n + 1].any():
+            taken[t] = True
+            peaks.append(t)
+    return np.array(peaks, dtype=np.intp)
+
+
+def _expect(model: Whitening, u: Vector, y: Vector, marked: Mask, least: float) -> Vector:
+    """Return y with the marked samples set to what makes the residuals least, near ones together.
+
+    A marked sample whose size, with its neighbours free too, is below `least` is unmarked.
+    """
+    n = model.A.size - 1
+    expected, e = y.copy(), model.residuals(u, y)
+    for group in _groups(np.flatnonzero(marked), n):
+        rows = _rows(np.isfinite(e), group, n)
+        kept = group
+        while kept.size:
+            basis = orthonormal(_columns(model, rows, kept))
+            wrong_by = basis.coefficients(e[rows])
+            std = np.sqrt(np.sum(basis.W**2, axis=1))
+            size = np.abs(wrong_by) / np.where(std > 0, std, np.inf)
+            if size.min() >= least:
+                expected[kept] -= wrong_by
+                break
+            kept = np.delete(kept, np.argmin(size))
+        marked[np.setdiff1d(group, kept)] = False
+    return expected
+
+
+def _rows(there: Mask, group: Indices, n: int) -> Indices:
+    """Return the residuals that see a sample of the group."""
+    rows = np.arange(group[0], min(group[-1] + n + 1, there.size))
+    return rows[there[rows]]
+
+
+def _columns(model: Whitening, rows: Indices, samples: Indices) -> Array:
+    """Return what a unit error of each sample adds to the residuals in the rows."""
+    n = model.A.size - 1
+    lag = rows[:, None] - samples[None, :]
+    return np.where((lag >= 0) & (lag <= n), model.A[np.clip(lag, 0, n)], 0.0)
+
+
+def _groups(indices: Indices, n: int) -> Iterator[Indices]:
+    """Yield runs of indices that are no more than n apart: no residual sees two of them."""
+    if indices.size:
+        yield from np.split(indices, np.flatnonzero(np.diff(indices) > n) + 1)

@@ -1,0 +1,222 @@
+"""Standard deviations are known before the experiment; Monte Carlo is in tests/benchmarks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.armax import armax
+from armrig.estimation.arx import arx
+from armrig.estimation.bj import bj
+from armrig.estimation.oe import oe
+from armrig.excitation import step, telegraph
+from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
+from armrig.physics import ArmParameters, arm, chassis
+from armrig.polynomial import filtered
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+B, A = np.array([0, 1, 0.5]), np.array([1, -1.2, 0.6])
+RUNS, N = 200, 400
+
+
+@pytest.mark.parametrize("structure", ["oe", "arx"])
+def test_the_prediction_is_what_repeated_experiments_scatter_by(structure: str) -> None:
+    """Within 15 % of a scatter that is itself known to 5 % (1/sqrt(2 RUNS)): three of them."""
+    u = telegraph(N, 0.3)
+    denominator = {"oe": "F", "arx": "A"}[structure]
+    model = PlannedModel(B=B, noise_variance=0.25, Ts=1.0, **{denominator: A})  # type: ignore[arg-type]
+    theta = []
+    for seed in range(RUNS):
+        e = 0.5 * np.random.default_rng(seed).standard_normal(N)
+        v = e if structure == "oe" else filtered([1], A, e)
+        data = Dataset(u=u, y=filtered(B, A, u) + v, Ts=1)
+        fit = oe(data, nb=2, nf=2) if structure == "oe" else arx(data, na=2, nb=2)
+        theta.append(fit.theta)
+
+    predicted = predicted_std(model, u)
+
+    np.testing.assert_allclose(predicted.std / np.std(theta, axis=0, ddof=1), 1.0, atol=0.15)
+    assert predicted.names == fit.names
+
+
+def test_for_the_data_it_was_estimated_from_a_fit_predicts_its_own_std(plant: Any) -> None:
+    """The arm with its integrator, gaps and two experiments: the same covariance, to 1 %."""
+    first, second = plant.dataset(0, N=1500), plant.dataset(1, N=1500)
+    holed = first.replaced(valid=np.arange(1500) % 70 > 3, step=None)
+    data = merge([holed, second])
+    fit = oe(data, nb=4, nf=4, integrator=True)
+
+    predicted = predicted_std(fit, data)
+
+    np.testing.assert_allclose(predicted.std, fit.std, rtol=0.01)
+    np.testing.assert_allclose(predicted.theta, fit.theta)
+    assert data.N - data.missing == predicted.N
+
+
+@pytest.mark.parametrize("structure", ["armax", "integrating armax", "bj", "integrating bj"])
+def test_models_with_a_noise_model_predict_their_own_std_too(structure: str) -> None:
+    """On 4000 samples: within 10 %, since the data's noise is one draw of the one expected."""
+    rng = np.random.default_rng(5)
+    u, e = telegraph(4000, 0.3, seed=rng), 0.3 * rng.standard_normal(4000)
+    C, D = [1, 0.5], [1, -0.7]
+    integrated = np.cumsum if "integrating" in structure else np.array
+    if "armax" in structure:
+        y = integrated(filtered(B, A, u) + filtered(C, A, e))
+        data = Dataset(u=u, y=y, Ts=1)
+        na = 3 if "integrating" in structure else 2
+        fit = armax(data, na=na, nb=2, nc=1, integrator=na == 3)
+    else:
+        y = integrated(filtered(B, A, u)) + filtered(C, D, e)
+        data = Dataset(u=u, y=y, Ts=1)
+        nf = 3 if "integrating" in structure else 2
+        fit = bj(data, nb=2, nc=1, nd=1, nf=nf, integrator=nf == 3)
+
+    predicted = predicted_std(fit, u)
+
+    assert predicted.names == fit.names
+    np.testing.assert_allclose(predicted.std, fit.std, rtol=0.1)
+
+
+def test_coloured_noise_is_planned_for_as_theory_says() -> None:
+    """ARMA(1, 1) noise has its asymptotic variance in closed form.
+
+    For A = 1 + a/q, C = 1 + c/q: cov N = [[1/(1-a²), -1/(1-ac)], [-1/(1-ac), 1/(1-c²)]]^-1.
+    """
+    a, c, n = -0.7, 0.4, 20_000
+    u = 1e-6 * telegraph(n, 0.3)  # teaches nothing of a
+    model = PlannedModel(A=[1, a], B=[0, 1.0], C=[1, c], noise_variance=4.0, Ts=1.0)  # type: ignore[arg-type]
+
+    predicted = predicted_std(model, u)
+
+    M = np.array([[1 / (1 - a**2), -1 / (1 - a * c)], [-1 / (1 - a * c), 1 / (1 - c**2)]])
+    kept = [predicted.names.index(name) for name in ("a1", "c1")]
+    np.testing.assert_allclose(
+        n * predicted.covariance[np.ix_(kept, kept)], np.linalg.inv(M), rtol=0.01
+    )
+
+
+def test_a_coloured_noise_model_weighs_the_frequencies() -> None:
+    """BJ: b's std is that of least squares on u and y through D, and d's that of an AR(1)."""
+    u, D = telegraph(2000, 0.3), np.array([1, -0.8])
+    coloured = PlannedModel(B=[0, 1.0], D=D, noise_variance=1.0, Ts=1.0)  # type: ignore[arg-type]
+
+    predicted = predicted_std(coloured, u)
+
+    regressor = filtered(D, [1], np.concatenate([[0], u[:-1]]))
+    first = filtered(D, [1], np.eye(2000)[0])  # the unknown past
+    residual = regressor - first * (first @ regressor) / (first @ first)
+    assert predicted.std[0] == pytest.approx(1 / np.linalg.norm(residual), rel=1e-6)
+    assert predicted.std[1] == pytest.approx(np.sqrt((1 - 0.8**2) / 2000), rel=0.01)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.1, 10), st.floats(0.1, 1.0))
+def test_a_stronger_input_teaches_more_and_noise_less(noise: float, gain: float) -> None:
+    """The standard deviation is proportional to noise and inverse to the input's size."""
+    u = telegraph(300, 0.3, 0.0, 5.0)
+    one, other = (
+        predicted_std(PlannedModel(B=B, F=A, noise_variance=v, Ts=1.0), x).std
+        for v, x in ((1.0, u), (noise**2, gain * u))
+    )
+
+    np.testing.assert_allclose(other, one * noise / gain, rtol=1e-6)
+
+
+def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
+    """And how long it would take: four times as long for half the standard deviation."""
+    u = telegraph(3000, 0.3)
+    predicted = predicted_std(PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), u)
+    got = float(predicted.std[2])
+
+    assert predicted.seconds_for(f1=got / 2) == pytest.approx(4 * 30)
+    assert "30 s will not do, about 120 s are needed" in predicted.explain(f1=got / 2)
+    assert "30 s will do, about 7.5 s are needed" in predicted.explain(f1=2 * got)
+    both = predicted.explain(f1=2 * got, b1=float(predicted.std[0]) / 3)
+    assert both.splitlines()[-1] == "together: 30 s will not do, about 270 s are needed"
+    assert repr(predicted) == predicted.explain()
+    with pytest.raises(ValueError, match="'g1' is none of the parameters b1, b2, f1, f2"):
+        predicted.explain(g1=1.0)
+    with pytest.raises(ValueError, match="f1=0: a standard deviation wanted must be > 0"):
+        predicted.explain(f1=0)
+    longer = predicted_std(
+        PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), telegraph(12_000, 0.3)
+    )
+    assert longer.std[2] == pytest.approx(got / 2, rel=0.1)
+
+
+def test_the_inertia_s_standard_deviation_is_predicted_from_physics() -> None:
+    """As from least squares linearised at the truth, every nuisance by hand."""
+    p, Ts, std = ArmParameters(), 0.01, 5e-3
+    u = telegraph(1000, 0.05)
+    t = Ts * np.arange(1000)
+
+    predicted = predicted_parameter_std(chassis, u, Ts=Ts, noise_variance=std**2)
+
+    def angle(J_1: float, u: Any) -> Any:
+        # theta_1'' = (k u - d theta_1')/J_1, held u: velocity and angle in closed form.
+        tau, gain = J_1 / p.damping, p.torque_per_volt / p.damping
+        w = filtered([0, gain * (1 - np.exp(-Ts / tau))], [1, -np.exp(-Ts / tau)], u)
+        moved = gain * u * Ts + (w - gain * u) * tau * (1 - np.exp(-Ts / tau))
+        return np.concatenate([[0], np.cumsum(moved)[:-1]])
+
+    h = 1e-4 * p.J_1
+    slope = (angle(p.J_1 + h, u) - angle(p.J_1 - h, u)) / (2 * h)
+    pole = np.exp(-t * p.damping / p.J_1)
+    Z = np.linalg.qr(np.column_stack([np.ones(1000), pole, angle(p.J_1, np.ones(1000))]))[0]
+    slope = slope - Z @ (Z.T @ slope)
+    assert predicted.std[0] == pytest.approx(std / np.linalg.norm(slope), rel=1e-5)
+    assert predicted.names == ("J_1",)
+
+
+def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
+    """A step from rest that starts with the record is, the initial state unknown, no excitation."""
+    model, u = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=1.0), telegraph(300, 0.1)
+
+    with pytest.raises(ValueError, match=r"determines only \d of 4 parameters"):
+        predicted_std(model, step(300))
+    with pytest.raises(ValueError, match=r"determines only \d of 4 parameters"):
+        # Where torque and back-EMF are known by their ratio alone, N and K_m cannot be told apart.
+        predicted_parameter_std(
+            chassis, u, Ts=0.01, noise_variance=1e-6, free=("J_1", "N", "K_m", "R_m")
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"F": [2.0, 1.0]}, "must begin with 1"),
+        ({"F": [1.0, -1.0]}, "F has a root on or outside.*integrator=True"),
+        ({"F": [1.0, -0.5], "integrator": True}, r"F\(1\)=0.5 is not 0"),
+        ({"A": [1.0, -0.5], "integrator": True}, r"A\(1\)=0.5 is not 0"),
+        ({"C": [1.0, 2.0]}, "C has a root on or outside"),
+        ({"B": [0.0, 0.0]}, "B has no coefficient but 0"),
+    ],
+)
+def test_a_model_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
+    """Before it is planned with."""
+    with pytest.raises(ValueError, match=message):
+        PlannedModel(**({"B": B, "F": A, "noise_variance": 1.0, "Ts": 1.0} | change))
+
+
+def test_what_cannot_be_planned_is_refused() -> None:
+    """Gaps with a noise model, no noise variance, another rate, parameters that are none."""
+    u = telegraph(300, 0.3)
+    model = PlannedModel(B=B, A=A, noise_variance=1.0, Ts=1.0)
+    gaps = Dataset(u=u, y=u, Ts=1.0, valid=np.arange(300) > 3)
+
+    with pytest.raises(ValueError, match=r"4 samples are missing.*output-error model only"):
+        predicted_std(model, gaps)
+    with pytest.raises(ValueError, match="noise_variance=nan must be > 0"):
+        predicted_std(model, u, noise_variance=float("nan"))
+    with pytest.raises(ValueError, match="Ts=1 s and the data have Ts=2 s"):
+        predicted_std(model, Dataset(u=u, y=u, Ts=2.0))
+    with pytest.raises(ValueError, match='initial=\'guess\' must be "estimate" or "zero"'):
+        predicted_std(model, u, initial="guess")  # type: ignore[arg-type]
+    for free in (("J_3",), ("b_1",), ()):
+        with pytest.raises(ValueError, match="must name parameters that are > 0"):
+            predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, free=free)
+    with pytest.raises(ValueError, match="output='beta' is none of the model's theta_1, alpha"):
+        predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, output="beta")

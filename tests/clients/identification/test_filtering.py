@@ -1,0 +1,192 @@
+"""Filters treat u and y alike, and know what a gap does to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.oe import oe
+from armrig.excitation import telegraph
+from armrig.polynomial import filtered
+from armrig.preprocess import detrend, prefilter, resample, retrend
+from armrig.trend import Trend
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+B, F = [0.0, 0.4, 0.2], [1.0, -1.2, 0.6]
+
+
+def noise_free(N: int, seed: int = 1) -> Dataset:
+    """Return B/F u."""
+    u = telegraph(N, 0.2, seed=seed)
+    return Dataset(u=u, y=filtered(B, F, u), Ts=0.01, unit="rad")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"band": (0.0, 100.0)},
+        {"band": (20.0, np.inf), "order": 2},
+        {"band": (20.0, 200.0), "order": 2},
+        {"numerator": [1.0, -0.9]},
+        {"numerator": [0.5], "denominator": [1.0, -0.5]},
+    ],
+)
+def test_the_model_behind_filtered_data_is_the_same(kind: dict[str, object]) -> None:
+    """L y = G L u: from noise-free data the true parameters come back."""
+    treated = prefilter(noise_free(2000), **kind)  # type: ignore[arg-type]
+
+    fit = oe(treated, nb=2, nf=2)
+
+    np.testing.assert_allclose(fit.theta, [0.4, 0.2, -1.2, 0.6], atol=1e-4)
+
+
+def test_a_low_pass_takes_what_is_above_its_band_and_leaves_what_is_below() -> None:
+    """A sine in the band passes with gain 1, one an octave above fourth order leaves 1/16 of."""
+    t = 0.01 * np.arange(4000)
+    data = Dataset(u=np.sin(2.0 * t), y=np.sin(40.0 * t), Ts=0.01)
+
+    treated = prefilter(data, band=(0, 20.0))
+
+    rms = np.sqrt(np.mean(treated.y[treated.valid] ** 2))
+    assert np.sqrt(np.mean(treated.u[1000:] ** 2)) == pytest.approx(np.sqrt(0.5), rel=0.02)
+    assert rms == pytest.approx(np.sqrt(0.5) / 16.7, rel=0.05)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 399), st.integers(1, 20), st.floats(-1e3, 1e3))
+def test_a_missing_sample_never_reaches_a_valid_one(at: int, length: int, level: float) -> None:
+    """Whatever stood in the gap, and before the experiment, has been forgotten to 1e-4."""
+    data = noise_free(400)
+    data = data.replaced(y=data.y + level, step=None)
+    valid = np.ones(400, dtype=np.bool_)
+    valid[at : at + length] = False
+    holed = data.replaced(valid=valid, step=None)
+
+    whole = prefilter(data, band=(0, 150.0), order=2)
+    treated = prefilter(holed, band=(0, 150.0), order=2)
+
+    both = treated.valid & whole.valid
+    assert not treated.valid[at : at + length].any()
+    np.testing.assert_allclose(treated.y[both], whole.y[both], atol=1e-4 * np.ptp(data.y))
+
+
+def test_a_short_numerator_forgets_exactly() -> None:
+    """Three coefficients cost two samples at the start of each experiment and after each gap."""
+    data = merge([noise_free(20), noise_free(20)])
+    valid = np.ones(40, dtype=np.bool_)
+    valid[30] = False
+
+    treated = prefilter(data.replaced(valid=valid, step=None), [1.0, 1.0, 1.0])
+
+    assert np.flatnonzero(~treated.valid).tolist() == [0, 1, 20, 21, 30, 31, 32]
+    assert "L = [1 1 1]; 6 more samples are missing" in treated.history[-1]
+    np.testing.assert_allclose(treated.y[22:30], (data.y[20:28] + data.y[21:29] + data.y[22:30]))
+
+
+def test_a_trend_cannot_be_put_back_on_filtered_data() -> None:
+    """And it is said why."""
+    treated = prefilter(detrend(noise_free(300)), [1.0, 1.0])
+
+    with pytest.raises(ValueError, match="filtered after it"):
+        retrend(treated)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ({}, "give either numerator"),
+        ({"numerator": [1.0], "band": (0, 1)}, "give either numerator"),
+        ({"numerator": [1.0], "denominator": [1.0, -1.0]}, "roots inside the unit circle"),
+        ({"band": (5.0, 3.0)}, "inside 0 to 314.159 rad/s"),
+        ({"band": (0.0, 400.0)}, "not all of it"),
+        ({"band": (0.0, 1.0)}, r"low-pass to 1 rad/s of order 4 remembers \d+ samples, and no"),
+        ({"band": (0.0, 1e-3)}, "remembers more than"),
+    ],
+)
+def test_a_filter_that_cannot_be_applied_is_refused(kind: dict[str, object], message: str) -> None:
+    """What came, and the way out."""
+    with pytest.raises(ValueError, match=message):
+        prefilter(noise_free(300), **kind)  # type: ignore[arg-type]
+
+
+def test_resampling_keeps_straight_lines_and_their_trend() -> None:
+    """The filter is symmetric with gain 1: the line stays, at the new instants."""
+    n = np.arange(500)
+    taken = Trend(y_level=1.0, y_slope=20.0)
+    data = Dataset(u=n % 7, y=2 + 0.3 * n, Ts=0.01, trends=[taken])
+
+    slow = resample(data, 0.05)
+
+    assert slow.Ts == 0.05
+    assert slow.N == 84
+    np.testing.assert_allclose(retrend(slow).y, 3 + 0.5 * (40 + 5 * np.arange(84)))
+    assert "resampled from 0.01 s to 0.05 s behind a low-pass filter of 81" in slow.history[-1]
+
+
+def test_nothing_above_the_new_nyquist_frequency_comes_back_as_an_alias() -> None:
+    """Below 60 % of it a sine passes within 1 %, above it 1/400 is left at most."""
+    n, factor = np.arange(6000), 5
+    nyquist = np.pi / factor
+
+    for share, low, high in (
+        (0.3, 0.99, 1.01),
+        (0.6, 0.99, 1.01),
+        (1.02, 0, 1 / 400),
+        (2.5, 0, 1 / 400),
+    ):
+        x = np.sqrt(2) * np.cos(share * nyquist * n + 0.3)
+        slow = resample(Dataset(u=x, y=x, Ts=1.0), 5.0)
+        assert low <= np.sqrt(np.mean(slow.y**2)) <= high, share
+        np.testing.assert_allclose(slow.u, slow.y, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.lists(st.integers(0, 599), max_size=3), st.integers(2, 6))
+def test_a_gap_stays_a_gap_at_the_slower_rate(holes: list[int], factor: int) -> None:
+    """A new sample is valid just where all that its filter weighs are, in each experiment."""
+    valid = np.ones(600, dtype=np.bool_)
+    valid[holes] = False
+    data = Dataset(u=np.arange(600), y=np.arange(600), Ts=1.0, valid=valid, starts=(0, 350))
+    half = 8 * factor
+
+    slow = resample(data, float(factor))
+
+    for part, old in zip(slow.experiments(), data.experiments(), strict=True):
+        centres = np.arange(half, old.N - half, factor)
+        whole = [old.valid[c - half : c + half + 1].all() for c in centres]
+        np.testing.assert_array_equal(part.valid, whole)
+        np.testing.assert_allclose(part.u, old.u[centres], atol=1e-9)
+        np.testing.assert_allclose(part.y[part.valid], old.u[centres][part.valid], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("Ts", "message"),
+    [
+        (0.015, "must be a whole multiple of the data's 0.01 s, for example 0.02 s"),
+        (0.005, "would invent samples"),
+        (-0.01, "whole multiple"),
+        (0.5, "experiment 0 has 300 samples; resampling to 0.5 s needs 801"),
+    ],
+)
+def test_a_rate_that_cannot_be_made_is_refused(Ts: float, message: str) -> None:
+    """It says which can."""
+    with pytest.raises(ValueError, match=message):
+        resample(noise_free(300), Ts)
+
+
+def test_gaps_everywhere_are_refused_before_nothing_is_left() -> None:
+    """For the filter and for the slower rate."""
+    data = noise_free(300).replaced(valid=np.arange(300) % 30 > 0, step=None)
+
+    with pytest.raises(ValueError, match="no stretch of y without a gap has 33 samples"):
+        resample(data, 0.02)
+    with pytest.raises(ValueError, match="no stretch of y without a gap is that long"):
+        prefilter(data, band=(0, 20.0))
+
+
+def test_the_same_rate_changes_nothing() -> None:
+    """Not even the history."""
+    data = noise_free(300)
+
+    assert resample(data, 0.01) is data

@@ -1,0 +1,120 @@
+"""What an input can teach is told before it is played."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.excitation import multisine, prbs, staircase, step, telegraph, white_noise
+from armrig.input_description import describe_input
+from armrig.power import power_spectrum
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+
+
+@pytest.mark.parametrize(
+    ("u", "order"),
+    [
+        (np.full(400, 2.0), 1),
+        (np.zeros(400), 0),
+        (step(400, at=37), 1),
+        (step(400, at=200), 1),
+        (step(400, at=363), 1),
+        (2 + np.cos(0.7 * np.arange(400)), 3),
+        (multisine(600, [11, 50, 77, 90], periods=3), 9),
+        (prbs(310, register=5), 31),
+        (prbs(300, register=3), 7),
+    ],
+)
+def test_the_order_of_excitation_is_the_textbook_s(u: NDArray[np.float64], order: int) -> None:
+    """A constant 1, a sine 2, a sequence of period M: M; a step moves once, and counts as none.
+
+    L. Ljung, System Identification, 2nd ed., 1999, section 13.2.
+    """
+    description = describe_input(u, 0.01)
+
+    assert description.order == order
+    assert f"persistently exciting of order {order}:" in repr(description)
+
+
+@pytest.mark.parametrize("u", [telegraph(400, 0.3), white_noise(400), prbs(400)])
+def test_what_excites_everything_is_told_as_at_least(u: NDArray[np.float64]) -> None:
+    """No order beyond what was looked for is claimed."""
+    description = describe_input(u, 0.01)
+
+    assert description.order == description.highest_order == 50
+    assert "at least 50" in repr(description)
+
+
+def test_the_weakest_direction_of_a_slow_signal_is_weaker() -> None:
+    """White noise has its variance in every direction; a telegraph's least is a/(1 - a) of it."""
+    N, a = 100_000, 0.05
+
+    white, slow = (describe_input(u, 1).weakest for u in (white_noise(N), telegraph(N, a)))
+
+    assert white == pytest.approx(1.0, abs=0.1)
+    assert slow == pytest.approx(a / (1 - a), rel=0.1)
+
+
+def test_crest_factor_mean_and_levels_are_those_of_the_signal() -> None:
+    """A two-level signal of equal shares has 1; a sine sqrt(2)."""
+    square, sine = np.tile([1.0, 3.0], 50), 2 + np.cos(2 * np.pi * np.arange(400) / 100)
+
+    d = describe_input(square, 0.01)
+
+    assert (d.mean, d.std, d.crest_factor) == (2.0, 1.0, 1.0)
+    assert dict(zip(d.levels, d.shares, strict=True)) == {1.0: 0.5, 3.0: 0.5}
+    assert describe_input(sine, 0.01).crest_factor == pytest.approx(np.sqrt(2))
+    assert np.isnan(describe_input(np.ones(40), 0.01).crest_factor)
+
+
+@pytest.mark.parametrize("u", [white_noise(500), staircase(500, 20), staircase(500, 21)])
+def test_the_shares_of_the_time_sum_to_one(u: NDArray[np.float64]) -> None:
+    """Each level has its share where there are few, ten bins where there are many."""
+    d = describe_input(u, 0.01)
+
+    assert d.shares.sum() == pytest.approx(1.0)
+    assert d.levels.size == (10 if np.unique(u).size > 20 else 20)
+    assert d.binned == (np.unique(u).size > 20)
+
+
+def test_the_area_below_the_spectrum_is_the_variance() -> None:
+    """One-sided, in rad/s."""
+    d = describe_input(white_noise(20_000, 0, 5, seed=3), 0.01)
+
+    area = float(np.sum(d.spectrum) * (d.omega[1] - d.omega[0]))
+
+    assert area == pytest.approx(25 / 12, rel=0.03)
+    assert d.omega[-1] == pytest.approx(np.pi / 0.01)
+
+
+def test_a_spectrum_leaves_out_what_it_cannot_use() -> None:
+    """A hole splits a stretch, and nothing is put into it."""
+    x = np.cos(0.5 * np.arange(4000))
+    holed = x.copy()
+    holed[[1000, 1003, 2500]] = np.nan
+
+    omega, density = power_spectrum([holed, x[:7]], 1.0)
+
+    assert omega[np.argmax(density)] == pytest.approx(0.5, abs=omega[1])
+    assert np.sum(density) * omega[1] == pytest.approx(0.5, rel=0.02)
+    with pytest.raises(ValueError, match="longest stretch without a hole has 7 samples"):
+        power_spectrum([x[:7]], 1.0)
+
+
+@pytest.mark.parametrize("u", [telegraph(3000, 0.1), np.ones(40), np.array([1.0]), white_noise(12)])
+def test_every_input_can_be_told_and_shown(u: NDArray[np.float64]) -> None:
+    """Also one that teaches nothing."""
+    d = describe_input(u, 0.01)
+
+    assert f"input of {u.size} samples at 0.01 s" in repr(d)
+    figure = d.plot()
+    figure.canvas.draw()
+    plt.close(figure)
+
+
+def test_what_is_no_input_is_refused() -> None:
+    """By the sample that is wrong."""
+    with pytest.raises(ValueError, match="u is not finite at 1"):
+        describe_input([1.0, np.nan], 0.01)
+    with pytest.raises(ValueError, match="Ts=0 must be finite"):
+        describe_input([1.0, 2.0], 0)

@@ -1,0 +1,149 @@
+"""Outliers are found where the dynamics are taken out, and never filled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, Mask, Vector, merge
+from armrig.excitation import telegraph
+from armrig.polynomial import filtered
+from armrig.preprocess import hampel
+from numpy.typing import NDArray
+
+STD = 0.01
+
+
+def clean(seed: int, N: int = 2000, *, noise: str = "of the output") -> Dataset:
+    """Return a resonant output that jumps as u does, under white noise, of it or inside."""
+    rng = np.random.default_rng(seed)
+    u = telegraph(N, 0.05, seed=rng)
+    v = STD * rng.standard_normal(N)
+    if noise == "of the equation":
+        v = filtered([1], [1, -1.5, 0.7], v)
+    return Dataset(u=u, y=filtered([0, 0.1, 0.05], [1, -1.5, 0.7], u) + v, Ts=0.01)
+
+
+def spoilt(data: Dataset, where: list[int], size: float) -> Dataset:
+    """Return the data with wrong samples, of alternating sign."""
+    y = data.y.copy()
+    y[where] += size * np.where(np.arange(len(where)) % 2 == 0, 1.0, -1.0)
+    return data.replaced(y=y, step=None)
+
+
+def marked(data: Dataset, treated: Dataset) -> list[int]:
+    """Return what is missing now and was not before."""
+    return np.flatnonzero(data.valid & ~treated.valid).tolist()
+
+
+@pytest.mark.parametrize(
+    ("noise", "seed"), [("of the output", 1), ("of the equation", 1), ("of the equation", 19)]
+)
+def test_wrong_samples_are_found_and_their_neighbours_are_not(noise: str, seed: int) -> None:
+    """Single ones, a pair and three in a row, far smaller than what y does by itself.
+
+    Noise of the equation makes a residual of every sample that remembers the wrong one. With the
+    seed 19 a right sample is marked on the way, and let go when its neighbours explain it.
+    """
+    where = [200, 700, 701, 1203, 1204, 1205, 1500]
+    data = spoilt(clean(seed, noise=noise), where, 12 * STD)
+
+    treated = hampel(data)
+
+    assert marked(data, treated) == where
+    assert np.ptp(data.y) > 20 * 12 * STD
+
+
+def test_no_value_is_changed_and_none_is_put_in() -> None:
+    """The output is as it was where it is valid, NaN where it is not."""
+    data = spoilt(clean(2), [400], 1.0)
+
+    treated = hampel(data)
+
+    assert np.isnan(treated.y[400])
+    np.testing.assert_array_equal(treated.y[treated.valid], data.y[treated.valid])
+    np.testing.assert_array_equal(treated.u, data.u)
+
+
+def test_the_history_says_what_was_marked_and_by_which_rule() -> None:
+    """For the report to print."""
+    treated = hampel(spoilt(clean(3), [400, 900], 1.0), threshold=6.0, order=12)
+
+    assert treated.history == (
+        "marked 2 of 2000 samples of y missing as outliers (samples 400, 900): beyond 6.00 robust "
+        "standard deviations in the residuals of an ARX model of order 12",
+    )
+
+
+def test_clean_data_lose_a_sample_as_seldom_as_said() -> None:
+    """One record in twenty, within four standard deviations of 200."""
+    records = [clean(seed, N=500) for seed in range(200)]
+
+    alarms = sum(bool(marked(data, hampel(data))) for data in records)
+
+    assert alarms <= 10 + 4 * np.sqrt(200 * 0.05 * 0.95), alarms
+
+
+def test_noise_that_is_no_arx_model_s_is_no_outlier_either(plant: Any) -> None:
+    """White noise on an angle leaves coloured residuals; the chance of an alarm stays 5 %."""
+    records = [plant.dataset(seed) for seed in range(100)]
+
+    alarms = sum(bool(marked(data, hampel(data))) for data in records)
+
+    assert alarms <= 5 + 4 * np.sqrt(100 * 0.05 * 0.95), alarms
+
+
+def test_the_angle_s_own_turns_are_no_outliers(plant: Any) -> None:
+    """theta_1 runs over many turns; a sample wrong by 60 mrad in it is found, past gaps too."""
+    data = plant.dataset(4)
+    valid = np.arange(3000) % 150 >= 4
+    where = [1010, 1900]
+    data = spoilt(data.replaced(valid=valid, step=None), where, 0.06)
+
+    treated = hampel(data)
+
+    assert np.ptp(data.y[data.valid]) > 6 * np.pi
+    assert marked(data, treated) == where
+    assert not treated.valid[~valid].any()
+
+
+def test_experiments_are_searched_each_by_itself() -> None:
+    """The jump of the level between them is none of theirs."""
+    first, second = clean(5), clean(6)
+    high = second.replaced(y=second.y + 3.0, step=None)
+
+    both = merge([spoilt(first, [50], 0.5), spoilt(high, [1000], 0.5)])
+
+    assert marked(both, hampel(both)) == [50, 3000]
+
+
+@pytest.mark.parametrize(
+    "y",
+    [
+        np.zeros(300),
+        np.linspace(0.0, 1.0, 300),
+        filtered([0, 0.1, 0.05], [1, -1.5, 0.7], telegraph(300, 0.02)),
+    ],
+)
+def test_rounding_errors_are_no_outliers(y: NDArray[np.float64]) -> None:
+    """Without noise the robust standard deviation is nothing but rounding."""
+    data = Dataset(u=telegraph(300, 0.02), y=y, Ts=0.01)
+
+    assert marked(data, hampel(data)) == []
+
+
+def test_what_is_no_record_with_outliers_is_refused() -> None:
+    """Too few samples, too many gaps, or another process."""
+    few = clean(0, N=40)
+    gaps: Mask = np.arange(2000) % 12 > 1
+    wild: Vector = np.random.default_rng(0).standard_cauchy(400)
+
+    with pytest.raises(ValueError, match=r"40 samples are too few.*order=20; 110 are needed"):
+        hampel(few, order=20)
+    with pytest.raises(ValueError, match="too many gaps"):
+        hampel(clean(0).replaced(valid=gaps, step=None))
+    with pytest.raises(ValueError, match=r"another process, not outliers"):
+        hampel(Dataset(u=telegraph(400, 0.2), y=wild, Ts=1), threshold=2.0)
+    with pytest.raises(ValueError, match="threshold=-1 must be > 0"):
+        hampel(clean(0), threshold=-1)
