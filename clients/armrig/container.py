@@ -95,7 +95,7 @@ class Content:
     """Attachments that a reader needs, by name."""
 
 
-def read(path: Path, streams: Collection[str] = READ, most: int = MESSAGES_LIMIT) -> Content | None:
+def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content | None:
     """Return what is in the file at `path`, or None where it is no MCAP.
 
     Parameters
@@ -103,7 +103,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = MESSAGES_LIMIT
     streams : collection of str
         Of which streams the messages are kept.
     most : int
-        Bytes of messages other than samples that are kept; more is damage.
+        Bytes of messages other than samples that are kept, 0 for `MESSAGES_LIMIT`; more is damage.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = MESSAGES_LIMIT
         source = _Source(stream, content.size)
         if source.take(len(MAGIC)) != MAGIC:
             return None
-        reader = _Reader(content, streams, most)
+        reader = _Reader(content, streams, most or MESSAGES_LIMIT)
         try:
             _read_records(source, reader)
         except DamageError as damage:
