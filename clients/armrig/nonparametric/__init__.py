@@ -1,0 +1,1 @@
+"""What data say before a structure is chosen: impulse, frequency and step responses."""

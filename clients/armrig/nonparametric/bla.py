@@ -1,0 +1,156 @@
+"""Best linear approximation: what noise does, and what nonlinearity does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.checks import require_integers
+from armrig.dataset import Dataset, merge
+from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.nonparametric.integration import settled, summation
+from armrig.nonparametric.periodicity import excited, period
+from armrig.preprocess import difference
+
+Vector = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def bla(
+    data: Dataset | Sequence[Dataset],
+    *,
+    period_length: int | None = None,
+    transient: int = 1,
+    integrator: bool | None = None,
+) -> SpectralEstimate:
+    """Estimate the best linear approximation from random-phase multisines, the robust method.
+
+    Of R realisations with P whole periods each, after `transient` periods left out ::
+
+        G_r = mean over p of Y_rp / U_r,    s²_r = var over p of Y_rp / (P |U_r|²)
+        G = mean of G_r,    var_noise(G) = mean(s²_r) / R
+        var(G) = var over r of G_r / R,    s²_nl = R (var(G) - var_noise(G)), 0 at least
+
+    The scatter between periods is noise alone; that between realisations is noise and stochastic
+    nonlinear distortion, as friction makes, which averaging over periods never removes. `std_*` are
+    of the mean with both; with one realisation of the noise only.
+
+    Parameters
+    ----------
+    data : Dataset or sequence of Dataset
+        One experiment a realisation, each with the same period and another set of phases. Periods
+        with a missing output are left out.
+    period_length : int, optional
+        Samples a period; by default found from u.
+    transient : int, default 1
+        Periods left out at the beginning of each realisation, >= 0.
+    integrator : bool, optional
+        Whether y integrates u; by default so for theta_1, with a warning for another y that
+        behaves so.
+
+    Returns
+    -------
+    SpectralEstimate
+        At the lines excited in all realisations; `nonlinear_std` is s_nl, of one realisation.
+
+    Raises
+    ------
+    ValueError
+        An input is not periodic, periods differ, or no whole period is left.
+
+    References
+    ----------
+    .. [1] R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed.,
+       2012, section 4.3.1.
+    """
+    require_integers(transient=(transient, 0))
+    joint = data if isinstance(data, Dataset) else merge(list(data))
+    integrates = settled(joint, integrator, "bla")
+    parts = list(joint.experiments())
+    P = _common_period(parts) if period_length is None else period_length
+    require_integers(period_length=(P, 2))
+    pairs = [_whole_periods(part, P, transient, integrates=integrates) for part in parts]
+    lit = np.all([excited(U) for U, _ in pairs], axis=0)
+    lit[0] = False
+    at = np.flatnonzero(lit)
+    if at.size == 0:
+        msg = "no line is excited in all realisations: use the same lines, with other phases"
+        raise ValueError(msg)
+    R = len(pairs)
+    G_r = np.array([np.mean(Y[:, at], axis=0) / U[at] for U, Y in pairs])
+    noise = _noise_variance(pairs, at) / R
+    total = np.var(G_r, axis=0, ddof=1) / R if R > 1 else noise
+    omega: Vector = 2 * np.pi * at.astype(np.float64) / (P * joint.Ts)
+    S = summation(omega, joint.Ts) if integrates else np.ones(at.size)
+    G = np.mean(G_r, axis=0)
+    std = np.sqrt(total / 2)
+    nonlinear = np.sqrt(np.maximum(R * (total - noise), 0.0)) if R > 1 else np.full(at.size, np.nan)
+    counts = [Y.shape[0] for _, Y in pairs]
+    return SpectralEstimate(
+        omega=omega,
+        G=G * S,
+        std_magnitude=std * np.abs(S),
+        std_phase=std / np.abs(G),
+        noise_only_std=np.sqrt(noise) * np.abs(S),
+        nonlinear_std=nonlinear * np.abs(S),
+        method=f"best linear approximation, {R} realisations of {min(counts)} … {max(counts)} "
+        f"periods of {P} samples",
+        integrator=integrates,
+        N=P * sum(counts),
+        Ts=joint.Ts,
+        output=joint.output,
+        unit=joint.unit,
+        input_unit=joint.input_unit,
+        source=joint.source,
+        notes=tuple(_notes(R, counts, noise, total)),
+    )
+
+
+def _common_period(parts: Sequence[Dataset]) -> int:
+    found = {period(part.u) for part in parts}
+    if len(found) > 1 or None in found:
+        shown = ", ".join(str(P or "none") for P in sorted(found, key=lambda P: P or 0))
+        msg = f"bla needs one period in all realisations, two whole periods at least; got {shown}. "
+        msg += "Repeat one multisine in each experiment, or give period_length"
+        raise ValueError(msg)
+    (P,) = found
+    return P or 0
+
+
+def _whole_periods(
+    part: Dataset, P: int, transient: int, *, integrates: bool
+) -> tuple[Complex, Complex]:
+    """Return U (lines,) and Y (periods, lines) of the periods in which every y is known."""
+    treated = difference(part) if integrates else part
+    periods = part.N // P
+    cut = slice(transient * P, periods * P)
+    y = treated.y[cut].reshape(-1, P)
+    y = y[np.isfinite(y).all(axis=1)]
+    if y.shape[0] == 0:
+        msg = f"a realisation of {part.N} samples has no whole period of {P} left after "
+        msg += f"{transient} of transient and those with a missing output: record more periods"
+        raise ValueError(msg)
+    U = np.fft.rfft(part.u[cut][:P])
+    return U, np.asarray(np.fft.rfft(y, axis=1))
+
+
+def _noise_variance(pairs: Sequence[tuple[Complex, Complex]], at: NDArray[np.int_]) -> Vector:
+    """Return the mean over realisations of the variance of G_r that is noise, NaN if unknown."""
+    variances = [
+        np.var(Y[:, at], axis=0, ddof=1) / (Y.shape[0] * np.abs(U[at]) ** 2)
+        for U, Y in pairs
+        if Y.shape[0] > 1
+    ]
+    return np.mean(variances, axis=0) if variances else np.full(at.size, np.nan)
+
+
+def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[str]:
+    if R == 1:
+        return ["one realisation: nonlinear distortion cannot be told; record others"]
+    if max(counts) < 2:
+        return ["one period each: noise and nonlinear distortion cannot be told apart"]
+    ratio = float(np.mean(total) / np.mean(noise))
+    said = "nonlinear distortion" if ratio > 2 else "hardly any nonlinear distortion"
+    return [f"variance between realisations is {ratio:.2g} times what the noise makes: {said}"]

@@ -1,0 +1,191 @@
+"""Correlation analysis: impulse response from correlations after whitening the input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.checks import require_integers
+from armrig.dataset import Dataset
+from armrig.nonparametric.integration import settled
+from armrig.nonparametric.quantile import two_sided
+from armrig.polynomial import filtered
+from armrig.preprocess import difference
+from armrig.whiteness import autoregression, joined
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Correlation:
+    """What correlation analysis says of the answer to a pulse."""
+
+    lags: NDArray[np.int_]
+    """-L … L; at a positive lag the input came first."""
+    g: Vector
+    """R_yu(lag)/R_u(0) of the whitened signals: the impulse response, in y's unit per u's."""
+    std: float
+    """Of each g if y has nothing to do with u at that lag."""
+    autocorrelation: Vector
+    """Of the whitened input at `lags`: 1 at 0, small elsewhere where whitening has worked."""
+    whitener: Vector
+    """L(q) in q^-1 that whitens u, beginning with 1."""
+    rate: bool
+    """y is the rate of an integrating output."""
+    N: int
+    """Samples used."""
+    Ts: float
+    """Sampling time, in s."""
+    output: str
+    """Name of y."""
+    unit: str
+    """Unit of y."""
+    input_unit: str
+    """Unit of u."""
+    source: str
+    """Hash of the recording, or ""."""
+
+    def band(self, level: float = 0.99) -> float:
+        """Return the half width that holds each g of lags without a relation."""
+        return two_sided(level) * self.std
+
+    def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+        """Show g and its band: see `armrig.plots.plot_correlation`."""
+        from armrig.plots.nonparametric import plot_correlation
+
+        return plot_correlation(self, level=level, ax=ax)
+
+    def __repr__(self) -> str:
+        """Say it in a few lines."""
+        band, positive = self.band(), self.lags >= 0
+        outside = self.lags[np.abs(self.g) > band]
+        first = next((int(k) for k in outside if k >= 0), None)
+        k = int(np.argmax(np.where(positive, np.abs(self.g), -1.0)))
+        before = int(np.count_nonzero(outside < 0))
+        return "\n".join(
+            [
+                f"correlation analysis of {self.output}, {self.N} samples at {self.Ts:g} s, input "
+                f"whitened by order {self.whitener.size - 1}",
+                f"  largest g {self.g[k]:.4g} at lag {self.lags[k]}; 99 % band of no relation "
+                f"±{band:.3g}",
+                f"  first lag >= 0 outside: {first}; {before} of {np.count_nonzero(~positive)} "
+                "negative lags outside (feedback, if more than chance)",
+            ]
+        )
+
+
+def correlation(
+    data: Dataset, lags: int = 20, order: int | None = None, *, integrator: bool | None = None
+) -> Correlation:
+    """Estimate the impulse response by correlating y with u after whitening u.
+
+    Both are filtered with L(q), an autoregression fitted to u, and ::
+
+        g(k) = R_yu(k) / R_u(0)
+
+    whose standard deviation where y has nothing to do with u is
+    sqrt(sum over j of R_y(j) R_u(j) / N) / R_u(0), which is sqrt(R_y(0)/(N R_u(0))) for a perfectly
+    white u. It tells whether there is a relation; for a band of g itself see `impulse_response`.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples; missing ones and several experiments are allowed.
+    lags : int, default 20
+        L, >= 1.
+    order : int, optional
+        Of the autoregression; by default by AIC. 0 leaves u as it is.
+    integrator : bool, optional
+        Whether y integrates u, which is then treated as its rate; by default so for theta_1, with
+        a warning for another y that behaves so.
+
+    Returns
+    -------
+    Correlation
+        .lags and .g (2 L + 1,), of the rate where y integrates.
+
+    Raises
+    ------
+    ValueError
+        u is constant, or there are too few samples for the lags.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.1.
+    .. [2] G. E. P. Box, G. M. Jenkins, *Time Series Analysis*, 1976, section 11.2.
+    """
+    require_integers(lags=(lags, 1))
+    if np.ptp(data.u) == 0:
+        msg = "u is constant: nothing can be correlated with it; record an input that varies"
+        raise ValueError(msg)
+    integrates = settled(data, integrator, "correlation")
+    treated = difference(data) if integrates else data
+    parts = list(treated.experiments())
+    L = _whitener([part.u - np.mean(part.u) for part in parts], order)
+    gap = max(lags, 40)
+    u = joined((_whitened(part.u, L) for part in parts), gap)
+    y = joined((_whitened(part.y, L) for part in parts), gap)
+    R_yu, pairs = _crossed(y, u, lags)
+    R_uu, _ = _crossed(u, u, gap)
+    R_yy, _ = _crossed(y, y, gap)
+    if pairs.min() < 10:
+        msg = f"lags={lags} leaves {int(pairs.min())} pairs of samples at a lag, 10 are needed: "
+        msg += "ask for fewer lags"
+        raise ValueError(msg)
+    N = int(np.count_nonzero(np.isfinite(y)))
+    # Bartlett's window keeps the sum from being negative.
+    P = float(np.sum(R_yy * R_uu * (1 - np.abs(np.arange(-gap, gap + 1)) / (gap + 1)) ** 2))
+    return Correlation(
+        lags=np.arange(-lags, lags + 1),
+        g=R_yu / R_uu[gap],
+        std=sqrt(max(P, 0.0) / N) / float(R_uu[gap]),
+        autocorrelation=R_uu[gap - lags : gap + lags + 1] / R_uu[gap],
+        whitener=L,
+        rate=integrates,
+        N=N,
+        Ts=data.Ts,
+        output=treated.output,
+        unit=treated.unit,
+        input_unit=data.input_unit,
+        source=data.source,
+    )
+
+
+def _whitener(u: list[Vector], order: int | None) -> Vector:
+    if order is None:
+        return autoregression(joined(u, 40))[0]
+    require_integers(order=(order, 0))
+    R, _ = _crossed(joined(u, order + 1), joined(u, order + 1), order)
+    R = R[order:]
+    if order == 0:
+        return np.ones(1)
+    from scipy.linalg import solve_toeplitz
+
+    return np.append(1.0, -solve_toeplitz(R[:order], R[1:]))
+
+
+def _whitened(x: Vector, L: Vector) -> Vector:
+    """Return L(q) x less its mean, NaN where its past is not known."""
+    y = filtered(L, [1.0], x - np.nanmean(x))
+    y[: L.size - 1] = np.nan
+    return y
+
+
+def _crossed(y: Vector, u: Vector, L: int) -> tuple[Vector, Vector]:
+    """Return the means of y(t + k) u(t), k = -L … L, over the pairs that are there, and them."""
+    means: list[float] = []
+    counts: list[int] = []
+    for k in range(-L, L + 1):
+        a, b = (y[k:], u[: u.size - k]) if k >= 0 else (y[:k], u[-k:])
+        product = a * b
+        there = np.isfinite(product)
+        counts.append(int(np.count_nonzero(there)))
+        means.append(float(np.sum(product[there])) / max(counts[-1], 1))
+    return np.array(means), np.array(counts, dtype=np.float64)

@@ -1,0 +1,135 @@
+"""The empirical transfer function estimate: transform of y over transform of u."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.nonparametric.integration import settled, summation
+from armrig.nonparametric.periodicity import excited, period
+from armrig.preprocess import difference
+
+Vector = NDArray[np.float64]
+
+
+def etfe(
+    data: Dataset, *, period_length: int | None = None, integrator: bool | None = None
+) -> SpectralEstimate:
+    """Return G(omega_k) = Y(omega_k)/U(omega_k) at the lines of the discrete Fourier transform.
+
+    With a periodic input (found by itself, two whole periods at least) the first period, which
+    holds the transient, is left out, the others are averaged, and only excited lines are given:
+    without noise the result is exact. From two periods on that are left, the scatter between them
+    gives the noise, of which ::
+
+        E|dG|² = s²_Y / (P |U|²),    s²_Y = variance of Y between P periods
+
+    Without a period neighbouring values are independent, each as uncertain as |noise|/|U| there,
+    however long the record: smooth with `spa`. An integrating y is treated as its rate, and the
+    result divided by 1 - q^-1.
+
+    Parameters
+    ----------
+    data : Dataset
+        One experiment. Missing outputs are allowed only where the input is periodic and each
+        instant of the period was measured once.
+    period_length : int, optional
+        P in samples; by default found from u.
+    integrator : bool, optional
+        Whether y integrates u; by default so for theta_1, with a warning for another y that
+        behaves so.
+
+    Returns
+    -------
+    SpectralEstimate
+        At rising frequencies above 0; standard deviations are NaN where they are not known.
+
+    Raises
+    ------
+    ValueError
+        Several experiments, missing outputs that nothing replaces, or a constant input.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.3.
+    """
+    if len(data.starts) > 1:
+        msg = f"etfe takes one experiment, got {len(data.starts)}: call it for each of "
+        msg += "data.experiments(), or use spa, or bla for realisations of a multisine"
+        raise ValueError(msg)
+    if np.ptp(data.u) == 0:
+        msg = "u is constant: it has no frequency to answer at; record an input that varies"
+        raise ValueError(msg)
+    integrates = settled(data, integrator, "etfe")
+    P = period(data.u) if period_length is None else period_length
+    if P is not None and not 2 <= P <= data.N // 2:
+        msg = f"period_length={P} must be 2 to {data.N // 2}, two whole periods of {data.N} samples"
+        raise ValueError(msg)
+    if P is None:
+        omega, G, variance, words = _aperiodic(data, integrates=integrates)
+    else:
+        omega, G, variance, words = _periodic(data, P, integrates=integrates)
+    S = summation(omega, data.Ts) if integrates else np.ones(omega.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        std = np.sqrt(variance / 2)
+        phase = std / np.abs(G)
+    return SpectralEstimate(
+        omega=omega,
+        G=G * S,
+        std_magnitude=std * np.abs(S),
+        std_phase=phase,
+        method=f"ETFE, {words}",
+        integrator=integrates,
+        N=data.N - data.missing,
+        Ts=data.Ts,
+        output=data.output,
+        unit=data.unit,
+        input_unit=data.input_unit,
+        source=data.source,
+    )
+
+
+Lines = tuple[Vector, NDArray[np.complex128], Vector, str]
+
+
+def _aperiodic(data: Dataset, *, integrates: bool) -> Lines:
+    if data.missing:
+        msg = f"etfe needs every output of an input without a period, {data.missing} of {data.N} "
+        msg += "are missing: use spa, or cut the longest stretch without a hole, data[a:b]"
+        raise ValueError(msg)
+    # The rate has no first sample; u keeps step with it.
+    treated = difference(data)[1:] if integrates else data
+    U = np.fft.rfft(treated.u - np.mean(treated.u))
+    Y = np.fft.rfft(treated.y - np.mean(treated.y))
+    at = np.flatnonzero(excited(U))
+    at = at[at > 0]
+    omega: Vector = 2 * np.pi * at.astype(np.float64) / (treated.N * data.Ts)
+    words = "the input has no period: not smoothed, its scatter does not fall with N"
+    return omega, Y[at] / U[at], np.full(at.size, np.nan), words
+
+
+def _periodic(data: Dataset, P: int, *, integrates: bool) -> Lines:
+    treated = difference(data) if integrates else data
+    periods = data.N // P
+    cut = slice(P, periods * P)
+    y = treated.y[cut].reshape(periods - 1, P)
+    there = np.isfinite(y)
+    if not there.any(axis=0).all():
+        holes = int(np.count_nonzero(~there.any(axis=0)))
+        msg = f"{holes} of the {P} instants of the period were never measured (the first period, "
+        msg += "a transient, does not count): record more periods, or use spa"
+        raise ValueError(msg)
+    U = np.fft.rfft(data.u[cut].reshape(periods - 1, P)[0])
+    Y = np.fft.rfft(np.nanmean(y, axis=0))
+    at = np.flatnonzero(excited(U))
+    at = at[at > 0]
+    variance = np.full(at.size, np.nan)
+    whole = there.all(axis=1)
+    if np.count_nonzero(whole) >= 2:
+        scatter = np.var(np.fft.rfft(y[whole], axis=1)[:, at], axis=0, ddof=1)
+        variance = scatter / (np.abs(U[at]) ** 2 * (periods - 1))
+    words = f"{periods - 1} periods of {P} samples after one left out as transient: exact but for "
+    omega: Vector = 2 * np.pi * at.astype(np.float64) / (P * data.Ts)
+    return omega, Y[at] / U[at], variance, f"{words}noise"

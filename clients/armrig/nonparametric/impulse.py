@@ -1,0 +1,376 @@
+"""Impulse response from any input: plain least squares, or with a prior that it dies out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.answers import StepResponse
+from armrig.checks import column, require_integers
+from armrig.dataset import Dataset
+from armrig.estimation.covariance import exogenous_score
+from armrig.least_squares import Basis, orthonormal
+from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.nonparametric.integration import settled, summation
+from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
+from armrig.nonparametric.quantile import two_sided
+from armrig.nonparametric.regression import Regression, regression
+from armrig.whiteness import WHITE_LEVEL, default_lags, joined, ljung_box
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Matrix = NDArray[np.float64]
+Vector = NDArray[np.float64]
+
+LONGEST_PLAIN, LONGEST_REGULARISED = 70, 100  # lags by default
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class ImpulseResponse:
+    """Coefficients g(k) of y(t) = sum of g(k) u(t - k), with their uncertainty."""
+
+    lags: NDArray[np.int_]
+    """-negative_lags … n - 1, in samples."""
+    g: Vector
+    """At `lags`, in y's unit per u's."""
+    covariance: Matrix
+    """Of g."""
+    rate: Vector | None
+    """For an integrating output the response of (y(t) - y(t-1))/Ts, whose running sum g is."""
+    rate_covariance: Matrix | None
+    """Of rate."""
+    kernel: str | None
+    """None, "tc", "dc" or "ss"."""
+    hyperparameters: dict[str, float]
+    """Of the prior; empty without one."""
+    noise_variance: float
+    """Of the residuals, degrees of freedom allowed for."""
+    whiteness: float
+    """p value of white residuals (Ljung-Box)."""
+    N: int
+    """Samples used."""
+    Ts: float
+    """Sampling time, in s."""
+    output: str
+    """Name of y."""
+    unit: str
+    """Unit of y."""
+    input_unit: str
+    """Unit of u."""
+    source: str
+    """Hash of the recording, or ""."""
+    warnings: tuple[str, ...]
+    """What a reader should know before trusting the numbers."""
+
+    @property
+    def std(self) -> Vector:
+        """Standard deviations of g; those of the posterior where there is a prior."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def rate_std(self) -> Vector | None:
+        """Standard deviations of the rate's response."""
+        if self.rate_covariance is None:
+            return None
+        return np.sqrt(np.maximum(np.diag(self.rate_covariance), 0.0))
+
+    @property
+    def integrator(self) -> bool:
+        """The output was taken as integrating."""
+        return self.rate is not None
+
+    @property
+    def died_out(self) -> bool:
+        """The last tenth of the response (the rate's, if y integrates) is nothing any more."""
+        g, _ = self.decaying
+        covariance = self.covariance if self.rate_covariance is None else self.rate_covariance
+        return died_out(g, covariance)
+
+    @property
+    def band_name(self) -> str:
+        """What the band is: of confidence, or of a posterior."""
+        return "confidence" if self.kernel is None else "Bayesian (credible)"
+
+    @property
+    def decaying(self) -> tuple[Vector, Vector]:
+        """The response that dies out and its standard deviations: the rate's, or g's."""
+        if self.rate is None or self.rate_std is None:
+            return self.g, self.std
+        return self.rate, self.rate_std
+
+    def band(self, level: float = 0.95) -> Vector:
+        """Return the half width of each lag's band at a level between 0 and 1."""
+        return two_sided(level) * self.std
+
+    def significant(self, level: float = 0.99) -> NDArray[np.int_]:
+        """Return the lags at which zero lies outside the band (for an integrating y the rate's)."""
+        g, std = self.decaying
+        return np.asarray(self.lags[np.abs(g) > two_sided(level) * std])
+
+    def first_lag(self, level: float = 0.99) -> int | None:
+        """Return the first lag >= 0 whose coefficient leaves its band, None where none does."""
+        found = [int(k) for k in self.significant(level) if k >= 0]
+        return found[0] if found else None
+
+    def step_response(self) -> StepResponse:
+        """Return the answer to a unit step, the running sum of g(0), g(1), …."""
+        causal = self.lags >= 0
+        g = self.g[causal]
+        S = np.tri(g.size)
+        covariance = S @ self.covariance[np.ix_(causal, causal)] @ S.T
+        return StepResponse(
+            t=self.Ts * np.arange(g.size, dtype=np.float64),
+            y=S @ g,
+            std=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+        )
+
+    def spectrum(self, omega: ArrayLike) -> SpectralEstimate:
+        """Return the transform of g at omega (n,) in rad/s, with g's uncertainty carried on."""
+        w = column("omega", np.atleast_1d(omega))
+        g, _ = self.decaying
+        covariance = self.covariance if self.rate_covariance is None else self.rate_covariance
+        turn = np.exp(-1j * np.outer(w, self.lags) * self.Ts)
+        G = turn @ g
+        along = turn * np.exp(-1j * np.angle(G))[:, None]
+        magnitude, across = (
+            np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", d, covariance, d), 0.0))
+            for d in (along.real, along.imag)
+        )
+        S = summation(w, self.Ts) if self.integrator else np.ones(w.size, dtype=np.complex128)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return SpectralEstimate(
+                omega=w,
+                G=G * S,
+                std_magnitude=magnitude * np.abs(S),
+                std_phase=across / np.abs(G),
+                method=f"transform of an impulse response ({self.kernel or 'least squares'})",
+                integrator=self.integrator,
+                N=self.N,
+                Ts=self.Ts,
+                output=self.output,
+                unit=self.unit,
+                input_unit=self.input_unit,
+                source=self.source,
+            )
+
+    def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+        """Show g with its band about zero: see `armrig.plots.plot_impulse`."""
+        from armrig.plots.nonparametric import plot_impulse
+
+        return plot_impulse(self, level=level, ax=ax)
+
+    def __repr__(self) -> str:
+        """Say it in a few lines."""
+        how = "plain least squares" if self.kernel is None else f"regularised, {self.kernel}"
+        first, last = int(self.lags[0]), int(self.lags[-1])
+        what = f"impulse response of {self.output}, lags {first} … {last}, Ts {self.Ts:g} s"
+        lines = [f"{what} ({how}; {self.N} samples)"]
+        if self.hyperparameters:
+            values = ", ".join(f"{k} {v:.4g}" for k, v in self.hyperparameters.items())
+            lines.append(f"  prior: {values}")
+        if self.integrator:
+            lines.append("  estimated as the rate's and integrated: y integrates its input")
+        g, std = self.decaying
+        k = int(np.argmax(np.abs(g)))
+        name = "rate's largest" if self.integrator else "largest"
+        lines.append(
+            f"  {name} coefficient {g[k]:.4g} ± {std[k]:.2g} at lag {self.lags[k]}; first outside "
+            f"its 99 % {self.band_name} band: lag {self.first_lag()}"
+        )
+        lines.append(f"  residuals: variance {self.noise_variance:.4g}, white p = {_p(self)}")
+        return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
+
+
+def impulse_response(
+    data: Dataset,
+    n: int | None = None,
+    kernel: Kernel | None = "tc",
+    negative_lags: int = 0,
+    *,
+    integrator: bool | None = None,
+) -> ImpulseResponse:
+    """Estimate g in y(t) = c + sum over k = -m … n-1 of g(k) u(t - k) + v(t).
+
+    Each experiment has its own level c. Only rows whose inputs were all applied within the
+    experiment, and whose y is valid, are used.
+
+    kernel=None is least squares by QR. Its band is one of confidence: the covariance is
+    W M W^T, W W^T = (Phi^T Phi)^-1, with M = Phi^T R Phi where R belongs to an autoregression
+    fitted to the residuals (order by AIC; order 0 is the classic form), so it holds for coloured
+    output noise too, as long as u does not depend on v.
+
+    With a kernel g(0), g(1), … have the Gaussian prior N(0, s P(lambda)), whose hyperparameters and
+    sigma² maximise the marginal likelihood, and g is the posterior mean. The band is then Bayesian
+    (credible): right on average over systems like the prior, not for each system, and for white v.
+    Negative lags have no prior: shrinking them would hide the feedback they are there to show.
+
+    An integrating y has a response that never dies out, so the rate's is estimated, on y as it was
+    measured: its regressors are the running sums of u, and each experiment has a ramp besides its
+    level. g is then Ts times the running sum of the rate's response.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples; missing ones and several experiments are allowed.
+    n : int, optional
+        Lags 0 … n - 1; by default a fifth of the samples, 100 at most (plain least squares: a
+        tenth, 70 at most).
+    kernel : {"tc", "dc", "ss", None}
+        Tuned/correlated, diagonal/correlated, stable spline, or plain least squares.
+    negative_lags : int, default 0
+        m; coefficients there that leave their band show feedback.
+    integrator : bool, optional
+        Whether y integrates u; by default so for theta_1, with a warning for another y that
+        behaves so.
+
+    Returns
+    -------
+    ImpulseResponse
+        .lags, .g and .std (m + n,), g in y's unit per u's and sample.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples for the lags, the kernel is unknown, or u does not excite.
+
+    Warns
+    -----
+    IntegratingOutputWarning
+        y behaves as integrating and `integrator` was not given.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2 and 6.1.
+    .. [2] T. Chen, H. Ohlsson, L. Ljung, Automatica 48 (2012) 1525-1535.
+    """
+    if kernel is not None and kernel not in KERNELS:
+        msg = f"kernel={kernel!r} must be one of {', '.join(map(repr, KERNELS))}, or None"
+        raise ValueError(msg)
+    if np.ptp(data.u) == 0:
+        msg = "u is constant: it determines no response; record an input that varies"
+        raise ValueError(msg)
+    integrates = settled(data, integrator, "impulse_response")
+    there = data.N - data.missing
+    n = _default(there, plain=kernel is None) if n is None else n
+    require_integers(n=(n, 1), negative_lags=(negative_lags, 0))
+    lags = np.arange(-negative_lags, n)
+    # A fifth more lags, left out again, stand for all that follow: running sums are so alike that
+    # the last coefficient would take the place of what comes after it.
+    spare = 1 + n // 5 if kernel is None and integrates else 0
+    asked = list(range(-negative_lags, n + spare))
+    rows = regression(data, asked, integrator=integrates)
+    flat = len(asked) if kernel is None else negative_lags
+    needed = flat + rows.nuisance + 2
+    if max(needed, 3) > rows.N:
+        msg = f"n={n} with negative_lags={negative_lags} needs at least {needed} rows with all of "
+        msg += f"their inputs known, got {rows.N} of {data.N} samples; ask for fewer lags"
+        raise ValueError(msg)
+    estimate = _plain(rows) if kernel is None else _regularised(rows, kernel, negative_lags)
+    g, covariance, variance, hyperparameters = estimate
+    p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
+    g, covariance = g[: lags.size], covariance[: lags.size, : lags.size]
+    S = data.Ts * np.tri(lags.size)
+    return ImpulseResponse(
+        lags=lags,
+        g=S @ g if integrates else g,
+        covariance=S @ covariance @ S.T if integrates else covariance,
+        rate=g if integrates else None,
+        rate_covariance=covariance if integrates else None,
+        kernel=kernel,
+        hyperparameters=hyperparameters,
+        noise_variance=variance,
+        whiteness=p,
+        N=rows.N,
+        Ts=data.Ts,
+        output=data.output,
+        unit=data.unit,
+        input_unit=data.input_unit,
+        source=data.source,
+        warnings=tuple(_warnings(g, covariance, kernel, p)),
+    )
+
+
+Estimate = tuple[Vector, Matrix, float, dict[str, float]]
+
+
+def died_out(g: Vector, covariance: Matrix) -> bool:
+    """Tell whether the mean of the last tenth is within its band, or under 2 % of the largest."""
+    tail = max(1, g.size // 10)
+    mean = np.full(tail, 1 / tail)
+    std = float(np.sqrt(max(mean @ covariance[-tail:, -tail:] @ mean, 0.0)))
+    return bool(abs(mean @ g[-tail:]) <= max(4 * std, 0.02 * float(np.max(np.abs(g)))))
+
+
+def _plain(rows: Regression) -> Estimate:
+    basis = orthonormal(np.vstack(rows.blocks))
+    d = basis.W.shape[0]
+    _require_rank(basis, d, "lags")
+    g = basis.coefficients(np.concatenate(rows.targets))
+    residuals = rows.residuals(g)
+    degrees = rows.N - d - rows.nuisance
+    sse = float(sum(np.nansum(e**2) for e in residuals))
+    bread = basis.W @ basis.W.T
+    score = exogenous_score(rows.blocks, residuals) * rows.N / degrees
+    return g, bread @ score @ bread, sse / degrees, {}
+
+
+def _regularised(rows: Regression, kernel: Kernel, m: int) -> Estimate:
+    """Return the posterior of all lags, flat for the first m, by one QR of [Phi y]."""
+    Phi, y = rows.Phi, rows.y
+    d = Phi.shape[1]
+    _require_rank(orthonormal(Phi[:, :m]), m, "negative lags")
+    M = np.hstack([Phi, y[:, None]])
+    padded = np.vstack([M, np.zeros((max(d + 1 - M.shape[0], 0), d + 1))])
+    R: Matrix = np.asarray(np.linalg.qr(padded, mode="r"))
+    posterior = Evidence(
+        kernel=kernel,
+        R=R[m:d, m:d],
+        r=R[m:d, d],
+        rest=float(R[d, d] ** 2),
+        M=rows.N - rows.nuisance - m,
+    ).posterior()
+    if m == 0:
+        found = posterior
+        return found.g, found.covariance, found.noise_variance, found.hyperparameters
+    # g_flat = R_ff^-1 (r_f - R_fp g), for each g of the posterior.
+    inverse = np.linalg.inv(R[:m, :m])
+    slope = -inverse @ R[:m, m:d]
+    flat = inverse @ R[:m, d] + slope @ posterior.g
+    own = posterior.noise_variance * inverse @ inverse.T
+    both = slope @ posterior.covariance
+    covariance = np.block([[own + both @ slope.T, both], [both.T, posterior.covariance]])
+    g = np.concatenate([flat, posterior.g])
+    return g, covariance, posterior.noise_variance, posterior.hyperparameters
+
+
+def _require_rank(basis: Basis, d: int, what: str) -> None:
+    if basis.rank < d:
+        msg = f"u determines only {basis.rank} of {d} {what}; ask for fewer, use a kernel, "
+        msg += "or excite with a richer input (telegraph, PRBS)"
+        raise ValueError(msg)
+
+
+def _default(N: int, *, plain: bool) -> int:
+    share, longest = (10, LONGEST_PLAIN) if plain else (5, LONGEST_REGULARISED)
+    return max(2, min(N // share, longest))
+
+
+def _warnings(
+    g: Vector, covariance: Matrix, kernel: Literal["tc", "dc", "ss"] | None, p: float
+) -> Iterator[str]:
+    if not died_out(g, covariance):
+        yield "the response has not died out at the last lags: ask for more lags (n)"
+    if kernel is not None and p < WHITE_LEVEL:
+        yield (
+            f"the residuals are coloured (p = {p:.2g}) and the Bayesian band assumes white noise; "
+            "kernel=None has a band for coloured noise"
+        )
+
+
+def _p(response: ImpulseResponse) -> str:
+    return "< 0.001" if response.whiteness < 1e-3 else f"{response.whiteness:.3f}"

@@ -1,0 +1,45 @@
+"""Outputs that integrate: their rate is what can be estimated without a parametric model."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.preprocess import INTEGRATING_OUTPUTS, IntegratingOutputWarning, integrating
+
+Complex = NDArray[np.complex128]
+Vector = NDArray[np.float64]
+
+
+def settled(data: Dataset, integrator: bool | None, what: str) -> bool:
+    """Tell whether the output is to be taken as integrating.
+
+    What the caller says holds. With None an output known by name to integrate (theta_1) does;
+    another one that a unit root test finds to integrate does not, but warns.
+
+    Warns
+    -----
+    IntegratingOutputWarning
+        The test finds an integrating output and nobody has said whether it is one.
+    """
+    if integrator is not None:
+        return integrator
+    if data.output in INTEGRATING_OUTPUTS:
+        return True
+    if reason := integrating(data):
+        warnings.warn(
+            f"{what}: {reason}; {what} of it assumes a response that dies out. "
+            "Say integrator=True to estimate its rate and integrate, or integrator=False",
+            IntegratingOutputWarning,
+            stacklevel=3,
+        )
+    return False
+
+
+def summation(omega: Vector, Ts: float) -> Complex:
+    """Return Ts / (1 - exp(-i omega Ts)), from the rate (y(t) - y(t-1))/Ts to y; inf at 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(omega == 0, np.inf, Ts / (1 - np.exp(-1j * omega * Ts)))

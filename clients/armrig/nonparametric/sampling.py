@@ -1,0 +1,319 @@
+"""Which sampling time a process wants (handout, 3.1.1), with reasons and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset, merge
+from armrig.nonparametric.filling import filled
+from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.nonparametric.integration import settled
+from armrig.nonparametric.spectral import spa
+from armrig.nonparametric.steps import (
+    SHARE,
+    crossing_time,
+    dead_time,
+    holds,
+    step_analysis,
+)
+from armrig.nonparametric.welch import welch
+from armrig.preprocess import difference
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Vector = NDArray[np.float64]
+
+SAMPLES_PER_PERIOD = 20  # handout 3.1.1: omega_s = 20 omega_B
+COHERENT = 0.5  # least coherence at which a frequency is believed
+LAGS = (100, 300)  # of the impulse response, the second where the first are too few
+FEWEST, MOST = 7, 10  # handout 3.1.1: samples in the transient
+NEAR_NYQUIST = 0.8  # of it: what counts as near
+ALIASING = 0.05  # share of power near Nyquist from which folding is suspected
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SamplingTime:
+    """A recommended sampling time and what it follows from."""
+
+    Ts: float
+    """Recommended, in s: one of 1, 2, 5 times a power of ten."""
+    tau: float
+    """63 % time of the step response, in s (of the rate, if y integrates)."""
+    omega_step: float
+    """omega_B = 1/tau, in rad/s."""
+    omega_first: float
+    """Frequency at which |G| first falls below 1/sqrt(2) of its low-frequency value, rad/s."""
+    omega_spectrum: float
+    """omega_B from the spectrum: where |G| is above that for the last time, in rad/s."""
+    settling: float
+    """Length of the transient: the step response stays within 5 % from then on, in s."""
+    Ts_step: float
+    """2 pi/(20 omega_B) with omega_B of the step, in s."""
+    Ts_spectrum: float
+    """2 pi/(20 omega_B) with omega_B of the spectrum, in s."""
+    Ts_transient: tuple[float, float]
+    """settling/10 and settling/7, in s."""
+    near_nyquist: float
+    """Share of the output's power (the rate's, if y integrates) above 0.8 pi/Ts in these data."""
+    beyond: float
+    """Share above pi/Ts of the recommendation; NaN where these data do not reach that far."""
+    from_step: bool
+    """The response was read from steps; else from a regularised impulse response."""
+    recorded_at: float
+    """Sampling time of the data, in s."""
+    output: str
+    """What was looked at."""
+    t: Vector
+    """Times of `response`, in s."""
+    response: Vector
+    """Step response over its final value."""
+    omega: Vector
+    """Frequencies of `power`, in rad/s."""
+    power: Vector
+    """Spectrum of the output over its largest value."""
+    spectrum: SpectralEstimate
+    """Frequency response (of the rate, if y integrates)."""
+    source: str
+    """Hash of the recording, or ""."""
+    notes: tuple[str, ...]
+    """What a reader should know."""
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Show step response and spectrum with what was read: `armrig.plots.plot_sampling_time`."""
+        from armrig.plots.nonparametric import plot_sampling_time
+
+        return plot_sampling_time(self, ax=ax)
+
+    def __repr__(self) -> str:
+        """Give the recommendation and its reasons."""
+        low, high = self.Ts_transient
+        beyond = "unknown" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"
+        how = "steps" if self.from_step else "regularised impulse response"
+        lines = [
+            f"sampling time: {1e3 * self.Ts:g} ms recommended (from {self.output} at "
+            f"{1e3 * self.recorded_at:g} ms, {how})",
+            f"  step:      tau {1e3 * self.tau:.3g} ms, omega_B = 1/tau = {self.omega_step:.3g} "
+            f"rad/s, omega_s = 20 omega_B: Ts {1e3 * self.Ts_step:.3g} ms",
+            f"  spectrum:  -3 dB first at {self.omega_first:.3g}, last at "
+            f"{self.omega_spectrum:.3g} rad/s, omega_s = 20 omega_B: Ts "
+            f"{1e3 * self.Ts_spectrum:.3g} ms",
+            f"  transient: {1e3 * self.settling:.3g} ms to within 5 %, 10 to 7 samples in it: Ts "
+            f"{1e3 * low:.3g} … {1e3 * high:.3g} ms",
+            f"  aliasing:  {100 * self.near_nyquist:.2g} % of the power above 0.8 Nyquist now, "
+            f"{beyond} above the recommendation's Nyquist",
+        ]
+        return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+
+def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingTime:
+    """Recommend a sampling time from a first recording, by the handout's rules.
+
+    omega_s = 20 omega_B gives Ts = 2 pi/(20 omega_B), with omega_B = 1/tau from the step response
+    and omega_B from the spectrum; 7 to 10 samples in the transient give Ts = settling/10 …
+    settling/7 (for a first-order system that is 0.3 to 0.43 tau, and the first rule 0.31 tau). The
+    shortest of them is recommended, to the nearest of 1, 2, 5 times a power of ten: the fast part
+    of a response that is fast first and slow after is lost otherwise, while short sampling
+    costs an output-error model nothing but computation.
+
+    omega_B of the spectrum is the frequency at which |G| is above 1/sqrt(2) of its low-frequency
+    value for the last time: a notch, as the arm's, is no end of the band. Of an integrating y
+    the rate is looked at, which has a gain and a time constant.
+
+    Parameters
+    ----------
+    data : Dataset
+        Steps, or any input that excites (telegraph); sampled faster than what it is to tell.
+        Missing samples and several experiments are allowed.
+    integrator : bool, optional
+        Whether y integrates u; by default so for theta_1, with a warning for another y that
+        behaves so.
+
+    Returns
+    -------
+    SamplingTime
+        .Ts in s; its repr gives the reasons, .plot() shows them.
+
+    Raises
+    ------
+    ValueError
+        The response never settles or cannot be estimated.
+
+    References
+    ----------
+    .. [1] The lab's handout, section 3.1.1.
+    .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.7.
+    """
+    integrates = settled(data, integrator, "sampling_time")
+    stepped = _is_stepped(data)
+    curve = _from_steps if stepped else _from_impulse
+    t, response, tau, transient = curve(data, integrates)
+    estimate = _spectrum(data, integrates=integrates, stepped=stepped)
+    first, last = _bandwidth(estimate)
+    Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
+    wanted = min(Ts_step, Ts_spectrum, transient / FEWEST)
+    Ts = nearest_125(wanted)
+    omega, power = _power(data, integrates=integrates)
+    return SamplingTime(
+        Ts=Ts,
+        tau=tau,
+        omega_step=1 / tau,
+        omega_first=first,
+        omega_spectrum=last,
+        settling=transient,
+        Ts_step=Ts_step,
+        Ts_spectrum=Ts_spectrum,
+        Ts_transient=(transient / MOST, transient / FEWEST),
+        near_nyquist=_share(omega, power, NEAR_NYQUIST * np.pi / data.Ts),
+        beyond=_share(omega, power, np.pi / Ts) if Ts >= data.Ts else float("nan"),
+        from_step=stepped,
+        recorded_at=data.Ts,
+        output=f"the rate of {data.output}" if integrates else data.output,
+        t=t,
+        response=response,
+        omega=omega,
+        spectrum=estimate,
+        power=power / power.max(),
+        source=data.source,
+        notes=tuple(
+            _notes(
+                Ts,
+                data.Ts,
+                (Ts_step, Ts_spectrum, transient / FEWEST),
+                last,
+                _share(omega, power, NEAR_NYQUIST * np.pi / data.Ts),
+            )
+        ),
+    )
+
+
+def nearest_125(x: float) -> float:
+    """Return the nearest of 1, 2, 5 times a power of ten, by ratio."""
+    decade = int(np.floor(np.log10(x)))
+    candidates = [m * 10.0**d for d in (decade, decade + 1) for m in (1, 2, 5)]
+    return float(f"{min(candidates, key=lambda c: abs(np.log(c / x))):.1g}")
+
+
+def _is_stepped(data: Dataset) -> bool:
+    """Tell whether u is made of a few long holds."""
+    counts = [len(holds(part.u)) for part in data.experiments()]
+    return max(counts) > 1 and sum(counts) * 50 <= data.N
+
+
+def _from_steps(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float]:
+    found = step_analysis(data, integrator=integrates)
+    after = (found.t > 0) & np.isfinite(found.smooth)
+    t, y = found.t[after], found.smooth[after] / found.gain
+    return t, y, found.tau, found.settling
+
+
+def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float]:
+    response = _long_enough(data, integrates)
+    g, _ = response.decaying
+    y = np.cumsum(g)
+    t: Vector = data.Ts * (np.arange(y.size, dtype=np.float64) - 0.5 * integrates)
+    gain = float(np.mean(y[-max(1, y.size // 10) :]))
+    if gain == 0:
+        msg = "the step response returns to 0: no time constant can be read from it"
+        raise ValueError(msg)
+    t, y = np.append(t[0] - data.Ts, t), np.append(0.0, y / gain)
+    crossing, _ = crossing_time(t, y, SHARE)
+    half, _ = crossing_time(t, y, 0.5)
+    dead, _ = dead_time(t, y, half, data.Ts)  # counts for neither rule
+    outside = np.flatnonzero(np.abs(y - 1) > 0.05)
+    end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
+    return t, y, crossing - dead, end - dead
+
+
+def _long_enough(data: Dataset, integrates: bool) -> ImpulseResponse:
+    """Return the regularised response with as many lags as it takes to die out."""
+    there = data.N - data.missing
+    for n in LAGS:
+        response = impulse_response(data, min(n, there // 5), integrator=integrates)
+        if response.died_out or n >= there // 5:
+            break
+    return response
+
+
+def _spectrum(data: Dataset, *, integrates: bool, stepped: bool) -> SpectralEstimate:
+    """Return the frequency response (the rate's, if y integrates).
+
+    By spectral analysis, but for steps: their power at low frequency leaks through any lag window.
+    """
+    if not stepped:
+        estimate = spa(data, "log", integrator=integrates)
+    else:
+        response = _long_enough(data, integrates)
+        omega = np.geomspace(np.pi / data.Ts / 200, np.pi / data.Ts, 200)
+        estimate = response.spectrum(omega)
+    return estimate.rate() if integrates else estimate
+
+
+def _bandwidth(estimate: SpectralEstimate) -> tuple[float, float]:
+    """Return where |G| falls below -3 dB first, and where it is surely above it for the last time.
+
+    Of the low-frequency value, the mean of the lowest tenth of the frequencies.
+    """
+    known = np.isfinite(estimate.G)
+    omega, magnitude = estimate.omega[known], estimate.magnitude[known]
+    sure = magnitude - 2 * np.nan_to_num(estimate.std_magnitude[known])
+    if estimate.coherence is not None:  # of many frequencies without u some are above by chance
+        sure = np.where(estimate.coherence[known] > COHERENT, sure, -np.inf)
+    level = float(np.mean(magnitude[: max(1, omega.size // 10)])) / np.sqrt(2)
+    below, above = np.flatnonzero(magnitude < level), np.flatnonzero(sure > level)
+    first = float(omega[below[0]]) if below.size else float(omega[-1])
+    if above.size == 0:
+        return first, first
+    i = int(above[-1])
+    beyond = below[below > i]
+    # From the last sure point on, the first that is below; in between by straight line.
+    j = int(beyond[0]) if beyond.size else omega.size - 1
+    if j == i or magnitude[j] >= level:
+        return first, float(omega[j])
+    share = (magnitude[j - 1] - level) / (magnitude[j - 1] - magnitude[j])
+    return first, float(omega[j - 1] + share * (omega[j] - omega[j - 1]))
+
+
+def _power(data: Dataset, *, integrates: bool) -> tuple[Vector, Vector]:
+    """Return frequencies and the spectrum of y (or its rate) there, by Welch's method."""
+    whole = filled(data, integrator=integrates)
+    if integrates:
+        whole = merge([difference(part)[1:] for part in whole.experiments()])
+    shortest = min(part.N for part in whole.experiments())
+    omega = np.linspace(0, np.pi / data.Ts, 257)[1:]
+    return omega, welch(whole, max(8, min(512, shortest // 2)), omega).y
+
+
+def _share(omega: Vector, power: Vector, above: float) -> float:
+    return float(np.sum(power[omega > above]) / np.sum(power))
+
+
+def _notes(
+    Ts: float, now: float, rules: tuple[float, float, float], bandwidth: float, near: float
+) -> Iterator[str]:
+    names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
+    least, most = int(np.argmin(rules)), int(np.argmax(rules))
+    yield f"the shortest comes from {names[least]}, and is taken: a longer one loses dynamics"
+    if rules[most] > 4 * rules[least]:
+        yield (
+            f"the rules differ {rules[most] / rules[least]:.2g} times: the response is fast first "
+            "and slow after, and the fast part decides"
+        )
+    if bandwidth > 0.4 * np.pi / now:
+        yield (
+            f"the band reaches {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
+            f"frequency: record at {1e3 * now / 5:.2g} ms once and ask again"
+        )
+    if near > ALIASING:
+        yield (
+            f"{100 * near:.2g} % of the power lies near Nyquist: noise or folded frequencies; "
+            "compare with a faster recording before trusting it"
+        )
+    if Ts < now:
+        yield "shorter than these data's own: what lies above their Nyquist has not been seen"

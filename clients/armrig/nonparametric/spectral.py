@@ -1,0 +1,274 @@
+"""Spectral analysis: the frequency response, what is noise, and how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.checks import column, require_integers
+from armrig.dataset import Dataset, merge
+from armrig.nonparametric.covariances import covariances
+from armrig.nonparametric.filling import filled
+from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.nonparametric.integration import settled, summation
+from armrig.nonparametric.welch import Spectra, welch
+from armrig.preprocess import difference
+
+Vector = NDArray[np.float64]
+
+LOGARITHMIC_RESOLUTION = 0.5  # width of the window at omega, as a share of omega
+FINER = 4  # times the lag window of G, for the noise
+NO_POWER = 1e-8  # share of u's largest spectrum below which G is not known
+
+
+def spa(
+    data: Dataset,
+    window: int | Literal["log"] | None = None,
+    omega: ArrayLike | None = None,
+    *,
+    method: Literal["blackman-tukey", "welch"] = "blackman-tukey",
+    delay: int = 0,
+    integrator: bool | None = None,
+) -> SpectralEstimate:
+    """Estimate the frequency response and the noise spectrum by spectral analysis.
+
+    Blackman and Tukey's, with the Hann lag window w(k) = (1 + cos(pi k/gamma))/2, |k| <= gamma ::
+
+        Phi_yu(omega) = Ts sum of w(k) R_yu(k) exp(-i omega k Ts),   Phi_u, Phi_y likewise
+        G = Phi_yu / Phi_u,     E|dG|² = Phi_v / (nu Phi_u),    nu = N / sum of w(k)²
+
+    Phi_v is (Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1) with a lag window four times as long (N/5 at
+    most), smoothed to this one's resolution, so that the variation of G within the window is not
+    taken for noise. Missing outputs are first filled with what the input explains of them; N does
+    not count them. The standard deviations are about the smoothed response, which is what an
+    estimate with this window tends to: narrow resonances are blunted over about 2 pi/(gamma Ts)
+    rad/s. Half of E|dG|² belongs to the magnitude, half to the phase, except near 0 and pi/Ts,
+    where G is real. A phase whose standard deviation exceeds 0.3 rad is known worse than it says.
+
+    An integrating y is treated as its rate, and the result divided by 1 - q^-1.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples; missing ones and several experiments are allowed (Welch: only segments
+        without a missing one are used).
+    window : int or "log", optional
+        gamma in samples, >= 2, by default N/10, 30 at most; Welch: the length of a segment, by
+        default N/8. "log": gamma falls with omega, so that the resolution is half of omega
+        (gamma from 4 to N/4).
+    omega : array_like (n,), optional
+        Frequencies in rad/s, 0 to pi/Ts; by default 128 equally spaced up to pi/Ts, or 100 on a
+        logarithmic scale with "log".
+    method : {"blackman-tukey", "welch"}
+        Welch: averaged periodograms of Hann-tapered segments that overlap by half.
+    delay : int, default 0
+        Samples by which y is advanced for the estimate, and G turned back after: a known delay
+        that is not short beside the window lowers |G| and the coherence.
+    integrator : bool, optional
+        Whether y integrates u; by default so for theta_1, with a warning for another y that
+        behaves so.
+
+    Returns
+    -------
+    SpectralEstimate
+        .G, .std_magnitude, .std_phase, .noise_spectrum, .noise_std and .coherence, (n,).
+
+    Raises
+    ------
+    ValueError
+        The window is impossible, a frequency is outside 0 to pi/Ts, or u is constant.
+
+    Warns
+    -----
+    IntegratingOutputWarning
+        y behaves as integrating and `integrator` was not given.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 6.4 and 6.5.
+    .. [2] P. D. Welch, IEEE Trans. Audio Electroacoustics 15 (1967) 70-73.
+    """
+    if method not in ("blackman-tukey", "welch"):
+        msg = f'method={method!r} must be "blackman-tukey" or "welch"'
+        raise ValueError(msg)
+    integrates = settled(data, integrator, "spa")
+    require_integers(delay=(delay, 0))
+    data = _advanced(data, delay) if delay else data
+    N = data.N - data.missing
+    if N < 8 or np.ptp(data.u) == 0:
+        what = f"only {N} samples have an output" if N < 8 else "u is constant"
+        msg = f"spa cannot see a frequency response: {what}; record an input that varies"
+        raise ValueError(msg)
+    w = _frequencies(omega, data, logarithmic=isinstance(window, str))
+    if method == "welch":
+        length = _length(window, N)
+        spectra = welch(difference(data) if integrates else data, length, w)
+        words = f"Welch, segments of {length} samples"
+    else:
+        gamma = _gamma(window, w, data.Ts, N)
+        whole = filled(data, integrator=integrates)
+        spectra = _blackman_tukey(_rate(whole) if integrates else whole, gamma, w, N)
+        size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
+        words = f"Blackman-Tukey, Hann lag window, gamma {size} samples"
+    if delay:
+        words += f", aligned by {delay} samples"
+    turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
+    return _estimate(data, w, turned, words, N, integrates=integrates)
+
+
+def _advanced(data: Dataset, delay: int) -> Dataset:
+    """Return the data with y earlier by `delay` samples."""
+    parts = [part for part in data.experiments() if delay + 1 < part.N]
+    if not parts:
+        msg = f"delay={delay} is as long as every experiment; the longest is {data.N} samples"
+        raise ValueError(msg)
+    return merge(
+        [
+            part.replaced(
+                u=part.u[: part.N - delay],
+                y=part.y[delay:],
+                valid=part.valid[delay:],
+                step=None,
+            )
+            for part in parts
+        ]
+    )
+
+
+def _rate(data: Dataset) -> Dataset:
+    """Return the rate without the first sample of each experiment, which has none."""
+    return merge([difference(part)[1:] for part in data.experiments()])
+
+
+def _frequencies(omega: ArrayLike | None, data: Dataset, *, logarithmic: bool) -> Vector:
+    nyquist = np.pi / data.Ts
+    if omega is None and logarithmic:
+        return np.geomspace(min(8 * np.pi / (data.N * data.Ts), nyquist / 10), nyquist, 100)
+    if omega is None:
+        return nyquist * np.arange(1, 129) / 128
+    w = np.sort(column("omega", np.atleast_1d(omega)))
+    if not (w[0] >= 0 and w[-1] <= nyquist * (1 + 1e-9)):
+        msg = f"omega from {w[0]:g} to {w[-1]:g} rad/s is outside 0 to {nyquist:g} rad/s (pi/Ts)"
+        raise ValueError(msg)
+    return w
+
+
+def _length(window: int | str | None, N: int) -> int:
+    if window is None:
+        return max(8, N // 8)
+    if isinstance(window, str):
+        msg = f"window={window!r} is for Blackman-Tukey; Welch takes the length of a segment"
+        raise ValueError(msg)
+    require_integers(window=(window, 4))
+    return window
+
+
+def _gamma(window: int | str | None, omega: Vector, Ts: float, N: int) -> NDArray[np.int_]:
+    if isinstance(window, str):
+        if window != "log":
+            msg = f'window={window!r} must be a number of samples, "log" or None'
+            raise ValueError(msg)
+        with np.errstate(divide="ignore"):
+            wanted = 2 * np.pi / (LOGARITHMIC_RESOLUTION * omega * Ts)
+        return np.clip(wanted, 4, max(N // 4, 4)).astype(int)
+    gamma = max(2, min(N // 10, 30)) if window is None else window
+    require_integers(window=(gamma, 2))
+    if gamma >= N:
+        msg = f"window={gamma} must be less than the {N} samples with an output; N/10 is usual"
+        raise ValueError(msg)
+    return np.full(omega.size, gamma)
+
+
+def _blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int) -> Spectra:
+    """Return the spectra of data whose missing outputs were filled, N not counting them."""
+    L = int(gamma.max())
+    R = covariances(data, L)
+    k = np.arange(-L, L + 1)
+    w = _hann(k, gamma[:, None])
+    turn = np.exp(-1j * omega[:, None] * k * data.Ts)
+    energy = np.sum(w**2, axis=1)
+    noise = _noise_covariance(data, L, min(FINER * L, max(data.N // 5, L)), N)
+    return Spectra(
+        u=data.Ts * np.real((w * turn) @ R.uu),
+        y=data.Ts * np.real((w * turn) @ R.yy),
+        yu=data.Ts * ((w * turn) @ R.yu),
+        noise=data.Ts * np.maximum(np.real((w * turn) @ noise), 0.0),
+        averages=N / energy,
+        reality=np.real(np.sum(w**2 * turn**2, axis=1)) / energy,
+    )
+
+
+def _hann(k: NDArray[np.int_], gamma: NDArray[np.int_] | int) -> Vector:
+    return np.where(np.abs(k) <= gamma, 0.5 * (1 + np.cos(np.pi * k / gamma)), 0.0)
+
+
+def _noise_covariance(data: Dataset, L: int, fine: int, N: int) -> Vector:
+    """Return R_v(k), |k| <= L, from Phi_y - |Phi_yu|²/Phi_u with the longer lag window `fine`.
+
+    With the window of G itself the variation of G inside it would be taken for noise: bands near a
+    resonance would hold 100 %.
+    """
+    R = covariances(data, fine)
+    k = np.arange(-fine, fine + 1)
+    w = _hann(k, fine)
+    size = 4 * fine
+
+    def spectrum(r: Vector) -> NDArray[np.complex128]:
+        whole = np.zeros(size)
+        whole[k] = w * r  # negative lags wrap to the end, as the transform wants them
+        return np.asarray(np.fft.fft(whole))
+
+    u = np.real(spectrum(R.uu))
+    known = u > NO_POWER * float(u.max())
+    explained = np.abs(spectrum(R.yu)) ** 2 / np.where(known, u, 1.0)
+    nu = N / float(np.sum(w**2))
+    Phi = np.maximum(np.real(spectrum(R.yy)) - np.where(known, explained, 0.0), 0.0)
+    Phi = Phi * nu / max(nu - 1, 1e-3) * data.N / N  # filled outputs carry no noise
+    return np.asarray(np.real(np.fft.ifft(Phi))[np.arange(-L, L + 1)])
+
+
+def _estimate(
+    data: Dataset, omega: Vector, s: Spectra, words: str, N: int, *, integrates: bool
+) -> SpectralEstimate:
+    floor = NO_POWER * float(np.max(s.u, initial=0.0))
+    notes = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.where(s.u > floor, s.u, np.nan)
+        G = s.yu / u
+        explained = np.abs(s.yu) ** 2 / u
+        coherence = np.clip(explained / np.where(s.y > 0, s.y, np.nan), 0.0, 1.0)
+        variance = s.noise / (s.averages * u)
+        S = summation(omega, data.Ts) if integrates else np.ones(omega.size, dtype=np.complex128)
+        relative = np.sqrt(variance) / np.abs(G)
+        std_magnitude = np.sqrt(variance * (1 + s.reality) / 2) * np.abs(S)
+        std_phase = relative * np.sqrt(np.maximum(1 - s.reality, 0.0) / 2)
+        whole = G * S
+        noise = s.noise * np.abs(S) ** 2
+    if (unknown := int(np.count_nonzero(np.isnan(G)))) > 0:
+        notes.append(f"u has no power at {unknown} of {omega.size} frequencies: G is NaN there")
+    if float(np.min(s.averages)) < 8:
+        notes.append(
+            f"only {float(np.min(s.averages)):.1f} independent averages: too few for trustworthy "
+            "bands; take a smaller window (Welch: shorter segments)"
+        )
+    return SpectralEstimate(
+        omega=omega,
+        G=whole,
+        std_magnitude=std_magnitude,
+        std_phase=std_phase,
+        noise_spectrum=noise,
+        noise_std=noise / np.sqrt(s.averages),
+        coherence=coherence,
+        method=words,
+        integrator=integrates,
+        N=N,
+        Ts=data.Ts,
+        output=data.output,
+        unit=data.unit,
+        input_unit=data.input_unit,
+        source=data.source,
+        notes=tuple(notes),
+    )

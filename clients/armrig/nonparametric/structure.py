@@ -1,0 +1,306 @@
+"""What spectrum, phase and resonances say on order, integrator and delay (handout, 3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.nonparametric.quantile import two_sided
+from armrig.nonparametric.spectral import spa
+from armrig.preprocess import INTEGRATING_OUTPUTS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+COHERENT = 0.5  # least coherence at which a frequency is believed
+PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
+HIDDEN = 0.05  # share of the largest coefficient that may hide where a delay is claimed
+DRAWS = 200  # of the impulse response's uncertainty
+LAGS = 100
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class StructureHints:
+    """Orders, integrator and delay suggested by estimates without a structure."""
+
+    integrator: bool
+    """The rate has a gain at low frequency: y integrates."""
+    low_slope: float
+    """Of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator."""
+    low_slope_std: float
+    """Its standard deviation."""
+    high_slope: float
+    """Of |G| over the last third of a decade in which u explains y, in dB a decade."""
+    relative_degree: int
+    """Poles less zeros, from the high slope; 0 where it does not fall."""
+    resonances: tuple[float, ...]
+    """Frequencies of peaks (of the rate's |G|, if y integrates), in rad/s."""
+    antiresonances: tuple[float, ...]
+    """Frequencies of dips, in rad/s."""
+    phase_delay: float
+    """Phase at the highest frequencies beyond what their slope accounts for, as a time in s."""
+    first_lag: int
+    """First lag at which u is seen to act (99 %): nk is not larger."""
+    blind: float
+    """99 % band of the coefficients before it over the largest: what may hide there."""
+    nk: int
+    """Suggested: `first_lag` where hardly anything can hide before it, else 1."""
+    singular_values: Vector
+    """Of the Hankel matrix of the response that dies out, over the largest."""
+    threshold: float
+    """What the response's uncertainty alone makes of them (95 %), over the largest."""
+    order: int
+    """Singular values above the threshold, and one for an integrator."""
+    nf: int
+    """Suggested: the largest of what the arguments ask for."""
+    nb: int
+    """Suggested: as many as poles, since sampling makes the zeros up to one less than poles."""
+    trusted: float
+    """Highest frequency at which u explains y, in rad/s."""
+    spectrum: SpectralEstimate
+    """Frequency response of y."""
+    response: ImpulseResponse
+    """Regularised impulse response."""
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Show magnitude and phase with what was read: see `armrig.plots.plot_structure`."""
+        from armrig.plots.nonparametric import plot_structure
+
+        return plot_structure(self, ax=ax)
+
+    def explain(self) -> str:
+        """Return the argument, point by point."""
+        return "\n".join(f"- {line}" for line in _reasons(self))
+
+    def __repr__(self) -> str:
+        """Say it in a few lines."""
+        first = f"oe(data, nb={self.nb}, nf={self.nf}, nk={self.nk}, integrator={self.integrator})"
+        return f"structure hints: begin with {first}\n" + "\n".join(
+            f"  {line}" for line in _reasons(self)
+        )
+
+
+def structure_hints(
+    data: Dataset,
+    *,
+    integrator: bool | None = None,
+    seed: int | np.random.Generator = 0,
+) -> StructureHints:
+    """Read order, integrator and delay off estimates that assume no structure.
+
+    - Integrator: the slope of |G| of the rate at low frequency. A rate with a gain (slope 0)
+      belongs to a y that integrates (-20 dB a decade); without an integrator the rate's slope
+      is +20 dB a decade. y itself, which drifts, is not looked at.
+    - Order: singular values of the Hankel matrix of the regularised impulse response above what
+      draws from its own uncertainty make; twice the number of resonances at least.
+    - Poles less zeros: the slope at the highest frequencies at which u explains y (coherence above
+      one half), 20 dB a decade each; sampling hides it near Nyquist.
+    - Delay: the first coefficient of the plain impulse response outside its 99 % band, and the
+      phase beyond what the roll-off accounts for.
+
+    Parameters
+    ----------
+    data : Dataset
+        Of an input that excites; missing samples and several experiments are allowed.
+    integrator : bool, optional
+        Whether y integrates; by default read from the data, theta_1 known to.
+    seed : int or numpy.random.Generator, default 0
+        For the draws.
+
+    Returns
+    -------
+    StructureHints
+        Figures, and in words by its repr or explain().
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, or u explains y at hardly any frequency.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 16.2 and 16.3.
+    .. [2] S. Y. Kung, Proc. 12th Asilomar Conf., 1978, 705-714 (Hankel singular values).
+    """
+    rate = spa(data, "log", integrator=True).rate()
+    slope, slope_std = _low_slope(rate, _believed(rate))
+    integrates = integrator
+    if integrates is None:
+        integrates = data.output in INTEGRATING_OUTPUTS or slope < 10 - 2 * slope_std
+    plain = impulse_response(data, min(30, data.N // 10), kernel=None, integrator=integrates)
+    first_lag = plain.first_lag() or 0
+    g, std = plain.decaying
+    blind = two_sided(0.99) * float(np.max(std[: max(first_lag, 1)]) / np.max(np.abs(g)))
+    nk = first_lag if first_lag < 1 or blind < HIDDEN else 1
+    spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
+    believed = _believed(spectrum)
+    response = impulse_response(data, min(LAGS, data.N // 5), integrator=integrates)
+    peaks, dips = _extremes(response, spectrum.omega[believed])
+    values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
+    order = int(np.count_nonzero(values > threshold))
+    high = _high_slope(spectrum, believed)
+    degree = max(0, round(-high / 20))
+    nf = max(order, 2 * len(peaks), 1) + integrates
+    return StructureHints(
+        integrator=integrates,
+        low_slope=slope - 20,
+        low_slope_std=slope_std,
+        high_slope=high,
+        relative_degree=degree,
+        resonances=peaks,
+        antiresonances=dips,
+        phase_delay=_phase_delay(spectrum, believed, high),
+        first_lag=first_lag,
+        blind=blind,
+        nk=nk,
+        singular_values=values,
+        threshold=threshold,
+        order=order + integrates,
+        nf=nf,
+        nb=nf,
+        trusted=float(spectrum.omega[believed][-1]),
+        spectrum=spectrum,
+        response=response,
+    )
+
+
+def _believed(estimate: SpectralEstimate) -> NDArray[np.int_]:
+    """Return the indices up to the last frequency at which u explains y, known ones only."""
+    coherence = np.nan_to_num(np.zeros(1) if estimate.coherence is None else estimate.coherence)
+    good = np.flatnonzero(coherence > COHERENT)
+    if good.size < 3:
+        msg = f"u explains y at {good.size} frequencies only (coherence above {COHERENT:g}), 3 are "
+        msg += "needed: record longer, or with a larger or richer input"
+        raise ValueError(msg)
+    known = np.flatnonzero(np.isfinite(estimate.G))
+    return np.asarray(known[(known >= good[0]) & (known <= good[-1])])
+
+
+def _slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
+    """Return the slope in dB a decade of a straight line, and its standard deviation."""
+    x, y = np.log10(omega), 20 * np.log10(magnitude)
+    x = x - x.mean()
+    slope = float(x @ y / (x @ x))
+    scatter = float(np.sum((y - y.mean() - slope * x) ** 2)) / max(x.size - 2, 1)
+    return slope, float(np.sqrt(scatter / (x @ x)))
+
+
+def _low_slope(rate: SpectralEstimate, believed: NDArray[np.int_]) -> tuple[float, float]:
+    """Return the slope over the lowest half decade."""
+    low = believed[rate.omega[believed] <= rate.omega[believed[0]] * np.sqrt(10)]
+    low = low if low.size >= 3 else believed[:3]
+    return _slope(rate.omega[low], rate.magnitude[low])
+
+
+def _high_slope(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> float:
+    """Return the slope over the last third of a decade, below 0.6 of Nyquist where possible."""
+    high = _high(spectrum, believed)
+    return _slope(spectrum.omega[high], spectrum.magnitude[high])[0]
+
+
+def _high(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Return the indices of the last third of a decade."""
+    omega = spectrum.omega[believed]
+    top = min(float(omega[-1]), 0.6 * np.pi / spectrum.Ts)
+    high = believed[(omega <= top) & (omega >= top / 10 ** (1 / 3))]
+    return high if high.size >= 3 else believed[-3:]
+
+
+def _phase_delay(spectrum: SpectralEstimate, believed: NDArray[np.int_], slope: float) -> float:
+    """Return -(arg G - 90° slope/20)/omega over the last third of a decade, in s.
+
+    A minimum-phase system's phase is 90° for each 20 dB a decade of slope, nearly so where the
+    slope changes little (H. W. Bode, *Network Analysis and Feedback Amplifier Design*, 1945).
+    """
+    high = _high(spectrum, believed)
+    expected = np.pi / 2 * slope / 20
+    excess = np.angle(spectrum.G[high] * np.exp(-1j * expected))
+    return float(-np.mean(excess / spectrum.omega[high]))
+
+
+def _extremes(
+    response: ImpulseResponse, believed: Vector
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the frequencies of peaks and dips that stand out from both sides.
+
+    From the transform of the impulse response: a lag window blunts them, the more the longer
+    the delay.
+    """
+    from scipy.signal import find_peaks
+
+    omega = np.geomspace(believed[0], believed[-1], 300)
+    shown = response.spectrum(omega)
+    shown = shown.rate() if response.integrator else shown
+    level = 20 * np.log10(shown.magnitude)
+    noise = 20 / np.log(10) * shown.std_magnitude / shown.magnitude
+    found = []
+    for x in (level, -level):
+        at, of = find_peaks(x, prominence=PROMINENT_DB)
+        found.append(tuple(float(w) for w in omega[at[of["prominences"] > 3 * noise[at]]]))
+    return found[0], found[1]
+
+
+def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
+    """Return singular values and the threshold, both over the largest, from lag nk on."""
+    g, _ = response.decaying
+    covariance = response.covariance if response.rate_covariance is None else None
+    covariance = response.rate_covariance if covariance is None else covariance
+    # The rate's backward difference is itself a state, a pole at 0 that acts on g(nk) alone.
+    h = g[nk + 1 :] if response.integrator else g[nk:]
+    m = (h.size + 1) // 2
+    index = np.add.outer(np.arange(m), np.arange(h.size - m + 1))
+    values = np.linalg.svd(h[index], compute_uv=False)
+    draws = rng.multivariate_normal(
+        np.zeros(g.size), np.asarray(covariance), size=DRAWS, method="eigh"
+    )[:, g.size - h.size :]
+    norms = np.linalg.norm(draws[:, index], ord=2, axis=(1, 2))
+    return values / values[0], float(np.quantile(norms, 0.95)) / float(values[0])
+
+
+def _reasons(h: StructureHints) -> Iterator[str]:
+    what = "the rate" if h.integrator else "y"
+    said = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
+    yield (
+        f"integrator: |G| falls {h.low_slope:.1f} ± {h.low_slope_std:.1f} dB a decade at low "
+        f"frequency (0 without one, −20 with one): {said}"
+    )
+    peaks, dips = (", ".join(f"{w:.3g}" for w in x) or "none" for x in _both(h))
+    yield (
+        f"resonances of {what} at {peaks} rad/s, antiresonances at {dips} rad/s: two poles a "
+        "resonance, two zeros an antiresonance"
+    )
+    shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
+    yield (
+        f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
+        f"{h.order - h.integrator} stand out" + (", and the integrator" if h.integrator else "")
+    )
+    yield (
+        f"roll-off: {h.high_slope:.0f} dB a decade below {h.trusted:.3g} rad/s, the last frequency "
+        f"at which u explains y: {h.relative_degree or 'no'} more pole"
+        f"{'s' * (h.relative_degree != 1)} than zeros up to there"
+    )
+    yield (
+        f"phase: beyond what the roll-off accounts for it falls like {1e3 * h.phase_delay:.3g} ms "
+        f"of delay, of which the hold's half sample is {500 * h.spectrum.Ts:.3g} ms"
+    )
+    known = f"u acts at lag {h.first_lag} at the latest (99 %)"
+    if h.first_lag > 1 and h.nk == 1:
+        hidden = f"before it {100 * h.blind:.0f} % of the largest coefficient could hide: no delay"
+        yield f"delay: {known}; {hidden} is shown"
+    else:
+        delay = "none beyond the hold's own" if h.nk <= 1 else f"{h.nk - 1} beyond the hold's own"
+        yield f"delay: {known}, samples of delay: {delay}"
+
+
+def _both(h: StructureHints) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return h.resonances, h.antiresonances

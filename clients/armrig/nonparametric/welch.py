@@ -1,0 +1,83 @@
+"""Averaged periodograms of segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+
+Vector = NDArray[np.float64]
+OVERLAP_CORRELATION = 1 / 36  # of periodograms of Hann-tapered segments that overlap by half
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Spectra:
+    """Spectra at n frequencies, in units squared times s."""
+
+    u: Vector
+    """Phi_u, (n,)."""
+    y: Vector
+    """Phi_y, (n,)."""
+    yu: NDArray[np.complex128]
+    """Phi_yu, (n,)."""
+    averages: Vector
+    """nu, (n,): independent averages of two degrees of freedom each."""
+    reality: Vector
+    """(n,): E(dG²)/E|dG|² in the direction of G; 1 at 0 and pi/Ts, 0 between."""
+    noise: Vector
+    """Phi_v, (n,)."""
+
+
+def welch(data: Dataset, length: int, omega: Vector) -> Spectra:
+    """Return the averages over Hann-tapered segments, each less its mean, overlapping by half.
+
+    Raises
+    ------
+    ValueError
+        No segment of that length is without a missing sample.
+    """
+    taper = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
+    turn = np.exp(-1j * np.outer(np.arange(length), omega) * data.Ts) * taper[:, None]
+    U, Y = _transforms(data, length, turn)
+    K = U.shape[0]
+    if K == 0:
+        msg = f"no {length} samples in a row have an output; take shorter segments (window), "
+        msg += 'or method="blackman-tukey", which needs no whole segments'
+        raise ValueError(msg)
+    scale = data.Ts / float(np.sum(taper**2))
+    energy = taper**2
+    own = energy @ np.exp(-2j * np.outer(np.arange(length), omega) * data.Ts)
+    Phi_u, Phi_y = (scale * np.mean(np.abs(X) ** 2, axis=0) for X in (U, Y))
+    Phi_yu = scale * np.mean(Y * np.conj(U), axis=0)
+    nu = K / (1 + 2 * OVERLAP_CORRELATION * (K - 1) / K)
+    return Spectra(
+        u=Phi_u,
+        y=Phi_y,
+        yu=Phi_yu,
+        averages=np.full(omega.size, nu),
+        reality=np.abs(own / np.sum(energy)) ** 2,
+        noise=np.maximum(Phi_y - np.abs(Phi_yu) ** 2 / Phi_u, 0.0) * nu / max(nu - 1, 1e-3),
+    )
+
+
+def _transforms(
+    data: Dataset, length: int, turn: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return the transforms of u and y, (segments, n)."""
+    U, Y = [], []
+    for part in data.experiments():
+        begin = 0
+        while begin + length <= part.N:
+            cut = slice(begin, begin + length)
+            if not part.valid[cut].all():
+                # Past the last hole in it.
+                begin += int(np.flatnonzero(~part.valid[cut])[-1]) + 1
+                continue
+            U.append((part.u[cut] - np.mean(part.u[cut])) @ turn)
+            Y.append((part.y[cut] - np.mean(part.y[cut])) @ turn)
+            begin += max(length // 2, 1)
+    empty = np.zeros((0, turn.shape[1]), dtype=np.complex128)
+    return (np.array(U), np.array(Y)) if U else (empty, empty)

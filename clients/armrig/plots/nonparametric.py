@@ -1,0 +1,284 @@
+"""Figures of estimates that assume no structure, and of what is read off them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.plots.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    NAMES,
+    SKY,
+    VERMILION,
+    axes,
+    finish,
+    panels,
+    sign,
+)
+from armrig.quantities import minus
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.nonparametric.correlation import Correlation
+    from armrig.nonparametric.frequency import SpectralEstimate
+    from armrig.nonparametric.impulse import ImpulseResponse
+    from armrig.nonparametric.sampling import SamplingTime
+    from armrig.nonparametric.steps import StepAnalysis
+    from armrig.nonparametric.structure import StructureHints
+
+BAND_95_PERCENT = 1.96
+
+
+def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+    """Show the impulse response with its band about zero: what leaves it is there.
+
+    Of an integrating output the rate's response is shown, and below it its running sum, with a
+    band about itself.
+    """
+    g, std = response.decaying
+    width = response.band(level)
+    scale = width / np.where(response.std > 0, response.std, 1.0)
+    if response.integrator:
+        ax, below = panels(ax, 0.42)
+        below.fill_between(
+            response.lags, response.g - width, response.g + width, color=SKY, alpha=0.4, lw=0
+        )
+        below.plot(response.lags, response.g, color=BLUE)
+        below.set_ylabel(f"$g$ of {_name(response.output)}\n[{_gain(response)}]")
+        below.set_xlabel("lag [samples]")
+    else:
+        ax, below = axes(ax), None
+        ax.set_xlabel("lag [samples]")
+    band = std * float(scale.max(initial=0.0))
+    name = f"{100 * level:g} % {response.band_name} band"
+    ax.fill_between(
+        response.lags, -band, band, step="mid", color=GREY, alpha=0.25, lw=0, label=name
+    )
+    _stems(ax, response.lags, g, VERMILION)
+    if response.lags[0] < 0:
+        ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+    rate = f"rate of {_name(response.output)}" if response.integrator else _name(response.output)
+    ax.set_ylabel(f"$g$ of {rate}\n[{_gain(response, rate=response.integrator)}]")
+    how = response.kernel.upper() if response.kernel else "least squares"
+    ax.legend(loc="best", title=how)
+    finish(*(p for p in (ax, below) if p is not None))
+    return sign(ax, response.source)
+
+
+def plot_correlation(result: Correlation, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+    """Show what correlation analysis gives, with the band of lags without a relation."""
+    ax = axes(ax)
+    band = result.band(level)
+    ax.axhspan(-band, band, color=GREY, alpha=0.25, lw=0, label=f"{100 * level:g} %, no relation")
+    _stems(ax, result.lags, result.g, VERMILION)
+    ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+    ax.set_xlabel("lag [samples], negative: y came first")
+    ax.set_ylabel(f"$R_{{yu}}/R_u(0)$, whitened [{_gain(result)}]")
+    ax.legend(loc="best")
+    finish(ax)
+    return sign(ax, result.source)
+
+
+def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes:
+    """Show magnitude, phase and, where it is known, coherence, with 95 % bands."""
+    ax, below = panels(ax, 0.36)
+    shown = (ax, below)
+    w, G = estimate.omega, estimate.G
+    known = np.isfinite(G) & (w > 0) & (np.abs(G) > 0)
+    w, magnitude = w[known], np.abs(G[known])
+    phase = np.degrees(estimate.phase[known])
+    # Unwrapped from the lowest frequency, begun between -360° and 0°.
+    phase = phase - 360 * np.ceil(phase[0] / 360) if phase.size else phase
+    lines = w.size < 200 and estimate.coherence is None
+    style: dict[str, Any] = {"marker": "o", "ms": 2.5, "lw": 0.6} if lines else {"lw": 1.1}
+    std, across = estimate.std_magnitude[known], np.degrees(estimate.std_phase[known])
+    if np.isfinite(std).any():
+        width = BAND_95_PERCENT * np.nan_to_num(std)
+        low = np.maximum(magnitude - width, 0.03 * magnitude)
+        ax.fill_between(w, low, magnitude + width, color=SKY, alpha=0.45, lw=0, label="95 %")
+        reach = np.minimum(BAND_95_PERCENT * np.nan_to_num(across), 180)
+        below.fill_between(w, phase - reach, phase + reach, color=SKY, alpha=0.45, lw=0)
+    ax.plot(w, magnitude, color=BLUE, label=estimate.method.split(",")[0], **style)
+    below.plot(w, phase, color=BLUE, **style)
+    if estimate.nonlinear_std is not None and np.isfinite(estimate.nonlinear_std).any():
+        for x, name, colour, dash in (
+            (
+                estimate.nonlinear_std[known],
+                "nonlinear distortion (one realisation)",
+                VERMILION,
+                "--",
+            ),
+            (_of(estimate.noise_only_std, known), "noise", GREEN, ":"),
+        ):
+            ax.plot(w, np.where(x > 0, x, np.nan), color=colour, ls=dash, lw=1.0, label=name)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    below.set_xscale("log")
+    if estimate.nonlinear_std is not None:
+        ax.set_ylim(top=20 * ax.get_ylim()[1])  # room for the legend
+    if phase.size:
+        ticks = 90 * np.arange(np.floor(phase.min() / 90), np.ceil(phase.max() / 90) + 1)
+        below.set_yticks(ticks[:: max(1, ticks.size // 6)])
+        below.set_ylim(phase.min() - 60, phase.max() + 60)
+    ax.set_ylabel(f"$|G|$ [{_gain(estimate)}]")
+    below.set_ylabel("arg $G$ [°]")
+    if estimate.coherence is not None:
+        other = ax.twinx()
+        other.set_axes_locator(ax.get_axes_locator())
+        other.plot(w, estimate.coherence[known], color=GREY, lw=0.8, ls="--")
+        other.set_ylim(0, 1.02)
+        other.set_ylabel("coherence (dashed)", color=GREY)
+        other.tick_params(colors=GREY)
+        other.spines["top"].set_visible(False)
+    below.set_xlabel(r"$\omega$ [rad/s]")
+    ax.legend(
+        loc="lower left" if estimate.nonlinear_std is None else "upper right", fontsize="small"
+    )
+    _plain_minor(*shown)
+    finish(*shown, xlim=(float(w[0]), float(w[-1])) if w.size > 1 else None)
+    return sign(ax, estimate.source)
+
+
+def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
+    """Show the mean answer to a unit step with final value, dead time and 63 % time."""
+    ax = axes(ax)
+    ax.plot(result.t, result.y, ".", color=GREY, ms=2.5, label="mean of the steps")
+    if result.window > 1:
+        name = f"moving average of {result.window}"
+        ax.plot(result.t, result.smooth, color=BLUE, lw=1.1, label=name)
+    ax.axhline(result.gain, color=INK, lw=0.8, ls=":", label=f"gain {result.gain:.3g}")
+    at = result.dead_time + result.tau
+    level = (1 - np.exp(-1)) * result.gain
+    if result.dead_time > 0:
+        ax.axvspan(0, result.dead_time, color=GREY, alpha=0.2, lw=0, label="dead time")
+    ax.plot([at, at], [0, level], color=VERMILION, lw=1.0, ls="--")
+    ax.plot([0, at], [level, level], color=VERMILION, lw=1.0, ls="--")
+    ax.plot(
+        at, level, "o", color=VERMILION, ms=4, label=rf"63 %: $\tau$ = {1e3 * result.tau:.3g} ms"
+    )
+    ax.set_xlabel("$t$ from the step [s]")
+    ax.set_ylabel(f"{_name(result.output)} [{_gain(result)}]")
+    ax.legend(loc="lower right")
+    end = min(float(result.t[-1]), 2.5 * max(result.settling, 2 * at))
+    finish(ax, xlim=(max(float(result.t[0]), -0.15 * end), end))
+    return sign(ax, result.source)
+
+
+def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
+    """Show the step response at the recommended instants, and the spectrum with its band."""
+    ax, below = panels(ax, 0.5, sharex=False)
+    end = 1.5 * result.settling
+    ax.plot(result.t, result.response, color=BLUE, lw=1.1, label="step response / final value")
+    grid = np.arange(0.0, min(end, float(result.t[-1])), result.Ts)
+    dots = np.interp(grid, result.t, result.response)
+    name = rf"every {1e3 * result.Ts:g} ms"
+    ax.plot(grid, dots, "o", color=VERMILION, ms=2.6, label=name)
+    ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0)
+    ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 %")
+    ax.set_xlim(0, end)
+    _within(ax, "$t$ [s]")
+    ax.legend(loc="lower center", fontsize="small")
+    s = result.spectrum
+    level = float(np.mean(s.magnitude[: max(1, s.omega.size // 10)]))
+    below.plot(s.omega, s.magnitude / level, color=BLUE, lw=1.1, label="$|G|$ / low-frequency gain")
+    below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="output's power")
+    below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":")
+    for w, name, colour, dash in (
+        (result.omega_step, r"$1/\tau$", GREEN, "-."),
+        (result.omega_spectrum, "−3 dB", VERMILION, "--"),
+        (np.pi / result.Ts, r"$\pi/T_s$ recommended", INK, "-"),
+    ):
+        below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
+    below.set_xscale("log")
+    below.set_yscale("log")
+    below.set_ylim(1e-4, 4)
+    below.set_xlabel(r"$\omega$ [rad/s]")
+    below.legend(loc="lower left", ncols=2, fontsize="small")
+    finish(ax)
+    finish(below, xlim=(float(s.omega[0]), max(float(s.omega[-1]), 1.2 * np.pi / result.Ts)))
+    return sign(ax, result.source)
+
+
+def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
+    """Show the frequency response with resonances and slopes, and Hankel singular values."""
+    ax, below = panels(ax, 0.4, sharex=False)
+    s = hints.spectrum
+    known = np.isfinite(s.G) & (s.omega > 0)
+    w, magnitude = s.omega[known], s.magnitude[known]
+    ax.plot(w, magnitude, color=BLUE, lw=1.1, label="$|G|$")
+    for slope, at, name, dash in (
+        (hints.low_slope, float(w[0]), "low", "--"),
+        (hints.high_slope, hints.trusted / 2, "high", "-."),
+    ):
+        reach = at * np.array([1.0, 4.0]) if name == "low" else at * np.array([0.6, 2.0])
+        level = float(np.interp(at, w, magnitude)) * (1.6 if name == "low" else 1.9)
+        line = level * (reach / at) ** (slope / 20)
+        ax.plot(reach, line, color=INK, ls=dash, lw=1.0, label=f"{minus(f'{slope:.0f}')} dB/decade")
+    for marks, marker, name in (
+        (hints.resonances, "^", "resonance"),
+        (hints.antiresonances, "v", "antiresonance"),
+    ):
+        x = np.asarray(marks, dtype=np.float64)
+        if x.size:
+            ax.plot(
+                x, np.interp(x, w, magnitude), marker, color=VERMILION, ms=6, ls="none", label=name
+            )
+    ax.axvspan(hints.trusted, max(float(w[-1]), hints.trusted), color=GREY, alpha=0.2, lw=0)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_ylim(0.3 * float(np.min(magnitude[w <= hints.trusted])), 4 * float(magnitude.max()))
+    _within(ax, r"$\omega$ [rad/s], grey: unexplained")
+    ax.set_ylabel(f"$|G|$ [{_gain(s)}]")
+    ax.legend(loc="lower left")
+    values = hints.singular_values[:12]
+    index = np.arange(1, values.size + 1)
+    below.bar(index, values, color=SKY, edgecolor=BLUE, lw=0.5)
+    name = "what uncertainty alone makes (95 %)"
+    below.axhline(hints.threshold, color=VERMILION, ls="--", lw=1.0, label=name)
+    below.set_yscale("log")
+    below.set_xticks(index)
+    below.set_xlabel("Hankel singular value of the response that dies out")
+    below.set_ylabel("relative")
+    below.legend(loc="upper right")
+    finish(ax, xlim=(float(w[0]), float(w[-1])))
+    finish(below)
+    return sign(ax, s.source)
+
+
+def _plain_minor(*shown: Axes) -> None:
+    """Write no number between decades."""
+    from matplotlib.ticker import NullFormatter
+
+    for ax in shown:
+        ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _within(ax: Axes, text: str) -> None:
+    """Write the label of an x axis inside, where another panel stands below."""
+    ax.text(0.995, 0.02, text, transform=ax.transAxes, ha="right", va="bottom", fontsize="small")
+
+
+def _stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
+    ax.vlines(x, 0, y, color=colour, lw=1.0)
+    ax.plot(x, y, "o", color=colour, ms=2.6)
+    ax.axhline(0, color=INK, lw=0.6)
+
+
+def _name(output: str) -> str:
+    return NAMES.get(output, output)
+
+
+def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]:
+    return np.full(int(np.count_nonzero(known)), np.nan) if x is None else np.asarray(x[known])
+
+
+def _gain(result: Any, *, rate: bool = False) -> str:
+    """Return the unit of y over that of u."""
+    unit = f"{result.unit}/s" if rate and result.unit else result.unit
+    return f"{unit or '–'}/{result.input_unit}" if result.input_unit else unit or "–"

@@ -1,0 +1,110 @@
+"""The best linear approximation tells noise from nonlinear distortion."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.nonparametric.bla import bla
+from armrig.polynomial import filtered
+from numpy.typing import NDArray
+
+P = 128
+
+
+def multisine(rng: np.random.Generator, periods: int) -> NDArray[np.float64]:
+    """Return periods of a sum of 40 cosines of random phases."""
+    k = np.arange(1, 41)
+    t = np.arange(P)
+    phase = rng.uniform(0, 2 * np.pi, k.size)
+    one = np.cos(2 * np.pi * np.outer(t, k) / P + phase).sum(axis=1)
+    return np.tile(one / np.std(one), periods)
+
+
+def realisations(
+    seed: int, *, R: int = 6, periods: int = 5, std: float = 0.2, cubic: float = 0.0
+) -> list[Dataset]:
+    """Return the answers of a second-order system behind a static nonlinearity."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for _ in range(R):
+        u = multisine(rng, periods)
+        y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u + cubic * u**3)
+        parts.append(Dataset(u=u, y=y + std * rng.standard_normal(u.size), Ts=1.0))
+    return parts
+
+
+def test_a_linear_system_has_noise_only(second: Any) -> None:
+    """The deviation said is the error made; none of it is nonlinear."""
+    found = [bla(realisations(s), integrator=False) for s in range(25)]
+    truth = second.response(found[0].omega)
+
+    error = np.mean([np.abs(f.G - truth) ** 2 for f in found])
+    said = np.mean([2 * f.std_magnitude**2 for f in found])
+    noise = np.mean([f.noise_only_std**2 for f in found])  # type: ignore[operator]
+    assert error / said == pytest.approx(1.0, abs=0.1)
+    assert error / noise == pytest.approx(1.0, abs=0.1)
+    assert "hardly any nonlinear distortion" in repr(found[0])
+
+
+def test_a_cubic_shows_between_realisations_and_not_between_periods() -> None:
+    """Averaging over more periods lowers the noise alone."""
+    few, many = (bla(realisations(1, periods=p, cubic=0.1), integrator=False) for p in (3, 41))
+
+    for found in (few, many):
+        ratio = np.mean(found.nonlinear_std**2) / np.mean(  # type: ignore[operator]
+            np.abs(found.G) ** 2
+        )
+        assert 1e-4 < ratio < 1e-1
+    assert np.mean(many.noise_only_std) < 0.4 * np.mean(few.noise_only_std)  # type: ignore[arg-type]
+    assert np.median(many.nonlinear_std) > 0.5 * np.median(  # type: ignore[arg-type]
+        few.nonlinear_std  # type: ignore[arg-type]
+    )
+    assert "what the noise makes: nonlinear distortion" in repr(many)
+
+
+def test_experiments_of_one_data_set_are_realisations() -> None:
+    """The same as a sequence of data sets; a period with a hole is left out."""
+    parts = realisations(2)
+    holed = np.ones(parts[0].N, dtype=np.bool_)
+    holed[2 * P + 5] = False
+    first = Dataset(u=parts[0].u, y=parts[0].y, Ts=1.0, valid=holed)
+
+    a, b, c = (bla(x, integrator=False) for x in (parts, merge(parts), [first, *parts[1:]]))
+
+    np.testing.assert_array_equal(a.G, b.G)
+    assert c.N == a.N - P
+    assert np.all(np.abs(c.G - a.G) < 4 * np.sqrt(2) * a.std_magnitude)
+
+
+def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
+    """Exact without noise, once the transient is over."""
+    rng = np.random.default_rng(3)
+    parts = [arm.dataset(2.5 + 0.5 * multisine(rng, 6)) for _ in range(2)]
+
+    found = bla(parts, transient=3)
+
+    np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-7)
+
+
+def test_one_realisation_cannot_tell_distortion() -> None:
+    """It says so, and gives the noise's deviation."""
+    found = bla(realisations(4, R=1), integrator=False)
+
+    assert np.isnan(found.nonlinear_std).all()  # type: ignore[call-overload]
+    assert np.isfinite(found.std_magnitude).all()
+    assert "one realisation" in repr(found)
+
+
+def test_what_is_not_periodic_is_refused(second: Any) -> None:
+    """With the way out."""
+    other = Dataset(u=np.tile(np.arange(50.0), 4), y=np.zeros(200), Ts=1.0)
+
+    with pytest.raises(ValueError, match="got none"):
+        bla(second.dataset(np.random.default_rng(5)), integrator=False)
+    with pytest.raises(ValueError, match="one period in all realisations"):
+        bla([*realisations(5, R=1), other], integrator=False)
+    with pytest.raises(ValueError, match="no whole period"):
+        bla(realisations(6, periods=2), transient=2, integrator=False)

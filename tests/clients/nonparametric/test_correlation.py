@@ -1,0 +1,78 @@
+"""Correlation analysis tells whether there is a relation, and at which lag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.nonparametric.correlation import correlation
+from armrig.polynomial import filtered
+from numpy.typing import NDArray
+
+
+def test_a_coloured_input_is_whitened(second: Any) -> None:
+    """Then correlation is the impulse response."""
+    data = second.dataset(np.random.default_rng(1), 20_000, u_pole=0.9)
+
+    found = correlation(data, integrator=False)
+
+    np.testing.assert_allclose(found.g[20:], second.g(21), atol=0.06)
+    apart = np.abs(found.lags) > 0
+    assert np.all(np.abs(found.autocorrelation[apart]) < 0.03)
+
+
+@pytest.mark.parametrize("order", [None, 0])
+def test_the_band_holds_its_share_where_there_is_no_relation(order: int | None) -> None:
+    """1 % of lags outside for coloured u and y, whitened or not."""
+    outside = []
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        u, y = (filtered([1.0], [1.0, -0.8], rng.standard_normal(800)) for _ in range(2))
+        found = correlation(Dataset(u=u, y=y, Ts=1.0), 20, order, integrator=False)
+        outside.append(np.mean(np.abs(found.g) > found.band(0.99)))
+
+    assert 0.004 < np.mean(outside) < 0.02
+
+
+def test_missing_samples_widen_the_band(second: Any) -> None:
+    """And leave the response where it was."""
+    rng = np.random.default_rng(2)
+    whole = second.dataset(rng, 10_000)
+    holed = Dataset(u=whole.u, y=whole.y, Ts=1.0, valid=rng.random(10_000) > 0.3)
+
+    a, b = (correlation(d, integrator=False) for d in (whole, holed))
+
+    assert 1.1 < b.std / a.std < 1.35
+    np.testing.assert_allclose(b.g, a.g, atol=4 * b.std)
+
+
+def test_an_angle_is_correlated_by_its_rate(arm: Any) -> None:
+    """A drift is correlated with everything."""
+    found = correlation(arm.telegraph(std=1e-3))
+
+    assert found.rate
+    assert found.output == "velocity"
+    assert np.argmax(np.abs(found.g)) == 20 + np.argmax(arm.rate(20))
+
+
+def test_the_dryer_answers_at_lag_3(reference: Callable[[str], NDArray[np.float64]]) -> None:
+    """The first lag outside the band."""
+    u, y = reference("dryer.dat").T
+
+    found = correlation(Dataset(u=u, y=y, Ts=0.08))
+
+    assert found.lags[np.abs(found.g) > found.band()][0] == 3
+    assert "first lag >= 0 outside: 3" in repr(found)
+
+
+def test_what_cannot_be_correlated_is_refused() -> None:
+    """With the way out."""
+    with pytest.raises(ValueError, match="u is constant"):
+        correlation(Dataset(u=np.ones(50), y=np.zeros(50), Ts=1.0), integrator=False)
+    with pytest.raises(ValueError, match="ask for fewer lags"):
+        correlation(
+            Dataset(u=np.arange(30.0) % 7, y=np.arange(30.0) % 5, Ts=1.0), 28, 0, integrator=False
+        )

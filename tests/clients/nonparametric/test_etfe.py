@@ -1,0 +1,114 @@
+"""The empirical transfer function estimate, exact where the input repeats itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.nonparametric.etfe import etfe
+from armrig.nonparametric.periodicity import period
+from armrig.polynomial import filtered
+from numpy.typing import NDArray
+
+P = 200
+
+
+def repeated(rng: np.random.Generator, periods: int = 5) -> NDArray[np.float64]:
+    """Return whole periods of a signal with the same power at every line."""
+    phase = rng.uniform(0, 2 * np.pi, P // 2 - 1)
+    lines = np.concatenate([[0.0], np.exp(1j * phase), [1.0]])
+    return np.tile(2.5 + 3 * np.fft.irfft(lines, P), periods)
+
+
+def noisy(seed: int, std: float, periods: int = 5) -> Dataset:
+    """Return the second-order system's answer to a periodic input."""
+    rng = np.random.default_rng(seed)
+    u = repeated(np.random.default_rng(0), periods)
+    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + std * rng.standard_normal(u.size)
+    return Dataset(u=u, y=y, Ts=1.0)
+
+
+def test_whole_periods_without_noise_give_the_exact_response(second: Any) -> None:
+    """At every line but 0, to rounding; the transient is in the period left out."""
+    found = etfe(noisy(1, 0.0), integrator=False)
+
+    np.testing.assert_allclose(found.G, second.response(found.omega), rtol=1e-9)
+    np.testing.assert_allclose(found.omega, 2 * np.pi * np.arange(1, P // 2 + 1) / P)
+    assert "periods of 200 samples" in found.method
+
+
+def test_the_arm_s_angle_is_exact_too(arm: Any) -> None:
+    """Through its rate: the drift that a mean input makes is no error.
+
+    What is left is the transient after 2 s, exp(-8.05 * 2) of what it began with.
+    """
+    u = repeated(np.random.default_rng(2))
+
+    found = etfe(arm.dataset(u))
+
+    np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-4, atol=1e-7)
+
+
+def test_the_scatter_between_periods_is_the_noise(second: Any) -> None:
+    """The deviations said are those of 150 runs."""
+    found = [etfe(noisy(s, 0.5, 6), integrator=False) for s in range(150)]
+    truth = second.response(found[0].omega)
+
+    error = np.array([f.magnitude - np.abs(truth) for f in found])[:, :-1]
+    said = np.array([f.std_magnitude for f in found])[:, :-1]
+    assert np.sqrt(np.mean(error**2) / np.mean(said**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_an_instant_missing_in_one_period_is_taken_from_the_others(second: Any) -> None:
+    """Still exact."""
+    data = noisy(1, 0.0)
+    valid = np.ones(data.N, dtype=np.bool_)
+    valid[300:340] = False
+
+    found = etfe(Dataset(u=data.u, y=data.y, Ts=1.0, valid=valid), integrator=False)
+
+    np.testing.assert_allclose(found.G, second.response(found.omega), rtol=1e-9)
+
+
+def test_without_a_period_it_says_so(second: Any) -> None:
+    """Right on average, and its uncertainty unknown."""
+    data = second.dataset(np.random.default_rng(3), 4000, std=0.1)
+
+    found = etfe(data, integrator=False)
+
+    assert "no period" in found.method
+    assert np.isnan(found.std_magnitude).all()
+    assert np.median(np.abs(found.G / second.response(found.omega) - 1)) < 0.2
+
+
+@pytest.mark.parametrize(
+    ("u", "expected"),
+    [
+        (np.tile([0.0, 1.0, 3.0], 4), 3),
+        (np.tile([0.0, 1.0], 5), 2),
+        (np.arange(10.0), None),
+        (np.ones(10), None),
+        (np.append(np.tile([0.0, 1.0, 3.0], 4), 9.0), None),
+    ],
+)
+def test_a_period_is_found_where_there_is_one(u: NDArray[np.float64], expected: int | None) -> None:
+    """The least, repeated throughout."""
+    assert period(u) == expected
+
+
+def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
+    """With the way out."""
+    data = second.dataset(np.random.default_rng(4), 300, missing=0.1)
+    periodic = noisy(1, 0.0)
+    never = np.arange(periodic.N) % P != 7
+
+    with pytest.raises(ValueError, match="use spa, or cut"):
+        etfe(data, integrator=False)
+    with pytest.raises(ValueError, match="takes one experiment, got 2"):
+        etfe(merge([periodic, periodic]), integrator=False)
+    with pytest.raises(ValueError, match="1 of the 200 instants"):
+        etfe(Dataset(u=periodic.u, y=periodic.y, Ts=1.0, valid=never), integrator=False)
+    with pytest.raises(ValueError, match="u is constant"):
+        etfe(Dataset(u=np.ones(50), y=np.zeros(50), Ts=1.0), integrator=False)

@@ -1,0 +1,91 @@
+"""The sampling time by the handout's rules, with reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.excitation import telegraph
+from armrig.nonparametric.sampling import nearest_125, sampling_time
+from armrig.polynomial import filtered
+
+
+def first_order(tau: float, Ts: float, u: Any, std: float = 0.01) -> Dataset:
+    """Return the answer of 1/(1 + tau s) with noise."""
+    a = np.exp(-Ts / tau)
+    y = filtered([0.0, 1 - a], [1.0, -a], u)
+    return Dataset(u=u, y=y + std * np.random.default_rng(1).standard_normal(u.size), Ts=Ts)
+
+
+@pytest.mark.parametrize("stepped", [False, True])
+def test_a_first_order_system_gets_what_the_rules_say(stepped: bool) -> None:
+    """0.31 tau by both bandwidths, 0.3 to 0.43 tau by the transient: 0.2 s to one digit."""
+    tau, Ts = 0.6, 0.03
+    u = (
+        np.tile(np.repeat([1.0, 4.0], 150), 6)
+        if stepped
+        else telegraph(3000, 0.05, 0.0, 5.0, seed=2)
+    )
+
+    found = sampling_time(first_order(tau, Ts, u), integrator=False)
+
+    rule = 2 * np.pi / 20 * tau
+    assert found.from_step is stepped
+    assert found.Ts_step == pytest.approx(rule, rel=0.15)
+    assert found.Ts_spectrum == pytest.approx(rule, rel=0.3)
+    assert found.Ts_transient == pytest.approx((0.3 * tau, 3 / 7 * tau), rel=0.25)
+    assert found.Ts == 0.2
+
+
+@pytest.mark.parametrize("Ts", [0.005, 0.01])
+def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
+    """From telegraph data at either rate; its fast part decides, not its notch."""
+    found = sampling_time(sampled(Ts).telegraph(N=round(30 / Ts)))
+
+    assert found.Ts == 0.005
+    assert found.omega_step == pytest.approx(48.0, rel=0.15)
+    assert found.omega_first < 15 < 55 < found.omega_spectrum < 75
+    assert "the fast part decides" in repr(found)
+
+
+def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:
+    """Holes in telegraph data, and a record of steps."""
+    data = arm.telegraph()
+    holed = data.replaced(step=None, valid=np.random.default_rng(1).random(data.N) > 0.1)
+
+    assert sampling_time(holed).Ts == 0.005
+    assert sampling_time(arm.steps()).Ts == 0.005
+
+
+def test_power_near_nyquist_is_reported() -> None:
+    """White noise on the output has a fifth of its power above 0.8 Nyquist."""
+    u = telegraph(3000, 0.05, 0.0, 5.0, seed=2)
+
+    quiet, loud = (
+        sampling_time(first_order(0.6, 0.03, u, std), integrator=False) for std in (0.001, 3.0)
+    )
+
+    assert quiet.near_nyquist < 0.01
+    assert loud.near_nyquist > 0.1
+    assert any("near Nyquist" in note for note in loud.notes)
+    assert not any("near Nyquist" in note for note in quiet.notes)
+    assert quiet.beyond < 0.05
+
+
+def test_data_too_slow_to_tell_say_so(sampled: Callable[[float], Any]) -> None:
+    """At 40 ms the arm's band reaches Nyquist."""
+    found = sampling_time(sampled(0.04).telegraph(N=1500, std=1e-3))
+
+    assert any("record at" in note for note in found.notes)
+    assert np.isnan(found.beyond)
+
+
+@pytest.mark.parametrize(
+    ("x", "expected"), [(0.0047, 0.005), (0.0031, 0.002), (0.0033, 0.005), (8.0, 10.0), (1.3, 1.0)]
+)
+def test_a_recommendation_is_a_round_number(x: float, expected: float) -> None:
+    """Of 1, 2, 5, the nearest by ratio."""
+    assert nearest_125(x) == expected

@@ -1,0 +1,171 @@
+"""Spectral analysis: response, noise, coherence, and how sure they are."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.nonparametric.spectral import spa
+
+OMEGA = np.linspace(0.3, 2.8, 12)
+
+
+@pytest.mark.parametrize(
+    ("u_pole", "v_pole", "missing", "method"),
+    [
+        (0, 0, 0, "blackman-tukey"),
+        (0.8, 0.8, 0, "blackman-tukey"),
+        (0.8, 0.8, 0.1, "blackman-tukey"),
+        (0, 0.5, 0, "welch"),
+    ],
+)
+def test_the_bands_hold_the_smoothed_expectation(
+    second: Any,
+    u_pole: float,
+    v_pole: float,
+    missing: float,
+    method: Literal["blackman-tukey", "welch"],
+) -> None:
+    """95 % of 120 runs, about what noise-free data give; see tests/benchmarks for 1000."""
+    held = np.zeros(2)
+    runs = 120 if missing == 0 else 15
+    for seed in range(runs):
+        data, clean = (
+            second.dataset(
+                np.random.default_rng(seed), u_pole=u_pole, v_pole=v_pole, missing=missing, std=s
+            )
+            for s in (0.5, 0.0)
+        )
+        window = 30 if method == "blackman-tukey" else 100
+        found, expected = (
+            spa(d, window, OMEGA, method=method, integrator=False) for d in (data, clean)
+        )
+        held += [
+            np.mean(np.abs(found.magnitude - expected.magnitude) < 1.96 * found.std_magnitude),
+            np.mean(np.abs(np.angle(found.G / expected.G)) < 1.96 * found.std_phase),
+        ]
+
+    assert np.all((held / runs > 0.92) & (held / runs < 0.985))
+
+
+def test_the_noise_spectrum_is_the_noise_s(second: Any) -> None:
+    """White noise of variance 4 at Ts 1 s has Phi_v = 4 everywhere."""
+    found = [
+        spa(second.dataset(np.random.default_rng(s), 2000, std=2.0), 30, OMEGA, integrator=False)
+        for s in range(20)
+    ]
+
+    mean = np.mean([f.noise_spectrum for f in found], axis=0)
+    scatter = np.std([f.noise_spectrum for f in found], axis=0)
+    said = np.mean([f.noise_std for f in found], axis=0)
+    np.testing.assert_allclose(mean, 4.0, rtol=0.1)
+    assert 0.7 < np.mean(scatter / said) < 1.3
+
+
+def test_coherence_is_the_share_that_the_input_explains(second: Any) -> None:
+    """|G|² Phi_u/(|G|² Phi_u + Phi_v), here with Phi_u = Phi_v = 1."""
+    found = spa(second.dataset(np.random.default_rng(1), 20_000), 60, OMEGA, integrator=False)
+
+    power = np.abs(second.response(OMEGA)) ** 2
+    np.testing.assert_allclose(found.coherence, power / (power + 1), atol=0.05)
+
+
+def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
+    """Within 5 % where the response is smooth; the drift of the angle does no harm."""
+    w = np.array([2.0, 5.0, 30.0, 50.0])
+
+    found = spa(arm.telegraph(N=6000, std=1e-3), 200, w)
+
+    assert found.integrator
+    np.testing.assert_allclose(np.abs(found.G / arm.response(w)), 1.0, atol=0.06)
+
+
+def test_logarithmic_resolution_sees_both_ends(arm: Any) -> None:
+    """One window is too wide for the low end of the arm, or too narrow for the high one."""
+    found = spa(arm.telegraph(std=1e-3), "log")
+    low, high = found.omega < 5, (found.omega > 40) & (found.omega < 100)
+
+    error = np.abs(found.G / arm.response(found.omega) - 1)
+    assert np.max(error[low]) < 0.1
+    assert np.mean(found.std_magnitude[high] / found.magnitude[high]) < 0.01
+
+
+def test_welch_and_blackman_tukey_agree(second: Any) -> None:
+    """Two roads to one response, at like resolution."""
+    data = second.dataset(np.random.default_rng(2), 8000)
+    a = spa(data, 60, OMEGA, integrator=False)
+    b = spa(data, 120, OMEGA, method="welch", integrator=False)
+
+    assert np.all(np.abs(a.G - b.G) < 5 * (a.std_magnitude + b.std_magnitude))
+
+
+def test_a_known_delay_is_aligned(second: Any) -> None:
+    """Twelve samples of a window of 20 lower the response unless y is advanced for it."""
+    data = second.dataset(np.random.default_rng(7), 8000, std=0.1)
+    late = Dataset(u=data.u[12:], y=data.y[:-12], Ts=1.0)
+
+    loose, aligned = (spa(late, 20, OMEGA, delay=d, integrator=False) for d in (0, 12))
+    prompt = spa(data, 20, OMEGA, integrator=False)
+
+    np.testing.assert_allclose(aligned.G, prompt.G * np.exp(-12j * OMEGA), rtol=0.02, atol=0.02)
+    assert np.all(loose.magnitude < 0.8 * prompt.magnitude)
+
+
+def test_missing_samples_and_several_experiments_give_the_same_response(second: Any) -> None:
+    """Within the bands, which are wider for fewer samples."""
+    rng = np.random.default_rng(3)
+    whole = second.dataset(rng, 3000, missing=0.0, std=0.3)
+    holed = Dataset(u=whole.u, y=whole.y, Ts=1.0, valid=rng.random(3000) > 0.3)
+    split = merge([whole[:1000], whole[1000:]])
+
+    a, b, c = (spa(d, 30, OMEGA, integrator=False) for d in (whole, holed, split))
+
+    assert np.all(np.abs(b.G - a.G) < 4 * b.std_magnitude)
+    assert np.all(np.abs(c.G - a.G) < 4 * a.std_magnitude)
+    assert 1.1 < np.mean(b.std_magnitude / a.std_magnitude) < 1.35  # 1/sqrt(0.7) is 1.195
+
+
+def test_python_control_gets_the_same_response(second: Any) -> None:
+    """Frequencies, values and sampling time."""
+    found = spa(second.dataset(np.random.default_rng(4)), omega=OMEGA, integrator=False)
+
+    there = found.to_control()
+
+    np.testing.assert_allclose(there.complex.ravel(), found.G)
+    np.testing.assert_allclose(there.omega, OMEGA)
+    assert there.dt == 1.0
+
+
+def test_at_zero_and_nyquist_the_response_is_real(second: Any) -> None:
+    """All of its uncertainty is in the magnitude."""
+    found = spa(second.dataset(np.random.default_rng(5)), 30, [0.0, np.pi], integrator=False)
+
+    np.testing.assert_allclose(found.G.imag, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.std_phase, 0.0, atol=1e-6)
+
+
+def test_the_rate_of_a_response_is_its_difference(arm: Any) -> None:
+    """G (1 - exp(-i omega Ts))/Ts, with its unit."""
+    found = spa(arm.telegraph(N=1000))
+
+    rate = found.rate()
+
+    np.testing.assert_allclose(rate.G, found.G * (1 - np.exp(-1j * found.omega * 0.01)) / 0.01)
+    assert (rate.output, rate.unit) == ("velocity", "rad/s")
+
+
+def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
+    """With what came, what is allowed and the way out."""
+    data = second.dataset(np.random.default_rng(6), 200)
+    holed = Dataset(u=data.u, y=data.y, Ts=1.0, valid=np.arange(200) % 10 > 0)
+
+    with pytest.raises(ValueError, match=r"outside 0 to 3\.14159"):
+        spa(data, omega=[4.0], integrator=False)
+    with pytest.raises(ValueError, match="window=500 must be less than the 200"):
+        spa(data, 500, integrator=False)
+    with pytest.raises(ValueError, match="u is constant"):
+        spa(Dataset(u=np.ones(50), y=np.zeros(50), Ts=1.0), integrator=False)
+    with pytest.raises(ValueError, match="no 50 samples in a row"):
+        spa(holed, 50, method="welch", integrator=False)

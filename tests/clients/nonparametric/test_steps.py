@@ -1,0 +1,97 @@
+"""Step analysis reads time constant, dead time and gain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.nonparametric.steps import step_analysis
+from numpy.typing import NDArray
+
+TS, TAU, GAIN = 0.01, 0.2, 3.0
+
+
+def first_order(dead: int = 0, std: float = 0.0, *, down: bool = False, seed: int = 1) -> Dataset:
+    """Return the answer of GAIN/(1 + TAU s), delayed, to a step of 2 after 1 s."""
+    N, at = 400, 100
+    u = np.where(np.arange(N) < at, 1.0, 3.0)
+    u = 4.0 - u if down else u
+    y: NDArray[np.float64] = np.full(N, GAIN * u[0])
+    a = np.exp(-TS / TAU)
+    for t in range(1, N):
+        y[t] = a * y[t - 1] + (1 - a) * GAIN * u[max(t - 1 - dead, 0)]
+    return Dataset(u=u, y=y + std * np.random.default_rng(seed).standard_normal(N), Ts=TS)
+
+
+@pytest.mark.parametrize("down", [False, True])
+def test_a_first_order_system_is_read_off(down: bool) -> None:
+    """Up or down."""
+    found = step_analysis(first_order(down=down), integrator=False)
+
+    assert found.tau == pytest.approx(TAU, rel=0.01)
+    assert found.gain == pytest.approx(GAIN, rel=1e-3)
+    assert found.dead_time == 0.0
+    assert found.bandwidth == pytest.approx(1 / TAU, rel=0.01)
+    assert found.settling == pytest.approx(3 * TAU, rel=0.05)
+    assert found.overshoot == pytest.approx(0.0, abs=1e-3)
+
+
+def test_dead_time_counts_for_itself() -> None:
+    """And not for the time constant."""
+    found = step_analysis(first_order(dead=8, std=0.05), integrator=False)
+
+    assert found.dead_time == pytest.approx(0.08, abs=0.015)
+    assert found.dead_time_interval[0] > 0
+    assert found.tau == pytest.approx(TAU, rel=0.1)
+
+
+def test_the_deviations_said_are_those_made() -> None:
+    """Of gain and time constant, in 100 runs."""
+    found = [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(100)]
+
+    gain, tau = np.array([f.gain for f in found]), np.array([f.tau for f in found])
+    assert np.mean(gain) == pytest.approx(GAIN, abs=0.03)
+    assert np.mean(tau) == pytest.approx(TAU, rel=0.1)
+    assert 0.4 < np.std(tau) / np.mean([f.tau_std for f in found]) < 1.5
+
+
+def test_the_arm_is_analysed_by_its_velocity(arm: Any) -> None:
+    """1.86 rad/s per volt; 63 % after 20 ms, in the middle of two samples."""
+    found = step_analysis(arm.steps())
+
+    assert found.rate
+    assert found.steps == 9
+    assert found.gain == pytest.approx(1.862, rel=0.01)
+    assert found.tau == pytest.approx(0.0217, abs=0.002)
+    assert found.dead_time == 0.0
+    assert "rad/s/V" in repr(found)
+
+
+def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
+    """The same system, half of the samples."""
+    parts = []
+    for seed in (1, 2):
+        d = first_order(std=0.1, seed=seed)
+        valid = np.random.default_rng(seed).random(d.N) > 0.5
+        parts.append(Dataset(u=d.u, y=d.y, Ts=TS, valid=valid))
+
+    found = step_analysis(merge(parts), integrator=False)
+
+    assert found.steps == 2
+    assert found.tau == pytest.approx(TAU, rel=0.1)
+    assert found.gain == pytest.approx(GAIN, rel=0.02)
+
+
+def test_what_has_no_step_is_refused() -> None:
+    """With the way out; a hold too short to settle warns."""
+    still = Dataset(u=np.ones(100), y=np.zeros(100), Ts=TS)
+    deaf = Dataset(u=first_order().u, y=np.random.default_rng(1).standard_normal(400), Ts=TS)
+
+    with pytest.raises(ValueError, match="u has no step"):
+        step_analysis(still, integrator=False)
+    with pytest.raises(ValueError, match="does not answer"):
+        step_analysis(deaf, integrator=False)
+    short = step_analysis(first_order()[:150], integrator=False)
+    assert any("not settled" in w for w in short.warnings)

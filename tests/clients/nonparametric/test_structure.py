@@ -1,0 +1,78 @@
+"""Hints on order, integrator and delay are the true ones where data can show them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.nonparametric.structure import structure_hints
+from armrig.polynomial import filtered
+from numpy.typing import NDArray
+
+
+@pytest.mark.parametrize("output", ["theta_1", "angle"])
+def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
+    """Four poles, one at 1; a notch near 15.7 rad/s; no delay; known by name or not."""
+    data = arm.telegraph().replaced(step=None, output=output)
+
+    found = structure_hints(data)
+
+    assert found.integrator
+    assert (found.nf, found.nb, found.nk) == (4, 4, 1)
+    assert found.low_slope == pytest.approx(-20, abs=2)
+    assert found.high_slope == pytest.approx(-40, abs=5)
+    assert any(14 < w < 17.5 for w in found.antiresonances)
+    assert "oe(data, nb=4, nf=4, nk=1, integrator=True)" in repr(found)
+    assert found.explain().startswith("- integrator: ")
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_a_resonant_system_with_a_delay(delay: int) -> None:
+    """Two poles, their resonance, no integrator, and the delay by lag and by phase."""
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(3000)
+    y = filtered([0] * (1 + delay) + [1], np.poly(0.9 * np.exp(np.array([0.5j, -0.5j]))), u)
+    data = Dataset(u=u, y=np.real(y) + 0.3 * rng.standard_normal(3000), Ts=1.0)
+
+    found = structure_hints(data)
+
+    assert not found.integrator
+    assert found.order == 2
+    assert found.nk == 1 + delay
+    assert len(found.resonances) == 1
+    assert found.resonances[0] == pytest.approx(0.5, abs=0.1)
+    assert found.trusted > 2.0  # 0.4 where y is not aligned
+
+
+def test_coefficients_too_small_to_see_are_no_delay(sampled: Callable[[float], Any]) -> None:
+    """At 5 ms g(1) may hide in its band: the hint says how much could."""
+    found = structure_hints(sampled(0.005).telegraph(N=3000))
+
+    assert found.nk == 1
+    assert found.first_lag > 1
+    assert "could hide: no delay is shown" in found.explain()
+
+
+def test_the_dryer_has_no_integrator(reference: Callable[[str], NDArray[np.float64]]) -> None:
+    """Two or three poles and a delay."""
+    u, y = reference("dryer.dat").T
+
+    found = structure_hints(Dataset(u=u, y=y, Ts=0.08))
+
+    assert not found.integrator
+    assert found.order in (2, 3)
+    assert found.nk in (2, 3)
+
+
+def test_an_input_that_explains_nothing_is_refused() -> None:
+    """With the way out."""
+    rng = np.random.default_rng(2)
+
+    with pytest.raises(ValueError, match="record longer"):
+        structure_hints(
+            Dataset(u=rng.standard_normal(2000), y=rng.standard_normal(2000), Ts=1.0),
+            integrator=False,
+        )
