@@ -17,7 +17,14 @@ from armrig.plots.canvas import (
     sign,
 )
 from armrig.plots.data import plot_data, plot_spectrum, plot_timing, plot_values
+from armrig.plots.greybox import plot_greybox, plot_split
 from armrig.plots.inputs import plot_input
+from armrig.plots.integration import (
+    plot_convergence,
+    plot_solution,
+    plot_stability_edge,
+    plot_stability_regions,
+)
 from armrig.plots.models import (
     plot_bode,
     plot_compare,
@@ -34,6 +41,7 @@ from armrig.plots.nonparametric import (
     plot_step_analysis,
     plot_structure,
 )
+from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 
 __all__ = [
     "BLUE",
@@ -47,16 +55,25 @@ __all__ = [
     "finish",
     "plot_bode",
     "plot_compare",
+    "plot_convergence",
     "plot_correlation",
     "plot_data",
     "plot_fit",
+    "plot_greybox",
     "plot_impulse",
     "plot_input",
+    "plot_physical_step",
     "plot_poles_zeros",
     "plot_residuals",
+    "plot_rig",
     "plot_sampling_time",
+    "plot_sensitivities",
+    "plot_solution",
     "plot_spectral",
     "plot_spectrum",
+    "plot_split",
+    "plot_stability_edge",
+    "plot_stability_regions",
     "plot_step",
     "plot_step_analysis",
     "plot_structure",

@@ -1,0 +1,58 @@
+"""What a caller may choose to estimate, and what to hold fixed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from armrig.dataset import Dataset
+from armrig.grey_box.model import NAMES
+from armrig.grey_box.problem import COULOMB
+
+Friction = Literal["viscous", "coulomb", "both"]
+_RECORDED = ("theta_1", "alpha", "velocity")
+
+
+def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...]:
+    """Return the free parameters, those of the friction last."""
+    if isinstance(free, str):
+        free = (free,)
+    if friction not in (None, "viscous", "coulomb", "both"):
+        msg = f'friction={friction!r} must be None, "viscous", "coulomb" or "both"'
+        raise ValueError(msg)
+    for name in free:
+        if name not in NAMES:
+            msg = f"free={name!r} is none of {', '.join(NAMES)}"
+            raise ValueError(msg)
+    names = list(free)
+    if friction in ("viscous", "both") and "b_1" not in names:
+        names.append("b_1")
+    if friction in ("coulomb", "both"):
+        names.append(COULOMB)
+    if not free or len(set(names)) < len(names):
+        msg = f"free={tuple(free)} must name at least one parameter, and none twice"
+        raise ValueError(msg)
+    return tuple(names)
+
+
+def require_output(data: Dataset, output: str) -> None:
+    """Refuse a recording's data of another output than the model's."""
+    if data.output in _RECORDED and data.output != output:
+        msg = f"the data are {data.output}, the model's output is {output}; take "
+        msg += f"recording.dataset(output={output!r})"
+        raise ValueError(msg)
+
+
+def checked_fixed_std(fixed_std: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+    """Return the standard deviations of what is held fixed, or refuse a wrong one."""
+    for name, std in fixed_std.items():
+        if name not in NAMES or name in names:
+            msg = f"fixed_std={name!r} is no parameter that is held fixed; these are "
+            msg += ", ".join(x for x in NAMES if x not in names)
+            raise ValueError(msg)
+        if not (np.isfinite(std) and std >= 0):
+            msg = f"fixed_std[{name!r}]={std!r} must be finite and >= 0"
+            raise ValueError(msg)
+    return dict(fixed_std)

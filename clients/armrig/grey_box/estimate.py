@@ -1,0 +1,207 @@
+"""The grey-box estimate: physical parameters that fit the simulated output best."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from armrig_core.arm import ArmParameters
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.estimation.levenberg_marquardt import Optimum, levenberg_marquardt
+from armrig.goodness import fit_percent
+from armrig.grey_box.choices import Friction, checked_fixed_std, free_names, require_output
+from armrig.grey_box.fit import GreyFit, below_zero
+from armrig.grey_box.model import NAMES, Model, Physics
+from armrig.grey_box.problem import COULOMB, GreyBox, GreyBoxWithFriction
+from armrig.grey_box.quantisation import quantum, too_quiet
+from armrig.grey_box.uncertainty import by_experiment, named_influence, scales, uncertainty
+from armrig.physics import chassis
+from armrig.whiteness import WHITE_LEVEL, default_lags, portmanteau
+
+Vector = NDArray[np.float64]
+
+RATE = "theta_1_rate"
+ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
+_UNSEEN = 1e-7  # share of a derivative below which the free response explains all of it
+
+
+def greybox(
+    data: Dataset,
+    model: Model = chassis,
+    free: Sequence[str] = ("J_1",),
+    fixed: ArmParameters | None = None,
+    output: str = "theta_1",
+    *,
+    fixed_std: Mapping[str, float] | None = None,
+    friction: Friction | None = None,
+) -> GreyFit:
+    """Estimate physical parameters by minimising the error of the simulated output.
+
+    The model is sampled exactly for the held input, and its derivatives with it. Initial state and
+    input offset u0 of each experiment are estimated along; missing outputs cost their own rows.
+
+    Parameters
+    ----------
+    data : Dataset
+        u in V and the output that `output` names.
+    model : callable, default `armrig.chassis`
+        `ArmParameters` -> control.StateSpace, continuous, one input; `armrig.arm` and your own too.
+    free : sequence of str, default ("J_1",)
+        Parameters to estimate, fields of `ArmParameters`; the search starts at their values in
+        `fixed`.
+    fixed : ArmParameters, optional
+        Values of all others; the handout's by default.
+    output : str, default "theta_1"
+        Label of the model's output that was measured.
+    fixed_std : mapping of str to float, optional
+        Standard deviations of parameters that are held fixed; carried into those of the estimates.
+    friction : {"viscous", "coulomb", "both"}, optional
+        Estimate the friction of the chassis too: b_1 in Nms/rad, T_c in Nm, or both. The handout
+        says that it may be neglected, which is the default, and shifts J_1 where there is any
+        (Coulomb friction only where the chassis stops: without, u0 takes it). With T_c the input
+        offset is held at 0, for on an input of one sign the two stand in for each other.
+
+    Returns
+    -------
+    GreyFit
+        `covariance` is lambda (Psi^T Psi)^-1 with the free responses marginalised, and on top what
+        `fixed_std` adds; `covariance_robust` the same with the sandwich form.
+
+    Raises
+    ------
+    ValueError
+        A name is unknown or given twice, the model lacks what is needed, there are too few
+        samples, or the data do not determine the parameters.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.3 (tailor-made models),
+       7.2 and 9.4.
+    .. [2] G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (linear parameters
+       projected out).
+    """
+    p = ArmParameters() if fixed is None else fixed
+    names = free_names(free, friction)
+    given = checked_fixed_std(fixed_std or {}, names)
+    physics = Physics(model=model, fixed=p, output=output)
+    physics.check()
+    require_output(data, output)
+    experiments = tuple(data.experiments())
+    n = len(physics.labels()[1])
+    samples = data.N - data.missing
+    needed = len(names) + (n + 1) * len(experiments) + 1
+    if samples < needed or min(part.N for part in experiments) < 2:
+        msg = f"free={names} in {len(experiments)} experiments needs at least {needed} samples, "
+        msg += f"and two in each; got {samples}"
+        raise ValueError(msg)
+    plain = GreyBox(
+        physics=physics, names=tuple(x for x in names if x != COULOMB), experiments=experiments
+    )
+    eta = plain.coordinates({name: getattr(p, name) for name in plain.names})
+    best = _search(plain, eta)
+    problem: GreyBox | GreyBoxWithFriction = plain
+    if COULOMB in names:
+        problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics))
+        best = _search(problem, problem.start(best.theta))
+    return _fit(data, problem, best, names, given)
+
+
+def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
+    # A parameter more than a factor e^12 off is no answer, and its exponential may overflow.
+    d = start.size if isinstance(problem, GreyBox) else len(problem.plain.names)
+    return levenberg_marquardt(
+        problem.linearise,
+        start,
+        admissible=lambda eta: bool(np.all(np.abs(eta - start)[:d] < 12.0)),
+    )
+
+
+def _speed(physics: Physics) -> int:
+    states = physics.labels()[1]
+    if RATE not in states:
+        msg = f"Coulomb friction needs a state {RATE!r}, the model has {states}"
+        raise ValueError(msg)
+    return states.index(RATE)
+
+
+def _fit(
+    data: Dataset,
+    problem: GreyBox | GreyBoxWithFriction,
+    best: Optimum,
+    names: tuple[str, ...],
+    fixed_std: dict[str, float],
+) -> GreyFit:
+    plain = problem if isinstance(problem, GreyBox) else problem.plain
+    at = problem.at(best.theta)
+    values = plain.values(best.theta[: len(plain.names)])
+    if COULOMB in names:
+        values[COULOMB] = float(best.theta[len(plain.names)])
+    _require_seen(names, np.linalg.norm(at.Psi, axis=0) > _UNSEEN * at.size)
+    valid_y = data.y[data.valid]
+    noisy = best.cost > ROUNDING * float(valid_y @ valid_y)
+    converged = best.converged or not noisy
+    warnings = [] if converged else [f"no convergence in {best.iterations} steps"]
+    held = tuple(x for x in NAMES if x not in names)
+    M = at.e.size
+    degrees = M - len(names) - sum(Q.shape[1] for Q in at.spans)
+    sse = best.cost
+    noise_variance = sse / degrees
+    residuals, blocks, spans = by_experiment(plain.experiments, at)
+    by_held = problem.at(best.theta, held).Psi
+    u = uncertainty(at.Psi, by_held, residuals, blocks, noise_variance, M / degrees)
+    scale_held = scales(held, {x: getattr(plain.physics.fixed, x) for x in held})
+    carried = u.influence @ np.diag([fixed_std.get(x, 0.0) for x in held] / scale_held)
+    scale = scales(names, values)
+    covariances = [
+        part * np.outer(scale, scale)
+        for part in (u.noise, u.noise + carried @ carried.T, u.robust + carried @ carried.T)
+    ]
+    noise_std, std, robust_std = (
+        dict(zip(names, np.sqrt(np.diag(c)).tolist(), strict=True)) for c in covariances
+    )
+    lags = default_lags(M)
+    white = portmanteau(residuals, blocks, spans, lags) if noisy else float("nan")
+    step = quantum(data)
+    warnings += below_zero(values, std)
+    warnings += [w for w in (too_quiet(step, noise_variance),) if w]
+    if white < WHITE_LEVEL:
+        warnings.append(
+            "the residuals are coloured: something of the rig is not in the model (friction?), or "
+            "the noise is not white; prefer std_robust"
+        )
+    return GreyFit(
+        method="output error",
+        names=names,
+        values=values,
+        std=std,
+        std_noise=noise_std,
+        std_robust=robust_std,
+        covariance=covariances[1],
+        covariance_robust=covariances[2],
+        condition=u.condition,
+        influence=named_influence(names, held, u.influence),
+        fixed=plain.physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
+        fixed_std=fixed_std,
+        initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
+        offset=tuple(float(x[-1]) for x in at.free),
+        noise_variance=noise_variance,
+        loss=sse / M,
+        fit_percent=fit_percent(valid_y, sse),
+        whiteness=white,
+        quantum=step,
+        N=M,
+        Ts=data.Ts,
+        converged=converged,
+        physics=plain.physics,
+        warnings=tuple(warnings),
+        **data.origin(),
+    )
+
+
+def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:
+    lost = [name for name, there in zip(names, seen, strict=True) if not there]
+    if lost:
+        msg = f"the data say nothing of {', '.join(lost)}: hold it fixed, or excite the rig more"
+        raise ValueError(msg)

@@ -1,0 +1,223 @@
+"""The inertia from the torque balance itself: a second estimate, which shares nothing but the data.
+
+    theta_1'' = (1/J_1) (a (u - u0) - d theta_1') - (b_1/J_1) theta_1' - (T_c/J_1) sign theta_1'
+
+with a = N K_m / R_m and d = (N K_m)² / R_m, on smoothed and decimated signals, by least squares.
+
+References
+----------
+.. [1] M. Gautier, P. Poignet, Control Engineering Practice 9 (2001) 1361-1372 (inverse dynamics
+   with zero-phase filtering and decimation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from armrig_core.arm import ArmParameters
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.estimation.covariance import exogenous_score
+from armrig.goodness import fit_percent
+from armrig.grey_box.choices import Friction, checked_fixed_std, free_names, require_output
+from armrig.grey_box.fit import GreyFit, below_zero
+from armrig.grey_box.model import SIGNED, Physics
+from armrig.grey_box.problem import COULOMB
+from armrig.grey_box.quantisation import quantum
+from armrig.grey_box.smoothing import LEAST_WIDTH, smoothed
+from armrig.least_squares import orthonormal
+from armrig.physics import chassis
+from armrig.whiteness import default_lags, joined, ljung_box
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_KEPT = 1.5  # one sample for so many standard deviations of the kernel
+_WIDTH = 1.75  # of the chassis' time constant: least mean squared error in trials at 3 mrad
+_HELD = ("N", "R_m", "K_m")
+_SLOW = 0.5  # rad/s, below which the sign of the speed is not trusted
+
+
+def inverse_dynamics(
+    data: Dataset,
+    fixed: ArmParameters | None = None,
+    *,
+    friction: Friction | None = None,
+    width: float | None = None,
+    fixed_std: Mapping[str, float] | None = None,
+) -> GreyFit:
+    """Estimate J_1 of the chassis alone from its torque balance, by linear least squares.
+
+    The acceleration, the noisiest signal, stands on the left; what noise the velocity brings to
+    the right shifts J_1 by a quarter of its standard deviation (30 s at 1 kHz, 3 mrad).
+
+    Parameters
+    ----------
+    data : Dataset
+        u in V and theta_1 in rad.
+    fixed : ArmParameters, optional
+        N, R_m and K_m; the handout's by default.
+    friction : {"viscous", "coulomb", "both"}, optional
+        As for `greybox`. With T_c the input offset is taken to be 0, and stretches in which the
+        chassis is nearly at rest are left out.
+    width : float, optional
+        Standard deviation of the smoothing kernel in s; by default 1.75 of the
+        chassis' time constants. A narrower one brings noise, a wider one loses excitation and more
+        around the dead band.
+    fixed_std : mapping of str to float, optional
+        As for `greybox`.
+
+    Returns
+    -------
+    GreyFit
+        Both standard deviations are those of the sandwich form: smoothed noise is never white.
+
+    Raises
+    ------
+    ValueError
+        An option is unknown, or too little is left after smoothing.
+    """
+    p = ArmParameters() if fixed is None else fixed
+    require_output(data, "theta_1")
+    names = free_names(("J_1",), friction)
+    given = checked_fixed_std(fixed_std or {}, names)
+    s = max(_WIDTH * p.J_1 / p.damping if width is None else width, LEAST_WIDTH * data.Ts)
+    whole = _regression(data, p, names, s)
+    kept = np.isfinite(whole.target)
+    columns = whole.X.shape[1]
+    if np.count_nonzero(kept) < 3 * columns:
+        msg = f"smoothing over {s:.3g} s leaves {np.count_nonzero(kept)} values for {columns} "
+        msg += "unknowns; give longer data, or a smaller width"
+        raise ValueError(msg)
+    basis = orthonormal(whole.X[kept])
+    if basis.rank < columns:
+        msg = "the data do not tell torque, friction and offset apart: excite the rig more"
+        raise ValueError(msg)
+    beta = basis.coefficients(whole.target[kept])
+    e = basis.without(whole.target[kept])
+    residuals, blocks = _by_experiment(whole, e, kept)
+    inflation = e.size / (e.size - columns)
+    bread = basis.W @ basis.W.T
+    score = exogenous_score(blocks, residuals) * inflation
+    values, slope = _parameters(beta, names)
+    C = slope @ (bread @ score @ bread) @ slope.T
+    # Where a fixed parameter is higher by a share d, the right side of the balance is another one.
+    moved = np.column_stack([_log_derivative(data, p, names, s, k) for k in _HELD])
+    by_held = -beta[0] * slope @ basis.W @ (basis.Q.T @ moved[kept])
+    share = np.array([given.get(k, 0.0) / getattr(p, k) for k in _HELD])
+    carried = by_held * share
+    std_noise, std = (
+        dict(zip(names, np.sqrt(np.diag(c)).tolist(), strict=True))
+        for c in (C, C + carried @ carried.T)
+    )
+    offset = 0.0 if COULOMB in names else float(-beta[-1] / beta[0] / p.torque_per_volt)
+    sse = float(e @ e)
+    return GreyFit(
+        method="inverse dynamics",
+        names=names,
+        values=values,
+        std=std,
+        std_noise=std_noise,
+        std_robust=std,
+        covariance=C + carried @ carried.T,
+        covariance_robust=C + carried @ carried.T,
+        condition=float(np.linalg.cond(whole.X[kept] / np.linalg.norm(whole.X[kept], axis=0))),
+        influence={
+            "J_1": {k: float(v) for k, v in zip(_HELD, by_held[0] / values["J_1"], strict=True)}
+        },
+        fixed=replace(
+            p, **{k: max(v, 0.0) if k in SIGNED else v for k, v in values.items() if k != COULOMB}
+        ),
+        fixed_std=given,
+        initial=(),
+        offset=(offset,) * len(data.starts),
+        noise_variance=sse / (e.size - columns),
+        loss=sse / e.size,
+        fit_percent=fit_percent(whole.target[kept], sse),
+        whiteness=ljung_box(joined(residuals, 30), default_lags(e.size)),
+        quantum=quantum(data),
+        N=int(e.size),
+        Ts=data.Ts,
+        physics=Physics(model=chassis, fixed=p, output="theta_1"),
+        warnings=tuple(below_zero(values, std)),
+        **data.origin(),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Regression:
+    """The torque balance on decimated signals of all experiments."""
+
+    target: Vector
+    """Acceleration (M,), NaN where it is not known."""
+    X: Matrix
+    """Torque, velocity and sign as far as they are free, and the offset, (M, columns)."""
+    sizes: tuple[int, ...]
+    """Rows of each experiment."""
+
+
+def _regression(data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float) -> _Regression:
+    targets, rows = [], []
+    every = max(1, int(_KEPT * s / data.Ts))
+    for part in data.experiments():
+        x = smoothed(part, s)
+        torque = p.torque_per_volt * x.u - (p.N * p.K_m) ** 2 / p.R_m * x.velocity
+        columns = [torque]
+        target = x.acceleration.copy()
+        if "b_1" in names:
+            columns.append(-x.velocity)
+        if COULOMB in names:
+            columns.append(-np.sign(x.velocity))
+            target[_near_standstill(part, s, x.reach)] = np.nan
+        else:
+            columns.append(np.ones(part.N))
+        targets.append(target[::every])
+        rows.append(np.column_stack(columns)[::every])
+    return _Regression(
+        target=np.concatenate(targets), X=np.vstack(rows), sizes=tuple(t.size for t in targets)
+    )
+
+
+def _near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
+    """Return where the kernel's window touches an instant at which the chassis may stand still."""
+    # A narrower kernel, or the short stops would be smoothed away.
+    fine = smoothed(part, max(s / 4, LEAST_WIDTH * part.Ts))
+    slow = (np.abs(fine.velocity) < _SLOW).astype(np.float64)
+    window = np.ones(2 * (reach + fine.reach) + 1)
+    return np.asarray(np.convolve(slow, window)[reach + fine.reach :][: part.N] > 0.5)
+
+
+def _log_derivative(
+    data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float, held: str
+) -> Vector:
+    """Return the derivative of the torque by the logarithm of a fixed parameter, (M,)."""
+    step = 1e-4
+    high, low = (
+        _regression(data, replace(p, **{held: getattr(p, held) * np.exp(x)}), names, s).X[:, 0]
+        for x in (step, -step)
+    )
+    return np.asarray((high - low) / (2 * step))
+
+
+def _by_experiment(
+    whole: _Regression, e: Vector, kept: NDArray[np.bool_]
+) -> tuple[list[Vector], list[Matrix]]:
+    residual = np.full(kept.size, np.nan)
+    residual[kept] = e
+    X = np.where(kept[:, None], whole.X, 0.0)
+    edges = np.cumsum(whole.sizes)[:-1]
+    return list(np.split(residual, edges)), list(np.split(X, edges))
+
+
+def _parameters(beta: Vector, names: tuple[str, ...]) -> tuple[dict[str, float], Matrix]:
+    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, with their derivatives by beta."""
+    values = {"J_1": float(1 / beta[0])}
+    slope = np.zeros((len(names), beta.size))
+    slope[0, 0] = -1 / beta[0] ** 2
+    for i, name in enumerate(names[1:], start=1):
+        values[name] = float(beta[i] / beta[0])
+        slope[i, 0], slope[i, i] = -beta[i] / beta[0] ** 2, 1 / beta[0]
+    return values, slope

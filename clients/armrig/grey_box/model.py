@@ -1,0 +1,147 @@
+"""A physical model sampled exactly, with its derivatives by the physical parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from armrig_core.arm import ArmParameters
+from numpy.typing import NDArray
+from scipy.linalg import expm, expm_frechet
+
+if TYPE_CHECKING:
+    import control
+
+Matrix = NDArray[np.float64]
+Model = Callable[[ArmParameters], "control.StateSpace"]
+
+NAMES = tuple(f.name for f in fields(ArmParameters))
+SIGNED = frozenset({"b_1"})
+"""Parameters that may be 0: estimated as they are, not as logarithms."""
+_STEP = 1e-3  # of a logarithm; the fourth-order difference is then good to some 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampled:
+    """x(k+1) = Phi x(k) + Gamma u(k), y(k) = C x(k) + D u(k), and derivatives by d coordinates."""
+
+    Phi: Matrix
+    """(n, n)."""
+    Gamma: Matrix
+    """(n,)."""
+    C: Matrix
+    """(n,)."""
+    D: float
+    by: tuple[Derivative, ...]
+    """By each coordinate."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Derivative:
+    """Of a sampled model by one coordinate."""
+
+    Phi: Matrix
+    """(n, n)."""
+    Gamma: Matrix
+    """(n,)."""
+    C: Matrix
+    """(n,)."""
+    D: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Physics:
+    """A model with some parameters free: what becomes of it at given values."""
+
+    model: Model
+    """Parameters -> control.StateSpace, in continuous time."""
+    fixed: ArmParameters
+    """Values of all that is not free."""
+    output: str
+    """Label of the output that was measured."""
+
+    def labels(self) -> tuple[list[str], list[str]]:
+        """Return the labels of outputs and of states."""
+        system = self.model(self.fixed)
+        return list(system.output_labels), list(system.state_labels)
+
+    def check(self) -> None:
+        """Refuse a model that cannot be sampled here, or that lacks the output."""
+        system = self.model(self.fixed)
+        if system.dt not in (0, None) or system.ninputs != 1:
+            msg = f"the model has dt={system.dt} and {system.ninputs} inputs; it must be in "
+            msg += "continuous time with one input"
+            raise ValueError(msg)
+        if self.output not in system.output_labels:
+            msg = f"output={self.output!r} is none of the model's {system.output_labels}"
+            raise ValueError(msg)
+
+    def parameters(self, values: dict[str, float]) -> ArmParameters:
+        """Return all parameters; a friction below 0, which no rig has, as 0."""
+        return replace(
+            self.fixed, **{k: max(v, 0.0) if k in SIGNED else v for k, v in values.items()}
+        )
+
+    def sampled(self, values: dict[str, float], by: Sequence[str], Ts: float) -> Sampled:
+        """Return the model under zero-order hold, exactly, with its derivatives.
+
+        Phi and Gamma are blocks of exp([A B; 0 0] Ts), their derivatives blocks of its Fréchet
+        derivative in the direction of [dA dB; 0 0] Ts. Coordinates are logarithms, but for those
+        of `SIGNED`.
+
+        References
+        ----------
+        .. [1] A. H. Al-Mohy, N. J. Higham, SIAM J. Matrix Anal. Appl. 30 (2009) 1639-1657.
+        """
+        M = self._matrices(values)
+        n = M.shape[0] - 1
+        block = _hold(M, Ts)
+        both = expm(block)
+        derivatives = []
+        for name in by:
+            dM = self._derivative(values, name)
+            d = expm_frechet(block, _hold(dM, Ts), compute_expm=False)
+            derivatives.append(Derivative(Phi=d[:n, :n], Gamma=d[:n, n], C=dM[n, :n], D=dM[n, n]))
+        return Sampled(
+            Phi=both[:n, :n], Gamma=both[:n, n], C=M[n, :n], D=float(M[n, n]), by=tuple(derivatives)
+        )
+
+    def _matrices(self, values: dict[str, float]) -> Matrix:
+        """Return [A B; C D] (n + 1, n + 1), continued in a straight line below friction 0."""
+        p = self.parameters(values)
+        M = self._at(p)
+        for name in SIGNED & values.keys():
+            if values[name] < 0:
+                M = M + values[name] * self._slope_from(p, name)
+        return M
+
+    def _at(self, p: ArmParameters) -> Matrix:
+        system = self.model(p)
+        row = [list(system.output_labels).index(self.output)]
+        return np.block([[system.A, system.B], [system.C[row], system.D[row]]])
+
+    def _derivative(self, values: dict[str, float], name: str) -> Matrix:
+        """Return d[A B; C D] by one coordinate."""
+        p = self.parameters(values)
+        if name in SIGNED:
+            return self._slope_from(p, name)
+
+        def at(x: float) -> Matrix:
+            return self._at(replace(p, **{name: getattr(p, name) * np.exp(x)}))
+
+        near, far = at(_STEP) - at(-_STEP), at(2 * _STEP) - at(-2 * _STEP)
+        return np.asarray((8 * near - far) / (12 * _STEP))
+
+    def _slope_from(self, p: ArmParameters, name: str) -> Matrix:
+        """Return the derivative by a parameter that may be 0, from above."""
+        value, step = getattr(p, name), _STEP * p.damping
+        m0, m1, m2 = (self._at(replace(p, **{name: value + k * step})) for k in range(3))
+        return np.asarray((4 * m1 - 3 * m0 - m2) / (2 * step))
+
+
+def _hold(M: Matrix, Ts: float) -> Matrix:
+    block = Ts * M
+    block[-1] = 0.0
+    return block

@@ -1,0 +1,163 @@
+"""The least-squares problems of the grey box: residuals and derivatives at given parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.grey_box.model import SIGNED, Physics
+from armrig.grey_box.response import linear_parts, sensitivity, with_friction
+from armrig.least_squares import orthonormal
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+COULOMB = "T_c"
+"""Name of the Coulomb friction of the chassis, in Nm."""
+# How the voltage T_c R_m / (N K_m) that stands for the friction goes with the logarithms.
+_VOLTAGE_POWERS = {"R_m": 1.0, "N": -1.0, "K_m": -1.0}
+_LEAST_START_V = 0.01  # of the search for the friction
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linearised:
+    """Everything at one point, in the valid rows of all experiments."""
+
+    e: Vector
+    """Residuals (M,), the free responses fitted."""
+    Psi: Matrix
+    """Derivatives of the output by the coordinates less what the free responses explain, (M, d)."""
+    size: Vector
+    """Norm of each derivative before that, (d,)."""
+    spans: tuple[Matrix, ...]
+    """Orthonormal basis of each experiment's free response."""
+    free: tuple[Vector, ...]
+    """Initial state and input offset of each experiment, (n + 1,)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GreyBox:
+    """min |y - model(parameters) - free responses|; the free responses are projected out."""
+
+    physics: Physics
+    names: tuple[str, ...]
+    """Free parameters; the coordinates are their logarithms, or they themselves (SIGNED)."""
+    experiments: tuple[Dataset, ...]
+
+    def values(self, eta: Vector) -> dict[str, float]:
+        """Return parameters at the coordinates."""
+        return {
+            name: float(x if name in SIGNED else np.exp(x))
+            for name, x in zip(self.names, eta, strict=True)
+        }
+
+    def coordinates(self, values: dict[str, float]) -> Vector:
+        """Return the coordinates of parameters."""
+        return np.array([v if k in SIGNED else np.log(v) for k, v in values.items()])
+
+    def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
+        """Return e and J at eta."""
+        at = self.at(eta)
+        return at.e, at.Psi
+
+    def at(self, eta: Vector, by: Sequence[str] | None = None) -> Linearised:
+        """Return residuals and derivatives, by other parameters than the free ones if asked."""
+        by = self.names if by is None else by
+        Ts = self.experiments[0].Ts
+        model = self.physics.sampled(self.values(eta), by, Ts)
+        residuals, blocks, spans, free, sizes = [], [], [], [], []
+        for data in self.experiments:
+            y, columns = linear_parts(model, data.u)
+            basis = orthonormal(columns[data.valid])
+            rest = (data.y - y)[data.valid]
+            x = basis.coefficients(rest)
+            residuals.append(basis.without(rest))
+            by_eta = sensitivity(model, data.u, x[:-1], float(x[-1]))[data.valid]
+            sizes.append(np.sum(by_eta**2, axis=0))
+            blocks.append(basis.without(by_eta))
+            spans.append(basis.Q)
+            free.append(x)
+        return Linearised(
+            e=np.concatenate(residuals),
+            Psi=np.vstack(blocks),
+            size=np.sqrt(np.sum(sizes, axis=0)),
+            spans=tuple(spans),
+            free=tuple(free),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GreyBoxWithFriction:
+    """The same with Coulomb friction, which makes the initial states' part nonlinear.
+
+    The coordinates are those of the parameters, T_c, and then x0 of each experiment. The input
+    offset is 0: on an input of one sign, the rig's, the chassis hardly ever turns back, and a
+    friction that never changes its sign and an offset stand in for each other.
+    """
+
+    plain: GreyBox
+    speed: int
+    """Which state is the speed of the chassis."""
+
+    def start(self, eta: Vector) -> Vector:
+        """Return coordinates from frictionless ones: the friction is what u0 has taken."""
+        free = self.plain.at(eta).free
+        offset = max(float(np.mean([x[-1] for x in free])), _LEAST_START_V)
+        per_volt = self.plain.physics.parameters(self.plain.values(eta)).torque_per_volt
+        return np.concatenate([eta, [offset * per_volt], *(x[:-1] for x in free)])
+
+    def linearise(self, z: Vector) -> tuple[Vector, Matrix]:
+        """Return e and J at z."""
+        e, J, _ = self._all(z, self.plain.names)
+        return e, J
+
+    def at(self, z: Vector, by: Sequence[str] | None = None) -> Linearised:
+        """Return residuals and derivatives, the initial states' directions projected out.
+
+        By default by the free parameters and T_c.
+        """
+        names = self.plain.names if by is None else by
+        own, first = len(self.plain.names) + 1, len(names) + 1
+        e, J, rows = self._all(z, names)
+        d = first - (by is not None)
+        n = (z.size - own) // len(rows)
+        blocks, spans, free = [], [], []
+        for i, (a, b) in enumerate(rows):
+            basis = orthonormal(J[a:b, first + i * n : first + (i + 1) * n])
+            blocks.append(basis.without(J[a:b, :d]))
+            spans.append(basis.Q)
+            free.append(np.append(z[own + i * n : own + (i + 1) * n], 0.0))
+        size = np.linalg.norm(J[:, :d], axis=0)
+        return Linearised(
+            e=e, Psi=np.vstack(blocks), size=size, spans=tuple(spans), free=tuple(free)
+        )
+
+    def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
+        """Return e (M,), the derivatives by (by, T_c, x0, …), and each experiment's rows."""
+        plain = self.plain
+        own, first, count = len(plain.names) + 1, len(by) + 1, len(plain.experiments)
+        n = (z.size - own) // count
+        values = plain.values(z[: own - 1])
+        model = plain.physics.sampled(values, by, plain.experiments[0].Ts)
+        per_volt = plain.physics.parameters(values).torque_per_volt
+        V = float(z[own - 1]) / per_volt
+        residuals, blocks, rows = [], [], []
+        begin = 0
+        for i, data in enumerate(plain.experiments):
+            x0 = z[own + i * n : own + (i + 1) * n]
+            answer = with_friction(model, data.u, x0, V, self.speed)
+            J = np.zeros((data.N, first + n * count))
+            J[:, : len(by)] = answer.by_parameters
+            for j, name in enumerate(by):
+                J[:, j] += answer.by_friction * V * _VOLTAGE_POWERS.get(name, 0.0)
+            J[:, len(by)] = answer.by_friction / per_volt
+            J[:, first + i * n : first + (i + 1) * n] = answer.by_initial
+            residuals.append((data.y - answer.y)[data.valid])
+            blocks.append(J[data.valid])
+            rows.append((begin, begin + residuals[-1].size))
+            begin += residuals[-1].size
+        return np.concatenate(residuals), np.vstack(blocks), rows

@@ -1,0 +1,214 @@
+"""The same estimate from the whole of the data, from halves, from quarters (handout 3.6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite, sqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.checks import require_integers
+from armrig.dataset import Dataset
+from armrig.grey_box.estimate import greybox
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Vector = NDArray[np.float64]
+_LEVEL = 0.01  # below this p value the parts are called different
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Split:
+    """One parameter from the data cut into k parts."""
+
+    k: int
+    """Number of parts."""
+    N: Vector
+    """Samples with an output in each part, (k,)."""
+    values: Vector
+    """Estimates, (k,)."""
+    std: Vector
+    """Reported standard deviations, from the noise alone, (k,)."""
+
+    @property
+    def scaled_std(self) -> float:
+        """Mean of std sqrt(N): the same for every k where the law 1/sqrt(N) holds."""
+        return float(np.mean(self.std * np.sqrt(self.N)))
+
+    @property
+    def pooled(self) -> tuple[float, float]:
+        """Mean with weights 1/std², and its standard deviation."""
+        weights = self.std**-2
+        return float(weights @ self.values / weights.sum()), float(weights.sum() ** -0.5)
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the estimates among each other, nan for one part."""
+        return float(np.std(self.values, ddof=1)) if self.k > 1 else float("nan")
+
+    @property
+    def chi2(self) -> float:
+        """Sum of ((value - pooled) / std)²; chi-squared with k - 1 degrees of freedom."""
+        return float(np.sum(((self.values - self.pooled[0]) / self.std) ** 2))
+
+    @property
+    def p_value(self) -> float:
+        """Chance of parts that differ as much, were they of one rig; nan for one part."""
+        from scipy.special import chdtrc
+
+        return float(chdtrc(self.k - 1, self.chi2)) if self.k > 1 else float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SplitStudy:
+    """How an estimate and its standard deviation change with the length of the data."""
+
+    parameter: str
+    """Which parameter."""
+    splits: tuple[Split, ...]
+    """In the order of `parts`."""
+    source: str = ""
+    """Hash of the recording, or ""."""
+
+    @property
+    def exponent(self) -> float:
+        """Slope of log std against log N over all parts; -1/2 by the law. nan for one length."""
+        N = np.concatenate([s.N for s in self.splits])
+        std = np.concatenate([s.std for s in self.splits])
+        if np.ptp(np.log(N)) < 0.1:
+            return float("nan")
+        return float(np.polyfit(np.log(N), np.log(std), 1)[0])
+
+    def explain(self) -> str:
+        """Say what the trend is, why, and whether the parts agree."""
+        first, last = self.splits[0], self.splits[-1]
+        lines = []
+        if len(self.splits) > 1:
+            ratio = float(np.mean(last.std) / np.mean(first.std))
+            expected = sqrt(float(np.mean(first.N) / np.mean(last.N)))
+            lines.append(
+                f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
+                f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}; with 1/N for "
+                f"the variance they would change by {expected:.2f} and {expected**2:.2f}."
+            )
+            lines.append(
+                "Each sample adds its share to the information, sum of psi(t)²/lambda, and the "
+                "covariance is its inverse: half the data, half the information, twice the "
+                "variance. What deviates from it is the input, which does not excite each part "
+                "alike, and the initial state, which every part has to estimate anew."
+            )
+        for s in self.splits:
+            if s.k > 1:
+                word = "agree" if s.p_value >= _LEVEL else "DIFFER"
+                lines.append(
+                    f"The {s.k} parts {word} (chi² {s.chi2:.2f} with {s.k - 1} degrees of freedom, "
+                    f"p = {s.p_value:.3f}); they scatter by {s.scatter:.2g}, where "
+                    f"{sqrt(float(np.mean(s.std**2))):.2g} is reported."
+                )
+        whole = next((s for s in self.splits if s.k == 1), None)
+        if whole is not None and last.k > 1:
+            value, std = last.pooled
+            lines.append(
+                f"Pooled with weights 1/std², the {last.k} parts give {value:.6g} ± {std:.2g}, the "
+                f"whole gives {whole.values[0]:.6g} ± {whole.std[0]:.2g}: cutting loses no "
+                "information but that for the initial states."
+            )
+        if any(s.p_value < _LEVEL for s in self.splits):
+            lines.append(
+                "Parts that differ by more than their standard deviations allow point to a model "
+                "that leaves something out (friction, drift); the standard "
+                "deviations know of the noise alone."
+            )
+        return "\n".join(lines)
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Show the estimates with ±2 standard deviations and, below, the law 1/sqrt(N)."""
+        from armrig.plots.greybox import plot_split
+
+        return plot_split(self, ax=ax)
+
+    def __repr__(self) -> str:
+        """Show the table: a line a part, a line a split."""
+        lines = [f"{'parts':>5} {'N':>7} {self.parameter:>12} {'std':>9} {'std sqrt(N)':>12}"]
+        for s in self.splits:
+            for N, value, std in zip(s.N, s.values, s.std, strict=True):
+                lines.append(f"{s.k:5d} {N:7.0f} {value:12.6g} {std:9.2g} {std * sqrt(N):12.4g}")
+            if s.k > 1:
+                value, std = s.pooled
+                lines.append(
+                    f"{'':5} {'pooled':>7} {value:12.6g} {std:9.2g} {s.scaled_std:12.4g}  "
+                    f"chi² {s.chi2:.2f}, p = {s.p_value:.3f}"
+                )
+        return "\n".join(lines)
+
+
+def split_study(
+    data: Dataset,
+    parts: Sequence[int] = (1, 2, 4),
+    estimator: Callable[[Dataset], Any] | None = None,
+    *,
+    parameter: str | None = None,
+) -> SplitStudy:
+    """Estimate from the data cut into 1, 2, 4 … parts, and study the standard deviations.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples.
+    parts : sequence of int, default (1, 2, 4)
+        Into how many parts of equal length to cut, each an estimate of its own.
+    estimator : callable, optional
+        Dataset -> fit; `armrig.greybox` with its defaults if left out. A `GreyFit` or a `Fit` of
+        black-box models, whose standard deviations are then those of its noise.
+    parameter : str, optional
+        Name of the parameter to study; the first by default.
+
+    Raises
+    ------
+    ValueError
+        A number of parts is no integer >= 1, a part is too short, the parameter is unknown, or its
+        standard deviation is not known.
+    """
+    if not parts:
+        msg = "parts=() is empty; give numbers of parts, such as (1, 2, 4)"
+        raise ValueError(msg)
+    for k in parts:
+        require_integers(parts=(k, 1))
+    estimator = greybox if estimator is None else estimator
+    splits = []
+    for k in parts:
+        pieces = data.split(k)
+        fits = [_numbers(estimator(piece), parameter) for piece in pieces]
+        names, values, stds = zip(*fits, strict=True)
+        splits.append(
+            Split(
+                k=k,
+                N=np.array([float(d.N - d.missing) for d in pieces]),
+                values=np.array(values),
+                std=np.array(stds),
+            )
+        )
+        parameter = names[0]
+    return SplitStudy(parameter=str(parameter), splits=tuple(splits), source=data.source)
+
+
+def _numbers(fit: Any, parameter: str | None) -> tuple[str, float, float]:
+    """Return name, estimate and standard deviation of one parameter of a fit."""
+    names = list(fit.names)
+    name = names[0] if parameter is None else parameter
+    if name not in names:
+        msg = f"parameter={name!r} is none of {', '.join(names)}"
+        raise ValueError(msg)
+    if hasattr(fit, "std_noise"):
+        value, std = fit.values[name], fit.std_noise[name]
+    else:
+        i = names.index(name)
+        value, std = float(fit.theta[i]), float(fit.std[i])
+    if not (isfinite(value) and isfinite(std) and std > 0):
+        msg = f"{name} = {value:g} ± {std:g} in a part: there is no standard deviation to study"
+        raise ValueError(msg)
+    return name, value, std

@@ -1,0 +1,101 @@
+"""How sure a grey-box estimate is: noise, what was held fixed, and how it is named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.dataset import Dataset
+from armrig.estimation.covariance import exogenous_score
+from armrig.grey_box.model import SIGNED
+from armrig.grey_box.problem import COULOMB, Linearised
+from armrig.least_squares import orthonormal
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty:
+    """Covariances of the coordinates."""
+
+    noise: Matrix
+    """For white residuals, (d, d)."""
+    robust: Matrix
+    """The sandwich form, (d, d)."""
+    influence: Matrix
+    """Derivatives of the estimates by what is held fixed, (d, held)."""
+    condition: float
+    """Of the scaled derivatives."""
+
+
+def uncertainty(
+    Psi: Matrix,
+    by_held: Matrix,
+    residuals: list[Vector],
+    blocks: list[Matrix],
+    noise_variance: float,
+    inflation: float,
+) -> Uncertainty:
+    """Return the covariances of the coordinates.
+
+    Where a fixed parameter is off by d, the estimate moves by -(Psi^T Psi)^-1 Psi^T Psi_fixed d.
+    """
+    basis = orthonormal(Psi)
+    if basis.rank < Psi.shape[1]:
+        msg = f"the data determine only {basis.rank} of {Psi.shape[1]} parameters, some stand in "
+        msg += "for each other: hold more of them fixed"
+        raise ValueError(msg)
+    bread = basis.W @ basis.W.T
+    norms = np.linalg.norm(Psi, axis=0)
+    return Uncertainty(
+        noise=noise_variance * bread,
+        robust=bread @ (exogenous_score(blocks, residuals) * inflation) @ bread,
+        influence=-basis.W @ (basis.Q.T @ by_held),
+        condition=float(np.linalg.cond(Psi / norms)),
+    )
+
+
+def by_experiment(
+    experiments: tuple[Dataset, ...], at: Linearised
+) -> tuple[list[Vector], list[Matrix], list[Matrix]]:
+    """Return residuals, derivatives and free responses of each experiment, on all its rows."""
+    masks = [d.valid for d in experiments]
+    edges = np.cumsum([0, *(np.count_nonzero(valid) for valid in masks)])
+    residuals, blocks = [], []
+    for valid, (a, b) in zip(masks, pairwise(edges), strict=True):
+        e = np.full(valid.size, np.nan)
+        e[valid] = at.e[a:b]
+        residuals.append(e)
+        blocks.append(_spread(at.Psi[a:b], valid))
+    spans = [_spread(Q, valid) for Q, valid in zip(at.spans, masks, strict=True)]
+    return residuals, blocks, spans
+
+
+def _spread(rows: Matrix, valid: NDArray[np.bool_]) -> Matrix:
+    """Return the rows where they belong, and zeros between."""
+    whole = np.zeros((valid.size, rows.shape[1]))
+    whole[valid] = rows
+    return whole
+
+
+def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
+    """Return d parameter / d coordinate."""
+    return np.array([1.0 if x in SIGNED | {COULOMB} else values[x] for x in names])
+
+
+def named_influence(
+    names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
+) -> dict[str, dict[str, float]]:
+    """Return d ln estimate / d ln fixed by names, where both have logarithms."""
+    return {
+        name: {
+            k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9
+        }
+        for name, row in zip(names, influence, strict=True)
+        if name not in SIGNED | {COULOMB}
+    }

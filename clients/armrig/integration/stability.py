@@ -1,0 +1,149 @@
+"""The largest step at which a method stays absolutely stable on a given system.
+
+For each eigenvalue lambda the stability polynomial pi(zeta; h lambda) must have its roots inside
+the unit circle. Schur and Cohn's reduction turns that into the signs of a few polynomials in h,
+whose first positive root is the limit: no scan, nothing to overlook on the way.
+
+References
+----------
+.. [1] J. J. H. Miller, J. Inst. Maths Applics 8 (1971) 397-406 (Schur's reduction).
+.. [2] E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 1996, section V.1.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import matrix_balance
+
+from armrig.integration.methods import Method, amplification, method_named
+from armrig.integration.systems import system
+from armrig.polynomial import Array
+
+_EPS = float(np.finfo(np.float64).eps)
+_ON_CIRCLE = 1e-10  # |zeta| - 1 up to which a root is taken to lie on the circle
+
+
+def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
+    """Return the largest step h in s at which the method is absolutely stable on x' = A x.
+
+    It is a *largest* step. (The handout, assignment 4.1, asks for the "minimum step size that
+    preserve the absolute stability"; a smaller step is always stable as well.)
+
+    Which eigenvalues count:
+
+    - Re < 0: each has its own limit, the smallest is returned.
+    - 0, simple or with as many eigenvectors as it is repeated: does not count, for every method
+      keeps a constant. Repeated with too few eigenvectors (a double integrator): A itself is
+      unstable, 0.0.
+    - on the imaginary axis, not 0: the exact solution oscillates for ever. The explicit methods
+      here let it grow at any step, 0.0; the trapezoidal rule keeps its size, inf. Repeated with
+      too few eigenvectors: unstable, 0.0.
+    - Re > 0: 0.0. The solution grows, and a method that hides it is no better than one that
+      explodes.
+
+    At the limit itself an error neither grows nor fades.
+
+    Parameters
+    ----------
+    A : array_like, shape (nx, nx)
+        In 1/s.
+    method : {"forward_euler", "ab2", "trapezoidal", "heun", "midpoint"}
+
+    Raises
+    ------
+    ValueError
+        A is not square or not finite, or there is no such method.
+    """
+    chosen = method_named(method)
+    A_, *_ = system(A, np.zeros(np.shape(A)[0] if np.ndim(A) else 1))
+    limits = [_along_ray(chosen, z) for z in counting_eigenvalues(A_)]
+    return min(limits, default=inf)
+
+
+def counting_eigenvalues(A: Array) -> Array:
+    """Return the eigenvalues that limit a step; real parts that are rounding noise are 0.
+
+    Those at 0 are left out where they are harmless; where A has too few eigenvectors at a
+    marginal eigenvalue, 1 (an unstable one) is returned in its place.
+    """
+    balanced, _ = matrix_balance(A)
+    size = float(np.linalg.norm(balanced))
+    values = np.linalg.eigvals(balanced).astype(np.complex128)
+    rounding = 100 * A.shape[0] * _EPS * size
+    marginal = np.abs(values.real) <= rounding
+    values[marginal] = 1j * values[marginal].imag
+    kept = []
+    for z in values:
+        # An m-fold eigenvalue with one eigenvector is computed as m of them, eps^(1/m) apart.
+        near = np.abs(values - z) <= 10 * np.sqrt(_EPS) * size
+        count = int(np.count_nonzero(near))
+        if z.real == 0 and count > 1 and _eigenvectors(balanced, z, size) < count:
+            return np.array([1.0 + 0j])
+        if abs(z) > rounding:
+            kept.append(z)
+    return np.array(kept, dtype=np.complex128)
+
+
+def _eigenvectors(A: Array, z: complex, size: float) -> int:
+    """Return how many independent eigenvectors A has at z."""
+    spread = np.linalg.svd(A - z * np.eye(A.shape[0]), compute_uv=False)
+    return int(np.count_nonzero(spread <= 100 * np.sqrt(_EPS) * size))
+
+
+def _along_ray(method: Method, eigenvalue: complex) -> float:
+    """Return the largest h that is stable for one eigenvalue, other than 0."""
+    if eigenvalue.real > 0:
+        return 0.0
+    direction = eigenvalue / abs(eigenvalue)
+    ends = [0.0, *_boundaries(method.stability_polynomial, direction)]
+    for begin, end in zip(ends, [*ends[1:], inf], strict=True):
+        inside = (begin + end) / 2 if end < inf else 2 * begin + 1
+        if amplification(method, np.array(inside * direction)) > 1 + _ON_CIRCLE:
+            return float(begin / abs(eigenvalue))
+    return inf
+
+
+def _boundaries(pi: Array, direction: complex) -> list[float]:
+    """Return, rising, all r > 0 at which a root of pi(zeta; r direction) may lie on the circle.
+
+    A polynomial p of degree k in zeta has all roots inside the circle if and only if
+    |p_k|² - |p_0|² > 0 and the same holds for its reduction of degree k - 1,
+    conj(p_k) p - p_0 p*, with p* the conjugated coefficients in reverse, divided by zeta. The
+    coefficients here are polynomials in r.
+    """
+    p = [np.trim_zeros(row * direction ** np.arange(pi.shape[1]), "b") for row in pi]
+    found: list[float] = []
+    while len(p) > 1:
+        edge = _less(_product(p[-1], np.conj(p[-1])), _product(p[0], np.conj(p[0])))
+        found += _positive_roots(edge.real)
+        p = [
+            _less(_product(np.conj(p[-1]), low), _product(p[0], np.conj(high)))
+            for low, high in zip(p[1:], p[-2::-1], strict=True)
+        ]
+    return sorted(found)
+
+
+def _product(p: Array, q: Array) -> Array:
+    return np.convolve(p, q) if p.size and q.size else np.zeros(1, dtype=np.complex128)
+
+
+def _less(p: Array, q: Array) -> Array:
+    difference = np.zeros(max(p.size, q.size), dtype=np.complex128)
+    difference[: p.size] += p
+    difference[: q.size] -= q
+    return difference
+
+
+def _positive_roots(p: Array) -> list[float]:
+    """Return the roots r > 0 of the real sum p_i r^i."""
+    largest = float(np.abs(p).max(initial=0.0))
+    p = np.where(np.abs(p) > 4 * _EPS * largest, p, 0.0)
+    used = np.flatnonzero(p)
+    if used.size < 2:
+        return []
+    r = np.roots(p[used[0] :][::-1])  # roots at 0 are no limit
+    real = np.abs(r.imag) <= 1e-6 * np.abs(r)
+    return [float(x) for x in r.real[real] if x > 0]

@@ -1,0 +1,177 @@
+"""Integration of x' = A x + B u with a fixed step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lu_factor, lu_solve
+
+from armrig.checks import require_integers
+from armrig.integration.methods import Method, Multistep, RungeKutta, method_named
+from armrig.integration.systems import Matrix, require_positive, system
+from armrig.recursion import recursion
+
+Vector = NDArray[np.float64]
+
+
+def integrate(
+    A: ArrayLike,
+    B: ArrayLike,
+    u: Callable[[float], Any],
+    x0: ArrayLike,
+    h: float,
+    n: int,
+    method: str = "forward_euler",
+) -> tuple[Vector, Matrix]:
+    """Return t (n + 1,) and x (n + 1, nx) of x' = A x + B u(t), x(0) = x0, in n steps of h.
+
+    With f = A x + B u ::
+
+        forward_euler  x(k+1) = x(k) + h f(k)                               order 1
+        ab2            x(k+1) = x(k) + h (3 f(k) - f(k-1)) / 2              order 2
+        trapezoidal    x(k+1) = x(k) + h (f(k) + f(k+1)) / 2                order 2
+        heun           x(k+1) = x(k) + h (K1 + K2) / 2                      order 2
+                       K1 = f(t, x), K2 = f(t + h, x + h K1)
+        midpoint       x(k+1) = x(k) + h f(t + h/2, x + h f(t, x) / 2)      order 2
+
+    AB(2) makes its first step by Heun's method; the trapezoidal rule factors
+    I - h A / 2 once. Where each is stable `armrig.stability_limit` tells.
+
+    Parameters
+    ----------
+    A : array_like, shape (nx, nx)
+    B : array_like, shape (nx,) or (nx, nu)
+    u : callable
+        Time in s -> input, a number or (nu,).
+    x0 : array_like, shape (nx,)
+        State at t = 0.
+    h : float
+        Step in s, > 0.
+    n : int
+        Number of steps, >= 1.
+    method : {"forward_euler", "ab2", "trapezoidal", "heun", "midpoint"}
+
+    Returns
+    -------
+    t : ndarray, shape (n + 1,)
+        Time in s.
+    x : ndarray, shape (n + 1, nx)
+        States. Beyond the stability limit they grow without bound, in the end to inf and nan.
+
+    Raises
+    ------
+    ValueError
+        A shape, the step, the number of steps or the method is impossible.
+
+    References
+    ----------
+    .. [1] E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 1993,
+       sections II.1 and III.1.
+    """
+    A_, B_, x0_ = system(A, B, x0)
+    require_positive(h=h)
+    require_integers(n=(n, 1))
+    chosen = method_named(method)
+    t = h * np.arange(n + 1, dtype=np.float64)
+    if isinstance(chosen, RungeKutta):
+        return t, _runge_kutta(chosen, A_, B_, u, x0_, h, n)
+    return t, _multistep(chosen, A_, B_, u, x0_, h, n)
+
+
+def transition(A: Matrix, h: float, method: Method) -> Matrix:
+    """Return M: the free recursion is X(k+1) = M X(k), X the k last states, oldest first."""
+    if isinstance(method, RungeKutta):
+        return _runge_kutta_step(method, A, h)[0]
+    return _companion(method, A, h)
+
+
+def _input(u: Callable[[float], Any], t: Vector, m: int) -> Matrix:
+    """Return u at each time, (len(t), m)."""
+    values = np.array([np.ravel(u(float(x))) for x in t], dtype=np.float64)
+    if values.shape[1] != m:
+        msg = f"u(t) gives {values.shape[1]} numbers, B takes {m}"
+        raise ValueError(msg)
+    return values
+
+
+def _runge_kutta_step(method: RungeKutta, A: Matrix, h: float) -> tuple[Matrix, list[Matrix]]:
+    """Return M and W_i of x(k+1) = M x(k) + sum W_i B u(t + c_i h).
+
+    The stages are linear in x and in the inputs: K_i = A (x + h sum a_ij K_j) + B u_i.
+    """
+    size = A.shape[0]
+    by_x: list[Matrix] = []
+    by_u: list[list[Matrix]] = []
+    for row in method.a:
+        x_part, u_parts = np.eye(size), [np.zeros((size, size)) for _ in method.b]
+        for weight, K_x, K_u in zip(row, by_x, by_u, strict=False):
+            x_part = x_part + h * weight * K_x
+            u_parts = [old + h * weight * new for old, new in zip(u_parts, K_u, strict=True)]
+        u_parts = [A @ part for part in u_parts]
+        u_parts[len(by_x)] = u_parts[len(by_x)] + np.eye(size)
+        by_x.append(A @ x_part)
+        by_u.append(u_parts)
+    M = np.eye(size) + h * sum(b * K for b, K in zip(method.b, by_x, strict=True))
+    W = [
+        np.asarray(h * sum(b * K[i] for b, K in zip(method.b, by_u, strict=True)))
+        for i in range(len(method.b))
+    ]
+    return M, W
+
+
+def _runge_kutta(
+    method: RungeKutta,
+    A: Matrix,
+    B: Matrix,
+    u: Callable[[float], Any],
+    x0: Vector,
+    h: float,
+    n: int,
+) -> Matrix:
+    M, W = _runge_kutta_step(method, A, h)
+    k = np.arange(n, dtype=np.float64)
+    w = np.zeros((n, A.shape[0]))
+    for weight, c in zip(W, method.c, strict=True):
+        if weight.any():
+            w += _input(u, h * (k + c), B.shape[1]) @ (weight @ B).T
+    return recursion(M, w, x0)
+
+
+def _companion(method: Multistep, A: Matrix, h: float) -> Matrix:
+    """Return the matrix of the free recursion of k states, one solution with I - h beta_k A."""
+    size, k = A.shape[0], len(method.alpha) - 1
+    factors = lu_factor(np.eye(size) - h * method.beta[-1] * A)
+    M = np.eye(k * size, k=size)
+    for j in range(k):
+        explicit = -method.alpha[j] * np.eye(size) + h * method.beta[j] * A
+        M[-size:, j * size : (j + 1) * size] = lu_solve(factors, explicit)
+    return M
+
+
+def _multistep(
+    method: Multistep,
+    A: Matrix,
+    B: Matrix,
+    u: Callable[[float], Any],
+    x0: Vector,
+    h: float,
+    n: int,
+) -> Matrix:
+    size, k = A.shape[0], len(method.alpha) - 1
+    first = x0[None]
+    if k > 1:
+        starter = method_named(method.start)
+        first = _runge_kutta(starter, A, B, u, x0, h, k - 1)  # type: ignore[arg-type]
+    steps = n - k + 1
+    if steps < 1:
+        return first[: n + 1]
+    v = _input(u, h * np.arange(n + 1, dtype=np.float64), B.shape[1])
+    blend = sum(beta * v[j : j + steps] for j, beta in enumerate(method.beta) if beta)
+    factors = lu_factor(np.eye(size) - h * method.beta[-1] * A)
+    w = np.zeros((steps, k * size))
+    w[:, -size:] = lu_solve(factors, h * B @ np.transpose(blend)).T
+    states = recursion(_companion(method, A, h), w, first.ravel())
+    return np.concatenate([first[:-1], states[:, -size:]])

@@ -1,0 +1,187 @@
+"""What the physics answers to a step of the voltage, and what each parameter does to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from armrig_core.arm import ArmParameters
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.grey_box.model import NAMES, SIGNED, Model, Physics, Sampled
+from armrig.grey_box.response import sensitivity
+from armrig.physics import arm
+from armrig.recursion import recursion
+
+Vector = NDArray[np.float64]
+SPEED = "theta_1_rate"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Characteristics:
+    """The figures by which a step response is recognised (handout, assignment 2.2)."""
+
+    parameters: ArmParameters
+    """What they follow from."""
+    steady_speed: float
+    """Of the chassis for one volt, in rad/(s V)."""
+    initial_slope: float
+    """Of the chassis' speed just after a step of one volt, in rad/(s² V)."""
+    rigid_slope: float
+    """What the slope would be were the arm screwed to the chassis, in rad/(s² V)."""
+    poles: NDArray[np.complex128]
+    """From u to theta_1, in 1/s, slowest first."""
+    zeros: NDArray[np.complex128]
+    """From u to theta_1, in 1/s."""
+
+    def explain(self) -> str:
+        """Say where each figure comes from."""
+        p = self.parameters
+        oscillating = self.poles[self.poles.imag > 0]
+        lines = [
+            f"Steady speed {self.steady_speed:.4f} rad/s per V = (N K_m / R_m) / "
+            "((N K_m)² / R_m + b_1)"
+            + (" = 1/(N K_m)" if p.b_1 == 0 else "")
+            + ": the speed at which nothing accelerates any more, the spring is at rest and the "
+            "back-EMF leaves just the current that friction needs. Neither inertias nor spring "
+            "come into it" + (", nor does R_m." if p.b_1 == 0 else "."),
+            f"Initial slope {self.initial_slope:.2f} rad/s² per V = N K_m / (R_m J_1): at t = 0 "
+            "the chassis is at rest, so there is no back-EMF and the whole voltage drives current; "
+            "and the spring is not yet wound, so the torque accelerates J_1 alone. With the arm "
+            f"screwed on it would be {self.rigid_slope:.2f}, for J_1 + J_2.",
+        ]
+        if oscillating.size:
+            w = abs(oscillating[0])
+            lines.append(
+                f"Poles {_roots(self.poles)} 1/s: an integrator (the angle keeps what the speed "
+                f"has added), the motor's decay, and the arm on its spring, {w:.1f} rad/s with "
+                f"damping {-oscillating[0].real / w:.2f}."
+            )
+        else:
+            lines.append(f"Poles {_roots(self.poles)} 1/s: no oscillation at these parameters.")
+        lines.append(
+            f"Zeros {_roots(self.zeros)} 1/s at ±i sqrt(K_lin/J_2): there the arm swings against "
+            "the chassis and holds it still, whatever the motor does."
+        )
+        return "\n".join(lines)
+
+
+def characteristics(p: ArmParameters | None = None) -> Characteristics:
+    """Return steady speed, initial slope, poles and zeros of the whole rig.
+
+    Parameters
+    ----------
+    p : ArmParameters, optional
+        The handout's by default: 1.8623 rad/s per V, 98.40 rad/s² per V.
+    """
+    p = ArmParameters() if p is None else p
+    system = arm(p)
+    # The determinant's pole at 0 is exact: nothing depends on where the chassis stands.
+    poles = np.append(np.linalg.eigvals(np.asarray(system.A)[1:, 1:]), 0.0).astype(np.complex128)
+    swing = 1j * np.sqrt(p.K_lin / p.J_2)
+    return Characteristics(
+        parameters=p,
+        steady_speed=p.torque_per_volt / p.damping,
+        initial_slope=p.torque_per_volt / p.J_1,
+        rigid_slope=p.torque_per_volt / (p.J_1 + p.J_2),
+        poles=poles[np.argsort(np.abs(poles), kind="stable")],
+        zeros=np.array([swing, -swing]),
+    )
+
+
+def step_response(
+    p: ArmParameters, t: ArrayLike, *, u: float = 1.0, model: Model = arm, state: str = SPEED
+) -> Vector:
+    """Return a state (len(t),) after a step of u volts at t = 0 from rest, exactly.
+
+    Parameters
+    ----------
+    t : array_like, shape (N,)
+        Equidistant times in s, the first is 0.
+    state : str, default "theta_1_rate"
+        Label of the state.
+    """
+    sampled, voltage, index = _stepped(p, t, (), u, model, state)
+    n = sampled.Phi.shape[0]
+    w = voltage[:-1, None] * sampled.Gamma
+    return np.asarray(recursion(sampled.Phi, w, np.zeros(n))[:, index])
+
+
+def step_sensitivities(
+    p: ArmParameters,
+    t: ArrayLike,
+    *,
+    names: Sequence[str] | None = None,
+    u: float = 1.0,
+    model: Model = arm,
+    state: str = SPEED,
+) -> dict[str, Vector]:
+    """Return by parameter how a state after a step changes with the parameter's logarithm.
+
+    A hundredth of it is what 1 % more of the parameter does. b_1, which may be 0, is taken in
+    shares of the back-EMF's damping (N K_m)² / R_m.
+
+    Parameters
+    ----------
+    t : array_like, shape (N,)
+        Equidistant times in s, the first is 0.
+    names : sequence of str, optional
+        All parameters by default.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+        In the state's unit.
+
+    Raises
+    ------
+    ValueError
+        A name is unknown, or t is not equidistant from 0.
+    """
+    names = NAMES if names is None else tuple(names)
+    for name in names:
+        if name not in NAMES:
+            msg = f"{name!r} is none of {', '.join(NAMES)}"
+            raise ValueError(msg)
+    sampled, voltage, index = _stepped(p, t, names, u, model, state)
+    n = sampled.Phi.shape[0]
+    seen = replace(
+        sampled,
+        C=np.eye(n)[index],
+        D=0.0,
+        by=tuple(replace(by, C=np.zeros(n), D=0.0) for by in sampled.by),
+    )
+    S = sensitivity(seen, voltage, np.zeros(n), 0.0)
+    scale = [(p.N * p.K_m) ** 2 / p.R_m if name in SIGNED else 1.0 for name in names]
+    return {name: S[:, j] * scale[j] for j, name in enumerate(names)}
+
+
+def _stepped(
+    p: ArmParameters, t: ArrayLike, by: Sequence[str], u: float, model: Model, state: str
+) -> tuple[Sampled, Vector, int]:
+    """Return the sampled model with derivatives, the voltage at each time, and the state's row."""
+    times = np.asarray(t, dtype=np.float64)
+    if times.ndim != 1 or times.size < 2 or times[0] != 0 or not np.ptp(np.diff(times)) < 1e-9:
+        msg = "t must be equidistant from 0, at least two times, such as np.linspace(0, 1, 501)"
+        raise ValueError(msg)
+    physics = Physics(model=model, fixed=p, output="theta_1")
+    states = physics.labels()[1]
+    if state not in states:
+        msg = f"state={state!r} is none of {', '.join(states)}"
+        raise ValueError(msg)
+    sampled = physics.sampled({}, by, float(times[1]))
+    return sampled, np.full(times.size, float(u)), states.index(state)
+
+
+def _roots(z: NDArray[np.complex128]) -> str:
+    told = []
+    for x in z:
+        if x.imag < 0:
+            continue
+        real = f"{x.real:.3f}" if x.real else "0"
+        if x.imag == 0:
+            told.append(real)
+        else:
+            told.append(f"{real} ± {x.imag:.3f}i" if x.real else f"±{x.imag:.3f}i")
+    return ", ".join(told)

@@ -1,0 +1,106 @@
+"""Figures of grey-box estimates: against data, and of the split study."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armrig.grey_box.fit import UNITS
+from armrig.plots.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    VERMILION,
+    axes,
+    finish,
+    named,
+    panels,
+    shade,
+    short,
+    sign,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.dataset import Dataset
+    from armrig.grey_box.fit import GreyFit
+    from armrig.grey_box.split import SplitStudy
+
+
+def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes:
+    """Show measured and simulated output, initial state and offset refitted, and below the error.
+
+    Coulomb friction is left out of the simulation here; its error shows what it does.
+    """
+    from armrig.grey_box.problem import COULOMB, GreyBox
+
+    ax, below = panels(ax, 0.38)
+    for panel in (ax, below):
+        shade(panel, data)
+    names = tuple(n for n in fit.names if n != COULOMB)
+    problem = GreyBox(physics=fit.physics, names=names, experiments=tuple(data.experiments()))
+    e = np.full(data.N, np.nan)
+    e[data.valid] = problem.at(problem.coordinates({n: fit.values[n] for n in names}), ()).e
+    told = ", ".join(f"{n} = {fit.values[n]:.4g} ± {fit.std[n]:.1g}" for n in fit.names)
+    ax.plot(data.t, data.y, color=INK, lw=1.8, alpha=0.55, label="measured")
+    ax.plot(data.t, data.y - e, color=VERMILION, ls="--", lw=1.0, label=f"grey box, {told}")
+    below.plot(data.t, e, color=VERMILION, lw=0.6)
+    below.axhline(0, color=GREY, lw=0.6)
+    ax.set_ylabel(named(data.output, data.unit))
+    below.set_ylabel(f"error [{data.unit}]")
+    below.set_xlabel("$t$ [s]")
+    ax.legend(loc="best")
+    finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
+    return sign(ax, data.source)
+
+
+def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
+    """Show each part's estimate with ±2 standard deviations and, below, those against N."""
+    ax, below = panels(axes(ax), 0.5, sharex=False)
+    unit = UNITS.get(study.parameter, "")
+    label = f"{study.parameter} [{unit}]" if unit else study.parameter
+    x, ticks = 0.0, []
+    for s in study.splits:
+        place = x + np.arange(s.k)
+        value, std = s.pooled
+        ax.errorbar(place, s.values, 2 * s.std, fmt="o", color=BLUE, ms=4, lw=1.0, capsize=3)
+        edge = (place[0] - 0.4, place[-1] + 0.4)
+        ax.fill_between(edge, value - 2 * std, value + 2 * std, color=VERMILION, alpha=0.2, lw=0)
+        ax.plot(edge, [value, value], color=VERMILION, ls="--", lw=1.0)
+        ticks.append((float(place.mean()), f"{s.k} part{'s' * (s.k > 1)}"))
+        x += s.k + 1
+    ax.set_xticks([t for t, _ in ticks], [name for _, name in ticks])
+    ax.set_ylabel(label)
+    N = np.concatenate([s.N for s in study.splits])
+    reported = np.concatenate([s.std for s in study.splits])
+    line = np.geomspace(N.min() / 1.2, N.max() * 1.2, 20)
+    law = float(np.mean(reported * np.sqrt(N)))
+    below.plot(line, law / np.sqrt(line), color=GREY, ls="--", lw=1.0, label=r"$1/\sqrt{N}$")
+    below.plot(N, reported, "o", color=BLUE, ms=4, label="reported")
+    several = [s for s in study.splits if s.k > 2]
+    if several:
+        below.plot(
+            [float(s.N.mean()) for s in several],
+            [s.scatter for s in several],
+            "x",
+            color=VERMILION,
+            ms=7,
+            mew=1.5,
+            label="scatter of the parts",
+        )
+    below.set_xscale("log")
+    below.set_yscale("log")
+    places = sorted({float(n) for s in study.splits for n in [s.N.mean()]})
+    below.set_xticks(places, [f"{n:.0f}" for n in places])
+    low, high = below.get_ylim()
+    heights = np.geomspace(low, high, 5)[1:-1]
+    below.set_yticks(heights, [short(h) for h in heights])
+    below.minorticks_off()
+    below.set_xlabel("samples $N$")
+    below.set_ylabel("std")
+    below.legend(loc="best", fontsize="small")
+    finish(ax)
+    finish(below)
+    return sign(ax, study.source)

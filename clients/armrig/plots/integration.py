@@ -1,0 +1,158 @@
+"""Figures of numerical integration: stability regions, errors, and what the limit looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armrig.integration.accuracy import Convergence, Sinusoid, all_methods
+from armrig.integration.methods import METHODS, amplification
+from armrig.integration.stability import stability_limit
+from armrig.integration.stepping import integrate
+from armrig.integration.systems import system
+from armrig.plots.canvas import BLUE, GREY, INK, VERMILION, axes, finish, panels, pens, short
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_SHORT_OF, _BEYOND = 0.999, 1.001
+
+
+def plot_stability_regions(
+    A: ArrayLike | None = None,
+    *,
+    h: float | None = None,
+    methods: Sequence[str] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Show where in the plane of z = h lambda each method is stable, and the system's h lambda.
+
+    Parameters
+    ----------
+    A : array_like, shape (nx, nx), optional
+        System whose eigenvalues are drawn.
+    h : float, optional
+        Step in s; forward Euler's limit by default.
+    methods : sequence of str, optional
+        All by default. Methods with the same region share a line.
+    """
+    ax = axes(ax)
+    x, y = np.meshgrid(np.linspace(-2.4, 3.2, 561), np.linspace(-2.2, 2.2, 441))
+    z = x + 1j * y
+    ax.axhline(0, color=GREY, lw=0.5)
+    ax.axvline(0, color=GREY, lw=0.5)
+    regions: dict[bytes, list[str]] = {}
+    for name in all_methods(methods):
+        regions.setdefault(METHODS[name].stability_polynomial.tobytes(), []).append(name)
+    for names, (colour, dash) in zip(regions.values(), pens(), strict=False):
+        size = amplification(METHODS[names[0]], z)
+        ax.contour(x, y, size, levels=[1.0], colors=[colour], linestyles=[dash], linewidths=1.3)
+        label = ", ".join(METHODS[n].name for n in names)
+        ax.plot([], [], color=colour, ls=dash, lw=1.3, label=label)
+    if A is not None:
+        h = stability_limit(A, "forward_euler") if h is None else h
+        points = h * np.linalg.eigvals(system(A, np.zeros(np.shape(A)[0]))[0])
+        label = rf"$h\lambda$, $h$ = {short(1e3 * h)} ms"
+        ax.plot(points.real, points.imag, "x", color=INK, ms=7, mew=1.5, label=label)
+    ax.set_xlim(-2.4, 3.2)
+    ax.set_ylim(-2.2, 2.2)
+    ax.set_aspect("equal")
+    ax.set_xlabel(r"Re $h\lambda$")
+    ax.set_ylabel(r"Im $h\lambda$")
+    ax.legend(loc="upper right", fontsize="small", framealpha=0.9)
+    finish(ax)
+    return ax
+
+
+def plot_convergence(studies: Sequence[Convergence], *, ax: Axes | None = None) -> Axes:
+    """Show the error against the step, both logarithmic, with observed orders and limits.
+
+    A dotted line marks each method's stability limit; to its right the error grows with the span,
+    and where it has overflowed there is no point.
+    """
+    ax = axes(ax)
+    tops = []
+    for study, (colour, dash) in zip(studies, pens(), strict=False):
+        seen = np.isfinite(study.error)
+        label = f"{METHODS[study.method].name}, order {study.order:.2f}"
+        ax.plot(
+            study.h[seen], study.error[seen], color=colour, ls=dash, marker=".", ms=5, label=label
+        )
+        if np.isfinite(study.limit) and study.limit > 0:
+            ax.axvline(study.limit, color=colour, ls=":", lw=1.0)
+        tops.append(study.error[seen & (study.h <= study.limit)].max(initial=0.0))
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_ylim(top=30 * max([*tops, 1e-12]))
+    ax.set_xlabel("step $h$ [s]")
+    ax.set_ylabel("largest error, share of each state")
+    ax.legend(loc="lower right", fontsize="small")
+    finish(ax)
+    return ax
+
+
+def plot_stability_edge(
+    A: ArrayLike, method: str, *, state: int = -1, n: int = 6000, ax: Axes | None = None
+) -> Axes:
+    """Show one state of the free motion at 0.999 and, below, at 1.001 of the stability limit.
+
+    The envelope |x| is drawn, from a start that excites all modes alike; with finite limits only.
+
+    Raises
+    ------
+    ValueError
+        The method has no finite limit on this system.
+    """
+    A_, *_ = system(A, np.zeros(np.shape(A)[0]))
+    limit = stability_limit(A_, method)
+    if not 0 < limit < np.inf:
+        msg = f"the limit of {method} on this system is {limit}: there is no edge to show"
+        raise ValueError(msg)
+    ax, below = panels(ax, 0.5)
+    x0 = np.real(np.linalg.eig(A_)[1].sum(axis=1))
+    rest = np.zeros(A_.shape[0])
+    for panel, share, colour in ((ax, _SHORT_OF, BLUE), (below, _BEYOND, VERMILION)):
+        _, x = integrate(A_, rest, lambda t: 0.0, x0, share * limit, n, method)
+        panel.plot(np.arange(n + 1), x[:, state], color=colour, lw=0.5, rasterized=True)
+        panel.set_ylabel(f"$x$, {share:g} limit")
+    below.set_xlabel(f"step number, {METHODS[method].name}, limit {limit:.5g} s")
+    finish(ax, below)
+    return ax
+
+
+def plot_solution(
+    problem: Sinusoid,
+    h: float,
+    *,
+    methods: Sequence[str] | None = None,
+    state: int = 0,
+    label: str = "x",
+    ax: Axes | None = None,
+) -> Axes:
+    """Show one state as each method gives it at the step h, with the exact one, and the errors."""
+    ax, below = panels(ax, 0.4)
+    n = max(1, round(problem.span / h))
+    fine = np.linspace(0.0, n * h, 1000)
+    right = problem.truth(fine)[:, state]
+    ax.plot(fine, right, color=INK, lw=1.8, alpha=0.55, label="exact")
+    for name, (colour, dash) in zip(all_methods(methods), pens(), strict=False):
+        t, x = problem.solve(h, n, name)
+        ax.plot(t, x[:, state], color=colour, ls=dash, lw=1.0, label=METHODS[name].name)
+        below.plot(t, x[:, state] - problem.truth(t)[:, state], color=colour, ls=dash, lw=0.9)
+    span = float(np.ptp(right)) or 1.0
+    ax.set_ylim(float(right.min()) - 0.3 * span, float(right.max()) + 0.3 * span)
+    below.set_ylim(-0.5 * span, 0.5 * span)
+    with np.errstate(invalid="ignore"):
+        errors = [float(np.nanmax(np.abs(line.get_ydata()))) for line in below.lines]
+    finite = [e for e in errors if e < 0.5 * span]
+    if finite:
+        below.set_ylim(-1.2 * max(finite), 1.2 * max(finite))
+    ax.set_ylabel(label)
+    below.set_ylabel("error")
+    below.set_xlabel(f"$t$ [s], $h$ = {short(1e3 * h)} ms")
+    ax.legend(loc="best", fontsize="small")
+    finish(ax, below, xlim=(0.0, n * h))
+    return ax

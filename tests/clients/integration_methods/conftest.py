@@ -1,0 +1,30 @@
+"""The handout's arm and ten others."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from armrig_core.arm import ArmParameters
+
+
+def parameter_sets() -> list[ArmParameters]:
+    """Return the handout's parameters and ten sets around them, each within a factor of two."""
+    rng = np.random.default_rng(20)
+    handout = ArmParameters()
+    names = [f.name for f in fields(ArmParameters) if f.name != "b_1"]
+    return [
+        handout,
+        *(
+            ArmParameters(**{n: getattr(handout, n) * 2 ** rng.uniform(-1, 1) for n in names})
+            for _ in range(10)
+        ),
+    ]
+
+
+@pytest.fixture(params=parameter_sets(), ids=["handout", *(f"set {i}" for i in range(1, 11))])
+def params(request: pytest.FixtureRequest) -> ArmParameters:
+    """Return each set of parameters."""
+    taken: ArmParameters = request.param
+    return taken

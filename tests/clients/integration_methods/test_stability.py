@@ -1,0 +1,136 @@
+"""Stability limits: closed forms, what the solution does on both sides, and the odd cases."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+import pytest
+from armrig.integration.accuracy import growth
+from armrig.integration.methods import METHODS, amplification
+from armrig.integration.stability import stability_limit
+from armrig.integration.stepping import transition
+from armrig_core.arm import ArmParameters, arm_matrices
+from hypothesis import given
+from hypothesis import strategies as st
+
+EXPLICIT = ("forward_euler", "ab2", "heun", "midpoint")
+OSCILLATOR = np.array([[0.0, 1.0], [-4.0, 0.0]])
+TWICE = np.kron(np.eye(2), OSCILLATOR)
+COUPLED = TWICE + np.kron([[0.0, 1.0], [0.0, 0.0]], np.eye(2))
+
+
+def pair(real: float, imaginary: float) -> np.ndarray:
+    """Return a matrix with these two eigenvalues, real ± i imaginary."""
+    return np.array([[real, imaginary], [-imaginary, real]])
+
+
+@given(st.floats(-50.0, -1e-3), st.floats(0.0, 50.0))
+def test_forward_euler_s_limit_is_that_of_its_circle(real: float, imaginary: float) -> None:
+    """|1 + h lambda| = 1 at h = -2 Re lambda / |lambda|²."""
+    limit = stability_limit(pair(real, imaginary), "forward_euler")
+
+    assert limit == pytest.approx(-2 * real / (real**2 + imaginary**2), rel=1e-6)
+
+
+@given(st.floats(-50.0, -0.01), st.floats(0.0, 50.0), st.sampled_from(EXPLICIT))
+def test_the_limit_is_where_the_largest_root_meets_the_circle(
+    real: float, imaginary: float, method: str
+) -> None:
+    """Inside all the way up to it, outside just beyond."""
+    z = complex(real, imaginary) * stability_limit(pair(real, imaginary), method)
+
+    sizes = amplification(METHODS[method], z * np.linspace(0.01, 0.9999, 100))
+    assert sizes.max() <= 1
+    assert amplification(METHODS[method], np.array(1.0001 * z)) > 1
+
+
+@pytest.mark.parametrize(
+    ("method", "reach"),
+    [("forward_euler", 2.0), ("ab2", 1.0), ("heun", 2.0), ("midpoint", 2.0), ("trapezoidal", inf)],
+)
+def test_a_decay_is_followed_as_far_as_the_region_reaches(method: str, reach: float) -> None:
+    """On the real axis the textbook's intervals."""
+    assert stability_limit([[-4.0]], method) == pytest.approx(reach / 4)
+
+
+def test_the_handout_s_arm() -> None:
+    """The oscillation limits forward Euler and AB(2), the decay of -36.739 1/s limits RK(2)."""
+    A, _, _ = arm_matrices(ArmParameters())
+
+    limits = {m: stability_limit(A, m) for m in METHODS}
+
+    assert limits["forward_euler"] == pytest.approx(2 * 8.0479 / (8.0479**2 + 17.081**2), rel=1e-3)
+    assert limits["ab2"] == pytest.approx(1 / 36.739, rel=1e-4)
+    assert limits["heun"] == limits["midpoint"] == pytest.approx(2 / 36.739, rel=1e-4)
+    assert limits["trapezoidal"] == inf
+
+
+@pytest.mark.parametrize("method", EXPLICIT)
+def test_a_step_is_stable_just_inside_the_limit_and_not_just_outside(
+    method: str, params: ArmParameters
+) -> None:
+    """Seen in the solution itself, for the handout's arm and ten others."""
+    A, _, _ = arm_matrices(params)
+    limit = stability_limit(A, method)
+
+    assert growth(A, method, 0.999 * limit) < 1
+    assert growth(A, method, 1.001 * limit) > 1
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_recursion_has_the_roots_of_the_stability_polynomial(method: str) -> None:
+    """Those of pi(zeta; h lambda) for every eigenvalue are the eigenvalues of the recursion."""
+    A, _, _ = arm_matrices(ArmParameters())
+    h = 0.01
+
+    roots = np.concatenate(
+        [
+            np.roots(
+                [np.polyval(row[::-1], h * z) for row in METHODS[method].stability_polynomial][::-1]
+            )
+            for z in np.linalg.eigvals(A)
+        ]
+    )
+
+    own = np.linalg.eigvals(transition(A, h, METHODS[method]))
+    distance = np.abs(own[:, None] - roots[None, :])
+    assert own.size == roots.size
+    assert distance.min(axis=0).max() < 1e-9
+    assert distance.min(axis=1).max() < 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("A", "explicit", "trapezoidal"),
+    [
+        pytest.param([[0.0]], inf, inf, id="a constant"),
+        pytest.param(np.zeros((2, 2)), inf, inf, id="two constants"),
+        pytest.param([[0.0, 1.0], [0.0, 0.0]], 0.0, 0.0, id="double integrator"),
+        pytest.param([[1e-9]], 0.0, 0.0, id="slow growth"),
+        pytest.param([[2.0]], 0.0, 0.0, id="growth"),
+        pytest.param(OSCILLATOR, 0.0, inf, id="oscillator"),
+        pytest.param(TWICE, 0.0, inf, id="two oscillators"),
+        pytest.param(COUPLED, 0.0, 0.0, id="oscillator that drives its like"),
+    ],
+)
+def test_marginal_and_unstable_systems(
+    method: str, A: np.ndarray, explicit: float, trapezoidal: float
+) -> None:
+    """What grows by itself has no stable step; a constant asks for none."""
+    assert stability_limit(A, method) == (trapezoidal if method == "trapezoidal" else explicit)
+
+
+def test_an_integrator_beside_a_decay_does_not_count() -> None:
+    """Nor does the arm's own."""
+    A = np.diag([0.0, -5.0])
+
+    assert stability_limit(A, "forward_euler") == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_system_twice_as_fast_needs_half_the_step(method: str, params: ArmParameters) -> None:
+    """The limit is one of h lambda."""
+    A, _, _ = arm_matrices(params)
+
+    assert stability_limit(2 * A, method) == pytest.approx(stability_limit(A, method) / 2)

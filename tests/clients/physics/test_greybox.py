@@ -1,0 +1,220 @@
+"""The grey box gives back the parameters that made the data, and knows how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.physics import ArmParameters, arm, chassis
+from chassis_data import Make, Ts, angle
+
+HANDOUT = ArmParameters()
+
+
+def off(fit: Any, name: str = "J_1", truth: float = HANDOUT.J_1) -> float:
+    """Return the error in reported standard deviations."""
+    return float((fit.values[name] - truth) / fit.std[name])
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_noise_free_data_give_back_the_inertia(make: Make, factor: float) -> None:
+    """From a start ten times off either way."""
+    data = make(std=0.0)
+
+    fit = armrig.greybox(data, fixed=replace(HANDOUT, J_1=factor * HANDOUT.J_1))
+
+    assert fit.values["J_1"] == pytest.approx(HANDOUT.J_1, rel=1e-9)
+    assert fit.converged
+
+
+def test_the_whole_rig_gives_back_both_inertias_and_the_spring() -> None:
+    """From either output."""
+    u = armrig.telegraph(4000, 0.02, seed=1)
+    start = replace(HANDOUT, J_1=1.2e-3, J_2=6e-3, K_lin=1.5)
+    for output in ("theta_1", "alpha"):
+        data = Dataset(u=u, y=angle(u, HANDOUT, arm, output), Ts=Ts)
+
+        fit = armrig.greybox(data, arm, ("J_1", "J_2", "K_lin"), start, output)
+
+        for name in fit.names:
+            assert fit.values[name] == pytest.approx(getattr(HANDOUT, name), rel=1e-6)
+
+
+def test_the_standard_deviation_is_that_of_repeated_experiments(make: Make) -> None:
+    """Over 80 seeds: the ratio within its own 3 sigma (0.24), all errors below 4 sd."""
+    fits = [armrig.greybox(make(seed, N=2000)) for seed in range(80)]
+
+    z = np.array([off(fit) for fit in fits])
+    robust = np.array([(f.values["J_1"] - HANDOUT.J_1) / f.std_robust["J_1"] for f in fits])
+    for errors in (z, robust):
+        assert 0.76 < errors.std(ddof=1) < 1.24
+        assert abs(errors.mean()) < 0.34
+        assert np.abs(errors).max() < 4
+
+
+def test_missing_samples_and_several_experiments(make: Make) -> None:
+    """Each with its own initial state and offset; a missing y costs its row, nothing else."""
+    parts = [make(seed, N=2000, offset=0.1 * seed) for seed in (1, 2)]
+    holes = np.random.default_rng(0).random(2000) > 0.3
+    parts[0] = Dataset(
+        u=parts[0].u, y=parts[0].y + 7.0, Ts=Ts, valid=holes, output="theta_1", unit="rad"
+    )
+
+    fit = armrig.greybox(merge(parts))
+
+    assert abs(off(fit)) < 3
+    assert fit.offset == pytest.approx((0.1, 0.2), abs=2e-3)
+    assert fit.initial[0][0] == pytest.approx(7.0, abs=2e-3)
+    assert 2000 + np.count_nonzero(holes) == fit.N
+
+
+def test_what_is_held_fixed_carries_its_uncertainty_in(make: Make) -> None:
+    """By the shift that a wrong value causes, which `influence` foretells."""
+    data = make()
+    fit = armrig.greybox(data, fixed_std={"R_m": 0.0321, "K_m": 8.39e-5})
+
+    alone = armrig.greybox(data)
+    shifted = armrig.greybox(data, fixed=replace(HANDOUT, K_m=1.001 * HANDOUT.K_m))
+    by_K_m = fit.influence["J_1"]["K_m"]
+    moved = (shifted.values["J_1"] / alone.values["J_1"] - 1) / 1e-3
+    assert moved == pytest.approx(by_K_m, rel=0.02)
+    assert fit.influence["J_1"]["R_m"] == pytest.approx(-1, abs=1e-6)
+    expected = np.hypot(alone.std["J_1"], 0.01 * HANDOUT.J_1 * np.hypot(by_K_m, 1))
+    assert fit.std["J_1"] == pytest.approx(expected, rel=0.01)
+    assert fit.std_noise["J_1"] == pytest.approx(alone.std["J_1"], rel=1e-9)
+    assert "K_m +" in fit.explain()
+
+
+def test_viscous_friction_neglected_shifts_the_inertia_and_estimated_does_not(make: Make) -> None:
+    """The hint of assignment 3.5 has its price; the option takes it away."""
+    data = make(p=ArmParameters(b_1=5e-3))
+
+    neglected, estimated = armrig.greybox(data), armrig.greybox(data, friction="viscous")
+
+    assert abs(neglected.values["J_1"] - HANDOUT.J_1) > 10 * estimated.std["J_1"]
+    assert any("coloured" in w for w in neglected.warnings)
+    assert abs(off(estimated)) < 3
+    assert abs(off(estimated, "b_1", 5e-3)) < 3
+
+
+def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:
+    """With both frictions on and an input down to 0 V."""
+    data = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0)
+
+    neglected, fit = armrig.greybox(data), armrig.greybox(data, friction="both")
+
+    assert abs(neglected.values["J_1"] - HANDOUT.J_1) > 10 * fit.std["J_1"]
+    assert abs(off(fit)) < 3
+    assert fit.values["T_c"] == pytest.approx(0.02, rel=0.01)
+    assert fit.values["b_1"] == pytest.approx(5e-3, rel=0.01)
+
+
+def test_coulomb_friction_does_no_harm_where_the_chassis_never_stops(make: Make) -> None:
+    """It is a constant then, and the input offset takes it."""
+    data = make(coulomb_nm=0.02)
+
+    fit = armrig.greybox(data)
+
+    assert abs(off(fit)) < 3
+    assert fit.offset[0] * HANDOUT.torque_per_volt == pytest.approx(0.02, rel=0.01)
+    assert armrig.greybox(data, friction="coulomb").values["T_c"] == pytest.approx(0.02, rel=0.01)
+
+
+def test_a_friction_that_is_not_there_is_zero_within_its_sd(make: Make) -> None:
+    """On either side of zero, or its standard deviation would be a lie."""
+    values = [
+        off(armrig.greybox(make(s, N=2000), friction="viscous"), "b_1", 0.0) for s in range(30)
+    ]
+
+    assert min(values) < 0 < max(values)
+    assert np.abs(values).max() < 4
+
+
+def test_a_reading_in_steps_is_noticed(make: Make) -> None:
+    """Quiet data are warned of, noisy ones are not."""
+    lsb = np.deg2rad(352) / 1024
+    for noise, warned in ((0.1, True), (0.5, False)):
+        data = make(std=noise * lsb)
+        read = Dataset(u=data.u, y=np.round(data.y / lsb) * lsb, Ts=Ts, unit="rad")
+
+        fit = armrig.greybox(read)
+
+        assert fit.quantum == pytest.approx(lsb)
+        assert any("conservative" in w for w in fit.warnings) == warned
+    assert armrig.greybox(make()).quantum == 0
+
+
+def test_parameters_that_stand_in_for_each_other_are_refused(make: Make) -> None:
+    """The chassis alone shows two figures, a gain and a time constant."""
+    with pytest.raises(ValueError, match="determine only 2 of 3 parameters"):
+        armrig.greybox(make(), free=("J_1", "K_m", "R_m"))
+    assert armrig.greybox(make(), free=("J_1", "K_m")).condition < 100
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"free": ("J",)}, "free='J' is none of J_1, J_2"),
+        ({"free": ("J_1", "J_1")}, "none twice"),
+        ({"free": ("J_2",)}, "say nothing of J_2"),
+        ({"output": "alpha"}, "output='alpha' is none of the model's"),
+        ({"friction": "dry"}, "friction='dry' must be None"),
+        ({"fixed_std": {"J_1": 1.0}}, "fixed_std='J_1' is no parameter that is held fixed"),
+        ({"fixed_std": {"K_m": -1.0}}, "must be finite and >= 0"),
+        ({"model": lambda p: arm(p).sample(0.1)}, "continuous time"),
+    ],
+)
+def test_the_impossible_is_refused(make: Make, changes: dict[str, Any], message: str) -> None:
+    """With what came and what is allowed."""
+    with pytest.raises(ValueError, match=message):
+        armrig.greybox(make(N=200), **changes)
+
+
+def test_data_of_another_output_are_refused(make: Make) -> None:
+    """A velocity is no angle, whichever estimator is asked."""
+    velocity = armrig.difference(make(N=200))
+
+    for estimator in (armrig.greybox, armrig.inverse_dynamics):
+        with pytest.raises(
+            ValueError, match="the data are velocity, the model's output is theta_1"
+        ):
+            estimator(velocity)  # type: ignore[operator]
+
+
+def test_too_few_samples_are_refused(make: Make) -> None:
+    """One parameter, two states, an offset, and something left over."""
+    with pytest.raises(ValueError, match="at least 5 samples, and two in each; got 4"):
+        armrig.greybox(make(N=4))
+
+
+def test_a_model_of_one_s_own(make: Make) -> None:
+    """Any function of the parameters that gives a continuous state space."""
+    import control
+
+    def mine(p: ArmParameters) -> control.StateSpace:
+        return 2 * chassis(p)
+
+    data = make(std=0.0)
+    doubled = Dataset(u=data.u, y=2 * data.y, Ts=Ts)
+
+    fit = armrig.greybox(doubled, mine, output="y[0]")
+
+    assert fit.values["J_1"] == pytest.approx(HANDOUT.J_1, rel=1e-9)
+
+
+def test_the_result_speaks(make: Make) -> None:
+    """In a table, in words, and as a system."""
+    fit = armrig.greybox(make())
+
+    assert "J_1" in repr(fit)
+    assert "kg m²" in fit.explain()
+    assert fit.to_control().nstates == 2
+    np.testing.assert_allclose(fit.correlation, [[1.0]])
+    u = np.ones(50)
+    np.testing.assert_allclose(fit.simulate(u), angle(u, fit.fixed), atol=1e-12)
+    with pytest.raises(ValueError, match="read-only"):
+        fit.covariance[0, 0] = 1.0

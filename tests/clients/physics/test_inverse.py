@@ -1,0 +1,88 @@
+"""The second opinion: unbiased, sure of what it says, and in agreement with the first."""
+
+from __future__ import annotations
+
+import armrig
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.grey_box.smoothing import smoothed
+from armrig.physics import ArmParameters
+from chassis_data import Make, Ts, angle
+
+HANDOUT = ArmParameters()
+
+
+def test_the_smoothed_signals_are_derivatives_in_phase() -> None:
+    """Of a sine, attenuated alike."""
+    w, s = 20.0, 0.02
+    t = Ts * np.arange(1000)
+    x = smoothed(Dataset(u=np.ones(1000), y=np.sin(w * t) + 50 * t + 200, Ts=Ts), s)
+
+    inside = np.isfinite(x.velocity)
+    gain = float(np.max(x.acceleration[inside])) / w**2
+    assert gain == pytest.approx(np.exp(-((w * s) ** 2) / 2), rel=1e-2)
+    np.testing.assert_allclose(x.velocity[inside], 50 + gain * w * np.cos(w * t[inside]), atol=1e-3)
+    np.testing.assert_allclose(
+        x.acceleration[inside], -gain * w**2 * np.sin(w * t[inside]), atol=0.02
+    )
+    np.testing.assert_allclose(x.u[inside], 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("every", "within"), [(1, 1e-6), (5, 2e-4)])
+def test_noise_free_data_give_back_the_inertia(every: int, within: float) -> None:
+    """At 2 ms and at 10 ms: what sums miss of integrals falls with the fourth power."""
+    u = np.repeat(armrig.telegraph(1000, 0.1, seed=2), 5)
+    y = angle(u, HANDOUT)
+    data = Dataset(u=u[::every], y=y[::every], Ts=every * Ts)
+
+    fit = armrig.inverse_dynamics(data)
+
+    assert fit.values["J_1"] == pytest.approx(HANDOUT.J_1, rel=within)
+
+
+def test_its_standard_deviation_is_that_of_repeated_experiments(make: Make) -> None:
+    """Over 40 seeds, and the first estimate is no worse."""
+    pairs = [(armrig.greybox(d), armrig.inverse_dynamics(d)) for d in map(make, range(40))]
+
+    z = np.array([(b.values["J_1"] - HANDOUT.J_1) / b.std["J_1"] for _, b in pairs])
+    assert 0.66 < z.std(ddof=1) < 1.34
+    assert abs(z.mean()) < 0.5
+    assert all(a.std["J_1"] < b.std["J_1"] for a, b in pairs)
+    disagree = [armrig.agreement(a, b)[0].p_value < 0.01 for a, b in pairs]
+    assert np.mean(disagree) < 0.07
+
+
+def test_two_estimates_on_a_wrong_model_do_not_agree(make: Make) -> None:
+    """They weigh what is missing differently, and so give it away."""
+    data = make(p=ArmParameters(b_1=5e-3))
+
+    [verdict] = armrig.agreement(armrig.greybox(data), armrig.inverse_dynamics(data))
+
+    assert verdict.p_value < 0.05
+    assert "J_1" in repr(verdict)
+
+
+def test_both_frictions(make: Make) -> None:
+    """Over an input that lets the chassis stop; what is near a stop is left out."""
+    data = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0, std=1e-3, N=10_000)
+
+    fit = armrig.inverse_dynamics(data, friction="both")
+
+    for name, truth in (("J_1", HANDOUT.J_1), ("b_1", 5e-3), ("T_c", 0.02)):
+        assert abs(fit.values[name] - truth) < 4 * fit.std[name]
+        assert fit.std[name] < 0.1 * truth
+
+
+def test_fixed_parameters_carry_their_uncertainty_in(make: Make) -> None:
+    """J_1 goes with 1/R_m."""
+    fit = armrig.inverse_dynamics(make(), fixed_std={"R_m": 0.0321})
+
+    assert fit.influence["J_1"]["R_m"] == pytest.approx(-1, abs=1e-4)
+    assert fit.std["J_1"] == pytest.approx(np.hypot(fit.std_noise["J_1"], 0.01 * fit.values["J_1"]))
+
+
+def test_too_short_data_are_refused(make: Make) -> None:
+    """Nothing is left of them after smoothing."""
+    with pytest.raises(ValueError, match="leaves 0 values"):
+        armrig.inverse_dynamics(make(N=60))

@@ -1,0 +1,97 @@
+"""The figures of a step response, and what each parameter does to it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import armrig
+import control
+import numpy as np
+import pytest
+from armrig.physical_step import step_response
+from armrig.physics import ArmParameters, arm, chassis
+
+P = ArmParameters()
+T = np.linspace(0.0, 1.0, 501)
+
+
+def test_the_handout_s_figures() -> None:
+    """Assignment 2.2: steady speed, initial slope, poles and zeros."""
+    seen = armrig.characteristics()
+
+    assert seen.steady_speed == pytest.approx(1.8623, abs=5e-5)
+    assert seen.initial_slope == pytest.approx(98.40, abs=5e-3)
+    expected = [0, -8.048 - 17.081j, -8.048 + 17.081j, -36.739]
+    np.testing.assert_allclose(
+        np.sort_complex(seen.poles), np.sort_complex(np.array(expected)), atol=1e-3
+    )
+    np.testing.assert_allclose(np.sort(seen.zeros.imag), [-15.745, 15.745], atol=1e-3)
+
+
+def test_the_figures_are_those_of_the_response() -> None:
+    """Of any parameters, friction too."""
+    p = ArmParameters(J_1=2.5e-3, K_lin=0.8, b_1=0.01)
+    seen = armrig.characteristics(p)
+
+    assert step_response(p, np.linspace(0, 20, 2001))[-1] == pytest.approx(seen.steady_speed)
+    early = np.linspace(0, 1e-6, 2)
+    assert step_response(p, early)[-1] / 1e-6 == pytest.approx(seen.initial_slope, rel=1e-4)
+    G = arm(p)[0, 0]
+    np.testing.assert_allclose(np.sort_complex(G.zeros()), np.sort_complex(seen.zeros), atol=1e-6)
+
+
+def test_the_response_is_python_control_s() -> None:
+    """By another program."""
+    _, y = control.step_response(arm(P)[1, 0], T)
+
+    np.testing.assert_allclose(step_response(P, T, state="alpha"), y, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["J_1", "J_2", "N", "K_lin", "R_m", "K_m"])
+def test_one_per_cent_more_does_what_is_foretold(name: str) -> None:
+    """To first order: twice the second difference is left."""
+    value = getattr(P, name)
+    by = armrig.step_sensitivities(P, T, names=[name], u=2.0)[name]
+
+    up, down = (
+        step_response(replace(P, **{name: value * np.exp(x)}), T, u=2.0) for x in (1e-4, -1e-4)
+    )
+    np.testing.assert_allclose(by, (up - down) / 2e-4, atol=1e-6)
+
+
+def test_friction_s_sensitivity_is_in_shares_of_the_back_emf() -> None:
+    """As b_1 may be 0."""
+    d = (P.N * P.K_m) ** 2 / P.R_m
+    by = armrig.step_sensitivities(P, T, names=["b_1"], model=chassis)["b_1"]
+
+    bits = [step_response(replace(P, b_1=x * d), T, model=chassis) for x in (0.0, 1e-4, 2e-4)]
+    np.testing.assert_allclose(by, (4 * bits[1] - 3 * bits[0] - bits[2]) / 2e-4, atol=1e-6)
+
+
+def test_inertias_and_spring_leave_the_steady_speed_alone() -> None:
+    """And R_m too, as long as nothing rubs."""
+    by = armrig.step_sensitivities(P, np.linspace(0, 10, 1001))
+
+    for name in ("J_1", "J_2", "K_lin", "R_m"):
+        assert abs(by[name][-1]) < 1e-6
+    assert by["K_m"][-1] == by["N"][-1] == pytest.approx(-1.8623, abs=1e-4)
+
+
+def test_the_words_give_the_reasons() -> None:
+    """Of slope and steady speed."""
+    text = armrig.characteristics().explain()
+
+    assert "1.8623 rad/s per V" in text
+    assert "accelerates J_1 alone" in text
+    assert "nor does R_m" in text
+    assert "nor does R_m" not in armrig.characteristics(ArmParameters(b_1=0.1)).explain()
+
+
+def test_the_impossible_is_refused() -> None:
+    """A time grid with a gap, a parameter and a state that are none."""
+    with pytest.raises(ValueError, match="equidistant from 0"):
+        armrig.step_sensitivities(P, [0.0, 0.1, 0.3])
+    with pytest.raises(ValueError, match="'J' is none of J_1"):
+        armrig.step_sensitivities(P, T, names=["J"])
+    with pytest.raises(ValueError, match="state='beta' is none of"):
+        step_response(P, T, state="beta")

@@ -1,0 +1,109 @@
+"""Sampled models and their derivatives against finite differences and the emulator's plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from armrig.excitation import telegraph
+from armrig.grey_box.model import Physics
+from armrig.grey_box.response import linear_parts, sensitivity, with_friction
+from armrig.physics import ArmParameters, arm, chassis
+from armrig_core.arm import chassis_matrices, zero_order_hold
+from chassis_data import Ts, rubbing
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+P = ArmParameters(b_1=2e-3)
+NAMES = ("J_1", "J_2", "N", "K_lin", "R_m", "K_m", "b_1")
+U = telegraph(600, 0.02, 0.05, 5.0, seed=3)  # 0.05 V does not overcome the friction
+
+
+def moved(name: str, x: float) -> dict[str, float]:
+    """Return one parameter a little off, in its coordinate."""
+    value = getattr(P, name)
+    return {name: value + x if name == "b_1" else value * float(np.exp(x))}
+
+
+def test_the_model_is_sampled_as_the_core_samples_it() -> None:
+    """Exactly, for a held input."""
+    A, B, _ = chassis_matrices(P)
+    Phi, Gamma = zero_order_hold(A, B, Ts)
+
+    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
+
+    np.testing.assert_allclose(sampled.Phi, Phi, rtol=1e-13)
+    np.testing.assert_allclose(sampled.Gamma, Gamma[:, 0], rtol=1e-13)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_whole_rig_s_sensitivities(name: str) -> None:
+    """Of alpha, from a state off zero and with an input offset."""
+    physics = Physics(model=arm, fixed=P, output="alpha")
+    x0, u0 = np.array([0.3, 0.1, 1.0, -2.0]), 0.2
+
+    def y(x: float) -> Vector:
+        forced, free = linear_parts(physics.sampled(moved(name, x), (), Ts), U)
+        return forced + free @ np.append(x0, u0)
+
+    ours = sensitivity(physics.sampled(moved(name, 0.0), (name,), Ts), U, x0, u0)[:, 0]
+
+    step = 1e-6 if name == "b_1" else 1e-4
+    differences = (y(step) - y(-step)) / (2 * step)
+    np.testing.assert_allclose(ours, differences, atol=2e-6 * np.abs(differences).max() + 1e-9)
+
+
+@pytest.mark.parametrize("name", ["J_1", "K_m", "b_1"])
+def test_sensitivities_through_stops_and_starts(name: str) -> None:
+    """With Coulomb friction, over an input that lets the chassis stop."""
+    physics = Physics(model=chassis, fixed=P, output="theta_1")
+
+    def y(x: float) -> Vector:
+        return with_friction(physics.sampled(moved(name, x), (), Ts), U, np.zeros(2), 0.1, 1).y
+
+    sampled = physics.sampled(moved(name, 0.0), (name,), Ts)
+    answer = with_friction(sampled, U, np.zeros(2), 0.1, 1)
+
+    differences = (y(1e-6) - y(-1e-6)) / 2e-6
+    assert np.any(np.abs(np.diff(answer.y)) < 1e-12)  # it does stop
+    np.testing.assert_allclose(
+        answer.by_parameters[:, 0], differences, atol=1e-5 * np.abs(differences).max()
+    )
+
+
+def test_sensitivities_by_friction_and_by_the_initial_state() -> None:
+    """The friction's voltage, where it stops and where it starts."""
+    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
+    x0 = np.array([0.1, 3.0])
+    answer = with_friction(sampled, U, x0, 0.1, 1)
+
+    by_V = (
+        with_friction(sampled, U, x0, 0.1 + 1e-6, 1).y
+        - with_friction(sampled, U, x0, 0.1 - 1e-6, 1).y
+    ) / 2e-6
+    np.testing.assert_allclose(answer.by_friction, by_V, atol=1e-5 * np.abs(by_V).max())
+    for i, e in enumerate(1e-6 * np.eye(2)):
+        y = [with_friction(sampled, U, x0 + s * e, 0.1, 1).y for s in (1, -1)]
+        np.testing.assert_allclose(answer.by_initial[:, i], (y[0] - y[1]) / 2e-6, atol=1e-7)
+
+
+def test_friction_is_the_emulator_s() -> None:
+    """Which splits each 0.1 ms: the angle agrees to a fraction of a step of the converter."""
+    u = telegraph(2000, 0.02, 0.0, 5.0, seed=4)
+    V = 0.02 / P.torque_per_volt
+
+    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
+    ours = with_friction(sampled, u, np.zeros(2), V, 1).y
+
+    assert np.abs(ours - rubbing(u, P, 0.02)).max() < 2e-3
+    assert np.abs(ours - rubbing(u, replace(P, b_1=0.0), 0.0)).max() > 0.5
+
+
+def test_without_friction_both_ways_agree() -> None:
+    """V = 0 is the linear model."""
+    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
+
+    np.testing.assert_allclose(
+        with_friction(sampled, U, np.zeros(2), 0.0, 1).y, linear_parts(sampled, U)[0], atol=1e-11
+    )

@@ -1,0 +1,87 @@
+"""The split study: the law, the test of the parts, and the words."""
+
+from __future__ import annotations
+
+import armrig
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.grey_box.split import Split
+from armrig.physics import ArmParameters
+from chassis_data import Make, Ts, angle
+
+
+def test_the_standard_deviation_follows_the_law(make: Make) -> None:
+    """The mean of sd sqrt(N) over 5 runs is the same for 1, 2 and 4 parts within 10 %."""
+    scaled = np.mean(
+        [
+            [s.scaled_std for s in armrig.split_study(make(seed), (1, 2, 4)).splits]
+            for seed in range(5)
+        ],
+        axis=0,
+    )
+
+    np.testing.assert_allclose(scaled / scaled[0], 1.0, atol=0.1)
+
+
+def test_the_parts_are_those_of_the_data(make: Make) -> None:
+    """Each estimated from its own samples; missing ones do not count."""
+    data = make(N=2000)
+    valid = np.arange(2000) >= 100
+    holed = Dataset(u=data.u, y=data.y, Ts=Ts, valid=valid, output="theta_1", unit="rad")
+
+    study = armrig.split_study(holed, (1, 2))
+
+    assert [s.N.tolist() for s in study.splits] == [[1900.0], [900.0, 1000.0]]
+    second = armrig.greybox(holed[1000:])
+    assert study.splits[1].values[1] == second.values["J_1"]
+    assert study.splits[1].std[1] == second.std["J_1"]
+
+
+def test_pooling_and_the_test_of_the_parts_by_hand() -> None:
+    """Two estimates, 1 ± 1 and 4 ± 2."""
+    split = Split(
+        k=2, N=np.array([100.0, 100.0]), values=np.array([1.0, 4.0]), std=np.array([1.0, 2.0])
+    )
+
+    assert split.pooled == pytest.approx((1.6, 0.8**0.5))
+    assert split.chi2 == pytest.approx(0.36 + 1.44)
+    assert split.p_value == pytest.approx(0.17971, abs=1e-5)
+    assert split.scatter == pytest.approx(3 / 2**0.5)
+
+
+def test_a_rig_that_changes_half_way_is_noticed() -> None:
+    """A chassis that becomes 10 % heavier: the halves differ, and the words say so."""
+    u = armrig.telegraph(4000, 0.02, seed=5)
+    y = angle(u, ArmParameters())
+    y[2000:] = y[2000] + angle(u[2000:], ArmParameters(J_1=1.87e-3))
+    y += 2e-3 * np.random.default_rng(0).standard_normal(4000)
+
+    study = armrig.split_study(Dataset(u=u, y=y, Ts=Ts), (1, 2))
+
+    assert study.splits[1].p_value < 1e-6
+    assert "DIFFER" in study.explain()
+
+
+def test_black_box_models_can_be_split_too(make: Make) -> None:
+    """Any fit with names, theta and std, and any of its parameters."""
+    study = armrig.split_study(
+        make(), (1, 2), lambda d: armrig.oe(d, nb=2, nf=2, integrator=True), parameter="f1"
+    )
+
+    assert study.parameter == "f1"
+    assert study.exponent == pytest.approx(-0.5, abs=0.15)
+    assert "f1" in repr(study)
+    with pytest.raises(ValueError, match="parameter='J_2' is none of J_1"):
+        armrig.split_study(make(N=400), (1,), parameter="J_2")
+    with pytest.raises(ValueError, match="parts=0 must be an integer >= 1"):
+        armrig.split_study(make(N=400), (1, 0))
+
+
+def test_the_words_tell_the_trend_and_its_reason(make: Make) -> None:
+    """Variance times two, and why."""
+    text = armrig.split_study(make(), (1, 2, 4)).explain()
+
+    assert "half the data, half the information, twice the variance" in text
+    assert "Pooled" in text
+    assert "4 parts agree" in text
