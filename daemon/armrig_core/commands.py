@@ -158,6 +158,12 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     phase: str
     reason: str
     """Why it is in a fault; empty elsewhere."""
+    fault: str = ""
+    """Id of the fault, for programs; empty where there is none."""
+    motor: str = ""
+    """What is known of the motor."""
+    remedy: str = ""
+    """What to do about the fault."""
     owner: str
     Ts: float
     u_min: float

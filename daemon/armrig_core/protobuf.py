@@ -58,6 +58,9 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("owner", "string"),
         ("Ts_s", "double"),
         ("device", "string"),
+        ("fault", "string"),
+        ("motor", "string"),
+        ("remedy", "string"),
     ),
     "Trace": (
         ("t_host_ns", "sfixed64"),

@@ -17,8 +17,10 @@ from armrig_protocol.messages import (
     Stop,
     Underrun,
 )
+from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
+from armrig_daemon.faults import REMEDIES
 from armrig_daemon.records import Answer, Log, Order
 from armrig_daemon.records import State as StateRecord
 from armrig_daemon.state import Action, Asked, Emit, Heard, Rules, Send, State, Want
@@ -66,6 +68,18 @@ def device_facts(device: HelloReply | None) -> dict[str, object]:
     return facts
 
 
+def motor(state: State) -> str:
+    """Return what is known of the motor, for a person."""
+    watchdog = f"its watchdog stops it within {state.rules.watchdog_ms} ms"
+    if state.device is None or not state.link_up:
+        return f"not known, for the device does not answer; {watchdog}"
+    if state.device_state != DeviceState.RUN:
+        return "at 0 V, says the device"
+    if state.asked is not None and state.asked.want is Want.STOP:
+        return "told to stop, not confirmed yet"
+    return f"told to stop, but not confirmed; {watchdog}" if state.fault else "driven"
+
+
 def say_state(state: State, now_ns: int) -> Action:
     """Return the state for whoever watches."""
     return Emit(
@@ -76,6 +90,9 @@ def say_state(state: State, now_ns: int) -> Action:
             owner=state.lease.owner if state.lease else "",
             ts_us=state.ts_us,
             device=device_facts(state.device),
+            fault=state.fault.id if state.fault else "",
+            motor=motor(state),
+            remedy=REMEDIES[state.fault.id] if state.fault else "",
         )
     )
 
@@ -125,9 +142,9 @@ def ask(
         case Want.CONFIGURE:
             request = config(state.rules, ts_us, state.seq, scheduled=scheduled)
         case Want.ARM:
-            request = Arm(0, state.seq, boot_id, state.config_crc)
+            request = Arm(0, state.seq, boot_id, state.config_crc, state.nonce)
         case Want.START:
-            request = Start(0, state.seq, state.run.samples if state.run else 0)
+            request = Start(0, state.seq, state.run.samples if state.run else 0, state.nonce)
         case Want.STOP:
             request = Stop(0, state.seq)
         case Want.CLEAR:

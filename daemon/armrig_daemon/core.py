@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from armrig_daemon import gaps, handshake, orders, replies, scheduling
 from armrig_daemon.asking import Step, ask, log, refuse, say_state, send
+from armrig_daemon.faults import Fault, Id
 from armrig_daemon.records import RunStarted
 from armrig_daemon.state import (
     Absent,
@@ -93,7 +94,7 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     if state.quitting:
         return state, [*done, Exit()]
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
-        state, actions = trip(state, now_ns, f"link lost: {reason}")
+        state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
         return state, done + actions
     phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
     state = replace(state, phase=phase)
@@ -134,15 +135,16 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     if not state.link_up or state.device is None:
         return state, done
     rules, driving = state.rules, state.phase in (Phase.ARMED, Phase.ACTIVE)
-    reason = ""
+    fault: Fault | None = None
     if pause_ns > rules.pause_ns(state.ts_us, scheduled=self_paced):
-        reason = f"the host paused for {pause_ns / 1e6:.0f} ms"
+        fault = Fault(Id.PAUSE, f"the host paused for {pause_ns / 1e6:.0f} ms")
     elif rules.stop_after and skipped >= rules.stop_after and not self_paced:
-        reason = f"{skipped} ticks in a row were missed: {rules.stop_after} are allowed"
+        cause = f"{skipped} ticks in a row were missed: {rules.stop_after} are allowed"
+        fault = Fault(Id.MISSED, cause)
     elif rules.service_ns and now_ns - state.service_ns > rules.service_ns:
-        reason = "the service is frozen: nobody could stop the motor"
-    if driving and reason:
-        state, actions = trip(state, now_ns, reason)
+        fault = Fault(Id.SERVICE, "the service is frozen: nobody could stop the motor")
+    if driving and fault:
+        state, actions = trip(state, now_ns, fault)
         return state, done + actions
     if now_ns - state.fresh_ns > rules.age_ns(state.ts_us, scheduled=self_paced):
         state, actions = _stale(state, now_ns, driving=driving)
@@ -167,7 +169,8 @@ def _skip(state: State, k: int, count: int, now_ns: int, reason: str) -> State:
 def _stale(state: State, now_ns: int, *, driving: bool) -> Step:
     age_ms = (now_ns - state.fresh_ns) / 1e6
     if driving:
-        return trip(state, now_ns, f"no answer from the device for {age_ms:.0f} ms")
+        cause = f"no answer from the device for {age_ms:.0f} ms"
+        return trip(state, now_ns, Fault(Id.STALE, cause))
     if state.asked is not None:
         return state, []
     state = replace(state, sent=(), device=None)
@@ -191,7 +194,8 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
         return state, 0, []
     if state.run is None:
         if now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us):
-            state, actions = trip(state, now_ns, "the lease ran out: no command from its holder")
+            fault = Fault(Id.LEASE, "the lease ran out: no command from its holder")
+            state, actions = trip(state, now_ns, fault)
             return state, 0, actions
         return state, state.code, []
     done: list[Action] = []
@@ -205,7 +209,8 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
     if i < run.samples:
         code = run.code(i)
         if not state.rules.allows(run.code(i - 1), code):
-            state, actions = trip(state, now_ns, f"u[{i}] is not within the limits")
+            fault = Fault(Id.LIMITS, f"u[{i}] is not within the limits")
+            state, actions = trip(state, now_ns, fault)
             return state, 0, done + actions
         return replace(state, run=replace(run, due=i + 1)), code, done
     state = replace(state, run=replace(run, due=run.samples))

@@ -20,6 +20,7 @@ from armrig_daemon import scheduling
 from armrig_daemon.asking import Step, answer, ask, config, log, refuse, say_state
 from armrig_daemon.budget import check, exchange_us
 from armrig_daemon.clockmap import ClockMap
+from armrig_daemon.faults import Fault, Id, in_words
 from armrig_daemon.records import Hold, Order, Play, Reset, RunStarted, Take
 from armrig_daemon.state import Action, Asked, Emit, Exit, Lease, Phase, Repace, Run, State, Want
 from armrig_daemon.stopping import end_run, trip
@@ -72,11 +73,11 @@ def failed(state: State, now_ns: int, error: str) -> Step:
         if state.quitting:
             return state, [*done, Exit()]
         if state.phase is Phase.FAULT:
-            return state, [*done, log(now_ns, "error", error)]
-        state, actions = trip(state, now_ns, error)
+            return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
+        state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
         return replace(state, asked=None), done + actions
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
-        state, actions = trip(state, now_ns, error)
+        state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
         return state, done + actions
     state, actions = ask(state, now_ns, Want.HELLO)
     return state, [*done, log(now_ns, "warning", error), *actions]
@@ -108,10 +109,12 @@ def seen(state: State, now_ns: int, device_state: int, *, ended: bool = False) -
     if expected is not None and state.asked is None and device_state != expected:
         name = DeviceState(device_state).name if device_state in set(DeviceState) else device_state
         if device_state not in _LATCHED:
-            return trip(state, now_ns, f"the device is in {name}, and nobody asked it to")
+            cause = f"the device is in {name}, and nobody asked it to"
+            return trip(state, now_ns, Fault(Id.STATE, cause))
     latched = device_state in _LATCHED
     if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
-        return trip(state, now_ns, f"the device is in {DeviceState(device_state).name}")
+        cause = f"the device is in {DeviceState(device_state).name}"
+        return trip(state, now_ns, Fault(Id.DEVICE, cause))
     return state, []
 
 
@@ -138,11 +141,11 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
     if isinstance(order, Play):
         return scheduling.begin(state, now_ns, order)
     if not isinstance(order, Take):
-        return trip(state, now_ns, "armed without an owner")
+        return trip(state, now_ns, Fault(Id.INTERNAL, "armed without an owner"))
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
     lease = Lease(order.lease, order.owner, ts_us, -1, now_ns)
-    state = replace(state, phase=Phase.ARMED, reason="", lease=lease)
+    state = replace(state, phase=Phase.ARMED, fault=None, lease=lease)
     granted = {
         "lease": order.lease,
         "period_s": rules.lease_ns(ts_us) / 1e9,
@@ -156,7 +159,7 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
 def _started(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Play | Hold):
-        return trip(state, now_ns, "started without an owner")
+        return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
     lease = replace(state.lease, renewed_ns=now_ns)
     state = replace(state, phase=Phase.ACTIVE, lease=lease, outcome="", code=0, beats=())
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
@@ -190,7 +193,7 @@ def rest(state: State, now_ns: int, order: Order | None) -> Step:
         return state, [*done, Exit()]
     state = replace(state, lease=None)
     if state.phase is Phase.FAULT and not isinstance(order, Reset):
-        return state, done
+        return state, [*done, say_state(state, now_ns)]
     state, actions = ask(state, now_ns, Want.CONFIGURE, order, ts_us=state.rules.ts_us)
     return state, done + actions
 
@@ -216,14 +219,15 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     if (reply.version, reply.schema) != (VERSION, SCHEMA_HASH):
         error = (
             f"the firmware speaks version {reply.version}, schema {reply.schema:08x}; "
-            f"this daemon {VERSION}, {SCHEMA_HASH:08x}: flash the firmware of this release"
+            f"this daemon {VERSION}, {SCHEMA_HASH:08x}"
         )
-        return _latch(state, now_ns, asked, error)
+        return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
     error = _unfit(reply)
     if error:
-        return _latch(state, now_ns, asked, error)
+        return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
     if reply.state in _LATCHED:
-        return _latch(state, now_ns, asked, f"the device is in {DeviceState(reply.state).name}")
+        cause = f"the device is in {DeviceState(reply.state).name}"
+        return _latch(state, now_ns, asked, Fault(Id.DEVICE, cause))
     if state.phase is Phase.FAULT and asked.order is None:
         return state, [say_state(state, now_ns)]
     if reply.state in _DRIVES:
@@ -248,17 +252,23 @@ def _unfit(device: HelloReply) -> str:
     return ""
 
 
-def _latch(state: State, now_ns: int, asked: Asked, error: str) -> Step:
-    done = refuse(asked.order, error)
-    if (state.phase, state.reason) == (Phase.FAULT, error):
+def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
+    done = refuse(asked.order, fault.cause)
+    if state.fault == fault:
         return state, done
-    state = replace(state, phase=Phase.FAULT, reason=error)
-    return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
+    state = replace(state, phase=Phase.FAULT, fault=fault)
+    return state, [*done, log(now_ns, "error", in_words(fault)), say_state(state, now_ns)]
 
 
 def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
     """Take the device's answer to CONFIG, which carries what it really accepted."""
     asked = state.asked
+    if asked is not None and asked.want is Want.ARM and _is_renewed(state, reply):
+        # CONFIG was sent twice, for its answer was late: only the nonce of the second arms.
+        if asked.tries >= _TRIES:
+            return state, []
+        state = replace(state, nonce=reply.nonce)
+        return ask(state, now_ns, Want.ARM, asked.order, tries=asked.tries + 1)
     if asked is None or asked.want is not Want.CONFIGURE:
         return state, []
     if reply.code != Code.OK:
@@ -273,6 +283,7 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
         state,
         asked=None,
         config_crc=reply.config_crc,
+        nonce=reply.nonce,
         ts_us=asked.ts_us,
         scheduled=asked.scheduled,
         beats=(),
@@ -284,8 +295,14 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
     if isinstance(asked.order, Take | Play):
         state, actions = ask(state, now_ns, Want.ARM, asked.order)
         return state, done + actions
-    state = replace(state, phase=Phase.SAFE, reason="", lease=None)
+    state = replace(state, phase=Phase.SAFE, fault=None, lease=None)
     return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
+
+
+def _is_renewed(state: State, reply: ConfigReply) -> bool:
+    """Return whether the configuration in force was accepted once more, under another nonce."""
+    same = reply.code == Code.OK and reply.config_crc == state.config_crc
+    return same and reply.nonce != state.nonce
 
 
 def _pace_us(ts_us: int, *, scheduled: bool) -> int:

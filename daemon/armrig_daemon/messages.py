@@ -63,6 +63,9 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
                 owner=record.owner,
                 Ts_s=record.ts_us / 1e6,
                 device=msgspec.json.encode(record.device).decode(),
+                fault=record.fault,
+                motor=record.motor,
+                remedy=record.remedy,
             )
             return _out("state", record.t_host_ns, message.SerializeToString())
         case Log():

@@ -92,6 +92,12 @@ class State(Tagged, frozen=True, kw_only=True):
     owner: str
     ts_us: int
     device: dict[str, Any]
+    fault: str = ""
+    """Id of the fault (`armrig_daemon.faults.Id`); empty where there is none."""
+    motor: str = ""
+    """What is known of the motor, for a person."""
+    remedy: str = ""
+    """What to do about the fault."""
 
 
 class Trace(Tagged, frozen=True, kw_only=True):

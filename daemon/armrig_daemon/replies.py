@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from armrig_daemon import comparing, gaps, handshake, scheduling
 from armrig_daemon.asking import Step, ask, log, say_state
 from armrig_daemon.conversion import converted, extended
+from armrig_daemon.faults import Fault, Id
 from armrig_daemon.state import Action, Phase, Publish, RoundTrip, State, Want
 from armrig_daemon.stopping import trip
 
@@ -64,7 +65,7 @@ def _rebooted(state: State, now_ns: int) -> Step:
     state = replace(state, device=None, sent=(), device_state=0)
     done: list[Action] = []
     if was_driving:
-        state, done = trip(state, now_ns, "the device was reset")
+        state, done = trip(state, now_ns, Fault(Id.RESET, "the device was reset"))
     elif state.phase is not Phase.FAULT:
         state = replace(state, phase=Phase.INIT)
         done = [log(now_ns, "warning", "the device was reset"), say_state(state, now_ns)]
@@ -90,7 +91,8 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
     if event.token and state.phase is not Phase.FAULT:
         detail = f", code {event.detail}" if event.detail else ""
         state = replace(state, device_state=event.state)
-        return trip(state, now_ns, f"the device stopped by itself: {cause}{detail}")
+        fault = Fault(Id.DEVICE, f"the device stopped by itself: {cause}{detail}")
+        return trip(state, now_ns, fault)
     return handshake.seen(state, now_ns, event.state, ended=event.cause == Cause.END)
 
 
@@ -128,7 +130,7 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     done += actions
     if m.u_k != expected and state.phase is not Phase.FAULT:
         text = f"the device applied code {m.u_k} where {sent.code} was commanded"
-        state, actions = trip(state, now_ns, text)
+        state, actions = trip(state, now_ns, Fault(Id.APPLIED, text))
         done += actions
     return state, done
 

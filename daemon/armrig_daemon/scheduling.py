@@ -18,6 +18,7 @@ from armrig_daemon.asking import Step, ask, log, send
 from armrig_daemon.budget import PING_US
 from armrig_daemon.clockmap import extend, host_ns_at
 from armrig_daemon.conversion import converted, extended
+from armrig_daemon.faults import Fault, Id
 from armrig_daemon.records import Play
 from armrig_daemon.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
 from armrig_daemon.stopping import stop, trip
@@ -56,7 +57,8 @@ def refill(state: State, now_ns: int) -> Step:
     ):
         codes = [run.code(i) for i in range(sent, min(sent + SETPOINTS_PER_FRAME, end))]
         if not all(map(state.rules.allows, [run.code(sent - 1), *codes], codes)):
-            state, actions = trip(state, now_ns, f"u[{sent} …] is not within the limits")
+            fault = Fault(Id.LIMITS, f"u[{sent} …] is not within the limits")
+            state, actions = trip(state, now_ns, fault)
             return state, done + actions
         n = len(codes)
         codes += [0] * (SETPOINTS_PER_FRAME - n)
@@ -141,7 +143,7 @@ def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
         return state, [*done, log(now_ns, "warning", text)]
     if m.flags & _RUN and m.u_k != applied_code(code, device.pwm_bits):
         text = f"the device applied code {m.u_k} where {code} was commanded"
-        state, actions = trip(state, now_ns, text)
+        state, actions = trip(state, now_ns, Fault(Id.APPLIED, text))
         done += actions
     return state, done
 

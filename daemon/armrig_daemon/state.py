@@ -11,6 +11,7 @@ from armrig_core.telemetry import Sample
 from armrig_protocol.messages import HelloReply
 
 from armrig_daemon.clockmap import ClockMap
+from armrig_daemon.faults import Fault
 from armrig_daemon.records import Order, Play, Record
 
 
@@ -194,7 +195,8 @@ class State(msgspec.Struct, frozen=True, gc=False):
 
     rules: Rules
     phase: Phase = Phase.INIT
-    reason: str = ""
+    fault: Fault | None = None
+    """Why the rig is latched; None in every other phase."""
     ts_us: int = 0
     link_up: bool = False
     quitting: bool = False
@@ -208,6 +210,8 @@ class State(msgspec.Struct, frozen=True, gc=False):
     device_state: int = 0
     token: int = 0
     config_crc: int = 0
+    nonce: int = 0
+    """Of the newest CONFIG that the device accepted: what ARM and START carry."""
     scheduled: bool = False
     """The configuration in force is of scheduled mode."""
     asked: Asked | None = None
@@ -247,6 +251,11 @@ class State(msgspec.Struct, frozen=True, gc=False):
     """How the run ends; it has ended once the device has stopped."""
     code: int = 0
     """Held by hand."""
+
+    @property
+    def reason(self) -> str:
+        """Return the cause of the fault, or nothing."""
+        return self.fault.cause if self.fault else ""
 
 
 class Send(NamedTuple):

@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from armrig_daemon import gaps
 from armrig_daemon.asking import Step, ask, log, refuse, say_state
+from armrig_daemon.faults import Fault, in_words
 from armrig_daemon.records import Order, RunEnded
 from armrig_daemon.state import Absent, Emit, Phase, Repace, State, Want
 
@@ -45,16 +46,20 @@ def stop(state: State, now_ns: int, outcome: str, order: Order | None = None) ->
     return ask(state, now_ns, Want.STOP, order)
 
 
-def trip(state: State, now_ns: int, reason: str) -> Step:
+def trip(state: State, now_ns: int, fault: Fault) -> Step:
     """Go to 0 V and latch: only a reset, then arm, leads out (S6)."""
     state = replace(
-        state, phase=Phase.FAULT, reason=reason, lease=None, code=0, outcome=state.outcome or reason
+        state,
+        phase=Phase.FAULT,
+        fault=fault,
+        lease=None,
+        code=0,
+        outcome=state.outcome or fault.cause,
     )
-    text = f"stopped at 0 V: {reason}; mend it, then `reset`, then arm again"
-    done = [log(now_ns, "error", text), say_state(state, now_ns)]
     if state.link_up:
-        state, actions = ask(state, now_ns, Want.STOP)
+        state, done = ask(state, now_ns, Want.STOP)
     else:
         # No way to tell the device: its own watchdog stops it.
-        state, actions = end_run(state, now_ns)
-    return state, done + actions
+        state, done = end_run(state, now_ns)
+    text = f"stopped at 0 V: {in_words(fault)}; then `armrig reset`, then arm again"
+    return state, [*done, log(now_ns, "error", text), say_state(state, now_ns)]

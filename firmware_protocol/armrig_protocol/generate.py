@@ -1,8 +1,8 @@
 """Make the tables of the wire from `schema.toml`: `python -m armrig_protocol.generate [--check]`.
 
-Three files come from it: `armrig_protocol/messages.py`, `firmware/rig_protocol.h`, and the part of
-`PROTOCOL.md` between its two marks. With `--check` nothing is written; the exit code says whether
-they are what the schema asks for.
+From it come `armrig_protocol/messages.py`, `firmware/rig_protocol.h`, the part of `PROTOCOL.md`
+between its two marks, and the vectors of the messages in `vectors/frames.json`. With `--check`
+nothing is written; the exit code says whether they are what the schema asks for.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from zlib import crc32
+
+from armrig_protocol.vectors import vectors_of, vectors_text
 
 ROOT = Path(__file__).parent.parent
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "u64": 8}
@@ -204,16 +206,24 @@ def _table_lines(schema: Table) -> Iterator[str]:
             at += SIZES[field["type"]] * count
 
 
+def vector_lines(schema: Table) -> Iterator[str]:
+    """Yield the golden vectors of the messages, a line each."""
+    for message in schema["message"]:
+        fields = [field["name"] for field in (*HEADER, *message["fields"])]
+        yield from vectors_of(message["name"], message["type"], _layout(message), fields)
+
+
 def generated(root: Path) -> dict[Path, str]:
     """Return each generated file below `root` with the text that it should have."""
     schema = tomllib.loads((root / "schema.toml").read_text(encoding="utf-8"))
-    protocol = root / "PROTOCOL.md"
+    protocol, vectors = root / "PROTOCOL.md", root / "vectors" / "frames.json"
     before, rest = protocol.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
     return {
         root / "armrig_protocol" / "messages.py": python_text(schema),
         root / "firmware" / "rig_protocol.h": c_text(schema),
         protocol: f"{before}{BEGIN}\n{tables_text(schema)}{END}{after}",
+        vectors: vectors_text(vectors.read_text(encoding="utf-8"), [*vector_lines(schema)]),
     }
 
 

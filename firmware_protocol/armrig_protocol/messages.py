@@ -8,9 +8,9 @@ from __future__ import annotations
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-VERSION = 1
+VERSION = 2
 """Version of the protocol."""
-SCHEMA_HASH = 0xF1591EB8
+SCHEMA_HASH = 0xF7128A84
 """CRC-32 of the schema; both ends must have the same."""
 MAX_DECODED = 64
 """Longest decoded frame, header and CRC included, in bytes."""
@@ -103,6 +103,8 @@ class Code(IntEnum):
     """Not the token of this fault."""
     STALE = 8
     """Seq or k is not newer than the last accepted; nothing changed."""
+    WRONG_NONCE = 9
+    """Not the nonce of the newest CONFIG accepted: sent again from before."""
 
 
 class Mode(IntEnum):
@@ -218,7 +220,7 @@ class Config(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """READY to ARMED, bound to this boot and this configuration."""
+    """READY to ARMED, bound to this boot, this configuration and its nonce."""
 
     state: int
     """Of the sender (`State`)."""
@@ -227,6 +229,8 @@ class Arm(NamedTuple):
     boot_id: int
     """As in HELLO_R."""
     config_crc: int
+    """As in CONFIG_R."""
+    nonce: int
     """As in CONFIG_R."""
 
 
@@ -239,6 +243,8 @@ class Start(NamedTuple):
     """+1 each frame of this sender."""
     k_stop: int
     """Scheduled mode: samples to take, 0 until STOP; exchange mode: 0."""
+    nonce: int
+    """As in ARM."""
 
 
 class Stop(NamedTuple):
@@ -413,6 +419,8 @@ class ConfigReply(NamedTuple):
     """As CONFIG, in samples."""
     turns: int
     """As CONFIG, in turns/100."""
+    nonce: int
+    """What ARM and START must carry; 0 where no configuration is in force."""
 
 
 class Ack(NamedTuple):
@@ -605,8 +613,8 @@ TYPES: dict[type[Message], int] = {m: number for number, m in MESSAGES.items()}
 LAYOUTS: dict[int, str] = {
     0x01: "BHHI",
     0x02: "BHIHHHHHBBBBHH",
-    0x03: "BHII",
-    0x04: "BHI",
+    0x03: "BHIII",
+    0x04: "BHII",
     0x05: "BH",
     0x06: "BHI",
     0x07: "BH",
@@ -616,7 +624,7 @@ LAYOUTS: dict[int, str] = {
     0x13: "BH",
     0x14: "BHBBH",
     0x81: "BHHIQIIIIHHHHHBBBB",
-    0x82: "BHBBIIHHHHHBBBBHH",
+    0x82: "BHBBIIHHHHHBBBBHHI",
     0x83: "BHBBH",
     0x84: "BHHBBIII",
     0x85: "BHHHIIIIHHHHHH",

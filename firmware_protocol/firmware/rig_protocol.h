@@ -5,8 +5,8 @@
 
 #include <stdint.h>
 
-#define RIG_VERSION 1
-#define RIG_SCHEMA_HASH 0xF1591EB8UL
+#define RIG_VERSION 2
+#define RIG_SCHEMA_HASH 0xF7128A84UL
 #define RIG_MAX_DECODED 64U // Longest decoded frame, header and CRC included, in bytes.
 #define RIG_QUEUE_CAPACITY 512U // Setpoints that a device holds ahead in scheduled mode.
 #define RIG_SETPOINTS_PER_FRAME 24U // Places for codes in one SETPOINTS frame.
@@ -56,6 +56,7 @@ enum {
     RIG_CODE_WRONG_CONFIG = 0x6, // config_crc is not that of the configuration in force
     RIG_CODE_WRONG_TOKEN = 0x7, // not the token of this fault
     RIG_CODE_STALE = 0x8, // seq or k is not newer than the last accepted; nothing changed
+    RIG_CODE_WRONG_NONCE = 0x9, // not the nonce of the newest CONFIG accepted: sent again from before
 };
 
 // Who paces the samples.
@@ -133,7 +134,7 @@ typedef struct __attribute__((packed)) {
 _Static_assert(sizeof(rig_config_t) == 30, "CONFIG");
 _Static_assert(sizeof(rig_config_t) <= RIG_MAX_DECODED, "CONFIG");
 
-// READY to ARMED, bound to this boot and this configuration.
+// READY to ARMED, bound to this boot, this configuration and its nonce.
 #define RIG_TYPE_ARM 0x03U
 typedef struct __attribute__((packed)) {
     uint8_t type;
@@ -141,9 +142,10 @@ typedef struct __attribute__((packed)) {
     uint16_t seq; // +1 each frame of this sender
     uint32_t boot_id; // as in HELLO_R
     uint32_t config_crc; // as in CONFIG_R
+    uint32_t nonce; // as in CONFIG_R
     uint32_t crc; // CRC-32/ISO-HDLC of all before it
 } rig_arm_t;
-_Static_assert(sizeof(rig_arm_t) == 16, "ARM");
+_Static_assert(sizeof(rig_arm_t) == 20, "ARM");
 _Static_assert(sizeof(rig_arm_t) <= RIG_MAX_DECODED, "ARM");
 
 // ARMED to RUN.
@@ -153,9 +155,10 @@ typedef struct __attribute__((packed)) {
     uint8_t state; // of the sender (`State`)
     uint16_t seq; // +1 each frame of this sender
     uint32_t k_stop; // scheduled mode: samples to take, 0 until STOP; exchange mode: 0
+    uint32_t nonce; // as in ARM
     uint32_t crc; // CRC-32/ISO-HDLC of all before it
 } rig_start_t;
-_Static_assert(sizeof(rig_start_t) == 12, "START");
+_Static_assert(sizeof(rig_start_t) == 16, "START");
 _Static_assert(sizeof(rig_start_t) <= RIG_MAX_DECODED, "START");
 
 // To IDLE from READY, ARMED and RUN; taken whatever its seq.
@@ -305,9 +308,10 @@ typedef struct __attribute__((packed)) {
     uint8_t oversampling; // as CONFIG
     uint16_t rail_ticks; // as CONFIG, in samples
     uint16_t turns; // as CONFIG, in turns/100
+    uint32_t nonce; // what ARM and START must carry; 0 where no configuration is in force
     uint32_t crc; // CRC-32/ISO-HDLC of all before it
 } rig_config_r_t;
-_Static_assert(sizeof(rig_config_r_t) == 36, "CONFIG_R");
+_Static_assert(sizeof(rig_config_r_t) == 40, "CONFIG_R");
 _Static_assert(sizeof(rig_config_r_t) <= RIG_MAX_DECODED, "CONFIG_R");
 
 // Answer to ARM, START, STOP, CLEAR_FAULT, ESTOP, and to any frame that had no effect.

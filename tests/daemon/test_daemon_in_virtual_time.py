@@ -13,6 +13,7 @@ from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.faults import Id
 from armrig_daemon.records import (
     Alive,
     Answer,
@@ -35,11 +36,13 @@ from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     MAX_UNECHOED,
+    Arm,
     Cause,
     ConfigReply,
     Exchange,
     Flag,
     HelloReply,
+    Start,
     Stop,
 )
 from armrig_protocol.messages import Sample as DeviceSample
@@ -420,7 +423,8 @@ def test_other_firmware_is_read_and_never_armed(bench: Bench) -> None:
     rig.run_for(500)
 
     assert rig.phase is Phase.FAULT
-    assert "flash the firmware" in rig.loop.state.reason
+    assert rig.loop.state.fault is not None
+    assert rig.loop.state.fault.id is Id.FIRMWARE
     assert "in fault" in rig.take().error
     assert rig.ports.device.state is DeviceState.IDLE
 
@@ -543,6 +547,92 @@ def test_a_configuration_that_was_altered_on_the_way_is_not_taken() -> None:
 
     assert rig.phase is Phase.INIT
     assert any("another configuration" in log.message for log in rig.of(Log))
+
+
+def test_arm_and_start_carry_the_nonce_of_the_newest_configuration(bench: Bench) -> None:
+    """What CONFIG_R said last goes into both."""
+    told: list[int] = []
+    sent: list[tuple[type, int, int]] = []
+
+    def told_by(data: bytes) -> bytes:
+        told.extend(m.nonce for m in feed(b"", data)[1] if isinstance(m, ConfigReply))
+        return data
+
+    def sent_by(data: bytes) -> bytes:
+        found = [m for m in feed(b"", data)[1] if isinstance(m, Arm | Start)]
+        sent.extend((type(m), m.nonce, told[-1]) for m in found)
+        return data
+
+    bench.ports.from_device, bench.ports.to_device = told_by, sent_by
+    for _ in range(2):
+        bench.take()
+        bench.drive(1.0, 0)
+        bench.ask(Halt, reason="enough")
+
+    assert [kind for kind, _, _ in sent] == [Arm, Start, Arm, Start]
+    assert all(nonce == newest != 0 for _, nonce, newest in sent)
+    assert len({nonce for _, nonce, _ in sent}) == 2
+
+
+def test_an_answer_to_config_that_comes_late_costs_another_arm_and_no_more(bench: Bench) -> None:
+    """CONFIG was sent twice by then, and the first answer's nonce is void."""
+    held: list[bytes] = []
+    arms: list[int] = []
+
+    def hold_one_back(data: bytes) -> bytes:
+        if not any(isinstance(m, ConfigReply) for m in feed(b"", data)[1]):
+            return data
+        held.append(data)
+        return b"".join(held) if len(held) == 2 else b""
+
+    def sent_by(data: bytes) -> bytes:
+        arms.extend(m.nonce for m in feed(b"", data)[1] if isinstance(m, Arm))
+        return data
+
+    bench.ports.from_device, bench.ports.to_device = hold_one_back, sent_by
+    bench.order(Take(order=77, owner="a student", lease=LEASE, ts_us=0))
+    bench.run_for(300)
+
+    assert [a.error for a in bench.of(Answer) if a.order == 77] == [""]
+    assert bench.phase is Phase.ARMED
+    assert len(set(arms)) == len(arms) == 2
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_a_session_that_is_played_again_does_not_move_the_motor(
+    bench: Bench, scheduled: bool
+) -> None:
+    """S6: all that the host sent, byte for byte at its times, in the same boot: 0 V throughout."""
+    sent: list[tuple[int, bytes]] = []
+    ports, device = bench.ports, bench.ports.device
+
+    def record(data: bytes) -> bytes:
+        sent.append((ports.now, data))
+        return data
+
+    ports.to_device = record
+    ports.send(ports.now, LinkDown("pulled"))
+    ports.send(ports.now, LinkUp())  # the session begins, with a HELLO
+    bench.run_for(300)
+    bench.take()
+    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[2.5] * 50), scheduled=scheduled)
+    bench.run_for(1000)
+    assert max(s.u_applied_v for s in bench.samples) == pytest.approx(2.5, abs=0.01)
+    bench.ask(Halt, reason="enough")
+    states: set[DeviceState] = set()
+    volts: set[float] = set()
+
+    begin_ns = ports.now + MS - sent[0][0]  # from here on nobody turns the loop
+    for t_ns, data in [*sent, (sent[-1][0] + 1000 * MS, b"")]:
+        while (due_ns := device.next_ns()) < begin_ns + t_ns:
+            device.advance(due_ns)
+            states.add(device.state)
+            volts.add(device.board.volts)
+        device.receive(begin_ns + t_ns, data)
+
+    assert DeviceState.READY in states
+    assert states <= {DeviceState.IDLE, DeviceState.READY}
+    assert volts == {0.0}
 
 
 def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from armrig_protocol.generate import ROOT, generated, main
-from armrig_protocol.messages import SCHEMA_HASH
+from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
 CC = ("cc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic")
 
@@ -17,6 +18,7 @@ CC = ("cc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic")
 def _copy(tmp_path: Path) -> Path:
     shutil.copy(ROOT / "schema.toml", tmp_path)
     shutil.copy(ROOT / "PROTOCOL.md", tmp_path)
+    shutil.copytree(ROOT / "vectors", tmp_path / "vectors")
     return tmp_path
 
 
@@ -45,6 +47,28 @@ def test_words_do_not_change_the_hash_and_fields_do(tmp_path: Path) -> None:
     assert ours not in _generated_python(root)
 
 
+def test_a_field_that_is_added_renews_the_vectors_of_its_message_alone(tmp_path: Path) -> None:
+    """Those by hand and those of the other messages stay, to the byte; the bits before it, too."""
+    root = _copy(tmp_path)
+    vectors = root / "vectors" / "frames.json"
+    before = vectors.read_text().splitlines()
+    schema = (root / "schema.toml").read_text()
+    field = '{ name = "host_ns", type = "u64", unit = "ns", doc = "from PING" },'
+    assert schema.count(field) == 1
+
+    (root / "schema.toml").write_text(
+        schema.replace(field, field + '\n  { name = "more", type = "u8", doc = "more" },')
+    )
+    after = generated(root)[vectors].splitlines()
+
+    changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
+    docs = [json.loads(b.rstrip(","))["doc"] for _, b in changed]
+    assert docs == ["Pong zero", "Pong ones", "Pong mixed"]
+    old, new = (json.loads(line.rstrip(","))["events"][0] for line in changed[-1])
+    assert (new["state"], new["seq"], new["host_ns"]) == (old["state"], old["seq"], old["host_ns"])
+    assert "more" in new
+
+
 def test_an_argument_that_is_not_known_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     """The message says what came and what is allowed."""
     assert main(["--chekc"]) == 2
@@ -54,7 +78,8 @@ def test_an_argument_that_is_not_known_is_refused(capsys: pytest.CaptureFixture[
 def test_the_header_compiles_and_its_sizes_hold(tmp_path: Path) -> None:
     """A C compiler takes the header without a warning; its static asserts hold the sizes."""
     source = tmp_path / "header.c"
-    source.write_text('#include "rig_protocol.h"\nint main(void) { return RIG_VERSION - 1; }\n')
+    main_c = f"int main(void) {{ return RIG_VERSION - {VERSION}; }}"
+    source.write_text(f'#include "rig_protocol.h"\n{main_c}\n')
 
     result = subprocess.run(
         [*CC, f"-I{ROOT / 'firmware'}", str(source), "-o", str(tmp_path / "header")],

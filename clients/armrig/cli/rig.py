@@ -25,7 +25,13 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
     device = report.device
     print_table(
         ("rig", f"{report.rig}, armrig {report.version}, at {report.endpoint}"),
-        ("phase", f"{report.phase} {report.reason}".strip()),
+        ("phase", report.phase),
+        *(
+            row
+            for row in (("fault", f"{report.fault}: {report.reason}"), ("to do", report.remedy))
+            if report.reason
+        ),
+        ("motor", report.motor or "not known"),
         ("owner", report.owner or "nobody"),
         ("Ts", f"{report.Ts:g} s"),
         ("limits", f"{report.u_min:g} to {report.u_max:g} V"),

@@ -51,10 +51,17 @@ def reported(code: int, pwm_bits: int) -> int:
 
 
 def volts(code: int, pwm_bits: int) -> float:
-    """Return the mean terminal voltage for `code`."""
+    """Return the mean terminal voltage for `code` behind an ideal driver."""
     if not pwm_bits:
         return FULL_SCALE_V * code / CODE_FULL_SCALE
     return FULL_SCALE_V * duty(code, pwm_bits) / (1 << pwm_bits)
+
+
+def driven(volts: float, gain: float, offset_v: float) -> float:
+    """Return the terminal voltage behind a driver; its supply ends at 0 and 5 V, and 0 V is off."""
+    if not volts or (gain, offset_v) == (1.0, 0.0):
+        return volts  # an ideal one hides nothing: what is too much is still too much at the motor
+    return min(max(gain * volts + offset_v, 0.0), FULL_SCALE_V)
 
 
 class Board:
@@ -86,6 +93,7 @@ class Board:
         self._adc_bits = settings.adc_bits or CODE_BITS
         self._noise_v = settings.adc_noise_v
         self._pwm_bits = settings.pwm_bits
+        self._driver = (settings.driver_gain, settings.driver_offset_v)
         self._rng = rng
         self._witness = witness
         self._now_ns = now_ns
@@ -111,7 +119,8 @@ class Board:
             msg = f"code {code} at the pin; it must be from 0 to {CODE_FULL_SCALE}"
             raise VoltageError(msg)
         self.code = reported(code, self._pwm_bits)
-        self._apply(now_ns, volts(code, self._pwm_bits), State.RUN, cause)
+        terminal_v = driven(volts(code, self._pwm_bits), *self._driver)
+        self._apply(now_ns, terminal_v, State.RUN, cause)
 
     def release(self, now_ns: int, state: State, cause: Cause) -> None:
         """Disconnect the pin, drive it and the enable line low: 0 V."""
@@ -148,6 +157,20 @@ def _potentiometers(settings: EmulatorSettings) -> tuple[Potentiometer, Potentio
     if not settings.potentiometers:
         range_1 = range_2 = tau
     return (
-        Potentiometer(range_rad=range_1, zero_rad=zero_1, wraps=True),
-        Potentiometer(range_rad=range_2, zero_rad=zero_2, wraps=not settings.potentiometers),
+        Potentiometer(
+            range_rad=range_1,
+            zero_rad=zero_1,
+            wraps=True,
+            low=settings.theta_1_low_v / FULL_SCALE_V,
+            high=settings.theta_1_high_v / FULL_SCALE_V,
+            sign=-1.0 if settings.theta_1_reversed else 1.0,
+        ),
+        Potentiometer(
+            range_rad=range_2,
+            zero_rad=zero_2,
+            wraps=not settings.potentiometers,
+            low=settings.alpha_low_v / FULL_SCALE_V,
+            high=settings.alpha_high_v / FULL_SCALE_V,
+            sign=-1.0 if settings.alpha_reversed else 1.0,
+        ),
     )

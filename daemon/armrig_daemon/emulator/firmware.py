@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
+from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import Ack, Cause, Code, Config, Event, Flag, Message, State, Status
 
 from armrig_daemon.emulator.board import Board
@@ -91,6 +92,10 @@ class Firmware:
     config: Config | None = None
     """In force; None where none is."""
     config_crc: int = 0
+    nonce: int = 0
+    """Of the configuration in force; 0 where none is."""
+    accepted: int = 0
+    """Configurations accepted in this boot, of which each has a nonce of its own."""
     newest: int | None = None
     """seq of the newest frame taken in; None before the first of this boot."""
     fed_ns: int = 0
@@ -116,6 +121,13 @@ class Firmware:
     timer_ns: int = NEVER
     """When it is due; kept by `set_timer` and `go`, because it is read far more often."""
     counters: Counters = field(default_factory=Counters)
+
+    def accept(self, config: Config) -> None:
+        """Put a configuration in force, under a nonce that this boot has not had."""
+        self.config, self.config_crc = config, config_crc(config)
+        # 1 ... 2^32 - 1 in turn; begun at boot_id, so that no other boot has the same ones.
+        self.nonce = (self.boot_id + self.accepted) % U32 + 1
+        self.accepted += 1
 
     def device_us(self, now_ns: int) -> int:
         """Return the device's clock, which starts at reset and wraps at 2^32."""
@@ -162,7 +174,7 @@ class Firmware:
         if state in (State.FAULT, State.ESTOP):
             self.token = int(self.rng.integers(1, U32, endpoint=True))
         if state is State.IDLE:
-            self.config, self.config_crc = None, 0
+            self.config, self.config_crc, self.nonce = None, 0, 0
         self._wind()
         return Event(
             state,

@@ -40,6 +40,10 @@ class Reception:
         """Return when the piece after the next one has arrived, NEVER where there is none."""
         return self._pieces[1][0] if len(self._pieces) > 1 else NEVER
 
+    def first(self) -> bytes:
+        """Return the next piece to arrive."""
+        return self._pieces[0][1]
+
     def peek(self) -> list[Received]:
         """Return what the next piece will bring."""
         if self._peeked is None:

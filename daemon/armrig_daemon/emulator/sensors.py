@@ -22,20 +22,28 @@ class Potentiometer:
     """A track and its wiper."""
 
     range_rad: float
-    """Angle over which the wiper goes from ground to the reference, in rad."""
+    """Angle over which the wiper touches the track, in rad."""
     zero_rad: float
     """Angle from the track's beginning to the wiper when the shaft is at 0, in rad."""
     wraps: bool
     """The shaft turns on beyond the track's ends."""
+    low: float = 0.0
+    """Wiper's voltage at the track's beginning, over the reference."""
+    high: float = 1.0
+    """Wiper's voltage at the track's end, over the reference."""
+    sign: float = 1.0
+    """-1 where the wiper goes towards the track's beginning when the angle grows."""
 
 
 def wiper(pot: Potentiometer, angle: float) -> float | None:
     """Return the wiper's voltage as a fraction of the reference, None in the dead band."""
-    position = angle + pot.zero_rad
+    position = pot.sign * angle + pot.zero_rad
     if pot.wraps:
         position %= tau
-        return position / pot.range_rad if position <= pot.range_rad else None
-    return min(max(position / pot.range_rad, 0.0), 1.0)
+        if position > pot.range_rad:
+            return None
+    share = min(max(position / pot.range_rad, 0.0), 1.0)
+    return pot.low + (pot.high - pot.low) * share
 
 
 def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Generator) -> int:

@@ -27,6 +27,12 @@ _RANGES: dict[str, tuple[float, float]] = {
     "theta_1_zero_deg": (0, 360),
     "alpha_range_deg": (10, 3_600),
     "alpha_zero_deg": (0, 3_600),
+    "theta_1_low_v": (0, 2),
+    "theta_1_high_v": (3, 5),
+    "alpha_low_v": (0, 2),
+    "alpha_high_v": (3, 5),
+    "driver_gain": (0.5, 1.5),
+    "driver_offset_v": (-1, 1),
 }
 _CHOICES: dict[str, tuple[int, ...]] = {
     "pwm_bits": (0, 8, 9, 10, 11, 12, 13, 14, 15, 16),
@@ -72,6 +78,22 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Electrical range of alpha's track, in degrees; it does not turn on."""
     alpha_zero_deg: float = 176.0
     """Wiper's place on the track at alpha = 0, in degrees."""
+    theta_1_low_v: float = 0.0
+    """Wiper's voltage at the beginning of theta_1's track, in V."""
+    theta_1_high_v: float = 5.0
+    """Wiper's voltage at the end of theta_1's track, in V."""
+    theta_1_reversed: bool = False
+    """The wiper goes towards its track's beginning when theta_1 grows."""
+    alpha_low_v: float = 0.0
+    """Wiper's voltage at the beginning of alpha's track, in V."""
+    alpha_high_v: float = 5.0
+    """Wiper's voltage at the end of alpha's track, in V."""
+    alpha_reversed: bool = False
+    """The wiper goes towards its track's beginning when alpha grows."""
+    driver_gain: float = 1.0
+    """Terminal volts for one volt of the duty."""
+    driver_offset_v: float = 0.0
+    """Terminal voltage that comes on top of it where the duty is not 0; within 0 to 5 V."""
     arm_removed: bool = False
     """The rotating part is taken off."""
     coulomb_nm: float = 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import (
     TYPES,
     Arm,
@@ -35,22 +34,24 @@ def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
     if code is Code.OK:
         if fw.state is State.IDLE:
             events = [fw.go(now_ns, State.READY, Cause.REQUEST)]
-        fw.config, fw.config_crc = m, config_crc(m)
+        fw.accept(m)
     else:
         fw.counters.refused += 1
     body = fw.config[HEADER_FIELDS:] if fw.config else NONE_IN_FORCE
-    reply = ConfigReply._make((fw.state, UNNUMBERED, code, 0, fw.config_crc, *body))
+    reply = ConfigReply._make((fw.state, UNNUMBERED, code, 0, fw.config_crc, *body, fw.nonce))
     return [reply, *events]
 
 
 def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
-    """Bind the device to the host that knows this boot and this configuration."""
+    """Bind the device to the host that knows this boot, this configuration and its nonce."""
     if fw.state is not State.READY:
         code = Code.WRONG_STATE
     elif m.boot_id != fw.boot_id:
         code = Code.WRONG_BOOT
     elif m.config_crc != fw.config_crc:
         code = Code.WRONG_CONFIG
+    elif m.nonce != fw.nonce:
+        code = Code.WRONG_NONCE
     else:
         if fw.config is not None and fw.config.mode == Mode.SCHEDULED:
             fw.queue = SetpointQueue(fw.config)
@@ -62,6 +63,8 @@ def start(fw: Firmware, now_ns: int, m: Start) -> list[Message]:
     """Let the motor have u_rest, and in scheduled mode the timer run."""
     if fw.state is not State.ARMED or fw.config is None:
         return [fw.answer(TYPES[Start], m.seq, Code.WRONG_STATE)]
+    if m.nonce != fw.nonce:
+        return [fw.answer(TYPES[Start], m.seq, Code.WRONG_NONCE)]
     scheduled = fw.config.mode == Mode.SCHEDULED
     if m.k_stop != 0 and not scheduled:
         return [fw.answer(TYPES[Start], m.seq, Code.BAD_VALUE)]

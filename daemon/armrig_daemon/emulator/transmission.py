@@ -31,12 +31,19 @@ class Transmission:
         for message in messages:
             if isinstance(message, Pong):
                 message = message._replace(tx_us=fw.device_us(max(t_ns, self._free_ns)))
-            wire = frame.encode(message._replace(seq=self._seq))
+            # As `_replace(seq=...)`, at half its time: each frame passes here.
+            numbered = type(message)._make((message[0], self._seq, *message[2:]))
+            wire = frame.encode(numbered)
             self._seq = (self._seq + 1) & U16  # a frame that is dropped leaves a break in seq
             if self._free_ns - t_ns + wire_ns(len(wire), self._baud) > self._ring_ns:
                 fw.drop()
             else:
                 self._left.append((self._depart(t_ns, len(wire)), wire))
+
+    @property
+    def waits(self) -> bool:
+        """Whether `take` would return something."""
+        return bool(self._left)
 
     def take(self) -> list[tuple[int, bytes]]:
         """Return what was sent since the last call, each with its last byte's departure."""

@@ -13,6 +13,7 @@ from armrig_protocol import decoder, frame
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
     SCHEMA_HASH,
+    VERSION,
     Ack,
     Arm,
     Config,
@@ -67,8 +68,10 @@ class Host:
         """Switch the device on and wait until it has booted."""
         self.now_ns = 0
         self.seq = 0
+        self.nonce = 0
         self.changes: list[Change] = []
         self.heard: list[Heard] = []
+        self.sent: list[tuple[int, bytes]] = []
         self.pending = b""
         self.device = Device(settings, 0, self.changes.append)
         self.wait(round(settings.boot_ms * MS) + 1 * MS)
@@ -82,14 +85,22 @@ class Host:
             for item in received:
                 assert not isinstance(item, (Spoilt, Unknown))
                 came.append(item)
+                if isinstance(item, ConfigReply):
+                    self.nonce = item.nonce
                 self.heard.append(Heard(t_ns, item))
         return came
 
     def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
-        """Send without waiting; return the time at which the frame will have arrived."""
+        """Send without waiting; return the time at which the frame will have arrived.
+
+        ARM and START carry the nonce that was last heard, unless another is given.
+        """
         if seq is None:
             self.seq = seq = (self.seq + 1) & 0xFFFF
+        if kind in (Arm, Start):
+            fields.setdefault("nonce", self.nonce)
         data = frame.encode(kind(0, seq, **fields))
+        self.sent.append((self.now_ns, data))
         self.device.receive(self.now_ns, data)
         return self.now_ns + self.device.rx_backlog_ns(self.now_ns)
 
@@ -100,7 +111,7 @@ class Host:
 
     def hello(self) -> HelloReply:
         """Return the answer to HELLO."""
-        return only(HelloReply, self.ask(Hello, version=1, schema=SCHEMA_HASH))
+        return only(HelloReply, self.ask(Hello, version=VERSION, schema=SCHEMA_HASH))
 
     def configure(self, **fields: int) -> ConfigReply:
         """Return the answer to CONFIG."""
@@ -143,3 +154,28 @@ def codes(messages: list[Message]) -> list[int]:
 def events(messages: list[Message]) -> list[tuple[int, int, int]]:
     """Return (was, state, cause) of the EVENTs."""
     return [(m.was, m.state, m.cause) for m in messages if isinstance(m, Event)]
+
+
+def bytes_of(
+    emulated: EmulatorSettings, script: Sequence[tuple[int, bytes | Message]]
+) -> list[tuple[int, bytes]]:
+    """Return a script's bytes with their times; frames get the seq, k and nonces they need."""
+    boot_id, config_crc = Host(emulated).hello().boot_id, 0
+    host, sent = Host(emulated), []  # hears what the device will answer to the same bytes
+    for seq, (dt_ns, item) in enumerate(script, 1):
+        for heard in host.wait(dt_ns):
+            if isinstance(heard, ConfigReply):
+                config_crc = heard.config_crc
+        data = item
+        if not isinstance(data, bytes):
+            message = item._replace(seq=seq)
+            if isinstance(message, Exchange):
+                message = message._replace(k=seq)
+            if isinstance(message, Arm):
+                message = message._replace(boot_id=boot_id, config_crc=config_crc)
+            if isinstance(message, Arm | Start):
+                message = message._replace(nonce=host.nonce)
+            data = frame.encode(message)
+        host.device.receive(host.now_ns, data)
+        sent.append((host.now_ns, data))
+    return sent

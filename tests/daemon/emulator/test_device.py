@@ -11,6 +11,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import cobs, decoder, frame
 from armrig_protocol.messages import (
     SCHEMA_HASH,
+    VERSION,
     Ack,
     Arm,
     Cal,
@@ -50,6 +51,7 @@ from emulated_host import (
     US,
     Host,
     S,
+    bytes_of,
     codes,
     events,
     only,
@@ -117,7 +119,7 @@ def test_hello_tells_what_the_device_is() -> None:
     can = Capability.EXCHANGE | Capability.SCHEDULED | Capability.ENABLE_LINE
     assert reply.capabilities == can
     assert reply.queue == 512
-    assert (reply.version, reply.schema) == (1, SCHEMA_HASH)
+    assert (reply.version, reply.schema) == (VERSION, SCHEMA_HASH)
     assert (reply.skew_us, reply.hold_us, reply.ts_min_us) == (104, 12, 208)
     assert (reply.adc_bits, reply.pwm_bits, reply.full_scale_mv) == (10, 10, 5000)
     assert (reply.token, reply.cause) == (0, Cause.POWER_ON)
@@ -291,17 +293,83 @@ def test_a_configuration_just_inside_is_accepted(fields: dict[str, int]) -> None
     assert text is not None
     assert reply.config_crc == crc32(text[4:-4])
     assert reply.code == Code.OK
-    assert reply[-12:] == asked[-12:]
+    assert reply[-13:-1] == asked[-12:]
 
 
 def test_arm_is_bound_to_boot_and_configuration() -> None:
-    """WRONG_BOOT, WRONG_CONFIG, and READY it stays."""
+    """WRONG_BOOT, WRONG_CONFIG, WRONG_NONCE, and READY it stays."""
     host = Host()
-    boot_id, config_crc = host.hello().boot_id, host.configure().config_crc
+    boot_id, older = host.hello().boot_id, host.configure()
+    config_crc, nonce = host.configure().config_crc, host.nonce
+    right = {"boot_id": boot_id, "config_crc": config_crc}
 
     assert codes(host.ask(Arm, boot_id=boot_id ^ 1, config_crc=config_crc)) == [Code.WRONG_BOOT]
     assert codes(host.ask(Arm, boot_id=boot_id, config_crc=config_crc ^ 1)) == [Code.WRONG_CONFIG]
+    for wrong in (older.nonce, 0, nonce ^ 1):
+        assert codes(host.ask(Arm, **right, nonce=wrong)) == [Code.WRONG_NONCE]
     assert host.device.state is State.READY
+    assert codes(host.ask(Arm, **right, nonce=nonce)) == [Code.OK]
+
+
+def test_start_is_bound_to_its_arming() -> None:
+    """That of an earlier one is refused, however new its seq; ARMED it stays."""
+    host = Host().reach(State.RUN)
+    older = host.nonce
+    host.ask(Stop)
+    host.reach(State.ARMED)
+
+    assert codes(host.ask(Start, k_stop=0, nonce=older)) == [Code.WRONG_NONCE]
+    assert codes(host.ask(Start, k_stop=0, nonce=0)) == [Code.WRONG_NONCE]
+    assert host.device.state is State.ARMED
+    assert codes(host.ask(Start, k_stop=0)) == [Code.OK]
+
+
+def test_each_configuration_that_is_accepted_has_a_nonce_of_its_own() -> None:
+    """The same one again, too; a refused one changes nothing; without one it is 0."""
+    host = Host()
+    assert host.configure(oversampling=0).nonce == 0
+
+    nonces = [host.configure().nonce for _ in range(5)]
+    assert host.configure(oversampling=0).nonce == nonces[-1]
+    host.ask(Stop)
+    assert host.configure(oversampling=0).nonce == 0
+    nonces += [host.configure().nonce for _ in range(5)]
+    host.device.reset(host.now_ns)
+    host.wait(6 * MS)
+    nonces += [host.configure().nonce for _ in range(5)]
+
+    assert len(set(nonces)) == 15
+    assert 0 not in nonces
+
+
+def test_the_nonce_wraps_and_leaves_out_0() -> None:
+    """From 2^32 - 1 to 1."""
+    host = Host()
+    host.device._fw.boot_id = 2**32 - 3
+
+    assert [host.configure().nonce for _ in range(4)] == [2**32 - 2, 2**32 - 1, 1, 2]
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_what_armed_and_started_once_does_not_again(mode: Mode) -> None:
+    """HELLO, CONFIG, ARM, START, byte for byte in the same boot: READY, and 0 V."""
+    host = Host().reach(State.ARMED, mode=mode, watchdog_ms=250)
+    if mode is Mode.SCHEDULED:
+        host.supply(0, [60_000] * 24)
+    host.ask(Start, k_stop=0)
+    host.ask(Exchange, k=1, u=60_000)
+    assert host.device.board.volts > 4
+    sent = list(host.sent)
+    host.ask(Stop)
+    host.changes.clear()
+
+    for _, data in sent:
+        host.device.receive(host.now_ns, data)
+        host.wait(3 * MS)
+
+    assert host.device.state is State.READY
+    assert Code.WRONG_NONCE in codes([h.message for h in host.heard])
+    assert host.changes == []
 
 
 def test_start_with_an_end_is_refused_in_exchange_mode() -> None:
@@ -370,8 +438,8 @@ def test_a_hello_played_again_makes_no_old_frame_new_where_the_motor_may_turn(st
     host = Host().reach(state)
     host.ask(Exchange, k=7, u=0)
 
-    again = host.ask(Hello, seq=1, version=1, schema=SCHEMA_HASH)
-    newer = host.ask(Hello, version=1, schema=SCHEMA_HASH)
+    again = host.ask(Hello, seq=1, version=VERSION, schema=SCHEMA_HASH)
+    newer = host.ask(Hello, version=VERSION, schema=SCHEMA_HASH)
     old = host.ask(Exchange, k=7, u=100)
 
     assert codes(again) == [Code.STALE]
@@ -727,7 +795,7 @@ def test_a_frame_that_finds_no_room_is_dropped_whole_and_told() -> None:
     host = Host()
 
     for _ in range(20):
-        host.put(Hello, version=1, schema=SCHEMA_HASH)
+        host.put(Hello, version=VERSION, schema=SCHEMA_HASH)
     replies = [m for m in host.wait(20 * MS) if isinstance(m, HelloReply)]
     sample = only(Sample, host.ask(Exchange, k=0, u=0))
 
@@ -758,11 +826,11 @@ COMMANDS = st.one_of(
             Keepalive(0, 0),
             Stop(0, 0),
             Estop(0, 0),
-            Start(0, 0, 0),
+            Start(0, 0, 0, 0),
             Ping(0, 0, 5),
-            Hello(0, 0, 1, SCHEMA_HASH),
+            Hello(0, 0, VERSION, SCHEMA_HASH),
             Config(0, 0, **CONFIG),
-            Arm(0, 0, 0, 0),
+            Arm(0, 0, 0, 0, 0),
             ClearFault(0, 0, 0),
         ]
     ),
@@ -771,32 +839,11 @@ COMMANDS = st.one_of(
 SCRIPT = st.lists(st.tuples(st.integers(0, 40 * MS), COMMANDS), max_size=40)
 
 
-def bytes_of(script: list[tuple[int, bytes | Message]]) -> list[tuple[int, bytes]]:
-    """Return a script's bytes with their times; frames get the seq, k and nonces they need."""
-    probe = Host().reach(State.RUN, u_max=60_000)
-    boot_id, config_crc = probe.hello().boot_id, 0
-    config_crc = Host().configure().config_crc
-    now_ns, seq, sent = 6 * MS, 0, []
-    for dt_ns, item in script:
-        now_ns += dt_ns
-        if isinstance(item, bytes):
-            sent.append((now_ns, item))
-            continue
-        seq += 1
-        message = item._replace(seq=seq)
-        if isinstance(message, Exchange):
-            message = message._replace(k=seq)
-        if isinstance(message, Arm):
-            message = message._replace(boot_id=boot_id, config_crc=config_crc)
-        sent.append((now_ns, frame.encode(message)))
-    return sent
-
-
 OPENING: list[tuple[int, bytes | Message]] = [
-    (1 * MS, Hello(0, 0, 1, SCHEMA_HASH)),
+    (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
     (1 * MS, Config(0, 0, **CONFIG)),
-    (1 * MS, Arm(0, 0, 0, 0)),
-    (1 * MS, Start(0, 0, 0)),
+    (1 * MS, Arm(0, 0, 0, 0, 0)),
+    (1 * MS, Start(0, 0, 0, 0)),
 ]
 
 
@@ -809,7 +856,7 @@ def test_whatever_comes_the_voltage_stays_in_range_and_off_outside_run(
     changes: list[Change] = []
     device = Device(QUIET, 0, changes.append)
 
-    sent = bytes_of(OPENING + script)
+    sent = bytes_of(QUIET, OPENING + script)
     for t_ns, data in sent:
         device.advance(t_ns)
         device.receive(t_ns, data)
@@ -829,10 +876,11 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     script: list[tuple[int, bytes | Message]], looks: list[int]
 ) -> None:
     """Same seed, noise on; how often somebody looks in between changes nothing."""
-    sent = bytes_of(OPENING + script)
+    emulated = EmulatorSettings(baud=BAUD, boot_ms=5, seed=3)
+    sent = bytes_of(emulated, OPENING + script)
     outputs = []
     for extra in ([], looks):
-        device = Device(EmulatorSettings(baud=BAUD, boot_ms=5, seed=3), 0)
+        device = Device(emulated, 0)
         replies = []
         acts = sorted(
             [(t, data) for t, data in sent] + [(t, b"") for t in extra], key=lambda a: a[0]
@@ -852,7 +900,7 @@ def test_who_sleeps_until_something_can_be_seen_misses_nothing(
 ) -> None:
     """No byte leaves before `visible_ns`."""
     device = Device(QUIET, 0)
-    for t_ns, data in [*bytes_of(OPENING + script), (3 * S, b"")]:
+    for t_ns, data in [*bytes_of(QUIET, OPENING + script), (3 * S, b"")]:
         while (due_ns := device.visible_ns()) < t_ns:
             early = device.advance(due_ns - 1)
             assert all(left >= due_ns for left, _ in early)

@@ -19,6 +19,7 @@ from armrig_protocol import decoder, frame
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
     SCHEMA_HASH,
+    VERSION,
     Ack,
     Arm,
     Code,
@@ -93,7 +94,7 @@ class Port:
         self.hello: HelloReply | None = None
         while self.hello is None:
             assert time.monotonic() < end_s
-            self.send(Hello, version=1, schema=SCHEMA_HASH)
+            self.send(Hello, version=VERSION, schema=SCHEMA_HASH)
             self.hello = self.find(HelloReply, 0.1)
 
     def send(self, kind: type[Message], **fields: Any) -> None:
@@ -141,9 +142,10 @@ class Port:
             turns=0,
         )
         assert config.code == Code.OK
-        boot_id, config_crc = self.hello.boot_id, config.config_crc
-        assert self.ask(Arm, Ack, boot_id=boot_id, config_crc=config_crc).code == Code.OK
-        assert self.ask(Start, Ack, k_stop=k_stop).code == Code.OK
+        boot_id, config_crc, nonce = self.hello.boot_id, config.config_crc, config.nonce
+        armed = self.ask(Arm, Ack, boot_id=boot_id, config_crc=config_crc, nonce=nonce)
+        assert armed.code == Code.OK
+        assert self.ask(Start, Ack, k_stop=k_stop, nonce=nonce).code == Code.OK
 
 
 def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:

@@ -11,6 +11,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import frame
 from armrig_protocol.messages import (
     SCHEMA_HASH,
+    VERSION,
     Ack,
     Arm,
     Cause,
@@ -48,6 +49,7 @@ from emulated_host import (
     US,
     Host,
     S,
+    bytes_of,
     codes,
     events,
     only,
@@ -800,13 +802,13 @@ COMMANDS = st.one_of(
         [
             Keepalive(0, 0),
             Stop(0, 0),
-            Start(0, 0, 0),
-            Start(0, 0, 5),
+            Start(0, 0, 0, 0),
+            Start(0, 0, 5, 0),
             Ping(0, 0, 5),
-            Hello(0, 0, 1, SCHEMA_HASH),
+            Hello(0, 0, VERSION, SCHEMA_HASH),
             Config(0, 0, **SCHEDULED),
             Config(0, 0, **CONFIG),
-            Arm(0, 0, 0, 0),
+            Arm(0, 0, 0, 0, 0),
             ClearFault(0, 0, 0),
             Exchange(0, 0, 0, 30_000),
         ]
@@ -819,33 +821,12 @@ COMMANDS = st.one_of(
 )
 SCRIPT = st.lists(st.tuples(st.integers(0, 20 * MS), COMMANDS), max_size=40)
 OPENING: list[tuple[int, bytes | Message]] = [
-    (1 * MS, Hello(0, 0, 1, SCHEMA_HASH)),
+    (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
     (1 * MS, Config(0, 0, **SCHEDULED)),
-    (1 * MS, Arm(0, 0, 0, 0)),
+    (1 * MS, Arm(0, 0, 0, 0, 0)),
     (1 * MS, Setpoints(0, 0, 0, 24, 0, tuple(U[:24]))),
-    (1 * MS, Start(0, 0, 0)),
+    (1 * MS, Start(0, 0, 0, 0)),
 ]
-
-
-def bytes_of(
-    emulated: EmulatorSettings, script: list[tuple[int, bytes | Message]]
-) -> list[tuple[int, bytes]]:
-    """Return a script's bytes with their times; frames get the seq, k and nonces they need."""
-    probe = Host(emulated)
-    boot_id, config_crc = probe.hello().boot_id, probe.configure(**SCHEDULED).config_crc
-    now_ns, sent = 6 * MS, []
-    for seq, (dt_ns, item) in enumerate(script, 1):
-        now_ns += dt_ns
-        if isinstance(item, bytes):
-            sent.append((now_ns, item))
-            continue
-        message = item._replace(seq=seq)
-        if isinstance(message, Exchange):
-            message = message._replace(k=seq)
-        if isinstance(message, Arm):
-            message = message._replace(boot_id=boot_id, config_crc=config_crc)
-        sent.append((now_ns, frame.encode(message)))
-    return sent
 
 
 @settings(max_examples=40, deadline=None)
@@ -895,7 +876,7 @@ def test_a_hello_reply_in_a_run_disturbs_no_sample() -> None:
     host.put(Start, k_stop=0)
     host.wait(2 * MS)
 
-    answers = host.ask(Hello, version=1, schema=SCHEMA_HASH)
+    answers = host.ask(Hello, version=VERSION, schema=SCHEMA_HASH)
 
     assert only(HelloReply, answers).state == State.RUN
     assert {(b.k - a.k, b.t_us - a.t_us) for a, b in pairwise(samples(answers))} == {(1, 500)}

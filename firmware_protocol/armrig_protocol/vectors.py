@@ -1,0 +1,54 @@
+"""The golden vectors of the messages: each with all bits 0, all bits 1, and a mix of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from hashlib import shake_128
+from struct import Struct
+from typing import Any
+
+from armrig_protocol import cobs
+from armrig_protocol.crc import crc32
+
+FILLINGS = ("zero", "ones", "mixed")
+
+
+def vectors_of(name: str, number: int, layout: str, fields: Sequence[str]) -> Iterator[str]:
+    """Yield a message's vectors, a line each.
+
+    They are made from the schema alone, not by the codec that has to meet them.
+
+    Parameters
+    ----------
+    layout : str
+        Of what lies between the type and the CRC, in the letters of the struct module.
+    fields : sequence of str
+        Their names; the last takes all values that are left, where there are more.
+    """
+    text = Struct("<" + layout)
+    # Of the name and as long as is needed: a field that is added changes no byte before it.
+    mixed = shake_128(name.encode()).digest(text.size)
+    raws = (bytes(text.size), b"\xff" * text.size, mixed)
+    for filling, raw in zip(FILLINGS, raws, strict=True):
+        values: list[Any] = list(text.unpack(raw))
+        if len(values) > len(fields):
+            values[len(fields) - 1 :] = [values[len(fields) - 1 :]]
+        frame = bytes([number]) + raw
+        wire = cobs.stuff(frame + crc32(frame).to_bytes(4, "little")) + b"\0"
+        event = {"event": name, **dict(zip(fields, values, strict=True))}
+        vector = {"doc": f"{name} {filling}", "wire": wire.hex(), "events": [event]}
+        yield json.dumps(vector)
+
+
+def is_generated(line: str) -> bool:
+    """Return whether a line of the file is one of those; the others are written by hand."""
+    name, _, filling = json.loads(line)["doc"].partition(" ")
+    return name.isidentifier() and filling in FILLINGS
+
+
+def vectors_text(before: str, generated: Sequence[str]) -> str:
+    """Return the text of the file: its lines by hand as they are, then those of the messages."""
+    lines = [line.rstrip(",") for line in before.splitlines()[1:-1]]
+    by_hand = [line for line in lines if not is_generated(line)]
+    return "[\n" + ",\n".join([*by_hand, *generated]) + "\n]\n"
