@@ -10,8 +10,6 @@ from armrig.whiteness import WHITE_LEVEL
 if TYPE_CHECKING:
     from armrig.fit import Fit
 
-_FORMS = {"arx": "A(q) y(t) = B(q) u(t) + e(t)", "oe": "y(t) = B(q)/F(q) u(t) + e(t)"}
-
 
 def described(fit: Fit) -> str:
     """Return the fit as a few lines of text."""
@@ -19,23 +17,38 @@ def described(fit: Fit) -> str:
     y = f"{fit.output} [{fit.unit}]" if fit.unit else fit.output
     u = f"u [{fit.input_unit}]" if fit.input_unit else "u"
     lines = [f"{fit.structure.upper()}({orders}): {u} to {y}, Ts {fit.Ts:g} s, N {fit.N}"]
-    lines += [f"  {_FORMS[fit.structure]}"]
+    lines += [f"  {form(fit)}"]
     lines += [
-        f"  {letter}(q) = {_polynomial(fit, letter)}" for letter in "ABF" if _has(fit, letter)
+        f"  {letter}(q) = {_polynomial(fit, letter)}" for letter in "ABCDF" if _has(fit, letter)
     ]
     if fit.integrator:
-        lines.append("  F has the factor 1 - q^-1 by construction")
+        lines.append(f"  {fit.integrating.upper()} has the factor 1 - q^-1 by construction")
     lines.append(
         f"  fit {fit.fit_percent:.2f} % one step ahead on estimation data, "
         f"loss {fit.loss:.4g}, FPE {fit.fpe:.4g}, AIC {fit.aic:.5g}"
     )
-    lines.append(f"  {_verdict(fit)}")
+    lines.append(f"  {verdict(fit)}")
     if fit.starts:
         how = "agree" if fit.agreed else "DISAGREE, the best was taken"
         ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
         lines.append(f"  starts {how}: {ends}" + ("" if fit.converged else " (NOT CONVERGED)"))
     lines += [f"  warning: {w}" for w in fit.warnings]
     return "\n".join(lines)
+
+
+def form(fit: Fit) -> str:
+    """Return the model's equation, polynomials by their letters."""
+    left = "A(q) y(t)" if _has(fit, "A") else "y(t)"
+    driven = "B(q)/F(q)" if _has(fit, "F") else "B(q)"
+    noise = {
+        (False, False): "e(t)",
+        (True, False): "C(q) e(t)",
+        (False, True): "1/D(q) e(t)",
+        (True, True): "C(q)/D(q) e(t)",
+    }[_has(fit, "C"), _has(fit, "D")]
+    if fit.structure == "iv4":
+        noise = "v(t)"
+    return f"{left} = {driven} u(t) + {noise}"
 
 
 def _has(fit: Fit, letter: str) -> bool:
@@ -53,7 +66,8 @@ def _polynomial(fit: Fit, letter: str) -> str:
     return text
 
 
-def _verdict(fit: Fit) -> str:
+def verdict(fit: Fit) -> str:
+    """Return whether the residuals are white, and which deviation to trust then."""
     if isnan(fit.whiteness):  # too few samples, or no residual at all
         return "residuals: too few, or all zero, to test"
     if fit.whiteness >= WHITE_LEVEL:

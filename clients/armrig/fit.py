@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.answers import FrequencyResponse, Roots, StepResponse
+from armrig.answers import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
 from armrig.checks import column, require_integers
 from armrig.dataset import Dataset
 from armrig.free_response import FreeResponse
@@ -16,11 +16,24 @@ from armrig.polynomial import evaluate, filtered, roots, without_integrator
 from armrig.sensitivity import by_denominator, by_numerator
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     import control
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+_ORDERS = {
+    "arx": ("na", "nb"),
+    "iv4": ("na", "nb"),
+    "armax": ("na", "nb", "nc"),
+    "oe": ("nb", "nf"),
+    "bj": ("nb", "nc", "nd", "nf"),
+    "pem": ("na", "nb", "nc", "nd", "nf"),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +55,7 @@ class Fit:
     """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) with its uncertainty."""
 
     structure: str
-    """"arx" or "oe"."""
+    """"arx", "iv4", "armax", "oe", "bj" or "pem", the general one."""
     A: Vector
     """Coefficients in q^-1, beginning with 1; 1.0 alone where the structure has none."""
     B: Vector
@@ -56,7 +69,9 @@ class Fit:
     nk: int
     """Samples before u reaches y."""
     integrator: bool = False
-    """F contains 1 - q^-1 by construction."""
+    """F, or A where there is no F, contains 1 - q^-1 by construction."""
+    offset: bool = False
+    """The input's offset was estimated along, and is anew from other data."""
     covariance: Matrix
     """Of theta, lambda (J^T J)^-1; right where the residuals are white."""
     covariance_robust: Matrix
@@ -108,8 +123,7 @@ class Fit:
         """Orders by name: na, nb, nc, nd, nf and nk, those that the structure has."""
         sizes = {"na": self.A.size - 1, "nb": self.B.size - self.nk, "nc": self.C.size - 1}
         sizes |= {"nd": self.D.size - 1, "nf": self.F.size - 1, "nk": self.nk}
-        has = {"arx": ("na", "nb", "nk"), "oe": ("nb", "nf", "nk")}[self.structure]
-        return {name: sizes[name] for name in has}
+        return {name: sizes[name] for name in (*_ORDERS[self.structure], "nk")}
 
     @property
     def _free_coefficients(self) -> dict[str, Vector]:
@@ -168,6 +182,13 @@ class Fit:
         """A F, whose roots are the poles from u to y."""
         return np.convolve(self.A, self.F)
 
+    @property
+    def integrating(self) -> Literal["", "a", "f"]:
+        """The polynomial that has the factor 1 - q^-1 by construction: "a", "f" or ""."""
+        if not self.integrator:
+            return ""
+        return "f" if self.F.size > 1 else "a"
+
     def slice_of(self, letter: str) -> slice:
         """Return where the parameters of one polynomial ("a" … "f") lie in theta."""
         begin = 0
@@ -207,14 +228,14 @@ class Fit:
         n = z.size
         if n == 0:
             return Roots(values=z, covariance=np.zeros((0, 2, 2)))
-        if self.integrator and letter == "f":
+        if letter == self.integrating:
             fixed = np.argmin(np.abs(z - 1))
             z[fixed] = 1.0
         powers = p.size - 1 - np.arange(first, p.size)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.polyval(np.polyder(p), z)
             dz = -(z[:, None] ** powers) / slope[:, None]
-        if self.integrator and letter == "f":
+        if letter == self.integrating:
             dz[fixed] = 0.0
         both = np.stack([dz.real, dz.imag], axis=1)
         part = self.slice_of(letter)
@@ -232,30 +253,59 @@ class Fit:
         ValueError
             A frequency is outside 0 to pi/Ts.
         """
+        omega_ = self._frequencies(omega)
+        G, dlnG = self._ratio(omega_, "b", "af")
+        with np.errstate(invalid="ignore"):
+            relative, phase = (_std(d, self.covariance) for d in (dlnG.real, dlnG.imag))
+            magnitude = np.abs(G) * relative
+        return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
+
+    def noise_spectrum(self, omega: ArrayLike) -> NoiseSpectrum:
+        """Return the power spectrum of C/(A D) e at omega (n,) in rad/s, up to pi/Ts.
+
+        Phi = lambda Ts |C/(A D)|², so that the variance is the integral of Phi/(2 pi) from -pi/Ts
+        to pi/Ts. Its deviation allows for the estimated lambda, of variance 2 lambda²/N, too.
+
+        Raises
+        ------
+        ValueError
+            A frequency is outside 0 to pi/Ts.
+        """
+        omega_ = self._frequencies(omega)
+        H, dlnH = self._ratio(omega_, "c", "ad")
+        Phi = self.noise_variance * self.Ts * np.abs(H) ** 2
+        with np.errstate(invalid="ignore"):
+            relative = np.hypot(2 * _std(dlnH.real, self.covariance), np.sqrt(2 / self.N))
+            std = Phi * relative
+        return NoiseSpectrum(omega=omega_, Phi=Phi, std=std)
+
+    def _frequencies(self, omega: ArrayLike) -> Vector:
         omega_ = np.atleast_1d(np.asarray(omega, dtype=np.float64))
         nyquist = np.pi / self.Ts
         if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
             msg = f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
             msg += f"{nyquist:g} rad/s (pi/Ts); a sampled model answers nothing beyond"
             raise ValueError(msg)
-        x = np.exp(-1j * omega_ * self.Ts)
+        return omega_
+
+    def _ratio(self, omega: Vector, above: str, below: str) -> tuple[Complex, Complex]:
+        """Return R (n,), a ratio of polynomials at omega, and d ln R by theta (n, d)."""
+        x = np.exp(-1j * omega * self.Ts)
+        sides = {True: np.ones_like(x), False: np.ones_like(x)}
+        dlnR = np.zeros((x.size, self.theta.size), dtype=np.complex128)
         with np.errstate(divide="ignore", invalid="ignore"):
-            values = {
-                name: evaluate(p, x)
-                for name, p in zip("abf", (self.A, self.B, self.F), strict=True)
-            }
-            if self.integrator:  # exact at omega = 0, where a sum of coefficients is not
-                values["f"] = (1 - x) * evaluate(without_integrator(self.F), x)
-            G = values["b"] / (values["a"] * values["f"])
-            dlnG = np.zeros((x.size, self.theta.size), dtype=np.complex128)
-            for letter, sign, lag in (("a", -1, 1), ("b", 1, self.nk), ("f", -1, 1)):
+            for letter in above + below:
+                p, sign = getattr(self, letter.upper()), 1 if letter in above else -1
+                value = evaluate(p, x)
+                if letter == self.integrating:  # exact at 0, where a sum of coefficients is not
+                    value = (1 - x) * evaluate(without_integrator(p), x)
+                sides[letter in above] *= value
                 part = self.slice_of(letter)
-                lags = lag + np.arange(part.stop - part.start)
-                dlnG[:, part] = sign * x[:, None] ** lags / values[letter][:, None]
-            relative, phase = (_std(d, self.covariance) for d in (dlnG.real, dlnG.imag))
-        return FrequencyResponse(
-            omega=omega_, G=G, std_magnitude=np.abs(G) * relative, std_phase=phase
-        )
+                lags = (self.nk if letter == "b" else 1) + np.arange(part.stop - part.start)
+                dlnR[:, part] = sign * x[:, None] ** lags / value[:, None]
+            # One division: that of an infinite complex number by another is not a number.
+            R = sides[True] / sides[False]
+        return R, dlnR
 
     def step_response(self, n: int) -> StepResponse:
         """Return the first n samples, n >= 1, of the answer to a unit step from rest."""
@@ -293,8 +343,9 @@ class Fit:
     def predict(self, data: Dataset, horizon: int | None = 1) -> Vector:
         """Return ŷ(t) (N,) from u up to t and y up to t - horizon; None is simulation.
 
-        The initial state is estimated from the data by least squares (with an integrator the
-        input offset too); NaN where an ARX model's past is not yet known.
+        The initial state is estimated from the data by least squares (with an integrator, or if
+        it was with the model, the input offset too); NaN where the past is not yet known: at the
+        beginning for a model without C, and with a noise model within `horizon` of a gap.
         """
         from armrig.prediction import predicted
 
@@ -308,6 +359,27 @@ class Fit:
         from armrig.plots.models import plot_fit
 
         return plot_fit(self)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the model as JSON, every number to its last digit; `armrig.load_fit` reads it.
+
+        The file holds the hash of the recording and the treatment of its data, too.
+        """
+        from armrig.model_file import save_fit
+
+        save_fit(self, path)
+
+    def latex(self) -> str:
+        """Return the equation with standard deviations as LaTeX, an `aligned` block."""
+        from armrig.typeset import latex
+
+        return latex(self)
+
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook."""
+        from armrig.typeset import html
+
+        return html(self)
 
     def __repr__(self) -> str:
         """Say it in a few lines, equation first."""

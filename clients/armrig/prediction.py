@@ -9,9 +9,10 @@ import numpy as np
 
 from armrig.dataset import Dataset, Mask, Vector
 from armrig.free_response import free_columns, transient_count
-from armrig.least_squares import Basis, orthonormal
-from armrig.polynomial import Array, filtered, lagged, without_integrator
-from armrig.sensitivity import by_denominator, by_numerator
+from armrig.innovations import Unknown, errors, masked, prepared, regression, summed_input
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array, filtered, impulse, lagged, without_integrator
+from armrig.structure import Structure
 
 if TYPE_CHECKING:
     from armrig.fit import Fit
@@ -38,29 +39,8 @@ def arx_regression(part: Dataset, *, na: int, nb: int, nk: int) -> ArxRegression
     return ArxRegression(Phi=Phi, y=part.y, usable=usable)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Simulation:
-    """One experiment simulated from the initial state that fits it best."""
-
-    y: Array
-    """Model output (N,)."""
-    forced: Array
-    """Part of it (N,) that went through the denominator."""
-    u: Array
-    """Input (N,) of B/F, summed where there is an integrator."""
-    F: Array
-    """Denominator without the integrator."""
-    free: Basis
-    """Basis of the free response in the valid rows."""
-
-
-def summed_input(u: Array, *, centred: bool) -> Array:
-    """Return U with B/F u = B/F̃ U for F = (1 - q^-1) F̃; centred where a ramp is free anyway."""
-    return np.cumsum(u - np.mean(u)) if centred else np.cumsum(u)
-
-
-def simulated(fit: Fit, part: Dataset) -> Simulation:
-    """Simulate one experiment, its initial state estimated by least squares.
+def simulated(fit: Fit, part: Dataset) -> Vector:
+    """Simulate one experiment (N,), its initial state estimated by least squares.
 
     With an integrator the input's offset is estimated too: data that were detrended, and data
     that were not, are then judged alike.
@@ -75,15 +55,13 @@ def simulated(fit: Fit, part: Dataset) -> Simulation:
     )
     with np.errstate(over="ignore", invalid="ignore"):
         forced = filtered(fit.B, F, u)
-        columns = free_columns(F, part.N, count=count, drift=fit.integrator)
+        columns = free_columns(F, part.N, count=count, drift=True)
+        columns = columns[:, : count + (2 if fit.integrator else int(fit.offset))]
         if not (np.isfinite(forced).all() and np.isfinite(columns).all()):
             # An unstable model's output leaves the range of floating point.
-            columns, forced = np.zeros((part.N, 0)), np.full(part.N, np.inf)
+            return np.full(part.N, np.inf)
     free = orthonormal(columns[part.valid])
-    x = free.coefficients(part.y[part.valid] - forced[part.valid])
-    return Simulation(
-        y=forced + columns @ x, forced=forced + columns[:, :count] @ x[:count], u=u, F=F, free=free
-    )
+    return np.asarray(forced + columns @ free.coefficients(part.y[part.valid] - forced[part.valid]))
 
 
 def predicted(fit: Fit, data: Dataset, horizon: int | None) -> Vector:
@@ -99,9 +77,34 @@ def predicted(fit: Fit, data: Dataset, horizon: int | None) -> Vector:
         msg = f"horizon={horizon!r} must be >= 1, or None for simulation"
         raise ValueError(msg)
     parts = data.experiments()
-    if horizon is None or fit.A.size == 1:
-        return np.concatenate([simulated(fit, part).y for part in parts])
-    return np.concatenate([_arx_predicted(fit, part, horizon) for part in parts])
+    if horizon is None or structure_of(fit).white:
+        return np.concatenate([simulated(fit, part) for part in parts])
+    if fit.C.size == fit.D.size == fit.F.size == 1 and not (fit.offset or fit.integrator):
+        return np.concatenate([_arx_predicted(fit, part, horizon) for part in parts])
+    return np.concatenate([_innovations_predicted(fit, part, horizon) for part in parts])
+
+
+def structure_of(fit: Fit) -> Structure:
+    """Return the orders of a model without its integrator, and what is unknown of its past."""
+    inside = {"a": 0, "f": 0, fit.integrating: 1}
+    return Structure(
+        na=fit.A.size - 1 - inside["a"],
+        nb=fit.B.size - fit.nk,
+        nc=fit.C.size - 1,
+        nd=fit.D.size - 1,
+        nf=fit.F.size - 1 - inside["f"],
+        nk=fit.nk,
+        integrator=fit.integrating,
+        offset=fit.offset,
+    )
+
+
+def _innovations_predicted(fit: Fit, part: Dataset, horizon: int) -> Vector:
+    """Return y(t) less what the innovations of the last `horizon` samples have added to it."""
+    e = prediction_errors(fit, part).e
+    ahead = min(horizon, part.N)
+    h = filtered(fit.C, np.convolve(fit.A, fit.D), impulse([1.0], ahead))
+    return np.asarray(part.y - lagged(e, range(ahead)) @ h)
 
 
 def _arx_predicted(fit: Fit, part: Dataset, horizon: int) -> Vector:
@@ -156,38 +159,36 @@ class Residuals:
     e: Vector
     """(N,), NaN where y or the past it needs is missing."""
     Psi: Array
-    """(N, d), derivatives of the prediction by the free parameters, less their projection on the
-    free response; zero where e is NaN."""
-    free: Basis
-    """Basis of the free response in the rows where e is known."""
-
-    @property
-    def span(self) -> Array:
-        """The basis in all rows, (N, r), zero where e is NaN."""
-        return spread(self.free.Q, np.isfinite(self.e))
+    """(N, d), derivatives of the prediction by the free parameters, less their projection on what
+    the unknown past adds; zero where e is NaN."""
+    unknown: Unknown
+    """Basis of what the unknown past adds."""
 
 
 def prediction_errors(fit: Fit, part: Dataset) -> Residuals:
-    """Return the residuals of one experiment. Only complete regressions count for ARX."""
-    if fit.A.size > 1:
-        n = fit.orders
-        regression = arx_regression(part, na=n["na"], nb=n["nb"], nk=fit.nk)
-        rows, Psi = regression.usable, regression.Phi
-        e = np.where(rows, part.y - Psi @ fit.theta, np.nan)
-        free = orthonormal(np.zeros((int(np.count_nonzero(rows)), 0)))
-    else:
-        sim = simulated(fit, part)
-        e, rows, free = part.y - sim.y, part.valid, sim.free
-        by_b = by_numerator(sim.u, sim.F, range(fit.nk, fit.B.size))
-        Psi = np.hstack([by_b, by_denominator(sim.forced, sim.F, sim.F.size - 1)])
-    return Residuals(e=e, Psi=spread(free.without(Psi[rows]), rows), free=free)
+    """Return the residuals of one experiment, what is unknown of its past estimated."""
+    structure = structure_of(fit)
+    p = {letter: getattr(fit, letter) for letter in "ABCDF"}
+    if fit.integrating:
+        p[fit.integrating.upper()] = without_integrator(p[fit.integrating.upper()])
+    experiment = prepared(part, structure)
+    with np.errstate(over="ignore", invalid="ignore"):
+        C, D, F = p["C"], p["D"], p["F"]
+        if not np.isfinite(filtered(np.convolve(D, fit.B), np.convolve(C, F), part.u)).all():
+            return _none(part.N, fit.parameters)
+        given = regression(experiment, structure, C=C, D=D, F=F)
+        known = errors(experiment, structure, given, **p)
+    return Residuals(
+        e=np.where(experiment.rows, known.e, np.nan),
+        Psi=np.hstack([given.unknown.without(masked(given.X, experiment)), known.Psi]),
+        unknown=given.unknown,
+    )
 
 
-def spread(known: Array, rows: Mask) -> Array:
-    """Return the known rows in their places, zero in the others."""
-    whole = np.zeros((rows.size, known.shape[1]))
-    whole[rows] = known
-    return whole
+def _none(N: int, parameters: int) -> Residuals:
+    """Return no residual: an unstable predictor leaves the range of floating point."""
+    nothing = Unknown(noise=(), volumes=(), state=orthonormal(np.zeros((0, 0))), N=N)
+    return Residuals(e=np.full(N, np.nan), Psi=np.zeros((N, parameters)), unknown=nothing)
 
 
 def require_same_signals(fit: Fit, data: Dataset) -> None:

@@ -15,7 +15,7 @@ from armrig.fit import Fit
 from armrig.goodness import fit_percent
 from armrig.least_squares import orthonormal
 from armrig.polynomial import Array, lagged
-from armrig.prediction import Residuals, prediction_errors, require_same_signals, spread
+from armrig.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.preprocess import INTEGRATING_OUTPUTS, difference
 from armrig.whiteness import (
     autocovariance,
@@ -207,8 +207,8 @@ def residuals(fit: Fit, data: Dataset, lags: int | None = None) -> ResidualTest:
 
     Whiteness: the portmanteau test that allows for the estimated parameters (see
     `armrig.whiteness.portmanteau`); the Ljung-Box test stands beside it, its degrees of freedom
-    lessened by na where these are the data that A was fitted to. Input: the sums
-    s_k = sum of e(t) u(t - k) are tested jointly, s^T M^-1 s against chi-squared, with ::
+    lessened by na + nc + nd where these are the data that A, C and D were fitted to. Input: the
+    sums s_k = sum of e(t) u(t - k) are tested jointly, s^T M^-1 s against chi-squared, with ::
 
         M = Z_p^T R_e Z_p                                        on estimation data
         M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
@@ -277,11 +277,11 @@ def residuals(fit: Fit, data: Dataset, lags: int | None = None) -> ResidualTest:
         whiteness=portmanteau(
             [r.e for r in known],
             [r.Psi for r in known],
-            [r.span for r in known],
+            [r.unknown.span for r in known],
             L,
             None if own else theta_covariance,
         ),
-        ljung_box=ljung_box(e, L, fit.A.size - 1 if own else 0),
+        ljung_box=ljung_box(e, L, _noise_parameters(fit) if own else 0),
         cross_lags=np.arange(-L, L + 1),
         cross_correlation=np.asarray(cross) / scale,
         cross_band=BAND_99_PERCENT * sqrt(P_N) / scale,
@@ -299,8 +299,7 @@ def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
     """
     ahead = lagged(u[::-1], range(L, 0, -1))[::-1]
     Z = np.hstack([ahead, lagged(u, range(L + 1))])
-    rows = np.isfinite(known.e)
-    return spread(known.free.without(Z[rows]), rows)
+    return known.unknown.without(np.where(np.isfinite(known.e)[:, None], Z, 0.0))
 
 
 def _score_covariance(
@@ -316,14 +315,19 @@ def _score_covariance(
     return exogenous_score([free[a:b] for a, b in pairwise(edges)], e)
 
 
+def _noise_parameters(fit: Fit) -> int:
+    """Return how many parameters the noise model C/(A D) has, the integrator not counted."""
+    noise = fit.A.size + fit.C.size + fit.D.size - 3
+    return noise - int(fit.integrating == "a")
+
+
 def _free_covariance(fit: Fit) -> Array:
     """Return the covariance of the parameters that were free: F̃'s, where F has an integrator."""
     if not fit.integrator:
         return fit.covariance_robust
-    nb = fit.B.size - fit.nk
-    nf = fit.F.size - 1
+    part, size = fit.slice_of(fit.integrating), fit.theta.size
     # f̃_k = f_1 + … + f_k undoes f_k = f̃_k - f̃_(k-1).
-    summing = np.zeros((nb + nf - 1, nb + nf))
-    summing[:nb, :nb] = np.eye(nb)
-    summing[nb:, nb:] = np.tri(nf - 1, nf)
-    return summing @ fit.covariance_robust @ summing.T
+    summing = np.eye(size)
+    summing[part, part] = np.tri(part.stop - part.start)
+    summing = np.delete(summing, part.stop - 1, axis=0)
+    return np.asarray(summing @ fit.covariance_robust @ summing.T)

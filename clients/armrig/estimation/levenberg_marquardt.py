@@ -6,13 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import qr
+from scipy.linalg.lapack import dgeqrf
 
 from armrig.least_squares import column_norms
 from armrig.polynomial import Array
 
 TOLERANCE = 1e-10
-_MAX_ITERATIONS = 200
+MOST_STEPS = 200
+_SAME = 1e-7  # relative difference in cost up to which two ends are one
 _FLOATING_LIMIT = 1e-13  # a promised relative decrease below this is rounding noise
 
 
@@ -35,6 +36,8 @@ def levenberg_marquardt(
     theta: Array,
     *,
     admissible: Callable[[Array], bool],
+    most: int = MOST_STEPS,
+    known: float = np.nan,
 ) -> Optimum:
     """Return the nearest minimum of |e(theta)|² from `theta` downhill.
 
@@ -50,6 +53,11 @@ def levenberg_marquardt(
         Admissible start.
     admissible : callable
         theta -> bool.
+    most : int, default 200
+        Steps to try.
+    known : float, optional
+        Cost of a minimum that was found already: at this cost, with nothing more to gain, the
+        search has ended there too, and its last digits are not worth their time.
 
     References
     ----------
@@ -65,13 +73,15 @@ def levenberg_marquardt(
     s, Vt, z, scale = _compressed(e, J)
     change = np.inf
     iterations = 0
-    while iterations < _MAX_ITERATIONS:
+    while iterations < most:
         iterations += 1
         gradient = float(np.linalg.norm(z[s > 0])) / np.sqrt(cost)
         if gradient <= TOLERANCE and change <= TOLERANCE:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
         step = (Vt.T @ (s / (s**2 + damping) * z)) / scale
         promised = float(np.sum(z**2 * (1 - (damping / (s**2 + damping)) ** 2)))
+        if abs(cost - known) <= _SAME * known and promised <= _SAME * cost:
+            return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
         halvings = 0
         while not admissible(theta + step) and halvings < 60:
             step, halvings = step / 2, halvings + 1
@@ -101,8 +111,12 @@ def _compressed(e: Array, J: Array) -> tuple[Array, Array, Array, Array]:
     """Return s, V^T of the scaled Jacobian's R factor, U^T Q^T e, and the scale (n,)."""
     scale = column_norms(J)
     scale[scale == 0] = 1.0
-    Q, R, order = qr(J / scale, mode="economic", pivoting=True, check_finite=False)
-    unordered = np.empty_like(R)
-    unordered[:, order] = R
-    U, s, Vt = np.linalg.svd(unordered, full_matrices=False)
-    return s, Vt, U.T @ (Q.T @ e), scale
+    # With e as one more column R holds Q^T e, and Q is never formed.
+    n = scale.size
+    whole = np.empty((e.size, n + 1), order="F")
+    np.divide(J, scale, out=whole[:, :n])
+    whole[:, n] = e
+    packed, *_ = dgeqrf(whole, overwrite_a=True)
+    R = np.triu(packed[: n + 1])
+    U, s, Vt = np.linalg.svd(R[:n, :n], full_matrices=False)
+    return s, Vt, U.T @ R[:n, n], scale

@@ -2,24 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sizes:
-    """What an output-error problem looks for; F is the denominator without an integrator."""
-
-    nb: int
-    """Numerator coefficients."""
-    nf: int
-    """Coefficients of F after the 1."""
-    nk: int
-    """Samples before u reaches y."""
-    count: int
-    """Transients of each experiment; 0 where it starts from rest."""
-    drift: bool
-    """Level and ramp of each experiment are free."""
-
 
 def require_samples(orders: str, *, needed: int, got: int) -> None:
     """Refuse orders too high for the data."""

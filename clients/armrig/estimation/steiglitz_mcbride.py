@@ -6,10 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from armrig.estimation.orders import Sizes
 from armrig.free_response import free_columns
+from armrig.innovations import trend
 from armrig.least_squares import orthonormal
 from armrig.polynomial import Array, filtered, lagged, reflected
+from armrig.structure import Structure
 
 _HIGH_ORDER = 12
 
@@ -17,7 +18,7 @@ _HIGH_ORDER = 12
 def equation_error(
     signals: Sequence[tuple[Array, Array]],
     F: Array,
-    sizes: Sizes,
+    sizes: Structure,
 ) -> tuple[Array, Array]:
     """Return F (nf + 1,), B (nk + nb,) of least |F y_F - B u_F|, both signals filtered by 1/F.
 
@@ -30,8 +31,8 @@ def equation_error(
         y_F, u_F = filtered([1.0], F, y), filtered([1.0], F, u)
         regressors = [-lagged(y_F, range(1, nf + 1)), lagged(u_F, range(nk, nk + nb))]
         block = np.column_stack([*regressors, y_F])
-        free = orthonormal(free_columns(F, y.size, count=sizes.count, drift=sizes.drift))
-        blocks.append(free.without(block))
+        pulses = free_columns(F, y.size, count=sizes.count, drift=False)
+        blocks.append(orthonormal(np.hstack([pulses, trend(sizes, y.size)])).without(block))
     stacked = np.vstack(blocks)
     theta = orthonormal(stacked[:, :-1]).coefficients(stacked[:, -1])
     return np.append(1.0, theta[:nf]), np.append(np.zeros(nk), theta[nf:])
@@ -40,7 +41,7 @@ def equation_error(
 def steiglitz_mcbride(
     signals: Sequence[tuple[Array, Array]],
     F: Array,
-    sizes: Sizes,
+    sizes: Structure,
     *,
     iterations: int,
 ) -> Iterator[Array]:
@@ -60,7 +61,7 @@ def steiglitz_mcbride(
 
 
 def high_order_output(
-    signals: Sequence[tuple[Array, Array]], sizes: Sizes
+    signals: Sequence[tuple[Array, Array]], sizes: Structure
 ) -> list[tuple[Array, Array]]:
     """Return (u, ŷ) of each experiment with ŷ the output, from rest, of a high-order ARX model.
 
@@ -73,8 +74,7 @@ def high_order_output(
     blocks = []
     for u, y in signals:
         past = [-lagged(y, range(1, n + 1)), lagged(u, range(nk, nk + n))]
-        level = [np.ones(y.size), np.arange(y.size) / y.size] if sizes.drift else []
-        blocks.append(np.column_stack([*past, *level, y])[n + nk :])
+        blocks.append(np.column_stack([*past, trend(sizes, y.size), y])[n + nk :])
     stacked = np.vstack(blocks)
     # The high order may exceed what the data determine; what depends on the rest is left out.
     theta = orthonormal(stacked[:, :-1]).coefficients(stacked[:, -1])

@@ -221,7 +221,7 @@ def plot_step(
         ax.plot(answer.t, answer.y, color=colour, ls=dash, label=name)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel(f"{NAMES.get(fits[0].output, fits[0].output)} [{_gain_unit(fits)}]")
-    ax.legend(loc="upper left")
+    ax.legend(loc="best")
     ax.margins(x=0)
     finish(ax)
     return sign(ax, *_sources(fits))

@@ -231,5 +231,7 @@ def test_impossible_orders_are_refused() -> None:
 
     with pytest.raises(ValueError, match="nf=0 must be an integer >= 1"):
         oe(data, nb=1, nf=0, integrator=True)
-    with pytest.raises(ValueError, match='initial=\'rest\' must be "estimate" or "zero"'):
+    with pytest.raises(
+        ValueError, match='initial=\'rest\' must be one of "estimate", "zero", "auto"'
+    ):
         oe(data, nb=1, nf=1, initial="rest")  # type: ignore[arg-type]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from armrig.dataset import Dataset
 from armrig.estimation.levenberg_marquardt import levenberg_marquardt
-from armrig.estimation.orders import Sizes
-from armrig.estimation.output_error import OutputError
+from armrig.estimation.prediction_error import PredictionError
+from armrig.innovations import prepared
 from armrig.polynomial import filtered
 from armrig.sensitivity import by_denominator, by_numerator
+from armrig.structure import Structure
 from numpy.typing import NDArray
 
 B, F = np.array([0, 0, 1.0, -0.4, 0.2]), np.array([1, -1.5, 0.9, -0.2])
@@ -31,24 +35,71 @@ def test_the_analytic_jacobian_is_that_of_a_complex_step() -> None:
         np.testing.assert_allclose(J[:, column], step, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("drift", [False, True])
-def test_the_reduced_gradient_is_the_cost_s(drift: bool) -> None:
-    """Kaufman's Jacobian drops a term of the residual's derivative, none of the cost's."""
-    rng = np.random.default_rng(1)
-    experiments = tuple(
-        (rng.standard_normal(80), rng.standard_normal(80), rng.random(80) > 0.1) for _ in range(2)
+def signals(seed: int, N: int = 120, missing: float = 0.0) -> Dataset:
+    """Return any u and y: derivatives hold for all."""
+    rng = np.random.default_rng(seed)
+    return Dataset(
+        u=rng.standard_normal(N), y=rng.standard_normal(N), Ts=1, valid=rng.random(N) >= missing
     )
-    sizes = Sizes(nb=2, nf=2, nk=1, count=2, drift=drift)
-    problem = OutputError(experiments=experiments, sizes=sizes)
-    f = np.array([-1.1, 0.5])
 
-    e, J = problem.linearise(f)
 
-    for k in range(2):
-        step = 1e-6 * np.eye(2)[k]
-        costs = [problem.cost(np.append(1.0, f + s)) for s in (step, -step)]
-        slope = (costs[0] - costs[1]) / 2e-6
-        assert -2 * (J.T @ e)[k] == pytest.approx(slope, rel=1e-5)
+GENERAL = Structure(na=2, nb=2, nc=2, nd=1, nf=2, nk=1)
+THETA = np.array([0.5, -0.2, -0.6, -1.1, 0.5])  # c1 c2 d1 f1 f2
+
+
+def test_every_derivative_of_the_prediction_is_that_of_a_complex_step() -> None:
+    """With all five polynomials, from rest: -de/dtheta by e = (D/C) (A y - (B/F) u) itself."""
+    data, h = signals(2), 1e-30
+    structure = replace(GENERAL, at_rest=True)
+    problem = PredictionError(experiments=(prepared(data, structure),), structure=structure)
+
+    solution = problem.solve(THETA)
+
+    theta = np.concatenate([solution.ab, THETA]).astype(complex)
+    for column in range(theta.size):
+        moved = theta + 1j * h * np.eye(theta.size)[column]
+        a, b, c, d, f = np.split(moved, [2, 4, 6, 7])
+        driven = filtered([0, *b], [1, *f], data.u.astype(complex))
+        v = filtered([1, *a], [1], data.y.astype(complex)) - driven
+        e = filtered([1, *d], [1, *c], v)
+        expected = -e.imag / h
+        np.testing.assert_allclose(solution.Psi[:, column], expected, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(solution.e, e.real, atol=1e-12)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.1])
+@pytest.mark.parametrize(
+    ("structure", "theta"),
+    [
+        (Structure(nb=2, nf=2, nk=1), [-1.1, 0.5]),
+        (Structure(nb=2, nf=2, nk=1, integrator="f"), [-1.1, 0.5]),
+        (Structure(na=2, nb=2, nc=2, nk=1), [0.5, -0.2]),
+        (Structure(na=1, nb=2, nc=2, nk=1, integrator="a"), [0.5, -0.2]),
+        (Structure(nb=3, nc=2, nd=1, nf=1, nk=2, offset=True), [0.5, -0.2, -0.6, -0.8]),
+        (Structure(nb=2, nc=1, nd=1, nf=1, nk=0, integrator="f"), [0.5, -0.6, -0.8]),
+        (Structure(nb=2, nd=2, nf=1, nk=1), [-0.6, 0.3, -0.8]),
+        (GENERAL, THETA),
+    ],
+)
+def test_the_reduced_gradient_is_the_cost_s(
+    structure: Structure, theta: list[float], missing: float
+) -> None:
+    """Kaufman's Jacobian drops a term of the residual's derivative, none of the cost's.
+
+    Whatever is unknown: initial states of two experiments, gaps, offsets.
+    """
+    parts = [signals(3, missing=missing), signals(4, missing=missing)]
+    problem = PredictionError(
+        experiments=tuple(prepared(part, structure) for part in parts), structure=structure
+    )
+    at = np.array(theta)
+
+    e, J = problem.linearise(at)
+
+    for k in range(at.size):
+        step = 1e-6 * np.eye(at.size)[k]
+        slope = (problem.cost(at + step) - problem.cost(at - step)) / 2e-6
+        assert -2 * (J.T @ e)[k] == pytest.approx(slope, rel=1e-5, abs=1e-7 * float(e @ e))
 
 
 def rosenbrock(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -76,3 +127,16 @@ def test_no_step_leaves_the_admissible_set() -> None:
     levenberg_marquardt(watched, np.array([-1.2, 1.0]), admissible=lambda x: bool(x[0] < 0.5))
 
     assert max(seen) < 0.5
+
+
+def test_a_minimum_that_is_known_already_is_recognised() -> None:
+    """The last digits are not searched for again, and a poorer end is still told apart."""
+    start = np.array([-1.2, 1.0])
+    first = levenberg_marquardt(rosenbrock, start, admissible=lambda _: True)
+
+    again = levenberg_marquardt(rosenbrock, start, admissible=lambda _: True, known=first.cost)
+    other = levenberg_marquardt(rosenbrock, start, admissible=lambda _: True, known=2 * first.cost)
+
+    assert again.iterations < first.iterations
+    assert again.cost == pytest.approx(first.cost, rel=1e-6)
+    assert other.cost == pytest.approx(first.cost, rel=1e-12)

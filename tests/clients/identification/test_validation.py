@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from armrig.dataset import Dataset, merge
+from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
+from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.polynomial import filtered
@@ -201,6 +203,24 @@ def test_ljung_and_box_lessen_the_degrees_of_freedom_by_na_on_estimation_data() 
         Q = (n + 2) / n * np.sum((n - np.arange(1, L + 1)) * r**2)
         assert 0.01 < tested.ljung_box < 0.99
         assert tested.ljung_box == pytest.approx(chi2.sf(Q, degrees), rel=1e-3)
+
+
+def test_every_parameter_of_the_noise_model_lessens_the_degrees_of_freedom() -> None:
+    """Those of C and D as those of A; those of F and B do not."""
+    L = 12
+    rng = np.random.default_rng(8)
+    u, e = rng.standard_normal((2, 800))
+    seen = Dataset(u=u, y=filtered(B, F, u) + filtered([1, 0.5], [1, -0.7], e), Ts=1)
+    for fit, noise in (
+        (bj(seen, nb=2, nc=1, nd=2, nf=2), 3),
+        (armax(seen, na=3, nb=3, nc=3), 6),
+        (armax(seen, na=2, nb=3, nc=3, integrator=True), 4),
+    ):
+        tested = residuals(fit, seen, lags=L)
+
+        r, n = tested.autocorrelation[1:], int(np.isfinite(tested.e).sum())
+        Q = (n + 2) / n * np.sum((n - np.arange(1, L + 1)) * r**2)
+        assert tested.ljung_box == pytest.approx(chi2.sf(Q, L - noise), rel=1e-2)
 
 
 def test_the_covariance_of_the_free_parameters_gives_back_the_whole_one(

@@ -1,0 +1,69 @@
+"""Box-Jenkins: the prediction-error estimate with a noise model of its own."""
+
+from __future__ import annotations
+
+from armrig.checks import require_integers
+from armrig.dataset import Dataset
+from armrig.estimation.searching import Initial, searched
+from armrig.fit import Fit
+from armrig.structure import Structure
+
+
+def bj(
+    data: Dataset,
+    *,
+    nb: int,
+    nc: int,
+    nd: int,
+    nf: int,
+    nk: int = 1,
+    integrator: bool = False,
+    offset: bool = False,
+    initial: Initial = "estimate",
+) -> Fit:
+    """Estimate B, F, C and D in y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t).
+
+    Parameters
+    ----------
+    data : Dataset
+        B/F runs through a gap in y; the noise's past is unknown after it and estimated anew.
+    nb, nc, nd, nf : int
+        Number of b's, >= 1, of c's and d's, >= 0, and of all f's, >= 0.
+    nk : int, default 1
+        Samples before u reaches y; 0 is a direct term.
+    integrator : bool, default False
+        F = (1 - q^-1) F̃ with one root at 1 exactly, the noise on the integrated output; level and
+        input offset of each experiment are estimated along.
+    offset : bool, default False
+        Estimate the input's offset of each experiment along; with an integrator it always is.
+    initial : {"estimate", "zero", "auto"}
+        Estimate what is not known of before each experiment, or take it as zero, or estimate it
+        where an F-test says that it matters.
+
+    Returns
+    -------
+    Fit
+        `covariance` is lambda (Psi^T Psi)^-1 of (b, c, d, f), `covariance_robust` Newey and
+        West's (of an output-error model, nc = nd = 0, as `oe` gives it).
+
+    Raises
+    ------
+    ValueError
+        There are too few samples for the orders, or u does not excite the numerator.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
+    """
+    require_integers(nb=(nb, 1), nc=(nc, 0), nd=(nd, 0), nf=(nf, int(integrator)), nk=(nk, 0))
+    structure = Structure(
+        nb=nb,
+        nc=nc,
+        nd=nd,
+        nf=nf - int(integrator),
+        nk=nk,
+        integrator="f" if integrator else "",
+        offset=offset,
+    )
+    orders = f"nb={nb}, nc={nc}, nd={nd}, nf={nf}, nk={nk}"
+    return searched(data, structure, name="bj", orders=orders, initial=initial)

@@ -1,0 +1,169 @@
+"""Four-stage instrumental variables: A and B that no colour of the noise biases."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from armrig.checks import require_integers
+from armrig.dataset import Dataset, Mask
+from armrig.estimation.covariance import correlated_score
+from armrig.estimation.orders import require_samples
+from armrig.fit import Fit
+from armrig.goodness import fit_percent
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array, filtered, lagged, reflected
+from armrig.prediction import arx_regression
+from armrig.whiteness import WHITE_LEVEL, autoregression, default_lags, joined, ljung_box
+
+_LONGEST = 40  # holes between experiments, at least the order of the autoregression
+
+
+def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
+    """Estimate A and B in A(q) y(t) = B(q) u(t) + v(t), v of any colour, by instruments.
+
+    Least squares, then instruments from its simulated output, then an autoregression L of what
+    is left, then instruments and regressors filtered by L, which makes the estimate optimal for
+    an autoregressive v. Consistent in open loop. A row whose regressors are not all known is left
+    out; L starts anew after a gap.
+
+    Parameters
+    ----------
+    data : Dataset
+        N samples.
+    na : int
+        Number of a's, >= 0.
+    nb : int
+        Number of b's, >= 1.
+    nk : int, default 1
+        Samples before u reaches y; 0 is a direct term.
+
+    Returns
+    -------
+    Fit
+        `loss` and `noise_variance` are of v = A y - B u, which need not be white; `whiteness` is
+        of L v, on which the classic deviations depend. With Z the filtered instruments
+        `covariance` is var(L v) (Z^T Phi)^-1 Z^T Z (Phi^T Z)^-1, and `covariance_robust` has
+        Newey and West's estimate in place of var(L v) Z^T Z.
+
+    Raises
+    ------
+    ValueError
+        N is too small for the orders asked for, or u does not excite the model.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 15.3 and equation (15.21).
+    .. [2] T. Söderström, P. Stoica, *Instrumental Variable Methods*, 1983.
+    """
+    require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
+    orders = f"na={na}, nb={nb}, nk={nk}"
+    d = na + nb
+    parts = [arx_regression(part, na=na, nb=nb, nk=nk) for part in data.experiments()]
+    inputs = [part.u for part in data.experiments()]
+    N = sum(int(np.count_nonzero(p.usable)) for p in parts)
+    require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=N)
+
+    past = np.vstack([p.Phi[p.usable] for p in parts])
+    y = np.concatenate([p.y[p.usable] for p in parts])
+    basis = orthonormal(past)
+    if basis.rank < d:
+        msg = f"{orders}: the data determine only {basis.rank} of {d} parameters; "
+        msg += "lower the orders or excite with a richer input"
+        raise ValueError(msg)
+    theta = basis.coefficients(y)
+    whole = [np.column_stack([p.Phi, p.y]) for p in parts]
+    for p, block in zip(parts, whole, strict=True):
+        block[~p.usable] = np.nan
+    Z = _instruments(inputs, theta, na=na, nb=nb, nk=nk)
+    theta, *_ = _solved(Z, whole, orders)
+    v = [block[:, -1] - block[:, :-1] @ theta for block in whole]
+    L, _ = autoregression(joined(v, _LONGEST))
+
+    Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
+    theta, inverse, instruments, e = _solved(Z, [_filtered(L, block) for block in whole], orders)
+    filtered_variance = sum(float(np.nansum(x**2)) for x in e) / (_count(e) - d)
+    scores = [np.nan_to_num(q * x[:, None]) for q, x in zip(instruments, e, strict=True)]
+    middle = correlated_score(scores) * _count(e) / (_count(e) - d)
+    lags = default_lags(_count(e))
+    white = ljung_box(joined(e, lags), lags)
+    sse = sum(float(np.nansum((block[:, -1] - block[:, :-1] @ theta) ** 2)) for block in whole)
+    said = "filtered by the autoregression of its noise the residual is coloured: trust std_robust"
+    return Fit(
+        structure="iv4",
+        A=np.append(1.0, theta[:na]),
+        B=np.append(np.zeros(nk), theta[na:]),
+        nk=nk,
+        covariance=filtered_variance * inverse @ inverse.T,
+        covariance_robust=inverse @ middle @ inverse.T,
+        noise_variance=sse / (N - d),
+        loss=sse / N,
+        N=N,
+        Ts=data.Ts,
+        fit_percent=fit_percent(y, sse),
+        whiteness=white,
+        warnings=(said,) if white < WHITE_LEVEL else (),
+        **data.origin(),
+    )
+
+
+def _count(e: Sequence[Array]) -> int:
+    return sum(int(np.count_nonzero(np.isfinite(x))) for x in e)
+
+
+def _instruments(
+    inputs: Sequence[Array], theta: Array, *, na: int, nb: int, nk: int
+) -> list[Array]:
+    """Return the regressors with the simulated output in place of y, free of its noise."""
+    A, B = reflected(np.append(1.0, theta[:na])), np.append(np.zeros(nk), theta[na:])
+    return [
+        np.hstack([-lagged(filtered(B, A, u), range(1, na + 1)), lagged(u, range(nk, nk + nb))])
+        for u in inputs
+    ]
+
+
+def _filtered(L: Array, block: Array) -> Array:
+    """Return the columns through L, NaN where something it looks back on is not known."""
+    known: Mask = np.asarray(np.isfinite(block).all(axis=1))
+    out = np.column_stack([filtered(L, [1.0], x) for x in np.where(known[:, None], block, 0.0).T])
+    holes = np.where(known, 0.0, 1.0)
+    spoilt: Mask = np.convolve(holes, np.ones(L.size))[: known.size] > 0.5
+    spoilt[: L.size - 1] = True
+    out[spoilt] = np.nan
+    return out
+
+
+def _solved(
+    Z: Sequence[Array], blocks: Sequence[Array], orders: str
+) -> tuple[Array, Array, list[Array], list[Array]]:
+    """Return theta of Z^T (y - Phi theta) = 0 for blocks [Phi, y] with holes (NaN).
+
+    With Z = Q R also (Q^T Phi)^-1, the rows of Q in their places, and the residuals.
+    """
+    rows = [
+        np.isfinite(block).all(axis=1) & np.isfinite(z).all(axis=1)
+        for z, block in zip(Z, blocks, strict=True)
+    ]
+    basis = orthonormal(np.vstack([z[r] for z, r in zip(Z, rows, strict=True)]))
+    known = np.vstack([block[r] for block, r in zip(blocks, rows, strict=True)])
+    d = known.shape[1] - 1
+    projected = basis.Q.T @ known
+    if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1]) < d:
+        msg = f"{orders}: the instruments determine fewer than {d} parameters; "
+        msg += "lower the orders or excite with a richer input"
+        raise ValueError(msg)
+    inverse = np.linalg.inv(projected[:, :-1])
+    theta = inverse @ projected[:, -1]
+    e = [
+        np.where(r, block[:, -1] - block[:, :-1] @ theta, np.nan)
+        for block, r in zip(blocks, rows, strict=True)
+    ]
+    edges = np.cumsum([0, *(int(np.count_nonzero(r)) for r in rows)])
+    instruments = []
+    for r, (a, b) in zip(rows, pairwise(edges), strict=True):
+        whole = np.zeros((r.size, d))
+        whole[r] = basis.Q[a:b]
+        instruments.append(whole)
+    return theta, inverse, instruments, e

@@ -1,0 +1,250 @@
+"""A prediction-error estimate from start values to a `Fit`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from armrig.dataset import Dataset
+from armrig.estimation.covariance import correlated_score, exogenous_score
+from armrig.estimation.levenberg_marquardt import Optimum
+from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
+from armrig.estimation.orders import require_samples
+from armrig.estimation.prediction_error import PredictionError, Solution
+from armrig.fit import Fit, Start
+from armrig.free_response import FreeResponse, offset_from_ramp
+from armrig.goodness import fit_percent
+from armrig.innovations import Errors, Unknown, prepared
+from armrig.least_squares import Basis, orthonormal
+from armrig.polynomial import Array
+from armrig.structure import Structure
+from armrig.whiteness import WHITE_LEVEL, default_lags, portmanteau
+
+Initial = Literal["estimate", "zero", "auto"]
+
+PART = 3000  # samples that the starts are searched from on, where there are more than twice these
+MANY_PULSES = 0.01  # share of the errors from which unknown pasts are worth a word
+AUTO_LEVEL = 0.05  # of the F-test that keeps the initial state
+
+
+def searched(
+    data: Dataset, structure: Structure, *, name: str, orders: str, initial: Initial
+) -> Fit:
+    """Return the best minimum of the prediction error over all start values.
+
+    Parameters
+    ----------
+    structure : Structure
+        Orders without the integrator, not at rest.
+    name : str
+        Of the structure, for the `Fit`.
+    orders : str
+        As the caller gave them, for messages.
+    initial : {"estimate", "zero", "auto"}
+        What is assumed of the state at the start of each experiment.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, u does not excite the model, or `initial` is none of these.
+    """
+    if initial not in get_args(Initial):
+        allowed = ", ".join(f'"{x}"' for x in get_args(Initial))
+        msg = f"initial={initial!r} must be one of {allowed}"
+        raise ValueError(msg)
+    if structure.offset and initial != "estimate":
+        msg = f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
+        raise ValueError(msg)
+    if initial == "auto":
+        free = searched(data, structure, name=name, orders=orders, initial="estimate")
+        at_rest = searched(data, structure, name=name, orders=orders, initial="zero")
+        return free if _state_matters(free, at_rest) else at_rest
+    n = replace(structure, at_rest=initial == "zero")
+    problem = PredictionError(
+        experiments=tuple(prepared(part, n) for part in data.experiments()), structure=n
+    )
+    d = n.na + n.nb + n.nc + n.nd + n.nf
+    fewest = d + 1 + _nuisance(problem)
+    require_samples(orders, needed=fewest, got=data.N - data.missing)
+    ends = searched_minimum(problem, _part(data, n))
+    best = ends[0][1]
+    solution = problem.solve(best.theta)
+    if solution.rank < n.na + n.nb:
+        what = "numerator coefficients" if n.na == 0 else "coefficients of A and B"
+        msg = f"{orders}: u determines only {solution.rank} of {n.na + n.nb} {what}; "
+        msg += f"lower {'nb' if n.na == 0 else 'the orders'} or excite with a richer input"
+        raise ValueError(msg)
+    return _fit(data, problem, solution, ends, name)
+
+
+def _part(data: Dataset, structure: Structure) -> PredictionError | None:
+    """Return the problem for the part of much data in which the input moves most, or None."""
+    if data.N <= 2 * PART:
+        return None
+    begins = np.linspace(0, data.N - PART, 8).astype(int)
+    moves = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.u, prepend=data.u[0])))])
+    begin = int(begins[np.argmax(moves[begins + PART] - moves[begins])])
+    part = data[begin : begin + PART]
+    n = replace(structure, at_rest=False)
+    problem = PredictionError(
+        experiments=tuple(prepared(x, n) for x in part.experiments()), structure=n
+    )
+    enough = 2 * (n.na + n.nb + n.nc + n.nd + n.nf + _nuisance(problem))
+    return problem if part.N - part.missing > enough else None
+
+
+def _nuisance(problem: PredictionError) -> int:
+    """Return how many samples or parameters the unknown past costs, before anything is known."""
+    n = problem.structure
+    state = (n.count + n.trend) * len(problem.experiments)
+    return state + sum(
+        0 if n.white else max(n.memory, n.first - s.start) * int(not (n.at_rest and s.start == 0))
+        for x in problem.experiments
+        for s in x.stretches
+    )
+
+
+def _state_matters(free: Fit, at_rest: Fit) -> bool:
+    """Tell whether the initial state explains more than chance, by an F-test."""
+    from scipy.special import fdtrc
+
+    sse, rest = free.loss * free.N, at_rest.loss * at_rest.N
+    degrees, fewer = (round(f.loss * f.N / f.noise_variance) for f in (free, at_rest))
+    p = fewer - degrees
+    if p <= 0 or sse <= 0:
+        return True
+    return bool(fdtrc(p, degrees, max(rest - sse, 0.0) / p / (sse / degrees)) < AUTO_LEVEL)
+
+
+def _fit(
+    data: Dataset,
+    problem: PredictionError,
+    solution: Solution,
+    ends: Ends,
+    name: str,
+) -> Fit:
+    n, best = problem.structure, ends[0][1]
+    rows = [x.rows for x in problem.experiments]
+    M = sum(int(np.count_nonzero(r)) for r in rows)
+    p = problem.named(solution.ab, best.theta)
+    residuals = [np.where(r, s.e, np.nan) for r, s in zip(rows, solution.parts, strict=True)]
+    edges = np.cumsum([r.size for r in rows])[:-1]
+    Psi = solution.Psi
+    blocks = np.split(Psi, edges)
+    unknown = [g.unknown for g in solution.given]
+    degrees = M - Psi.shape[1] - sum(x.rank for x in unknown)
+    sse = float(solution.e @ solution.e)
+    noise_variance = sse / degrees
+    basis = orthonormal(Psi)
+    bread = basis.W @ basis.W.T
+    if n.white:
+        middle = exogenous_score(blocks, residuals)
+    else:
+        scores = [P * s.e[:, None] for P, s in zip(blocks, solution.parts, strict=True)]
+        middle = correlated_score(scores)
+    robust = bread @ (middle * M / degrees) @ bread
+    to_full = with_integrator(n)
+    y = data.y[np.concatenate(rows)]
+    white = float("nan")
+    if sse > rounding_floor(problem):
+        white = portmanteau(residuals, blocks, [x.span for x in unknown], default_lags(M))
+    agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
+    starts = tuple(
+        Start(name=start, loss=o.cost / M, iterations=o.iterations, converged=o.converged)
+        for start, o in ends
+    )
+    free = [
+        _free_response(n, p, part, s)
+        for part, s in zip(data.experiments(), solution.parts, strict=True)
+    ]
+    if n.integrator:
+        letter = n.integrator.upper()
+        p[letter] = np.convolve([1.0, -1.0], p[letter])
+    return Fit(
+        structure=name,
+        A=p["A"],
+        B=p["B"],
+        C=p["C"],
+        D=p["D"],
+        F=p["F"],
+        nk=n.nk,
+        integrator=bool(n.integrator),
+        offset=bool(n.trend),
+        covariance=to_full @ (noise_variance * bread) @ to_full.T,
+        covariance_robust=to_full @ robust @ to_full.T,
+        noise_variance=noise_variance,
+        loss=sse / M,
+        N=M,
+        Ts=data.Ts,
+        fit_percent=fit_percent(y, sse),
+        whiteness=white,
+        converged=best.converged,
+        starts=starts if len(starts) > 1 else (),
+        agreed=agreed,
+        free=tuple(free),
+        warnings=(
+            *_warnings(best, starts, white, basis, agreed=agreed),
+            *_of_gaps(unknown, M),
+        ),
+        **data.origin(),
+    )
+
+
+def with_integrator(n: Structure) -> Array:
+    """Return the derivatives of theta by the free parameters.
+
+    With F = (1 - q^-1) F̃ they are f_k = f̃_k - f̃_(k-1), f_1 also less 1: linear in f̃. So with A.
+    """
+    sizes = {"a": n.na, "b": n.nb, "c": n.nc, "d": n.nd, "f": n.nf}
+    blocks = [
+        np.eye(k + 1, k) - np.eye(k + 1, k, k=-1) if letter == n.integrator else np.eye(k)
+        for letter, k in sizes.items()
+    ]
+    whole = np.zeros((sum(b.shape[0] for b in blocks), sum(b.shape[1] for b in blocks)))
+    i = j = 0
+    for b in blocks:
+        whole[i : i + b.shape[0], j : j + b.shape[1]] = b
+        i, j = i + b.shape[0], j + b.shape[1]
+    return whole
+
+
+def _free_response(
+    n: Structure, p: dict[str, Array], part: Dataset, errors: Errors
+) -> FreeResponse:
+    transients = tuple(float(v) for v in errors.state[: n.count])
+    coefficients = [float(v) for v in errors.state[n.count :]]
+    if n.trend == 0:
+        return FreeResponse(transients=transients)
+    if n.trend == 2:
+        level, slope = coefficients
+        offset = offset_from_ramp(p["B"], p["F"], slope, float(np.mean(part.u)))
+        return FreeResponse(transients=transients, level=level, offset=offset)
+    offset = offset_from_ramp(p["B"], p["F"], coefficients[0], 0.0)
+    return FreeResponse(transients=transients, offset=offset)
+
+
+def _warnings(
+    best: Optimum, starts: tuple[Start, ...], whiteness: float, basis: Basis, *, agreed: bool
+) -> Iterator[str]:
+    if not best.converged:
+        yield f"the search did not converge in {best.iterations} steps"
+    if not agreed:
+        yield f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
+    d = basis.W.shape[0]
+    if basis.rank < d:
+        yield f"the data determine only {basis.rank} of {d} parameters: the orders are too high"
+    if whiteness < WHITE_LEVEL:
+        yield "the residuals are coloured: trust std_robust, or raise the orders"
+
+
+def _of_gaps(unknown: list[Unknown], M: int) -> Iterator[str]:
+    """Warn where C was fitted to many stretches: see `PredictionError`."""
+    pulses = [Q.shape[1] for past in unknown for _, Q in past.noise][1:]
+    if sum(pulses) > MANY_PULSES * M:
+        yield (
+            f"the noise's past is unknown anew in {len(pulses)} places: A, C and D may be off by "
+            "up to half a standard deviation, and the test of whiteness alarms too often"
+        )

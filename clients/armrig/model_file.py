@@ -1,0 +1,113 @@
+"""A model as a JSON file: every number to its last digit, and the recording that it is of."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from importlib.metadata import version
+from math import isfinite
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armrig.fit import Fit, Start
+from armrig.free_response import FreeResponse
+
+FORMAT = "armrig model"
+VERSION = 1
+_ARRAYS = ("A", "B", "C", "D", "F", "covariance", "covariance_robust")
+_FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
+
+
+class ModelFileError(ValueError):
+    """The file holds no model that this version can read."""
+
+
+def save_fit(fit: Fit, path: str | PathLike[str]) -> Path:
+    """Write a model as JSON and return the path.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
+    content |= {f.name: _plain(getattr(fit, f.name)) for f in fields(fit)}
+    path = Path(path)
+    text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def load_fit(path: str | PathLike[str]) -> Fit:
+    """Return the model that `Fit.save` has written, equal to it in every number.
+
+    Raises
+    ------
+    ModelFileError
+        The file is no model, is of a later format, or is damaged.
+    OSError
+        The file cannot be read.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            msg = f"{path} is no model; models are written by fit.save(path)"
+            raise ModelFileError(msg)
+        if content.get("version") != VERSION:
+            msg = f"{path} has format version {content.get('version')!r}, this armrig reads "
+            msg += f"{VERSION}; it was written by armrig {content.get('armrig')}"
+            raise ModelFileError(msg)
+        fit = _restored(content)
+    except ModelFileError:
+        raise
+    except (ValueError, KeyError, TypeError) as err:
+        msg = f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
+        raise ModelFileError(msg) from err
+    d = fit.theta.size
+    if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
+        msg = f"{path} is a damaged model: {d} parameters and covariances of another size; "
+        msg += "save it again"
+        raise ModelFileError(msg)
+    return fit
+
+
+def _restored(content: dict[str, Any]) -> Fit:
+    values = {f.name: content[f.name] for f in fields(Fit)}
+    values |= {name: np.array(_numbers(values[name]), dtype=np.float64) for name in _ARRAYS}
+    values |= {name: float(values[name]) for name in _FIGURES}
+    values["starts"] = tuple(
+        Start(**(start | {"loss": float(start["loss"])})) for start in values["starts"]
+    )
+    values["free"] = tuple(
+        FreeResponse(
+            transients=tuple(float(x) for x in free["transients"]),
+            level=float(free["level"]),
+            offset=float(free["offset"]),
+        )
+        for free in values["free"]
+    )
+    values |= {name: tuple(values[name]) for name in ("warnings", "history")}
+    return Fit(**values)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it; what is not finite as "nan", "inf" or "-inf"."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, Start | FreeResponse):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, list | tuple):
+        return [_plain(x) for x in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not isfinite(value):
+        return str(value)
+    return value
+
+
+def _numbers(values: Any) -> Any:
+    return [_numbers(v) for v in values] if isinstance(values, list) else float(values)

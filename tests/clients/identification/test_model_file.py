@@ -1,0 +1,128 @@
+"""A model goes through a file, into a report and into a notebook."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.arx import arx
+from armrig.estimation.bj import bj
+from armrig.estimation.oe import oe
+from armrig.fit import Fit
+from armrig.model_file import ModelFileError, load_fit
+from armrig.polynomial import filtered
+from armrig.validation import residuals
+
+
+def data(seed: int) -> Dataset:
+    """Return y = B/F u + C/D e, as from a recording."""
+    u, e = np.random.default_rng(seed).standard_normal((2, 400))
+    y = filtered([0, 1.0, 0.5], [1, -1.2, 0.6], u) + 0.3 * filtered([1, 0.5], [1, -0.7], e)
+    history = ("detrend(order=0)",)
+    return Dataset(u=u, y=y, Ts=0.1, output="θ<1>", unit="rad", source="ab12", history=history)
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    """Return a Box-Jenkins fit of two experiments."""
+    return bj(merge(data(1).split(2)), nb=2, nc=1, nd=1, nf=2)
+
+
+def test_a_saved_model_is_the_same_to_the_last_digit(fit: Fit, tmp_path: Path) -> None:
+    """Every field; so it says the same of data, and knows the data that it is of."""
+    for saved in (fit, arx(data(2), na=1, nb=1), replace(fit, whiteness=float("nan"))):
+        saved.save(tmp_path / "model.json")
+        loaded = load_fit(tmp_path / "model.json")
+
+        for f in fields(Fit):
+            np.testing.assert_array_equal(getattr(loaded, f.name), getattr(saved, f.name), f.name)
+        assert repr(loaded) == repr(saved)
+        assert loaded.source == "ab12"
+        assert type(loaded.starts) is tuple
+    tested = residuals(loaded, merge(data(1).split(2)))
+    assert tested.on_estimation_data
+    np.testing.assert_array_equal(tested.e, residuals(fit, merge(data(1).split(2))).e)
+
+
+def test_a_model_file_is_plain_json(fit: Fit, tmp_path: Path) -> None:
+    """Other programs read it: no NaN, which JSON does not have."""
+    replace(fit, whiteness=float("nan"), fit_percent=-np.inf).save(tmp_path / "model.json")
+    text = (tmp_path / "model.json").read_text(encoding="utf-8")
+
+    content = json.loads(text, parse_constant=lambda name: pytest.fail(name))
+
+    assert content["format"] == "armrig model"
+    assert content["whiteness"] == "nan"
+    assert content["fit_percent"] == "-inf"
+    assert content["output"] == "θ<1>"
+    assert "θ" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": "other"}, "is no model"),
+        ({"version": 2}, "format version 2, this armrig reads 1"),
+        ({"B": "x"}, "is a damaged model"),
+        ({"A": None}, "is a damaged model"),
+        ({"covariance": [[1.0]]}, "6 parameters and covariances of another size"),
+        ({"starts": [{}]}, "is a damaged model"),
+    ],
+)
+def test_what_is_no_model_is_refused(
+    fit: Fit, tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    """The message names the file, and never comes as a traceback of ours."""
+    path = tmp_path / "model.json"
+    fit.save(path)
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | change))
+
+    with pytest.raises(ModelFileError, match=f"model.json .*{said}"):
+        load_fit(path)
+
+
+def test_a_file_that_is_cut_off_is_refused(fit: Fit, tmp_path: Path) -> None:
+    """At any place, and so is any other file."""
+    path = tmp_path / "model.json"
+    fit.save(path)
+    text = path.read_text(encoding="utf-8")
+    for content in (text[: len(text) // 2], "", "[]", "3", "\0"):
+        path.write_text(content, encoding="utf-8")
+
+        with pytest.raises(ModelFileError):
+            load_fit(path)
+
+
+def test_the_equation_is_typeset_with_its_deviations(fit: Fit) -> None:
+    """One aligned row a polynomial, braces balanced, every coefficient in it."""
+    text = fit.latex()
+
+    assert r"y(t) &= \frac{B(q)}{F(q)}\,u(t) + \frac{C(q)}{D(q)}\,e(t)" in text
+    assert text.count(r"\pm") == fit.theta.size
+    assert text.count("&=") == 5
+    assert text.count("{") == text.count("}")
+    assert rf"F(q) &= 1 - ({-fit.F[1]:.5g} \pm" in text
+    assert rf"B(q) &= ({fit.B[1]:.5g} \pm {fit.std[0]:.2g})\,q^{{-1}}" in text
+    assert r"A(q)\,y(t) &= B(q)\,u(t) + e(t)" in arx(data(1), na=1, nb=1).latex()
+    assert r"\cdot 10^{" in replace(fit, covariance=1e-20 * fit.covariance).latex()
+
+
+def test_a_notebook_shows_equation_table_and_verdict(fit: Fit) -> None:
+    """As well-formed HTML, a name with angle brackets in a warning included."""
+    warned = replace(oe(data(3), nb=1, nf=1), warnings=("a < b",))
+
+    for shown in (fit, warned):
+        text = shown._repr_html_()
+
+        assert shown.latex() in text
+        assert text.count("<tr>") == shown.theta.size + 1
+        tags = re.findall(r"<(/?)(\w+)>", text)
+        assert sum(1 if not end else -1 for end, _ in tags) == 0
+    assert "a &lt; b" in text
+    assert "trust std" in fit._repr_html_()

@@ -1,0 +1,344 @@
+"""ARMAX, Box-Jenkins, the general structure and instruments: models whose noise has a colour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.armax import armax
+from armrig.estimation.arx import arx
+from armrig.estimation.bj import bj
+from armrig.estimation.iv4 import iv4
+from armrig.estimation.oe import oe
+from armrig.estimation.pem import pem
+from armrig.excitation import telegraph
+from armrig.fit import Fit
+from armrig.polynomial import filtered
+from armrig.preprocess import detrend
+from armrig.validation import residuals
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
+
+A, B = np.array([1, -1.2, 0.6]), np.array([0, 1.0, 0.5])
+C, D = np.array([1, 0.5]), np.array([1, -0.7])
+
+
+def data(seed: int, H: tuple[NDArray, NDArray], N: int = 600, std: float = 0.5) -> Dataset:
+    """Return y = B/A u + H e from a state of long ago."""
+    rng = np.random.default_rng(seed)
+    u = telegraph(N + 200, 0.3, 1.5, 3.5, seed=rng) - 2.5
+    y = filtered(B, A, u) + filtered(*H, std * rng.standard_normal(N + 200))
+    return Dataset(u=u[200:], y=y[200:], Ts=0.1, output="speed", unit="rad/s")
+
+
+def armax_data(seed: int, **kwargs: float) -> Dataset:
+    """Return A y = B u + C e."""
+    return data(seed, (C, A), **kwargs)  # type: ignore[arg-type]
+
+
+def bj_data(seed: int, **kwargs: float) -> Dataset:
+    """Return y = B/A u + C/D e."""
+    return data(seed, (C, D), **kwargs)  # type: ignore[arg-type]
+
+
+CASES: list[tuple[Callable[..., Fit], Callable[..., Dataset], dict[str, int], list[float]]] = [
+    (armax, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
+    (bj, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
+    (pem, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
+    (pem, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
+]
+
+
+@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
+def test_the_true_system_is_found(
+    estimate: Callable[..., Fit],
+    made: Callable[..., Dataset],
+    orders: dict[str, int],
+    truth: list[float],
+) -> None:
+    """Every coefficient within four deviations, both forms of them alike, the residuals white."""
+    fit = estimate(made(1, N=4000), **orders)
+
+    assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
+    assert (fit.std < 0.05).all()
+    np.testing.assert_allclose(fit.std_robust, fit.std, rtol=0.15)
+    assert fit.converged
+    assert fit.agreed
+    assert fit.whiteness > 0.01
+    assert fit.noise_variance == pytest.approx(0.25, rel=0.1)
+
+
+@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
+def test_gaps_and_pieces_do_not_bias_the_estimate(
+    estimate: Callable[..., Fit],
+    made: Callable[..., Dataset],
+    orders: dict[str, int],
+    truth: list[float],
+) -> None:
+    """Five experiments with 3 % of the samples missing; what stands there does not matter."""
+    whole = made(2, N=6000)
+    valid = np.random.default_rng(0).random(whole.N) > 0.03
+    parts = [
+        Dataset(u=d.u, y=np.where(v, d.y, 1e6), Ts=0.1, valid=v)
+        for d, v in zip(whole.split(5), np.split(valid, 5), strict=True)
+    ]
+
+    fit = estimate(merge(parts), **orders)
+
+    assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
+    assert (fit.std < 0.06).all()
+    assert len(fit.free) == 5
+
+
+def test_without_a_noise_model_box_jenkins_is_output_error() -> None:
+    """The same minimum and the same deviations, to the search's last digits."""
+    seen = data(3, (np.ones(1), np.ones(1)))
+
+    same, expected = bj(seen, nb=2, nc=0, nd=0, nf=2), oe(seen, nb=2, nf=2)
+
+    np.testing.assert_allclose(same.theta, expected.theta, rtol=1e-8)
+    np.testing.assert_allclose(same.std, expected.std, rtol=1e-8)
+    np.testing.assert_allclose(same.std_robust, expected.std_robust, rtol=1e-8)
+
+
+def test_without_c_armax_is_arx() -> None:
+    """On the same rows: those that look back on nothing unknown."""
+    seen = data(4, (np.ones(1), A))
+    valid = np.random.default_rng(1).random(seen.N) > 0.05
+    holed = Dataset(u=seen.u, y=seen.y, Ts=0.1, valid=valid)
+
+    same, expected = armax(holed, na=2, nb=2, nc=0), arx(holed, na=2, nb=2)
+
+    assert same.N == expected.N
+    np.testing.assert_allclose(same.theta, expected.theta, rtol=1e-9)
+    np.testing.assert_allclose(same.covariance, expected.covariance, rtol=1e-8)
+    np.testing.assert_allclose(same.covariance_robust, expected.covariance_robust, rtol=1e-8)
+    assert same.loss == pytest.approx(expected.loss, rel=1e-12)
+
+
+def test_the_state_before_the_first_sample_does_not_show(plant: HandoutPlant) -> None:
+    """With almost no noise any beginning gives back the plant, through an integrator too."""
+    whole = plant.dataset(1, std=1e-5)
+
+    fit = bj(whole[700:], nb=4, nc=1, nd=1, nf=4, integrator=True)
+
+    np.testing.assert_allclose(fit.theta[:4], plant.B[1:], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(fit.theta[6:], plant.F[1:], rtol=0, atol=1e-2)
+    assert np.count_nonzero(fit.poles().values == 1.0) == 1
+
+
+def test_an_armax_model_may_integrate_its_noise_too() -> None:
+    """(1 - q^-1) Ã y = B (u - u0) + C e: the model of the rate, with the offset found."""
+    rate = armax_data(5, N=3000)
+    angle = Dataset(u=rate.u + 0.3, y=np.cumsum(rate.y), Ts=0.1)
+
+    fit = armax(angle, na=3, nb=2, nc=1, integrator=True)
+
+    assert (np.abs(fit.theta[3:5] - [1, 0.5]) < 4 * fit.std[3:5]).all()
+    np.testing.assert_allclose(fit.A, np.convolve([1, -1], A), atol=0.1)
+    assert abs(fit.A.sum()) < 1e-12
+    assert fit.free[0].offset == pytest.approx(0.3, abs=0.06)
+    assert np.count_nonzero(fit.poles().values == 1.0) == 1
+    assert np.isinf(np.abs(fit.frequency_response([0.0]).G[0]))
+    assert np.isinf(fit.noise_spectrum([0.0]).Phi[0])
+    assert fit.parameters == 5
+    assert "A has the factor 1 - q^-1" in repr(fit)
+
+
+@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES)
+def test_an_input_offset_is_estimated_along(
+    estimate: Callable[..., Fit],
+    made: Callable[..., Dataset],
+    orders: dict[str, int],
+    truth: list[float],
+) -> None:
+    """Data as recorded give what data with means removed would, and say where zero was."""
+    seen = made(6, N=3000)
+    moved = Dataset(u=seen.u + 2.5, y=seen.y, Ts=0.1)
+
+    fit = estimate(moved, **orders, offset=True)
+
+    assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
+    assert fit.free[0].offset == pytest.approx(2.5, abs=0.1)
+    assert residuals(fit, moved).whiteness == pytest.approx(fit.whiteness, rel=1e-3)
+
+
+def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
+    """From rest it explains nothing; from a state of long ago, in low noise, it does."""
+    rng = np.random.default_rng(7)
+    u = rng.standard_normal(400)
+    y = filtered(B, A, u) + filtered(C, D, 0.05 * rng.standard_normal(400))
+    orders = {"nb": 2, "nc": 1, "nd": 1, "nf": 2}
+    rest, moving = Dataset(u=u, y=y, Ts=1), Dataset(u=u[100:], y=y[100:], Ts=1)
+
+    fits = {
+        (name, initial): bj(part, **orders, initial=initial)
+        for name, part in (("rest", rest), ("moving", moving))
+        for initial in ("auto", "zero", "estimate")
+    }
+
+    assert fits["rest", "auto"].loss == fits["rest", "zero"].loss
+    assert fits["moving", "auto"].loss == fits["moving", "estimate"].loss
+    assert fits["moving", "zero"].loss > 2 * fits["moving", "estimate"].loss
+
+
+def test_an_offset_of_a_rig_at_rest_is_refused() -> None:
+    """The message says what to do."""
+    with pytest.raises(ValueError, match=r'offset=True needs initial="estimate", got \'zero\''):
+        armax(armax_data(1), na=1, nb=1, nc=1, offset=True, initial="zero")
+
+
+def test_the_starts_of_a_noise_model_are_reported() -> None:
+    """Box-Jenkins from three sides, ARMAX from two."""
+    three = bj(bj_data(8), nb=2, nc=1, nd=1, nf=2)
+    two = armax(armax_data(8), na=2, nb=2, nc=1)
+
+    assert {s.name for s in three.starts} >= {"ARX", "OE", "high-order ARX, Steiglitz-McBride"}
+    assert {s.name for s in two.starts} == {"ARX", "Hannan-Rissanen"}
+    assert all(s.converged for s in (*three.starts, *two.starts))
+
+
+def test_the_predictor_stays_stable() -> None:
+    """Noise with a zero on the circle draws C to it, and not across."""
+    rng = np.random.default_rng(9)
+    u, e = rng.standard_normal((2, 300))
+    seen = Dataset(u=u, y=filtered(B, A, u) + filtered([1, -1], A, e), Ts=1)
+
+    fit = armax(seen, na=2, nb=2, nc=1)
+
+    assert -1 < fit.C[1] < -0.9
+
+
+@pytest.mark.parametrize("k", [1, 2, 5])
+def test_a_prediction_errs_as_the_noise_model_says(k: int) -> None:
+    """Var(y - ŷ) at horizon k is lambda sum of h_i², i < k, with h = C/D's impulse response."""
+    seen = bj_data(10, N=20_000)
+    fit = bj(seen, nb=2, nc=1, nd=1, nf=2)
+
+    error = seen.y - fit.predict(seen, horizon=k)
+
+    h = filtered(C, D, np.eye(k)[0])
+    assert np.mean(error**2) == pytest.approx(0.25 * np.sum(h**2), rel=0.05)
+
+
+@pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES[:2])
+def test_what_a_model_predicts_from_is_only_the_past(
+    estimate: Callable[..., Fit],
+    made: Callable[..., Dataset],
+    orders: dict[str, int],
+    truth: list[float],
+) -> None:
+    """Long after the start a change of y at t shows in ŷ from t + horizon on, not before."""
+    seen = made(11)
+    fit = estimate(seen, **orders)
+    y = seen.y.copy()
+    y[400] += 3.0
+
+    moved = fit.predict(Dataset(u=seen.u, y=y, Ts=0.1), horizon=3) - fit.predict(seen, horizon=3)
+
+    np.testing.assert_allclose(moved[100:403], 0, atol=1e-9)
+    assert abs(moved[403]) > 0.1
+
+
+def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
+    """The model applied to its own data errs by its own loss."""
+    for estimate, made, orders, _ in CASES:
+        seen = made(12)[50:]
+        fit = estimate(seen, **orders)
+
+        tested = residuals(fit, seen)
+
+        assert np.nanmean(tested.e**2) == pytest.approx(fit.loss, rel=1e-9)
+        assert tested.whiteness == pytest.approx(fit.whiteness, rel=1e-6)
+        assert tested.on_estimation_data
+
+
+def test_the_noise_spectrum_is_that_of_the_noise() -> None:
+    """Its integral is the variance of C/A e; its deviation is that of many estimates."""
+    omega = np.linspace(0, np.pi / 0.1, 2001)
+    fit = armax(armax_data(13, N=5000), na=2, nb=2, nc=1)
+    many = [armax(armax_data(seed), na=2, nb=2, nc=1) for seed in range(100, 180)]
+
+    Phi = fit.noise_spectrum(omega).Phi
+    at = [f.noise_spectrum([1.0, 10.0]) for f in many]
+
+    variance = 0.25 * np.sum(filtered(C, A, np.eye(200)[0]) ** 2)
+    assert np.trapezoid(Phi, omega) / np.pi == pytest.approx(variance, rel=0.1)
+    scatter = np.std([s.Phi for s in at], axis=0)
+    np.testing.assert_allclose(np.mean([s.std for s in at], axis=0), scatter, rtol=0.3)
+
+
+def test_the_hair_dryer_has_a_coloured_noise(
+    reference: Callable[[str], NDArray[np.float64]],
+) -> None:
+    """Box-Jenkins whitens what ARX leaves, and its starts agree."""
+    u, y = reference("dryer.dat")[:500].T
+    seen = detrend(Dataset(u=u, y=y, Ts=0.08))
+
+    fit = bj(seen, nb=2, nc=2, nd=2, nf=2, nk=3)
+
+    assert fit.agreed
+    assert fit.whiteness > 0.05
+    assert arx(seen, na=2, nb=2, nk=3).whiteness < 0.01
+    assert fit.loss < 0.9 * arx(seen, na=2, nb=2, nk=3).loss
+
+
+def test_instruments_are_not_biased_by_coloured_noise() -> None:
+    """Where least squares is off by many deviations; their own deviations hold."""
+    fits = [iv4(bj_data(seed), na=2, nb=2) for seed in range(200)]
+    truth = [-1.2, 0.6, 1.0, 0.5]
+
+    error = np.array([f.theta for f in fits]) - truth
+    scatter = error.std(axis=0, ddof=1)
+
+    assert (np.abs(error.mean(axis=0)) < 4 * scatter / np.sqrt(200)).all()
+    for name in ("std", "std_robust"):
+        ratio = np.mean([getattr(f, name) for f in fits], axis=0) / scatter
+        assert ((ratio > 0.85) & (ratio < 1.15)).all(), (name, ratio)
+    noisy = [bj_data(seed, std=2.0) for seed in range(50)]
+    squares = np.array([arx(seen, na=2, nb=2).theta for seen in noisy]) - truth
+    assert (np.abs(squares.mean(axis=0)) > 10 * squares.std(axis=0) / np.sqrt(50)).any()
+
+
+def test_instruments_leave_out_what_is_missing() -> None:
+    """Two experiments with gaps; what stands there does not matter."""
+    whole = bj_data(1, N=3000)
+    valid = np.random.default_rng(2).random(whole.N) > 0.01
+    spoilt = Dataset(u=whole.u, y=np.where(valid, whole.y, 1e6), Ts=0.1, valid=valid)
+
+    fit = iv4(merge(spoilt.split(2)), na=2, nb=2)
+
+    assert (np.abs(fit.theta - [-1.2, 0.6, 1.0, 0.5]) < 4 * fit.std_robust).all()
+    assert (fit.std < 0.05).all()
+    assert "A(q) y(t) = B(q) u(t) + v(t)" in repr(fit)
+
+
+def test_an_order_too_high_for_the_data_is_refused() -> None:
+    """The message counts what must be estimated along."""
+    seen = bj_data(1)[:12]
+
+    with pytest.raises(ValueError, match=r"nf=2, nk=1 needs at least \d+ samples, got 12"):
+        bj(seen, nb=2, nc=2, nd=2, nf=2)
+    with pytest.raises(ValueError, match=r"nc=-1 must be an integer >= 0"):
+        armax(seen, na=1, nb=1, nc=-1)
+    with pytest.raises(ValueError, match=r"determine only|instruments determine"):
+        iv4(Dataset(u=np.ones(50), y=bj_data(1).y[:50], Ts=1), na=1, nb=2)
+
+
+def test_the_four_stages_make_instruments_as_sharp_as_the_noise_allows() -> None:
+    """Their deviations are those of Box-Jenkins with the true noise model, within 10 %.
+
+    Any filtered input would do for consistency, with twice the deviation.
+    """
+    seeds = range(20)
+    instruments = np.mean([iv4(bj_data(seed), na=2, nb=2).std for seed in seeds], axis=0)
+
+    fits = [bj(bj_data(seed), nb=2, nc=1, nd=1, nf=2) for seed in seeds[:5]]
+
+    sharpest = np.mean([fit.std for fit in fits], axis=0)[[4, 5, 0, 1]]
+    np.testing.assert_allclose(instruments, sharpest, rtol=0.1)
