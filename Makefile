@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check bench format clean
+.PHONY: demo test check bench simulate format clean
 
 demo: .venv/run
 	$(BIN)/armrig demo
@@ -19,6 +19,11 @@ check: .venv/dev
 
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py
+
+# SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story.
+SEEDS ?= 1000
+simulate: .venv/dev
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS))
 
 format: .venv/dev
 	$(BIN)/ruff check --fix

@@ -38,7 +38,7 @@ from armrig_daemon.state import (
     Tick,
     Want,
 )
-from armrig_daemon.stopping import stop, trip
+from armrig_daemon.stopping import end_run, stop, trip
 
 ARMED_NS = 10_000_000_000
 """How long the rig may be held armed without a command, at 0 V, in ns."""
@@ -96,9 +96,11 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
         state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
         return state, done + actions
+    state, ended = end_run(state, now_ns)  # its STOP will not be confirmed any more
     phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
     state = replace(state, phase=phase)
-    return state, [*done, log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
+    said = [log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
+    return state, [*done, *ended, *said]
 
 
 def _received(state: State, now_ns: int, data: bytes) -> Step:
@@ -152,6 +154,8 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     if self_paced:
         state, actions = scheduling.tick(state, now_ns)
         return state, done + actions
+    if state.run is not None and state.run.scheduled and state.run.k_first >= 0:
+        return state, done  # it has stopped, but not ended: our count goes on behind its last
     if len(state.sent) >= MAX_UNECHOED:
         # Never more stale commands in the line than this; the age above ends it.
         return _skip(state, tick.k, 1, now_ns, "the device was late"), done

@@ -22,7 +22,7 @@ from armrig_daemon.asking import Step, ask, log, say_state
 from armrig_daemon.conversion import converted, extended
 from armrig_daemon.faults import Fault, Id
 from armrig_daemon.state import Action, Phase, Publish, RoundTrip, State, Want
-from armrig_daemon.stopping import trip
+from armrig_daemon.stopping import end_run, trip
 
 _RUN = int(Flag.RUN)  # an enum's `&` makes an enum: 0.5 µs each time
 
@@ -69,8 +69,10 @@ def _rebooted(state: State, now_ns: int) -> Step:
     elif state.phase is not Phase.FAULT:
         state = replace(state, phase=Phase.INIT)
         done = [log(now_ns, "warning", "the device was reset"), say_state(state, now_ns)]
+    # Whatever was played is over, and no STOP will be confirmed: HELLO takes its place.
+    state, ended = end_run(state, now_ns)
     state, actions = ask(state, now_ns, Want.HELLO)
-    return state, done + actions
+    return state, [*done, *ended, *actions]
 
 
 def _ack(state: State, now_ns: int, ack: Ack) -> Step:
@@ -106,6 +108,8 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     if at is None or device is None:
         return state, []  # nothing of ours: an old burst, or an echo of another host
     sent = state.sent[at]
+    if sent.k <= state.told:
+        return replace(state, sent=state.sent[at + 1 :]), []  # overtaken: told as a gap already
     t_us = extended(state.t_us, m.t_us)
     for before in state.sent[:at]:
         state = gaps.note(state, gaps.lost(before, now_ns))

@@ -126,7 +126,7 @@ def tick(state: State, now_ns: int) -> Step:
 def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample that the device made by itself."""
     run, device = state.run, state.device
-    if run is None or device is None or not run.due <= m.k < run.samples:
+    if run is None or run.k_first < 0 or device is None or not run.due <= m.k < run.samples:
         return state, []  # came twice, or belongs to no run of ours
     k = run.k_first + m.k
     state, done = gaps.account(_without(state, run, m.k, now_ns), k, now_ns, m.u_km1)

@@ -1,0 +1,1 @@
+"""The fault simulator: core, loop and emulated device against drawn faults, in virtual time."""

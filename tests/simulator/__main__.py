@@ -1,0 +1,64 @@
+"""`python -m simulator`: run schedules, or one again, and say what they came to."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from simulator import campaign, story
+from simulator.options import draw
+
+_MOST_STORIES = 10
+
+
+def main() -> int:
+    """Return 0 where every invariant held and that means something."""
+    parser = argparse.ArgumentParser(prog="python -m simulator", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=1000, help="how many schedules")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--seed", type=int, help="run this one again, and write its story")
+    parser.add_argument("--workers", type=int, help="processes; one for each core unless given")
+    parser.add_argument("--stories", type=Path, default=Path("simulator-stories"))
+    asked = parser.parse_args()
+    if asked.seed is not None:
+        return _again(asked.seed, asked.stories)
+    seeds = range(asked.first, asked.first + asked.seeds)
+    done = campaign.run(seeds, workers=asked.workers)
+    print("\n".join(done.lines()))
+    for seed, invariant, t_ns, text in done.violations[:_MOST_STORIES]:
+        print(f"{invariant} at {t_ns / 1e6:.3f} ms: {text}\n  make simulate SEED={seed}")
+        print(f"  its story: {_write(seed, asked.stories)}")
+    if len(done.violations) > _MOST_STORIES:
+        print(f"and the seeds {', '.join(str(v[0]) for v in done.violations[_MOST_STORIES:])}")
+    empty = done.emptiness()
+    for line in empty:
+        print(f"this campaign means nothing: {line}")
+    return 1 if done.violations or empty else 0
+
+
+def _again(seed: int, folder: Path) -> int:
+    options = draw(seed)
+    print("\n".join(options.lines()))
+    outcome = story.write(options, _path(seed, folder))
+    print(f"bytes on the line: {outcome.digest}\nits story: {_path(seed, folder)}")
+    if outcome.violation is None:
+        print("no violation")
+        return 0
+    invariant, t_ns, text = outcome.violation
+    print(f"{invariant} at {t_ns / 1e6:.3f} ms: {text}")
+    return 1
+
+
+def _write(seed: int, folder: Path) -> Path:
+    story.write(draw(seed), _path(seed, folder))
+    return _path(seed, folder)
+
+
+def _path(seed: int, folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / f"{seed}.txt"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

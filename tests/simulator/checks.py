@@ -1,0 +1,431 @@
+"""The invariants of docs/safety.md, judged from outside.
+
+Judged is what the emulated motor gets, at each latch, each frame and each change of the device.
+The reference is kept here, apart from core and firmware: which frames the host sent and when,
+which of them the device may take in, and which commands the holder of the lease gave.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import NamedTuple
+
+from armrig_core.telemetry import Sample
+from armrig_daemon.asking import MOST_BEATS
+from armrig_daemon.gaps import MOST_ABSENT
+from armrig_daemon.outbox import MOST_WAITING
+from armrig_daemon.records import (
+    Answer,
+    Gap,
+    Halt,
+    Hold,
+    Leased,
+    Order,
+    Play,
+    Quit,
+    Record,
+    Release,
+    Reset,
+    RunStarted,
+    Take,
+)
+from armrig_daemon.records import State as StateRecord
+from armrig_daemon.state import State as CoreState
+from armrig_protocol.decoder import LONGEST
+from armrig_protocol.messages import (
+    CODE_FULL_SCALE,
+    MAX_UNECHOED,
+    TYPES,
+    ClearFault,
+    Estop,
+    Exchange,
+    Hello,
+    Setpoints,
+    Stop,
+)
+
+from simulator.options import MS, Options
+from simulator.violation import Violation
+
+HELLO, STOP, ESTOP = TYPES[Hello], TYPES[Stop], TYPES[Estop]
+EXCHANGE, SETPOINTS, CLEAR = TYPES[Exchange], TYPES[Setpoints], TYPES[ClearFault]
+_WIRE_NS = 3 * MS
+"""What a frame takes on the wire behind others, at most: no delay of the line."""
+FULL_SCALE_V = 5.0
+_MOST_MORE = 100
+"""Records that wait in the outbox however full it is: gaps, answers, ends of runs."""
+
+
+class Frame(NamedTuple):
+    """A frame that the host sent."""
+
+    number: int
+    type: int
+    seq: int
+    t_ns: int
+    grant: int
+    """Under which lease; 0 is none."""
+    code: int
+    """Held by hand then; -1 where an experiment says it."""
+    command_ns: int
+    """When its command was given."""
+    stale: bool
+    """Sent when the round trip was too old to drive on."""
+    reset: bool
+    """A person had asked for a reset since the last trip."""
+
+
+class Checks:
+    """All that has to hold, and what was seen on the way."""
+
+    def __init__(self, options: Options) -> None:
+        """Begin with a host and a device that have not met."""
+        self.options = options
+        self.seen: Counter[str] = Counter()
+        """Trips by their cause, and how often each check had something to judge."""
+        self.worst_ns: dict[str, int] = {}
+        """Longest time to 0 V, by what was the matter."""
+        self.bits = options.pwm_bits
+        self.volts = 0.0
+        self.in_run = False
+        self.latches = self.driving_latches = 0
+        self.phase, self.reason = "init", ""
+        self.latched = False
+        self.grant = 0
+        self.taken: Violation | None = None
+        self.lease: str | None = None
+        self.run: Play | None = None
+        self.offered: Play | None = None
+        """An experiment that has not been answered; the device may have begun with it."""
+        self.k_first = -1
+        self.command_ns = 0
+        self.last_sample_ns = 0
+        self._limit = options.watchdog_ms * MS
+        self._boot()
+        self.begin_host(0)
+
+    # -- the host --------------------------------------------------------------------------------
+
+    def begin_host(self, now_ns: int) -> None:
+        """Forget what the process knew that is gone."""
+        self._frames: dict[bytes, Frame] = {}
+        self._by_seq: dict[int, Frame] = {}
+        self._count = 0
+        self._seq = 0
+        self.fresh_ns = now_ns
+        self.newest_ns = now_ns
+        self.must_stop = self.stop_sent = self.stale = False
+        self.latched = False
+        self._next_k: int | None = None
+        self._latched_codes: dict[int, int] = {}
+        self._given: dict[int, tuple[int, Order]] = {}
+        self._end_grant()
+
+    def _end_grant(self) -> None:
+        self.lease, self.code, self._n = None, 0, -1
+        self.ended_ns: int | None = None
+
+    def link_up(self) -> None:
+        """Note that seq begins anew."""
+        self._seq = 0
+
+    def ts_ns(self) -> int:
+        """Return the longest sampling time in force, in ns."""
+        return self.options.ts_us * 1000
+
+    def lease_ns(self) -> int:
+        """Return how long a command outlives itself (S2)."""
+        return max(100 * MS, 5 * self.ts_ns())
+
+    def s2_ns(self) -> int:
+        """Return the longest time from the last command to 0 V (S2)."""
+        return self.lease_ns() + self._limit + 2 * self.ts_ns()
+
+    def ordered(self, now_ns: int, given_ns: int, order: Order) -> None:
+        """Note an order that the core is about to take; it was put into the pipe at `given_ns`."""
+        self._given[order.order] = (given_ns, order)
+        if isinstance(order, Halt | Release | Quit) and (
+            not isinstance(order, Release) or order.lease == self.lease
+        ):
+            self._close(now_ns)
+        elif isinstance(order, Reset):
+            self.latched = False
+        elif isinstance(order, Play) and self._is_valid(order):
+            self.offered = order
+
+    def _close(self, now_ns: int) -> None:
+        """No command is in force from now on."""
+        if self.lease is not None:
+            self._end_grant()
+            self.ended_ns = now_ns
+
+    def _is_valid(self, order: Leased) -> bool:
+        return self.lease is not None and order.lease == self.lease and order.n > self._n
+
+    def told(self, now_ns: int, record: Record) -> None:
+        """Judge what the core tells."""
+        if isinstance(record, Answer):
+            self._answered(now_ns, record)
+        elif isinstance(record, StateRecord):
+            self._state(now_ns, record)
+        elif isinstance(record, RunStarted):
+            self.k_first = record.k_first
+
+    def _answered(self, now_ns: int, answer: Answer) -> None:
+        given = self._given.pop(answer.order, None)
+        if given is not None and given[1] is self.offered:
+            if not answer.error:
+                self.run, self.k_first = self.offered, -1
+            self.offered = None
+        if given is None or answer.error:
+            return
+        given_ns, order = given
+        if isinstance(order, Take):
+            if self.lease is not None:
+                self._wrongly(now_ns, f"gave the rig to {order.owner}, while another held it")
+            if self.latched:
+                raise Violation("S6", now_ns, "armed before a reset")
+            self._end_grant()
+            self.grant += 1
+            self.lease, self.run, self.offered = order.lease, None, None
+            self.command_ns = given_ns
+        elif isinstance(order, Hold):
+            low, high = self.options.u_min, self.options.u_max
+            if not self._is_valid(order) or not low <= order.code <= high:
+                self._wrongly(now_ns, f"took {order}")
+                return
+            self._n, self.code, self.command_ns = order.n, order.code, given_ns
+        elif isinstance(order, Play):
+            if not self._is_valid(order):
+                self._wrongly(now_ns, "took an experiment of nobody who holds the rig")
+                return
+            self._n, self.command_ns = order.n, given_ns
+
+    def _wrongly(self, now_ns: int, text: str) -> None:
+        """Note an order that should have been refused; what the motor does of it comes first."""
+        if self.taken is None:
+            self.taken = Violation("A1", now_ns, text)
+
+    def _state(self, now_ns: int, record: StateRecord) -> None:
+        before, self.phase, self.reason = self.phase, str(record.phase), record.reason
+        if self.phase == "fault":
+            if before != "fault":
+                self.seen[f"trip: {_cause(record.reason)}"] += 1
+            self.latched = True
+            self._close(now_ns)
+        elif self.latched:
+            raise Violation("S6", now_ns, f"left the fault for {self.phase} without a reset")
+        elif self.phase in ("init", "safe"):
+            self._close(now_ns)
+
+    def begin_step(self, now_ns: int, *, is_tick: bool, driving: bool, scheduled: bool) -> None:
+        """Judge the round trip before the core does (S4)."""
+        age_ns = self._limit if scheduled else max(50 * MS, 3 * self.ts_ns())
+        self.stale = now_ns - self.fresh_ns > age_ns
+        self.must_stop = is_tick and self.stale and driving
+        self.stop_sent = False
+
+    def end_step(self, now_ns: int) -> None:
+        """Judge what the core did at a stale tick (S4)."""
+        if self.must_stop:
+            self.seen["S4"] += 1
+            if not self.stop_sent:
+                age_ms = (now_ns - self.fresh_ns) / MS
+                raise Violation("S4", now_ns, f"the round trip is {age_ms:.1f} ms old, and no STOP")
+
+    def sent(self, now_ns: int, data: bytes) -> None:
+        """Note a frame of the host."""
+        text = data[1:] if data[0] == 0 else data
+        kind = text[1] if text[0] > 1 else 0
+        if kind == STOP:
+            self.stop_sent = True
+        live = self.grant if self.lease is not None else 0
+        frame = Frame(
+            self._count,
+            kind,
+            self._seq,
+            now_ns,
+            live,
+            self.code if self.run is None else -1,
+            self.command_ns,
+            self.stale,
+            not self.latched,
+        )
+        self._frames[text] = self._by_seq[self._seq] = frame
+        self._count += 1
+        self._seq = (self._seq + 1) & 0xFFFF
+
+    def came_back(self, heard_ns: int) -> None:
+        """Note an answer that came whole, made when the device had heard what was sent then."""
+        self.fresh_ns = max(self.fresh_ns, heard_ns)
+
+    def sampled(self, now_ns: int) -> None:
+        """Note that the core has published a sample."""
+        self.last_sample_ns = now_ns
+
+    def bounded(self, now_ns: int, state: CoreState, waiting: int) -> None:
+        """Judge the size of what the loop keeps (R1)."""
+        kept = len(state.pending) <= LONGEST + 1 and len(state.sent) <= MAX_UNECHOED
+        told = len(state.absent) <= MOST_ABSENT and waiting <= MOST_WAITING + _MOST_MORE
+        if not (kept and told and len(state.beats) <= MOST_BEATS):
+            raise Violation("R1", now_ns, f"more is kept than may be: {state}"[:600])
+
+    def published(self, now_ns: int, sample: Sample) -> None:
+        """Judge a sample that goes to the service (L2, S5)."""
+        self._expect(now_ns, sample.k, 1, "a sample")
+        code = self._latched_codes.get(sample.k)
+        applied = round(sample.u_applied_v * CODE_FULL_SCALE / FULL_SCALE_V)
+        if code is not None and applied not in (0, code):
+            text = f"sample {sample.k} says code {applied} where the motor got {code}"
+            raise Violation("S5", now_ns, text)
+
+    def gap(self, now_ns: int, gap: Gap) -> None:
+        """Judge a gap (L2)."""
+        self.seen["gaps"] += 1
+        self._expect(now_ns, gap.k_first, gap.count, f"a gap ({gap.reason})")
+
+    def _expect(self, now_ns: int, k: int, count: int, what: str) -> None:
+        if count < 1 or (self._next_k is not None and k != self._next_k):
+            text = f"{what} of {count} from k={k}, where k={self._next_k} was to be told next"
+            raise Violation("L2", now_ns, text)
+        self._next_k = k + count
+
+    # -- the device ------------------------------------------------------------------------------
+
+    def _boot(self) -> None:
+        self._taken: Frame | None = None
+        self._newest = -1
+        self._part = b""
+        self.fed_ns = 0
+        self.late_ns = 0
+
+    def booted(self) -> None:
+        """Note a reset of the device."""
+        self._boot()
+
+    def arrives(self, t_ns: int, piece: bytes, *, bound: bool) -> Frame | None:
+        """Note bytes that the device takes off the line; `bound` says it is in ARMED or RUN."""
+        self.zero_in_time(t_ns)
+        if self._part:
+            piece, self._part = self._part + piece, b""
+        if piece[-1]:
+            self._part = piece[-80:]  # no frame is longer
+            return None
+        frame = self._frames.get(piece)
+        if frame is None:
+            return None
+        ahead = (frame.seq - self._newest) & 0xFFFF
+        fresh = self._newest < 0 or 1 <= ahead < 0x8000
+        if fresh or (frame.type == HELLO and not bound):
+            self._newest, self._taken = frame.seq, frame
+            self.fed_ns = t_ns
+            # Later than its watchdog nothing finds the device driving: that is no delay.
+            self.late_ns = min(max(0, t_ns - frame.t_ns - _WIRE_NS), self._limit + 50 * MS)
+            self.newest_ns = max(self.newest_ns, frame.t_ns)
+        return frame
+
+    def changed(self, t_ns: int, before: int, after: int, frame: Frame | None) -> None:
+        """Judge a transition of the device that a frame made (S6)."""
+        left = before in (6, 7) and after not in (6, 7)
+        if left and (frame is None or frame.type != CLEAR or not frame.reset):
+            raise Violation("S6", t_ns, "the device left its fault without a reset")
+        if after == 5 and self.volts > 0:
+            raise Violation("S6", t_ns, f"RUN begins with {self.volts:.3f} V")
+
+    def zero_in_time(self, t_ns: int) -> None:
+        """Judge how long the motor has been driven without host and without command (S2, S3)."""
+        if not self.volts:
+            return
+        silent_ns = t_ns - self.fed_ns
+        if silent_ns > self._limit * 1.0002 + MS:
+            raise Violation("S3", t_ns, f"no valid frame for {silent_ns / MS:.1f} ms")
+        since = t_ns - self.command_ns - self.late_ns
+        if since > self.s2_ns() and self.run is None:
+            raise Violation("S2", t_ns, f"the last command was given {since / MS:.1f} ms ago")
+        if self.ended_ns is not None and t_ns - self.ended_ns - self.late_ns > self.s2_ns():
+            raise Violation("S2", t_ns, "driven on long after a stop")
+
+    def latch(self, t_ns: int, code: int, k: int, seq: int, *, scheduled: bool) -> None:
+        """Judge a code that is about to drive the motor (S5)."""
+        self.latches += 1
+        self.zero_in_time(t_ns)
+        if not code:
+            return
+        self.driving_latches += 1
+        if scheduled:
+            self._scheduled(t_ns, code, k)
+        else:
+            self._exchanged(t_ns, code, k, seq)
+
+    def _scheduled(self, t_ns: int, code: int, k: int) -> None:
+        run = self.offered or self.run
+        if run is None or not run.scheduled or 2 * k >= len(run.codes):
+            raise Violation("S5", t_ns, f"code {code} at sample {k}, which no experiment has")
+        wanted = run.codes[2 * k] | run.codes[2 * k + 1] << 8
+        if code != wanted:
+            raise Violation("S5", t_ns, f"code {code} at sample {k}, where u[k] is {wanted}")
+        self.command_ns = t_ns
+
+    def _exchanged(self, t_ns: int, code: int, k: int, seq: int) -> None:
+        frame = self._by_seq.get(seq)
+        if frame is None:
+            raise Violation("S5", t_ns, f"code {code} from a frame that nobody sent (seq {seq})")
+        if frame.grant != self.grant or not frame.grant:
+            raise Violation("S6", t_ns, f"code {code}, sent when nobody held the rig")
+        if frame.stale:
+            raise Violation("S4", t_ns, f"code {code}, sent on a stale round trip")
+        wanted = frame.code
+        if wanted < 0:
+            run, i = self.run, k - self.k_first
+            if run is None or self.k_first < 0 or not 0 <= i < len(run.codes) // 2:
+                raise Violation("S5", t_ns, f"code {code} at k={k}, which no experiment has")
+            wanted = run.codes[2 * i] | run.codes[2 * i + 1] << 8
+            self.command_ns = frame.t_ns
+        if code != wanted:
+            raise Violation("S5", t_ns, f"code {code} at k={k}, where {wanted} was commanded")
+        age_ns = t_ns - frame.command_ns - self.late_ns
+        if frame.code >= 0 and age_ns > self.s2_ns():
+            raise Violation("S5", t_ns, f"code {code} of a command {age_ns / MS:.0f} ms ago")
+
+    def latch_done(self, t_ns: int, asked: int, k: int, got: int, *, scheduled: bool) -> None:
+        """Judge what the motor really got for a code, and remember it (S5)."""
+        half_step = FULL_SCALE_V / (1 << self.bits + 1) if self.bits else 0.0
+        wanted = FULL_SCALE_V * asked / CODE_FULL_SCALE
+        if abs(self.volts - wanted) > half_step + 1e-9:
+            raise Violation("S5", t_ns, f"{self.volts} V for code {asked}, which is {wanted} V")
+        codes = self._latched_codes
+        codes[self.k_first + k if scheduled else k] = got
+        if len(codes) > 2_000:
+            for old in list(codes)[:1_000]:
+                del codes[old]
+
+    def gets(self, t_ns: int, volts: float, state: int, cause: int) -> None:
+        """Judge what the motor has from now on (S1), and whether it came to 0 V in time."""
+        top = FULL_SCALE_V * self.options.u_max / CODE_FULL_SCALE
+        half_step = FULL_SCALE_V / (1 << self.bits + 1) if self.bits else 0.0
+        if not 0.0 <= volts <= min(FULL_SCALE_V, top + half_step + 1e-9):
+            raise Violation("S1", t_ns, f"{volts} V at the motor")
+        if volts and state != 5:
+            raise Violation("S1", t_ns, f"{volts} V in state {state}")
+        if self.volts and not volts:
+            self.zero_in_time(t_ns)
+            if state != 5:
+                self._stopped(t_ns, cause)
+        self.volts = volts
+
+    def _stopped(self, t_ns: int, cause: int) -> None:
+        if cause == 4:
+            self._worst("link gone", t_ns - self.fed_ns)
+        if self.reason.startswith("the lease") and self.run is None:
+            self._worst("commander gone", t_ns - self.command_ns)
+        elif self.ended_ns is not None:
+            self._worst("stop or trip", t_ns - self.ended_ns)
+
+    def _worst(self, kind: str, ns: int) -> None:
+        self.seen[f"to 0 V: {kind}"] += 1
+        self.worst_ns[kind] = max(self.worst_ns.get(kind, 0), ns)
+
+
+def _cause(reason: str) -> str:
+    """Return a reason without the numbers in it."""
+    return " ".join("#" if any(c.isdigit() for c in word) else word for word in reason.split())

@@ -1,0 +1,183 @@
+"""Who commands: one that does what it may, and those that do what they may not."""
+
+from __future__ import annotations
+
+from random import Random
+from struct import pack
+
+from armrig_daemon.records import (
+    Answer,
+    Halt,
+    Hold,
+    Order,
+    Play,
+    Record,
+    Release,
+    Reset,
+    RunEnded,
+    Take,
+)
+from armrig_daemon.records import State as StateRecord
+
+from simulator.options import Options
+
+_PATIENCE = 20
+"""Acts after which an answer that has not come is no longer awaited."""
+
+
+class Commander:
+    """Takes the rig, drives it by hand or by experiments, and recovers from trips."""
+
+    def __init__(self, options: Options, rng: Random) -> None:
+        """Begin with nothing known."""
+        self._options, self._rng = options, rng
+        self._phase = "init"
+        self._lease = ""
+        self._number = 0
+        self._n = 0
+        self._held = False
+        self._waits = 0
+        self._awaited = -1
+        self._grants = 0
+        self._code = 0
+        self._playing = False
+        self._holds_left = 0
+
+    @property
+    def lease(self) -> str:
+        """What it last armed with."""
+        return self._lease
+
+    def hears(self, record: Record) -> None:
+        """Take note of what the daemon tells."""
+        if isinstance(record, StateRecord):
+            self._phase = record.phase
+            if record.phase not in ("armed", "active"):
+                self._held = self._playing = False
+        elif isinstance(record, RunEnded):
+            self._playing = False
+        elif isinstance(record, Answer) and record.order == self._awaited >= 0:
+            self._awaited = -1
+            if record.error:
+                self._playing = False
+            elif "lease" in record.body:
+                self._held = True
+
+    def forget(self) -> None:
+        """Begin anew with another daemon."""
+        self._phase, self._held, self._playing, self._awaited = "init", False, False, -1
+
+    def act(self) -> Order | None:
+        """Return what it orders now."""
+        if self._awaited >= 0 and self._waits < _PATIENCE:
+            self._waits += 1
+            return None
+        if self._phase == "fault":
+            return self._await(Reset(order=self._next()))
+        if self._phase == "safe" and not self._held:
+            return self._await(self._take())
+        if not self._held or self._playing:
+            return None
+        if self._mode() == "hold":
+            return self._hold()
+        self._n += 1
+        self._playing = True
+        codes = self.codes()
+        return self._await(
+            Play(
+                order=self._next(),
+                lease=self._lease,
+                n=self._n,
+                run_id=f"r{self._number}",
+                codes=pack(f"<{len(codes)}H", *codes),
+                scheduled=self._mode() == "scheduled",
+            )
+        )
+
+    def forged(self) -> Order:
+        """Return an order with a lease or a number that is not in force."""
+        code = self._rng.randint(1, 65_535)
+        what = self._rng.randrange(4)
+        if what == 0:
+            return Hold(order=self._other(), lease="f" * 32, n=1 << 30, code=code)
+        if what == 1:
+            return Hold(order=self._other(), lease="", n=1 << 30, code=code)
+        if what == 2:
+            return Release(order=self._other(), lease="e" * 32, n=1 << 30)
+        return Hold(
+            order=self._other(), lease=self._lease, n=self._rng.randint(-5, self._n), code=code
+        )
+
+    def out_of_range(self) -> Order:
+        """Return an order of the holder whose code no rig stands, or this one may not."""
+        options = self._options
+        codes = [-1, 65_536, 70_000, 1 << 40, -(1 << 40)]
+        if options.u_max < 65_535:
+            codes += [options.u_max + 1, 65_535] * 6
+        if options.u_min:
+            codes.append(options.u_min - 1)
+        self._n += 1
+        return Hold(order=self._other(), lease=self._lease, n=self._n, code=self._rng.choice(codes))
+
+    def intruded(self) -> Order:
+        """Return what a second commander tries while another holds the rig."""
+        what = self._rng.randrange(12)
+        if what == 0:
+            return Halt(order=self._other())
+        if what < 6:
+            return Take(order=self._other(), owner="another", lease="b" * 32, ts_us=0)
+        return Hold(order=self._other(), lease="b" * 32, n=1 << 30, code=65_535)
+
+    def codes(self) -> list[int]:
+        """Return an experiment: steps within the limits, off rest but for one in ten."""
+        options, rng = self._options, self._rng
+        low, high = max(options.u_min, 1), options.u_max
+        codes: list[int] = []
+        last = 0
+        for _ in range(rng.randint(2, 30)):
+            wanted = rng.randint(low, high)
+            code = self._near(last, wanted)
+            last = code
+            codes += [code] * rng.randint(1, 40)
+        return codes
+
+    def _near(self, last: int, wanted: int) -> int:
+        slew = self._options.slew
+        if slew and abs(wanted - last) > slew:
+            return last + slew if wanted > last else last - slew
+        return wanted
+
+    def _mode(self) -> str:
+        modes = self._options.modes
+        return modes[self._grants % len(modes)]
+
+    def _take(self) -> Take:
+        self._grants += 1
+        self._n = 0
+        self._code = 0
+        self._holds_left = self._rng.randint(5, 60)
+        self._lease = f"{self._rng.getrandbits(128):032x}"
+        return Take(order=self._next(), owner="a student", lease=self._lease, ts_us=0)
+
+    def _hold(self) -> Order:
+        self._n += 1
+        if self._holds_left <= 0:
+            return self._await(Release(order=self._next(), lease=self._lease, n=self._n))
+        self._holds_left -= 1
+        options = self._options
+        wanted = self._rng.randint(max(options.u_min, 1), options.u_max)
+        self._code = self._near(self._code, wanted)
+        return Hold(order=self._next(), lease=self._lease, n=self._n, code=self._code)
+
+    def _next(self) -> int:
+        self._number += 1
+        return self._number
+
+    def _other(self) -> int:
+        """Return the number of an order that is not its own."""
+        self._number += 1
+        return -self._number
+
+    def _await(self, order: Order) -> Order:
+        self._awaited, self._waits = order.order, 0
+        return order

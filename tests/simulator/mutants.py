@@ -1,0 +1,327 @@
+"""Bugs to be planted: each takes one guard out of core, codec or device, in memory.
+
+What a schedule finds with a bug in shows that the checks can see it. Some guards stand behind
+others; such a bug is planted together with `without`, the layers that would mask it, and must be
+seen with it and not with those layers out alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+from armrig_daemon import asking, core, gaps, handshake, orders, replies, scheduling, stopping
+from armrig_daemon.emulator import board, firmware, requests
+from armrig_daemon.emulator.firmware import NEVER
+from armrig_daemon.records import Answer
+from armrig_daemon.state import Emit, Lease, Phase, Rules, Run
+from armrig_protocol import cobs, decoder, frame
+from armrig_protocol.frame import Spoilt, Unknown
+from armrig_protocol.messages import ARRAYS, MESSAGES, Cause
+from msgspec.structs import replace
+
+from simulator.options import KINDS
+
+Patch = Callable[[ExitStack], None]
+AGES = 1 << 60
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mutant:
+    """A bug, and which invariants it must be seen to break."""
+
+    name: str
+    plant: Patch
+    breaks: frozenset[str]
+    without: tuple[Patch, ...] = ()
+    """Layers that mask it."""
+    faults: tuple[str, ...] = KINDS
+    """Faults that are drawn from: those that the bug is about, to find it soon."""
+    first: int = 1000
+    """Seed to begin with, where an early one does not show it."""
+
+
+@contextmanager
+def planted(*patches: Patch) -> Iterator[None]:
+    """Let bugs be in for a while."""
+    with ExitStack() as stack:
+        for plant in patches:
+            plant(stack)
+        yield
+
+
+def _put(owner: Any, name: str, value: Any) -> Patch:
+    """Return what puts `value` in the place of an attribute."""
+
+    def plant(stack: ExitStack) -> None:
+        stack.enter_context(patch.object(owner, name, value))
+
+    return plant
+
+
+def _all(*patches: Patch) -> Patch:
+    def plant(stack: ExitStack) -> None:
+        for one in patches:
+            one(stack)
+
+    return plant
+
+
+# -- the bugs ------------------------------------------------------------------------------------
+
+_take_reply, _take_order, _leased = replies.take, orders._take, orders._leased
+_account, _trip, _end_run = gaps.account, stopping.trip, stopping.end_run
+_say_allows = Rules.allows
+
+
+def _fresh_by_arrival(state: Any, now_ns: int, message: Any) -> Any:
+    after, done = _take_reply(state, now_ns, message)
+    if after.fresh_ns != state.fresh_ns:
+        after = replace(after, fresh_ns=now_ns)
+    return after, done
+
+
+def _as_known(kind: Any, *names: str) -> Patch:
+    """Return what lets the device find its own values in these fields of a request."""
+
+    def plant(stack: ExitStack) -> None:
+        handler = requests._HANDLERS[kind]
+
+        def anyway(fw: Any, now_ns: int, m: Any) -> Any:
+            return handler(fw, now_ns, m._replace(**{name: getattr(fw, name) for name in names}))
+
+        stack.enter_context(patch.dict(requests._HANDLERS, {kind: anyway}))
+
+    return plant
+
+
+def _decode_anyway(stuffed: bytes) -> Any:
+    text = cobs.unstuff(stuffed)
+    if text is None or len(text) < 8:
+        return Spoilt("length")
+    body = frame._BODIES.get(text[0])
+    if body is None:
+        return Unknown(0, 0, text[0])
+    if body.size != len(text) - 4:
+        return Spoilt("length")
+    fields = body.unpack_from(text)
+    if text[0] in ARRAYS:
+        fields = (*fields[: -ARRAYS[text[0]]], fields[-ARRAYS[text[0]] :])
+    return MESSAGES[text[0]]._make(fields)
+
+
+def _any_lease(state: Any, now_ns: int, order: Any) -> Any:
+    lease = state.lease.lease if state.lease else order.lease
+    return _leased(state, now_ns, replace(order, lease=lease))
+
+
+def _any_number(state: Any, now_ns: int, order: Any) -> Any:
+    if state.lease is not None:
+        state = replace(state, lease=replace(state.lease, n=order.n - 1))
+    return _leased(state, now_ns, order)
+
+
+def _any_owner(state: Any, now_ns: int, order: Any) -> Any:
+    if state.lease is None:
+        return _take_order(state, now_ns, order)
+    lease = Lease(order.lease, order.owner, state.lease.ts_us, -1, now_ns)
+    return replace(state, lease=lease), [
+        Emit(Answer(order=order.order, body={"lease": lease.lease}))
+    ]
+
+
+def _no_gaps(*args: Any, **kwargs: Any) -> Any:
+    state, _ = _account(*args, **kwargs)
+    return state, []
+
+
+def _half(run: Run, i: int) -> int:
+    return (run.codes[2 * i] | run.codes[2 * i + 1] << 8) // 2 if i >= 0 else 0
+
+
+def _more_volts(code: int, pwm_bits: int) -> float:
+    return _volts(code, pwm_bits) * 1.01
+
+
+_volts = board.volts
+
+
+def _never_bites(fw: Any) -> None:
+    fw.watchdog_ns = NEVER
+
+
+def _no_range(fw: Any, m: Any) -> Any:
+    return Cause.NONE
+
+
+def _unlatched(state: Any, now_ns: int, reason: str) -> Any:
+    state, done = _trip(state, now_ns, reason)
+    return replace(state, phase=Phase.SAFE), done
+
+
+def _only_said(state: Any, now_ns: int, *, driving: bool) -> Any:
+    return state, []
+
+
+def _out_of_fault(state: Any, now_ns: int, order: Any) -> Any:
+    if state.phase is Phase.FAULT and state.device is not None and state.asked is None:
+        return handshake.begin_arming(replace(state, lease=None), now_ns, order)
+    return _take_order(state, now_ns, order)
+
+
+def _all_beats(state: Any, now_ns: int, data: bytes) -> Any:
+    with patch.object(asking, "MOST_BEATS", 1 << 20):
+        return _send(state, now_ns, data)
+
+
+_send = asking.send
+
+
+def _kept(pending: bytes, data: bytes) -> Any:
+    _, received = _feed(b"", pending + data)
+    texts = (pending + data).split(b"\0")
+    return texts[-1], received
+
+
+_feed = decoder.feed
+_is_newer = requests.is_newer
+
+
+def _no_retry(state: Any, now_ns: int) -> Any:
+    return replace(state, asked=state.asked and state.asked._replace(sent_ns=now_ns)), []
+
+
+NO_AGE = _put(Rules, "age_ns", lambda *_, **__: AGES)
+NO_RANGE = _all(
+    _put(orders, "_out_of_range", lambda *_: ""), _put(Rules, "allows", lambda *_: True)
+)
+
+MUTANTS = (
+    Mutant(
+        name="freshness by the time of arrival",
+        plant=_put(replies, "take", _fresh_by_arrival),
+        breaks=frozenset({"S4"}),
+        faults=("delay from_device",),
+        first=1019,
+    ),
+    Mutant(
+        name="no boot nonce",
+        plant=_as_known(requests.Arm, "boot_id"),
+        without=(_as_known(requests.Arm, "nonce"), _as_known(requests.Start, "nonce")),
+        breaks=frozenset({"S2", "S5", "S6"}),
+        faults=("played_again",),
+    ),
+    Mutant(
+        name="no CRC",
+        plant=_put(decoder, "decode", _decode_anyway),
+        breaks=frozenset({"S1", "S2", "S3", "S4", "S5", "S6", "L2", "crash"}),
+        faults=("flip to_device", "flip from_device"),
+    ),
+    Mutant(
+        name="what is no code is let through (NaN, an integer beyond u16)",
+        plant=NO_RANGE,
+        breaks=frozenset({"A1", "crash"}),
+        faults=("out_of_range",),
+    ),
+    Mutant(
+        name="no lease",
+        plant=_put(orders, "_leased", _any_lease),
+        breaks=frozenset({"A1", "S5"}),
+        faults=("forgery",),
+    ),
+    Mutant(
+        name="any owner",
+        plant=_put(orders, "_take", _any_owner),
+        breaks=frozenset({"A1"}),
+        faults=("intruder",),
+        first=1028,
+    ),
+    Mutant(name="no staleness", plant=NO_AGE, breaks=frozenset({"S4"})),
+    Mutant(
+        name="no timeout of the lease",
+        plant=_put(Rules, "lease_ns", lambda *_: AGES),
+        breaks=frozenset({"S2", "S5"}),
+        faults=("hang",),
+        first=1006,
+    ),
+    Mutant(
+        name="no firmware timeout",
+        plant=_put(firmware.Firmware, "_wind", _never_bites),
+        breaks=frozenset({"S2", "S3"}),
+        faults=("kill",),
+    ),
+    Mutant(
+        name="replay of a frame accepted",
+        plant=_put(requests, "is_newer", lambda *_: True),
+        breaks=frozenset({"S2", "S3", "S5", "S6"}),
+        faults=("replay to_device",),
+    ),
+    Mutant(
+        name="replay of an order accepted",
+        plant=_put(orders, "_leased", _any_number),
+        breaks=frozenset({"A1", "S5"}),
+        faults=("forgery",),
+    ),
+    Mutant(name="silent gap", plant=_put(gaps, "account", _no_gaps), breaks=frozenset({"L2"})),
+    Mutant(
+        name="wrong scale in the host", plant=_put(Run, "code", _half), breaks=frozenset({"S5"})
+    ),
+    Mutant(
+        name="wrong scale in the device",
+        plant=_put(board, "volts", _more_volts),
+        breaks=frozenset({"S1", "S5"}),
+    ),
+    Mutant(
+        name="no pause detection",
+        plant=_put(Rules, "pause_ns", lambda *_, **__: AGES),
+        breaks=frozenset({"S4"}),
+        without=(NO_AGE,),
+        faults=("pause",),
+        first=1005,
+    ),
+    Mutant(
+        name="no firmware clamp",
+        plant=_put(requests, "_trip", _no_range),
+        breaks=frozenset({"S1", "S5"}),
+        without=(NO_RANGE,),
+        faults=("out_of_range",),
+    ),
+    Mutant(
+        name="stale, and no STOP",
+        plant=_put(core, "_stale", _only_said),
+        breaks=frozenset({"S4"}),
+    ),
+    Mutant(
+        name="a trip that does not latch",
+        plant=_all(*(_put(m, "trip", _unlatched) for m in (core, replies, handshake, scheduling))),
+        breaks=frozenset({"S6"}),
+    ),
+    Mutant(
+        name="armed in a fault",
+        plant=_put(orders, "_take", _out_of_fault),
+        breaks=frozenset({"S6"}),
+        faults=("hang", "intruder"),
+        first=1021,
+    ),
+    Mutant(
+        name="a queue without a bound",
+        plant=_all(*(_put(m, "send", _all_beats) for m in (core, asking, scheduling))),
+        breaks=frozenset({"R1"}),
+        faults=("delay from_device", "loss from_device"),
+        first=1004,
+    ),
+    Mutant(
+        name="a decoder that keeps all",
+        plant=_put(core, "feed", _kept),
+        breaks=frozenset({"R1"}),
+        faults=("garbage from_device",),
+    ),
+    Mutant(
+        name="a request that is not sent again",
+        plant=_put(handshake, "retry", _no_retry),
+        breaks=frozenset({"T1", "S2", "S3", "S4", "S6"}),
+    ),
+)

@@ -1,0 +1,148 @@
+"""What a seed draws: the rig, its commanders, and the faults that they meet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from random import Random
+from typing import Final, NamedTuple
+
+MS: Final = 1_000_000
+SECOND: Final = 1_000_000_000
+END_NS: Final = 10 * SECOND
+CLEAR_NS: Final = 7_700 * MS
+"""From here on there is no fault: what comes back, has to come back by itself (T1)."""
+_FIRST_NS: Final = 400 * MS
+
+WAYS: Final = ("to_device", "from_device")
+LINE: Final = ("loss", "duplicate", "delay", "reorder", "flip", "replay", "garbage", "split")
+ELSEWHERE: Final = (
+    "pause",
+    "pause_in_write",
+    "late",
+    "kill",
+    "played_again",
+    "service_gone",
+    "reset",
+    "unplug",
+    "stuck",
+    "rail",
+    "hang",
+    "intruder",
+    "forgery",
+    "out_of_range",
+    "slow_service",
+    "full_pipe",
+)
+KINDS: Final = (*(f"{kind} {way}" for way in WAYS for kind in LINE), *ELSEWHERE)
+"""Every fault, each way of the line by itself."""
+
+
+class Episode(NamedTuple):
+    """One fault and its time."""
+
+    kind: str
+    t_ns: int
+    for_ns: int
+    size: float
+    """From 0 to 1: how likely, how much, or which of two."""
+
+    @property
+    def end_ns(self) -> int:
+        """When it is over."""
+        return self.t_ns + self.for_ns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """One schedule; all of it follows from the seed."""
+
+    seed: int
+    ts_us: int
+    watchdog_ms: int
+    u_min: int
+    u_max: int
+    slew: int
+    turns: int
+    rail_ticks: int
+    stop_after: int
+    service_ns: int
+    boot_ms: float
+    pwm_bits: int
+    adc_noise_v: float
+    clock_ppm: float
+    clock_start_us: int
+    """What the device's clock shows at its reset: some begin shortly before their wrap."""
+    usb_ns: int
+    """What a USB bridge keeps the answers waiting."""
+    client_ns: int
+    """How often the commander acts."""
+    modes: tuple[str, ...]
+    """What the commander does with the rig, one grant after the other."""
+    goes_on: bool
+    """The commander goes on when the faults are over; else it says nothing more."""
+    real_outbox: bool
+    """The pipe to the service is the real one; else only its reader's part of it."""
+    episodes: tuple[Episode, ...]
+
+    def lines(self) -> list[str]:
+        """Return all of it, one option a line."""
+        plain = [f for f in fields(self) if f.name != "episodes"]
+        shown = [f"{f.name} = {getattr(self, f.name)!r}" for f in plain]
+        for e in self.episodes:
+            times = f"{e.t_ns / MS:8.1f} ms for {e.for_ns / MS:6.1f} ms"
+            shown.append(f"fault {e.kind:22} from {times}, size {e.size:.3f}")
+        return shown
+
+
+def draw(seed: int, *, only: Sequence[str] = KINDS) -> Options:
+    """Return the schedule of a seed.
+
+    Parameters
+    ----------
+    only : sequence of str
+        Faults that are drawn from.
+    """
+    rng = Random(seed)
+    ts_us = rng.choice([5_000] * 7 + [2_000, 10_000, 20_000])
+    narrow = rng.random() < 0.3
+    episodes = [_episode(rng, only) for _ in range(rng.randint(3, 7))]
+    lines = [kind for kind in only if " " in kind]
+    if lines and rng.random() < 0.4:
+        kind = rng.choice(lines)
+        whole = CLEAR_NS - _FIRST_NS
+        episodes.append(Episode(kind, _FIRST_NS, whole, 0.02 * rng.random()))
+    kept = sorted(episodes, key=lambda e: e.t_ns)
+    slow_device = ts_us >= 5_000
+    return Options(
+        seed=seed,
+        ts_us=ts_us,
+        watchdog_ms=rng.choice([100, 100, 100, 50, 250]) if slow_device else 100,
+        u_min=rng.randint(0, 6_000) if narrow else 0,
+        u_max=rng.randint(50_000, 65_535) if narrow else 65_535,
+        slew=rng.choice([0, 0, 0, 15_000, 40_000]),
+        turns=rng.choice([0, 0, 0, 300, 1_500]),
+        rail_ticks=rng.choice([0, 0, 0, 8, 60]),
+        stop_after=rng.choice([0, 0, 3]),
+        service_ns=rng.choice([0, 0, 400 * MS]),
+        boot_ms=rng.choice([0.0, 5.0, 50.0]),
+        pwm_bits=rng.choice([10, 10, 10, 8, 16, 0]),
+        adc_noise_v=rng.choice([0.0, 0.0, 0.0, 0.0025]),
+        clock_ppm=rng.choice([0.0, rng.uniform(-100, 100), rng.uniform(-100, 100)]),
+        clock_start_us=rng.choice([0, 0, (1 << 32) - rng.randint(1, 9_000_000)]),
+        usb_ns=rng.choice([0, 0, 0, 1 * MS]) if slow_device else 0,
+        client_ns=rng.randint(12, 60) * MS,
+        modes=tuple(rng.choices(["hold", "exchange", "scheduled"], k=12)),
+        goes_on=rng.random() < 0.4,
+        real_outbox=any(e.kind == "full_pipe" for e in kept),
+        episodes=tuple(kept),
+    )
+
+
+def _episode(rng: Random, only: Sequence[str]) -> Episode:
+    # The pipe's real reader costs time: half as often.
+    weights = [0.5 if kind == "full_pipe" else 1.0 for kind in only]
+    kind = rng.choices(only, weights)[0]
+    t_ns = round(rng.uniform(_FIRST_NS, CLEAR_NS - 700 * MS))
+    for_ns = round(5 * MS * 120 ** rng.random())  # 5 to 600 ms, as many short as long ones
+    return Episode(kind, t_ns, for_ns, rng.random())

@@ -1,0 +1,554 @@
+"""One schedule: the real loop and its core, the emulated device, commanders, and the faults."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from hashlib import blake2b
+from heapq import heappop, heappush
+from random import Random
+from struct import Struct
+from traceback import extract_tb
+from typing import Any, NamedTuple
+
+from armrig_core.calibration import Calibration
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.loop import Loop
+from armrig_daemon.records import Alive, Gap, Order, Quit, Record
+from armrig_daemon.state import (
+    Event,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Phase,
+    Received,
+    Rules,
+    ServiceGone,
+    Tick,
+)
+from armrig_protocol.messages import State as DeviceState
+
+from simulator.checks import Checks
+from simulator.commander import Commander
+from simulator.line import Line
+from simulator.options import CLEAR_NS, END_NS, MS, SECOND, Episode, Options
+from simulator.telling import FullPipe, Silent, Teller, read
+from simulator.violation import Violation
+from simulator.watched import Watched
+
+NEVER = 1 << 62
+_MARK = Struct("<qc")
+_PIPE_NS = 50_000
+Story = Callable[[int, str, Any], None]
+"""Is told the time, what kind of thing happened, and the thing."""
+
+
+class Outcome(NamedTuple):
+    """What came of one schedule."""
+
+    seed: int
+    violation: tuple[str, int, str] | None
+    digest: str
+    """Of all bytes on the line, either way, with their times."""
+    faults: dict[str, int]
+    seen: dict[str, int]
+    worst_ns: dict[str, int]
+    latches: int
+    driving: int
+    ticks: int
+    """Sampling times in the schedule."""
+
+
+class Killed(Exception):  # noqa: N818 - it is no error
+    """The process is gone, wherever it was."""
+
+
+class WatchedLoop(Loop):
+    """The loop, with somebody who looks at each step of its core."""
+
+    def __init__(self, rules: Rules, rig: Rig) -> None:
+        super().__init__(rules, rig)
+        self._meter = Silent()  # type: ignore[assignment]
+        self._outbox = rig.outbox()  # type: ignore[assignment]
+        self._rig = rig
+
+    def _step(self, now_ns: int, events: list[Event]) -> None:
+        rig, state = self._rig, self.state
+        checks = rig.checks
+        is_tick = type(events[0]) is Tick
+        driving = state.phase is Phase.ACTIVE or state.phase is Phase.ARMED
+        checks.begin_step(
+            now_ns,
+            is_tick=is_tick,
+            driving=driving and state.link_up and state.device is not None,
+            scheduled=state.scheduled and state.device_state == DeviceState.RUN,
+        )
+        # One by one, as the core takes them: an order is judged by what was in force then.
+        for event in events:
+            if type(event) is Ordered:
+                rig.delivered(now_ns, event.order)
+            elif type(event) is LinkUp:
+                checks.link_up()
+            super()._step(now_ns, [event])
+        checks.end_step(now_ns)
+        checks.bounded(now_ns, self.state, self._outbox.waiting)
+
+
+class Rig:
+    """The world of one loop: its clock is a number, and faults come when they were drawn."""
+
+    margin_ns = 150_000
+    collections = 0
+
+    def __init__(self, options: Options, story: Story | None = None) -> None:
+        """Switch everything on at time 0."""
+        self.options, self.now = options, 0
+        self.story = story
+        rng = Random(options.seed ^ 0x5EED)
+        self.faults: Counter[str] = Counter()
+        self.checks = Checks(options)
+        self._rng = rng
+        self._to_device = Line("to_device", options.episodes, Random(rng.random()), self.faults)
+        self._from_device = Line("from_device", options.episodes, Random(rng.random()), self.faults)
+        self.device = Watched(_settings(options), self.checks, options.clock_start_us)
+        self._readings()
+        self._n = 0
+        self._world: list[tuple[int, int, Callable[[Any], None], Any]] = []
+        self._inbox: list[tuple[int, int, Event, int]] = []
+        self._pauses: list[tuple[int, int]] = []
+        self._write_pauses: list[tuple[int, int]] = []
+        self._late: list[Episode] = []
+        self._kill_ns = NEVER
+        self._hung_until = self._slow_until = self.full_until = 0
+        self._unplugged = False
+        self._log = bytearray()
+        self._orders: dict[int, int] = {}
+        self._rules = _rules(options)
+        self.commander = Commander(options, Random(rng.random()))
+        self._plan()
+        self.loop: WatchedLoop | None = None
+        self._start(None)
+
+    # -- the ports of the loop -------------------------------------------------------------------
+
+    def now_ns(self) -> int:
+        """Return the virtual time."""
+        return self.now
+
+    def sleep_until(self, deadline_ns: int) -> int:
+        """Let time pass to the deadline, or to the end of a pause, or later by some lateness."""
+        wake_ns = max(self.now, deadline_ns)
+        while self._late and self._late[0].end_ns <= wake_ns:
+            self._late.pop(0)
+        if self._late and self._late[0].t_ns <= wake_ns:
+            self.faults["late"] += 1
+            worst_ns = 4 * self.options.ts_us * 1000 * self._late[0].size
+            wake_ns += round(worst_ns * self._rng.random())
+        self._pass(wake_ns)
+        while self._pauses and self._pauses[0][0] <= self.now:
+            self._pause(self._pauses.pop(0))
+        return self.now
+
+    def wait(self, until_ns: int) -> list[Event]:
+        """Let time pass until something has come, or `until_ns`."""
+        inbox, world = self._inbox, self._world
+        advance = self.device.advance_to_frame
+        while True:
+            if self._pauses and self._pauses[0][0] <= self.now:
+                self._pause(self._pauses.pop(0))
+            if inbox and inbox[0][0] <= self.now:
+                return self._due()
+            if self.now >= until_ns:
+                return []
+            to_ns = until_ns
+            if inbox and inbox[0][0] < to_ns:
+                to_ns = inbox[0][0]
+            if world[0][0] < to_ns:
+                to_ns = world[0][0]
+            if self._pauses and self._pauses[0][0] < to_ns:
+                to_ns = self._pauses[0][0]
+            frames = advance(to_ns)
+            if frames:
+                self._left(frames)
+                continue
+            self.now = to_ns
+            while world[0][0] <= to_ns:
+                _, _, act, what = heappop(world)
+                act(what)
+
+    def write(self, data: bytes) -> Event | None:
+        """Put a frame on the line."""
+        if self._write_pauses and self._write_pauses[0][0] <= self.now:
+            self._pause(self._write_pauses.pop(0), "pause_in_write")
+        now = self.now
+        self.checks.sent(now, data)
+        self._log += _MARK.pack(now, b">") + data
+        if self.story:
+            self.story(now, "host sends", data)
+        if self._unplugged:
+            return None  # the kernel takes it, and nobody reads it
+        for t_ns, piece in self._to_device.carry(now, data):
+            if t_ns <= now:
+                self.device.receive(now, piece)
+            else:
+                self.at(t_ns, self._arrive, piece)
+        return None
+
+    def put(self, text: bytes) -> bool:
+        """Hand one record to the service, unless the pipe is full."""
+        if self.now < self.full_until:
+            self.faults["full_pipe"] += 1
+            return False
+        read(self, text)
+        return True
+
+    def tidy(self) -> None:
+        """Do nothing."""
+
+    # -- time ------------------------------------------------------------------------------------
+
+    def at(self, t_ns: int, act: Callable[[Any], None], what: Any = None) -> None:
+        """Let something happen to the world at a time."""
+        self._n += 1
+        heappush(self._world, (t_ns, self._n, act, what))
+
+    def event(self, t_ns: int, event: Event, heard_ns: int = -1) -> None:
+        """Let the loop find an event at a time; `heard_ns` is what an answer proves."""
+        self._n += 1
+        heappush(self._inbox, (t_ns, self._n, event, heard_ns))
+
+    def _pass(self, to_ns: int) -> None:
+        """Let the world go on, whatever comes for the loop."""
+        world, advance = self._world, self.device.advance_to_frame
+        while True:
+            t_ns = min(to_ns, world[0][0])
+            while frames := advance(t_ns):
+                self._left(frames)
+            self.now = max(self.now, t_ns)
+            if world[0][0] > t_ns:
+                return
+            while world[0][0] <= t_ns:
+                _, _, act, what = heappop(world)
+                act(what)
+
+    def _pause(self, pause: tuple[int, int], kind: str = "pause") -> None:
+        self.faults[kind] += 1
+        if self.story:
+            self.story(self.now, kind, f"for {pause[1] / MS:.1f} ms")
+        self._pass(self.now + pause[1])
+
+    def _due(self) -> list[Event]:
+        """Return what has come for the loop."""
+        inbox, now = self._inbox, self.now
+        events: list[Event] = []
+        while inbox and inbox[0][0] <= now:
+            _, _, event, heard_ns = heappop(inbox)
+            if heard_ns >= 0:
+                self.checks.came_back(heard_ns)
+            if self.story:
+                self.story(now, "host gets", event)
+            events.append(event)
+        return events
+
+    # -- the line --------------------------------------------------------------------------------
+
+    def _left(self, frames: Sequence[tuple[int, bytes]]) -> None:
+        """Carry frames that the device has made just now."""
+        heard_ns = self.checks.newest_ns
+        for t_ns, data in frames:
+            self._log += _MARK.pack(t_ns, b"<") + data
+            if self.story:
+                self.story(t_ns, "device sends", data)
+            if self._unplugged:
+                continue
+            for out_ns, piece in self._from_device.carry(t_ns, data):
+                # A frame proves something with its end, whether or not it was cut before.
+                whole = heard_ns if data.endswith(piece) else -1
+                self.event(out_ns + self.options.usb_ns, Received(piece), whole)
+
+    def _arrive(self, piece: bytes) -> None:
+        if not self._unplugged:
+            self.device.receive(self.now, piece)
+
+    def heard(self, record: Record) -> None:
+        """Let the service's side have a record."""
+        if isinstance(record, Gap):
+            self.checks.gap(self.now, record)
+        self.commander.hears(record)
+        if self.story:
+            self.story(self.now, "host tells", record)
+
+    # -- orders ----------------------------------------------------------------------------------
+
+    def delivered(self, now_ns: int, order: Order) -> None:
+        """Tell the checks of an order that the core is about to take."""
+        self.checks.ordered(now_ns, self._orders.pop(id(order), now_ns), order)
+
+    def order(self, order: Order) -> None:
+        """Put an order into the pipe, as soon as the service does it."""
+        at_ns = max(self.now + _PIPE_NS, self._slow_until)
+        if self._slow_until > self.now:
+            self.faults["slow_service"] += 1
+        self._orders[id(order)] = at_ns
+        self.event(at_ns, Ordered(order))
+
+    def _act(self, _: None) -> None:
+        """Let the commander act, and again later."""
+        if self.now >= CLEAR_NS and not self.options.goes_on:
+            return
+        self.at(self.now + self.options.client_ns, self._act)
+        if self.loop is None or self.now < self._hung_until:
+            return
+        order = self.commander.act()
+        if order is not None:
+            self.order(order)
+
+    def _alive(self, _: None) -> None:
+        """Let the service show that it is alive, and again later."""
+        self.at(self.now + 100 * MS, self._alive)
+        if self.loop is not None:
+            self.order(Alive(order=0))
+
+    # -- the process -----------------------------------------------------------------------------
+
+    def outbox(self) -> Teller:
+        """Return the way to the service."""
+        return FullPipe(self) if self.options.real_outbox else Teller(self)
+
+    def _start(self, _: None) -> None:
+        """Start the process, which opens the port: that resets an Uno."""
+        if self.now:
+            self.device.reset(self.now)
+        self._inbox.clear()
+        self._orders.clear()
+        self._begin_session()
+        self.checks.begin_host(self.now)
+        self.commander.forget()
+        self.loop = WatchedLoop(self._rules, self)
+        self.event(self.now, LinkUp())
+
+    def run(self) -> None:
+        """Run the whole schedule, and judge its end."""
+        while self.now < END_NS:
+            loop = self.loop
+            if loop is None:
+                self._pass(min(END_NS, self._world[0][0]))
+                continue
+            try:
+                loop.turn()
+            except Killed:
+                self.loop = None
+                continue
+            except Violation:
+                raise
+            except Exception as err:
+                # The process is gone, and the watchdog has the motor; but it must not happen.
+                where = extract_tb(err.__traceback__)[-1]
+                text = f"{type(err).__name__}: {err} in {where.name}, line {where.lineno}"
+                raise Violation("crash", self.now, text) from err
+            if loop.ended:
+                self.loop = None
+                self.at(self.now + 300 * MS, self._start)
+        self.checks.zero_in_time(self.now)
+        if self.checks.taken is not None:
+            raise self.checks.taken
+
+    # -- faults ----------------------------------------------------------------------------------
+
+    def _plan(self) -> None:
+        options = self.options
+        self.at(NEVER, self._act)
+        self.at(20 * MS, self._act)
+        if options.service_ns:
+            self.at(50 * MS, self._alive)
+        self.at(CLEAR_NS + 2 * SECOND, self._judge_recovery)
+        for e in options.episodes:
+            if e.kind == "pause":
+                self._pauses.append((e.t_ns, e.for_ns))
+            elif e.kind == "pause_in_write":
+                self._write_pauses.append((e.t_ns, e.for_ns))
+            elif e.kind == "late":
+                self._late.append(e)
+            elif " " not in e.kind:
+                self.at(e.t_ns, getattr(self, f"_{e.kind}"), e)
+
+    def _begin_session(self) -> None:
+        """Forget the frames that may be played again.
+
+        The wire has no nonce of a session: a device that was reset takes a frame of an earlier one
+        for new where its seq is ahead. A cable plays nothing again across that; it is not tried.
+        """
+        self._to_device.forget()
+        self._from_device.forget()
+
+    def _told(self, kind: str, e: Episode) -> None:
+        self.faults[kind] += 1
+        if self.story:
+            self.story(self.now, kind, f"for {e.for_ns / MS:.1f} ms, size {e.size:.2f}")
+
+    def _kill(self, e: Episode) -> None:
+        """End the process as kill -9 does."""
+        if self.loop is None:
+            return
+        self._told("kill", e)
+        self.at(self.now + e.for_ns, self._start)
+        self.loop = None
+        raise Killed
+
+    def _played_again(self, e: Episode) -> None:
+        """End the process, reset the device, and send what would lead it to where it was."""
+        if self.loop is None:
+            return
+        self._told("played_again", e)
+        frames = self._to_device.played_again()
+        self.device.reset(self.now)
+        t_ns = self.now + round(self.options.boot_ms * MS) + 2 * MS
+        for frame in frames:
+            t_ns += MS
+            self.at(t_ns, self._arrive, frame)
+        self.at(t_ns + e.for_ns, self._start)
+        self.loop = None
+        raise Killed
+
+    def _service_gone(self, e: Episode) -> None:
+        if self.loop is None:
+            return
+        self._told("service_gone", e)
+        if e.size < 0.5:
+            self.event(self.now, ServiceGone())
+        else:
+            self.order(Quit(order=-9, reason="the end"))
+
+    def _reset(self, e: Episode) -> None:
+        """Reset the device; what it says of it is lost in one half."""
+        self._told("reset", e)
+        self.device.reset(self.now)
+        if e.size < 0.5:
+            quiet_ns = round(self.options.boot_ms * MS) + 2 * MS
+            self._from_device.cut_until_ns = self.now + quiet_ns
+
+    def _unplug(self, e: Episode) -> None:
+        if self.loop is None or self._unplugged:
+            return
+        self._told("unplug", e)
+        self._unplugged = True
+        self.event(self.now, LinkDown("unplugged"))
+        self.at(self.now + e.for_ns, self._plug, e)
+
+    def _plug(self, e: Episode) -> None:
+        self._unplugged = False
+        self._begin_session()
+        if e.size < 0.5:
+            self.device.reset(self.now)
+        if self.loop is not None:
+            self.event(self.now, LinkUp())
+
+    def _stuck(self, e: Episode) -> None:
+        self._told("stuck", e)
+        value = self._read_theta(self.now) if e.size < 0.5 else self._read_alpha(self.now)
+        self._fix(e, value)
+
+    def _rail(self, e: Episode) -> None:
+        self._told("rail", e)
+        self._fix(e, 0 if e.size % 0.5 < 0.25 else 65_472)
+
+    def _fix(self, e: Episode, value: int) -> None:
+        """Let a potentiometer read the same for a while."""
+        board = self.device.board
+        name = "theta_1" if e.size < 0.5 else "alpha"
+        setattr(board, name, lambda _: value)
+        self.at(self.now + e.for_ns, lambda _: self._readings())
+
+    def _readings(self) -> None:
+        board = self.device.board
+        vars(board).pop("theta_1", None)
+        vars(board).pop("alpha", None)
+        self._read_theta, self._read_alpha = board.theta_1, board.alpha
+
+    def _hang(self, e: Episode) -> None:
+        self._told("hang", e)
+        self._hung_until = self.now + e.for_ns
+
+    def _slow_service(self, e: Episode) -> None:
+        self._told("slow_service", e)
+        self._slow_until = self.now + e.for_ns
+
+    def _full_pipe(self, e: Episode) -> None:
+        self._told("full_pipe", e)
+        self.full_until = self.now + e.for_ns
+
+    def _intruder(self, e: Episode) -> None:
+        self._again(e, "intruder", self.commander.intruded)
+
+    def _forgery(self, e: Episode) -> None:
+        self._again(e, "forgery", self.commander.forged)
+
+    def _out_of_range(self, e: Episode) -> None:
+        self._again(e, "out_of_range", self.commander.out_of_range)
+
+    def _again(self, e: Episode, kind: str, make: Callable[[], Order]) -> None:
+        self._told(kind, e)
+        if self.loop is not None:
+            self.order(make())
+        if self.now + 15 * MS < e.end_ns:
+            self.at(self.now + 15 * MS, getattr(self, f"_{kind}"), e)
+
+    # -- the end ---------------------------------------------------------------------------------
+
+    def _judge_recovery(self, _: None) -> None:
+        """Judge what is there two seconds after the last fault (T1)."""
+        checks, options = self.checks, self.options
+        recent_ns = max(100 * MS, 10 * options.ts_us * 1000)
+        age_ns = self.now - checks.last_sample_ns
+        if age_ns > recent_ns:
+            raise Violation("T1", self.now, f"the last sample is {age_ns / MS:.0f} ms old")
+        if not options.goes_on and checks.volts and checks.run is None:
+            raise Violation("T1", self.now, f"{checks.volts:.2f} V, and nobody commands")
+
+
+def _rules(options: Options) -> Rules:
+    return Rules(
+        u_min=options.u_min,
+        u_max=options.u_max,
+        slew=options.slew,
+        ts_us=options.ts_us,
+        watchdog_ms=options.watchdog_ms,
+        baud=500_000,
+        turns=options.turns,
+        rail_ticks=options.rail_ticks,
+        calibration=Calibration(),
+        service_ns=options.service_ns,
+        stop_after=options.stop_after,
+    )
+
+
+def _settings(options: Options) -> EmulatorSettings:
+    return EmulatorSettings(
+        seed=options.seed,
+        boot_ms=options.boot_ms,
+        pwm_bits=options.pwm_bits,
+        adc_noise_v=options.adc_noise_v,
+        clock_ppm=options.clock_ppm,
+    )
+
+
+def simulate(options: Options, story: Story | None = None) -> Outcome:
+    """Run one schedule."""
+    violation = None
+    rig = Rig(options, story)
+    try:
+        rig.run()
+    except Violation as err:
+        violation = (err.invariant, err.t_ns, err.text)
+    checks = rig.checks
+    return Outcome(
+        options.seed,
+        violation,
+        blake2b(rig._log, digest_size=16).hexdigest(),
+        dict(rig.faults),
+        dict(checks.seen),
+        checks.worst_ns,
+        checks.latches,
+        checks.driving_latches,
+        END_NS // (options.ts_us * 1000),
+    )

@@ -1,0 +1,61 @@
+"""A schedule told in words, tick by tick, for a person."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from armrig_daemon.records import Play, Tagged
+from armrig_daemon.state import Ordered, Received
+from armrig_protocol.decoder import feed
+
+from simulator.options import MS, Options
+from simulator.rig import Outcome, simulate
+
+_LAST = 400
+"""Lines before the end that are kept in full."""
+
+
+def tell(options: Options) -> tuple[Outcome, list[str]]:
+    """Return the outcome of a schedule, and its story."""
+    lines: list[str] = []
+
+    def story(t_ns: int, what: str, thing: Any) -> None:
+        lines.append(f"{t_ns / MS:11.3f} ms  {what:12} {_said(thing)}")
+
+    outcome = simulate(options, story)
+    return outcome, lines
+
+
+def write(options: Options, path: Path) -> Outcome:
+    """Write the story of a schedule to `path`: what was drawn, and its end in full."""
+    outcome, lines = tell(options)
+    verdict = "no violation"
+    if outcome.violation:
+        invariant, t_ns, text = outcome.violation
+        verdict = f"{invariant} is violated at {t_ns / MS:.3f} ms: {text}"
+    frames = sum("sends" in line or "gets" in line for line in lines[:-_LAST])
+    left_out = [f"… {frames} frames before are left out; what else happened:"] if frames else []
+    before = [line for line in lines[:-_LAST] if "sends" not in line and "gets" not in line]
+    told = [f"# Seed {options.seed}: {verdict}", "", *options.lines(), "", *left_out, *before]
+    path.write_text("\n".join([*told, "", *lines[-_LAST:], verdict, ""]), encoding="utf-8")
+    return outcome
+
+
+def _said(thing: Any) -> str:
+    if isinstance(thing, Received):
+        return _said(thing.data)
+    if isinstance(thing, bytes):
+        _, messages = feed(b"", thing)
+        return "; ".join(map(_short, messages)) or f"{len(thing)} bytes, no whole frame"
+    if isinstance(thing, Ordered):
+        return f"order {_short(thing.order)}"
+    return _short(thing) if isinstance(thing, Tagged) else str(thing)
+
+
+def _short(thing: Any) -> str:
+    if isinstance(thing, Play):
+        pace = "scheduled" if thing.scheduled else "exchange"
+        return f"Play(order={thing.order}, n={thing.n}, {len(thing.codes) // 2} samples, {pace})"
+    text = repr(thing)
+    return text if len(text) < 160 else f"{text[:157]}..."

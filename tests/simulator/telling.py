@@ -1,0 +1,89 @@
+"""The loop's ways to the service, with the checks at their ends."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from armrig_core.telemetry import Sample, decode_sample
+from armrig_daemon.outbox import Outbox
+from armrig_daemon.records import Record, take_records
+
+if TYPE_CHECKING:
+    from simulator.rig import Rig
+
+
+class Silent:
+    """A meter that measures nothing: what the timing was decides nothing."""
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what takes anything and says nothing."""
+        return _nothing
+
+
+def _nothing(*_: object) -> None:
+    return None
+
+
+class Teller:
+    """A pipe that always has room, read at once."""
+
+    def __init__(self, rig: Rig) -> None:
+        """Begin with nothing told."""
+        self._rig = rig
+
+    @property
+    def waiting(self) -> int:
+        """How many records wait for room."""
+        return 0
+
+    def put(self, record: Record) -> None:
+        """Hand over a record."""
+        self._rig.checks.told(self._rig.now, record)
+        self._rig.heard(record)
+
+    def put_sample(self, sample: Sample) -> None:
+        """Hand over a sample."""
+        self._rig.checks.sampled(self._rig.now)
+        self._rig.checks.published(self._rig.now, sample)
+
+    def flush(self) -> None:
+        """Do nothing: nothing waits."""
+
+
+class FullPipe(Teller):
+    """The real outbox, before a pipe that is full at times; `read` is the pipe's other end."""
+
+    def __init__(self, rig: Rig) -> None:
+        """Begin with an empty pipe."""
+        super().__init__(rig)
+        self._outbox = Outbox(rig)
+
+    @property
+    def waiting(self) -> int:
+        """How many records wait for room."""
+        return len(self._outbox._waiting)
+
+    def put(self, record: Record) -> None:
+        """Hand over a record; what the core decided is judged before it waits."""
+        self._rig.checks.told(self._rig.now, record)
+        self._outbox.put(record)
+
+    def put_sample(self, sample: Sample) -> None:
+        """Hand over a sample."""
+        self._rig.checks.sampled(self._rig.now)
+        self._outbox.put_sample(sample)
+
+    def flush(self) -> None:
+        """Hand over what waits."""
+        self._outbox.flush()
+
+
+def read(rig: Rig, text: bytes) -> None:
+    """Take what came through the pipe."""
+    for record in take_records(bytearray(text)):
+        if isinstance(record, bytes):
+            sample = decode_sample(record)
+            if sample is not None:
+                rig.checks.published(rig.now, sample)
+            continue
+        rig.heard(record)

@@ -1,0 +1,47 @@
+"""Planted bugs: each turns a schedule red, else the checks would be blind to it."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+
+import pytest
+
+from simulator.mutants import MUTANTS, Mutant, planted
+from simulator.options import draw
+from simulator.rig import simulate
+
+MOST = 40
+
+
+@pytest.fixture(autouse=True)
+def _no_collector() -> Iterator[None]:
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def _broken(mutant: Mutant, seed: int) -> str:
+    violation = simulate(draw(seed, only=mutant.faults)).violation
+    return violation[0] if violation else ""
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: m.name)
+def test_a_planted_bug_is_seen(mutant: Mutant) -> None:
+    """By the invariant that it breaks; without it, the same schedule breaks none of those."""
+    with planted(mutant.plant, *mutant.without):
+        seeds = range(mutant.first, mutant.first + MOST)
+        seed = next((s for s in seeds if _broken(mutant, s) in mutant.breaks), None)
+    assert seed is not None, f"{mutant.name}: not seen in {MOST} schedules"
+
+    with planted(*mutant.without):
+        assert _broken(mutant, seed) not in mutant.breaks
+
+
+@pytest.mark.parametrize("mutant", [m for m in MUTANTS if m.without], ids=lambda m: m.name)
+def test_a_bug_behind_another_guard_is_masked_by_it(mutant: Mutant) -> None:
+    """That is why it is tried with that guard out."""
+    with planted(mutant.plant):
+        broken = {_broken(mutant, seed) for seed in range(mutant.first, mutant.first + 2)}
+
+    assert not broken & mutant.breaks

@@ -1,0 +1,74 @@
+"""The invariants under drawn faults, and the simulator itself."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from armrig_protocol.messages import Ping
+
+from simulator import campaign, story
+from simulator.options import KINDS, draw
+from simulator.rig import simulate
+
+SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "60"))
+_HASH = "from simulator.options import draw; from simulator.rig import simulate\n"
+
+
+def test_every_invariant_holds_under_faults() -> None:
+    """S1 ... S6, A1, L2, R1 and T1; `make simulate SEED=...` shows one that does not."""
+    done = campaign.run(range(SEEDS))
+
+    assert not done.violations, [f"make simulate SEED={v[0]}: {v[1:]}" for v in done.violations]
+    assert not done.emptiness()
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    """Time, faults and commanders follow from the seed alone."""
+    first, second = simulate(draw(7)), simulate(draw(7))
+
+    assert first == second
+    assert simulate(draw(8)).digest != first.digest
+
+
+def test_another_process_gives_the_same_bytes() -> None:
+    """Nothing hangs on the process: no hash of a string, no address, no clock."""
+    tests = Path(__file__).parents[1]
+    code = f"{_HASH}print(simulate(draw(7)).digest)"
+    path = os.pathsep.join([str(tests), *sys.path])
+
+    other = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "99"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+    assert other.stdout.strip() == simulate(draw(7)).digest
+
+
+def test_a_story_changes_nothing(tmp_path: Path) -> None:
+    """Looking on costs no byte and no time; the story has each option and each frame's name."""
+    outcome = story.write(draw(7), tmp_path / "7.txt")
+
+    text = (tmp_path / "7.txt").read_text(encoding="utf-8")
+    assert outcome == simulate(draw(7))
+    assert all(line in text for line in draw(7).lines())
+    assert Ping.__name__ in text or "Exchange(" in text
+
+
+def test_a_campaign_in_which_little_happens_says_so() -> None:
+    """No violation in ten schedules without the line's faults means nothing."""
+    done = campaign.run(range(2), only=("stuck",), workers=0)
+
+    assert any("loss to_device struck 0 times" in line for line in done.emptiness())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_fault_can_be_drawn_alone(kind: str) -> None:
+    """And strikes: what cannot happen tries nothing."""
+    assert any(simulate(draw(seed, only=(kind,))).faults.get(kind) for seed in range(4))
