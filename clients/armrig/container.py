@@ -23,7 +23,7 @@ from typing import IO, Any
 import numpy as np
 import zstandard
 from armrig_core import protobuf
-from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, OUTCOME, RUN
+from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, OUTCOME, RUN
 from armrig_core.topics import STREAMS
 from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
@@ -37,8 +37,8 @@ from armrig.sample_rows import CHANNEL, RECORD_HEAD, SAMPLE_DTYPE, DamageError, 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_LIMIT = 8 << 20
 """Largest chunk that is unpacked, in B."""
-MESSAGES_LIMIT = 16 << 20
-"""Most that is kept of messages other than samples, in B."""
+MESSAGES_LIMIT, MESSAGES_PER_BYTE = 40 << 20, 16
+"""Of messages other than samples a file of n B may cost the first plus the second times n, in B."""
 RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
 """Longest record that is read, in B; a longer attachment is passed over."""
 UNPACKED_LIMIT, UNPACKED_PER_BYTE, UNPACKED_MORE = 64 << 20, 64, 1 << 30
@@ -59,7 +59,8 @@ _NAME_LIMIT, _MESSAGE_HEAD = 100, 2 + 4 + 8 + 8  # B; channel, sequence, log and
 _WORK, _KEPT = "units of work with records", "B of messages other than samples"
 _UNPACKED = "B in its chunks, unpacked"
 _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 1, 10  # measured, roughly
-_MESSAGE_OVERHEAD = 200  # bytes that a short message costs us beyond its payload
+# Bytes that a message costs us beyond its payload once it is told as what it is; measured.
+_OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 _KINDS = {
     "sample": protobuf.SAMPLE,
     "gap": protobuf.GAP,
@@ -103,7 +104,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
     streams : collection of str
         Of which streams the messages are kept.
     most : int
-        Bytes of messages other than samples that are kept, 0 for `MESSAGES_LIMIT`; more is damage.
+        What messages other than samples may cost, in B, 0 for `MESSAGES_LIMIT`; more is damage.
 
     Raises
     ------
@@ -121,7 +122,8 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
         source = _Source(stream, content.size)
         if source.take(len(MAGIC)) != MAGIC:
             return None
-        reader = _Reader(content, streams, most or MESSAGES_LIMIT)
+        most = most or MESSAGES_LIMIT + MESSAGES_PER_BYTE * content.size
+        reader = _Reader(content, streams, most)
         try:
             _read_records(source, reader)
         except DamageError as damage:
@@ -284,7 +286,7 @@ class _Reader:
             msg = "the checksum of an attachment is wrong"
             raise DamageError(msg)
         attachment = Attachment.read(_stream(body))
-        if attachment.name in (CALIBRATION, CONFIG, INPUT):
+        if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
     def _chunk(self, body: bytes) -> None:
@@ -353,7 +355,7 @@ class _Reader:
             self.rows.take(parsed)
             return
         self.spend(_WORK, _RECORD_WORK)
-        self.spend(_KEPT, len(data) + _MESSAGE_OVERHEAD)
+        self.spend(_KEPT, len(data) + _OVERHEADS[stream])
         self.content.messages.setdefault(stream, []).append(parsed)
 
     def spend(self, what: str, cost: int) -> None:

@@ -28,6 +28,7 @@ CHUNK = 128 * 1024
 FLUSH_S = 0.1
 SYNC_S = 1.0
 QUEUE = 10_000  # batches; what finds no room is counted and reported
+_MEDIA_TYPES = {"csv": "text/csv", "json": "application/json", "gz": "application/gzip"}
 
 
 class RecordingError(OSError):
@@ -64,6 +65,8 @@ class Recording:
         """
         self.path = path
         self.active = path.with_name(path.name + ".active")
+        self.kept = self.active
+        """Where the file is: under its own name once it is complete."""
         self.samples = 0
         self.dropped = 0
         self.error = ""
@@ -134,7 +137,7 @@ class Recording:
         writer.add_metadata(RUN, manifest.metadata())
         now = time.time_ns()
         for name, data in attachments.items():
-            kind = "text/csv" if name.endswith(".csv") else "application/json"
+            kind = _MEDIA_TYPES[name.rpartition(".")[2]]
             writer.add_attachment(now, now, name, kind, data)
         writer.flush()
         os.fdatasync(self._file.fileno())
@@ -181,12 +184,12 @@ class Recording:
         compacted = self.path.with_name(self.path.name + ".compact")
         try:
             compact(self.active, compacted)
+            compacted.replace(self.active)
         except OSError:  # no room for a second copy: the first is complete, too
-            compacted.unlink(missing_ok=True)
-            self.active.rename(self.path)
-        else:
-            compacted.rename(self.path)
-            self.active.unlink()
+            with contextlib.suppress(OSError):
+                compacted.unlink(missing_ok=True)
+        self.active.rename(self.path)
+        self.kept = self.path
         _sync_directory(self.path.parent)
 
     def _add(self, message: Outgoing) -> None:
@@ -207,7 +210,8 @@ class Recording:
     def _give_up(self, err: Exception, *, ended: bool) -> None:
         """Keep what was flushed whole: a file that goes on would have a silent hole."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
-        self.error = f"{self.active}: {reason}; what was flushed is kept there"
+        left = "what was flushed is kept there" if os.access(self.kept, os.F_OK) else "it is gone"
+        self.error = f"{self.kept}: {reason}; {left}"
         with contextlib.suppress(OSError, ValueError):  # closed, or gone altogether
             os.ftruncate(self._file.fileno(), self._good)
             _into_nowhere(self._file)

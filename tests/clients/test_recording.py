@@ -526,6 +526,7 @@ def test_a_flood_of_messages_ends_the_reading(
 ) -> None:
     """A few kB of file must not become objects without end."""
     monkeypatch.setattr(container, "MESSAGES_LIMIT", 10_000)
+    monkeypatch.setattr(container, "MESSAGES_PER_BYTE", 0)
     messages = [sample(0), *(event(0, "x") for _ in range(100)), sample(1)]
 
     rec = load(written(tmp_path, recorded(messages)))

@@ -1,0 +1,245 @@
+"""The n-th system call fails, for each n of a run of 2 s: the loop's, then the recorder's.
+
+SQLite's way of testing: whatever fails, once or from there on, the motor has no voltage that was
+not asked for and none beyond the bounds, nothing hangs, and what is left is a file that loads or a
+message for a person. Here every so many n; `tests/benchmarks/every_nth_call.py` tries all.
+
+References
+----------
+.. [1] D. R. Hipp, "How SQLite Is Tested", sqlite.org/testing.html, section 3.
+"""
+
+from __future__ import annotations
+
+import errno
+from itertools import pairwise
+from pathlib import Path
+from unittest import mock
+
+import armrig
+import msgspec
+import pytest
+from armrig_core.manifest import Manifest
+from armrig_core.telemetry import Sample, decode_sample, encode_sample
+from armrig_daemon import record
+from armrig_daemon.config import Config
+from armrig_daemon.messages import Outgoing
+from armrig_daemon.record import Recording, RecordingError
+from armrig_daemon.records import Answer, Gap, Log, Play, RunEnded, RunStarted, Take
+from armrig_daemon.state import Phase
+from failing_disk import KINDS, Disk
+from failing_world import WAYS, World
+from virtual_bench import LEASE, MS, codes
+
+STRIDE = 37
+N = 50
+U = [1.0, 4.0] * (N // 2)
+CONFIG = Config(timing=msgspec.structs.replace(Config().timing, Ts=0.02))
+RUN_NS, END_NS = 500 * MS, 2000 * MS
+WATCHDOG_NS = 101 * MS
+BACK_NS = 2000 * MS
+"""T1: sampling is back by itself so long after the fault."""
+_STEP_V = 5 / 1024  # of the emulated duty
+
+
+def played(*args: object, scheduled: bool, on: bool = False, until_ns: int = END_NS) -> World:
+    """Play a run of one second in a world where a call fails; check all that must hold."""
+    world = World(CONFIG, *args, on=on)  # type: ignore[arg-type]
+    world.order(300 * MS, Take(order=1, owner="a test", lease=LEASE, ts_us=0))
+    play = Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U), scheduled=scheduled)
+    world.order(RUN_NS, play)
+    records = world.run_until(until_ns)
+    _no_voltage_but_what_was_asked_for(world)
+    _told(world, records)
+    return world
+
+
+def _no_voltage_but_what_was_asked_for(world: World) -> None:
+    allowed = (0.0, *sorted(set(U)))
+    for change, after in pairwise([*world.changes, None]):
+        if change is None or change.volts == 0.0:
+            continue
+        assert min(abs(change.volts - volts) for volts in allowed) <= _STEP_V, change
+        ends_ns = after.t_ns if after else world.now_ns
+        assert after is not None, "the motor turns at the end"
+        assert ends_ns - change.t_ns <= 20 * MS + WATCHDOG_NS, change
+        if world.lost_ns >= 0:  # the link was given up: nothing reaches the device but time
+            assert ends_ns <= world.lost_ns + WATCHDOG_NS, (change, world.lost_ns)
+    last = max((change.t_ns for change in world.changes), default=0)
+    assert last <= RUN_NS + 100 * MS + N * 20 * MS + WATCHDOG_NS, "driven on behind the run's end"
+
+
+def _told(world: World, records: list[object]) -> None:
+    """Every sample is there, or in a gap; and a run that did not come to its end says why."""
+    samples = {s.k for r in records if isinstance(r, bytes) and (s := decode_sample(r))}
+    gaps = [r for r in records if isinstance(r, Gap)]
+    ks = samples.union(*(range(g.k_first, g.k_first + g.count) for g in gaps))
+    if world.calls["put"] and ks and world._kind != "put":
+        assert ks == set(range(min(ks), max(ks) + 1))
+    words = [r.outcome for r in records if isinstance(r, RunEnded)]
+    if "complete" in words or world.failed_ns < 0 or world._kind in ("put", "orders"):
+        return  # where these fail nothing can be told: the service sees it, and says so
+    words += [r.message for r in records if isinstance(r, Log) and r.level != "debug"]
+    words += [r.error for r in records if isinstance(r, Answer)]
+    assert any(words), records
+    if any(isinstance(r, RunStarted) for r in records):
+        assert any(isinstance(r, RunEnded) for r in records), "a run that never ends"
+
+
+def all_n(kind: str, *, scheduled: bool) -> int:
+    """Return how many calls of a kind there are in a run in which none fails."""
+    return played(scheduled=scheduled).calls[kind]
+
+
+CASES = [(kind, way) for kind, ways in WAYS.items() for way in ways if kind != "open"]
+
+
+def try_every(kind: str, way: int | str, *, scheduled: bool, stride: int = 1) -> int:
+    """Let the n-th call fail, once and from then on, for every `stride`-th n; return how many."""
+    total = all_n(kind, scheduled=scheduled)
+    tried = 0
+    for n in range(1, total + 1, stride):
+        # A `select` of pipes of our own cannot fail for ever: only the port's descriptor goes bad.
+        for on in (False, True) if kind != "select" else (False,):
+            played(kind, n, way, scheduled=scheduled, on=on)
+            tried += 1
+    return tried
+
+
+@pytest.mark.parametrize(("kind", "way"), CASES)
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_whatever_call_of_the_loop_fails_the_motor_stops_in_time(
+    kind: str, way: int | str, *, scheduled: bool
+) -> None:
+    """Once, or from then on."""
+    assert try_every(kind, way, scheduled=scheduled, stride=1 if kind == "orders" else STRIDE)
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_a_port_that_does_not_open_again_is_tried_again(*, on: bool) -> None:
+    """Lost in the middle of a run; busy once, or for good."""
+    total = all_n("read", scheduled=False)
+    world = World(CONFIG, "read", total // 2, WAYS["read"][0])
+    opened = world._open
+
+    def busy(*args: object, **kwargs: object) -> object:
+        if on or world.calls["open"] < 2:
+            world.calls["open"] += 1
+            raise OSError(errno.EBUSY, "Device or resource busy")
+        return opened(*args, **kwargs)
+
+    world._open = busy  # type: ignore[method-assign]
+    world.order(300 * MS, Take(order=1, owner="a test", lease=LEASE, ts_us=0))
+    world.order(RUN_NS, Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
+
+    records = world.run_until(END_NS + BACK_NS)
+
+    _no_voltage_but_what_was_asked_for(world)
+    assert world.calls["open"] > 2
+    assert world.loop.state.phase is Phase.FAULT
+    assert world.loop.state.link_up is not on
+    assert sum("cannot be opened" in r.message for r in records if isinstance(r, Log)) == 1
+
+
+@pytest.mark.parametrize("kind", ["read", "write", "select"])
+def test_sampling_is_back_by_itself_and_disarmed(kind: str) -> None:
+    """T1: within 2 s of a link that was lost once, wherever in the run."""
+    total = all_n(kind, scheduled=False)
+    for n in range(total // 4, total, total // 4):
+        world = World(CONFIG, kind, n, WAYS[kind][0])
+        world.order(300 * MS, Take(order=1, owner="a test", lease=LEASE, ts_us=0))
+        world.order(RUN_NS, Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
+        world.run_until(END_NS)
+
+        back = world.run_until(max(END_NS, world.failed_ns + BACK_NS) + 100 * MS)
+
+        assert sum(isinstance(r, bytes) for r in back) > 4
+        assert world.loop.state.lease is None
+        assert world.device.board.volts == 0.0
+
+
+@pytest.mark.parametrize("way", WAYS["write"])
+def test_a_frame_that_was_not_sent_whole_costs_the_link(way: int | str) -> None:
+    """Never in silence: the port is opened anew, the run ends, and both are said."""
+    n = all_n("write", scheduled=False) // 2
+    world = played("write", n, way, scheduled=False)
+
+    assert world.lost_ns == pytest.approx(world.failed_ns, abs=1 * MS)
+    assert world.calls["open"] == 2
+    assert world.loop.state.phase is Phase.FAULT
+
+
+# -- the recorder ------------------------------------------------------------------------------
+
+SAMPLES, BATCH = 200, 20
+MANIFEST = Manifest(
+    **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01},
+    **{"samples": SAMPLES, "started": "2026-01-01T00:00:00+00:00", "clock_offset_ns": 10**18},
+    **{"armrig": "0", "protocol": "1"},
+)
+
+
+def _sample(k: int) -> Outgoing:
+    t_ns = k * 10_000_000
+    data = encode_sample(Sample(k, t_ns, t_ns + 5, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
+    return Outgoing("sample", t_ns + 5, t_ns, k, data)
+
+
+def _refused(err: RecordingError, directory: Path) -> None:
+    assert "No space left on device; free the disk" in str(err)
+    assert not list(directory.iterdir())
+
+
+def recorded(directory: Path, disk: Disk) -> Recording | None:
+    """Record 2 s on a disk, each batch flushed and synced; check what is left and what is told."""
+    with (
+        disk.installed(),
+        mock.patch.object(record, "FLUSH_S", 0.0),
+        mock.patch.object(record, "SYNC_S", 0.0),
+    ):
+        path = disk.path(directory / "run.mcap")
+        try:
+            recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
+        except RecordingError as err:
+            _refused(err, directory)
+            return None
+        for k in range(0, SAMPLES, BATCH):
+            recording.add([_sample(i) for i in range(k, k + BATCH)])
+        recording.finish("complete", 0)
+        recording.join(10)
+    assert recording.done, "the writer hangs"
+    (left,) = directory.iterdir()  # one file, whatever failed
+    assert left == Path(recording.kept)
+    found = armrig.load(left)
+    assert found.samples["k"].tolist() == list(range(found.samples.size))
+    whole = found.samples.size == SAMPLES and not found.truncated
+    assert whole or f"{left}: No space left on device; what was flushed" in recording.error
+    assert recording.error or left.name == "run.mcap"
+    return recording
+
+
+def try_every_disk_call(directory: Path) -> tuple[int, int]:
+    """Let the n-th call fail, once and from then on, for every n; return how many, and told."""
+    counted = Disk()
+    (directory / "counted").mkdir()
+    recorded(directory / "counted", counted)
+    assert counted.calls["write"] > SAMPLES / BATCH
+    cases = [(kind, n) for kind in KINDS for n in range(1, counted.calls[kind] + 1)]
+    told = 0
+    for kind, n in cases:
+        for on in (False, True):
+            disk = Disk(kind, n, on=on)
+            of_its_own = directory / f"{kind}-{n}-{on}"
+            of_its_own.mkdir()
+            recording = recorded(of_its_own, disk)
+            assert disk.failed
+            told += recording is None or bool(recording.error)
+    return 2 * len(cases), told
+
+
+def test_whatever_call_of_the_recorder_fails_a_file_is_left_that_loads(tmp_path: Path) -> None:
+    """Every n of every call, once and from then on; or it is said before the run begins."""
+    tried, told = try_every_disk_call(tmp_path)
+
+    # The compact copy fails without a word: the first is complete.
+    assert tried / 2 < told < tried

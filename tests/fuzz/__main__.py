@@ -1,0 +1,49 @@
+"""`python -m fuzz`: a long run, and what it came to.
+
+An input that does harm ends it with the exception; the same seed finds it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+
+from fuzz import bombs, cuts, files, frames, requests
+
+TARGETS = {
+    "frames": (frames.fuzz, 100_000_000),
+    "requests": (requests.fuzz, 1_000_000),
+    "files": (files.fuzz, 100_000),
+    "cuts": (cuts.fuzz, 1 << 20),
+    "bombs": (bombs.fuzz, 1),
+}
+
+
+def main() -> int:
+    """Fuzz what is asked for, or all."""
+    parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
+    parser.add_argument("targets", nargs="*", default=list(TARGETS), help=", ".join(TARGETS))
+    parser.add_argument("--most", type=int, help="bytes of frames, or inputs")
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    for name in asked.targets:
+        function, most = TARGETS[name]
+        began, before = time.monotonic(), _peak_mib()
+        found = function(asked.most or most, asked.seed)
+        took, grown = time.monotonic() - began, _peak_mib() - before
+        counts = ", ".join(f"{count} {what}" for what, count in found.most_common())
+        print(
+            f"{name}: {counts}; {took:.0f} s, {grown:.1f} MiB more, seed {asked.seed}", flush=True
+        )
+    return 0
+
+
+def _peak_mib() -> float:
+    scale = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale / (1 << 20)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,79 @@
+"""The command decoder: any bytes give a command within its limits, or a `ValueError`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from random import Random
+
+from armrig_core.commands import REQUESTS, Requests, Run, Set, parse
+from armrig_core.volts import U_MAX_V
+
+from fuzz.mutation import mutated
+
+_LEASE = b'"lease": "0123456789abcdef0123456789abcdef", "n": 7'
+CORPUS = [
+    ("status", b"{}"),
+    ("arm", b'{"owner": "a student"}'),
+    ("arm", b'{"owner": "a student", "Ts": 0.005}'),
+    ("renew", b"{%s}" % _LEASE),
+    ("set", b'{%s, "u": 2.5}' % _LEASE),
+    ("run", b'{%s, "u": [0, 1.5, 5.0, 4e0], "pacing": "exchange"}' % _LEASE),
+    (
+        "run",
+        b'{%s, "u": [1, 2], "experiment": "black-box", "details": {"seed": 1}, "dead_man": 1.5}'
+        % _LEASE,
+    ),
+]
+_PAYLOADS = [data for _, data in CORPUS]
+_NAMES = [*REQUESTS, "", "armed", "run\0", "../run"]
+_TOKENS = [
+    *(b"NaN", b"Infinity", b"-Infinity", b"1e999", b"-0.0", b"5.0000000000000001", b"-1e-300"),
+    *(b"null", b"true", b'"3"', b"[]", b"{}", b"1" * 400, b"0." + b"1" * 400, b'"\\u0000"'),
+    *(b'"../../x"', b'"\\ud800"', b'"\xff\xfe"', b"[" * 2000, b'{"u":' * 500),
+    *(b"18446744073709551616", b'"x": 1', b'"u": 6', b'"n": -1', b'"n": 9007199254740992'),
+]
+
+
+def command(rng: Random) -> tuple[str, bytes]:
+    """Return a command's name and fields, changed in bytes or in tokens."""
+    name, data = rng.choice(CORPUS)
+    if rng.random() < 0.1:
+        name = rng.choice(_NAMES)
+    of = rng.random()
+    if of < 0.5:
+        return name, mutated(data, rng, _PAYLOADS)
+    parts = data.replace(b",", b" , ").replace(b":", b" : ").replace(b"}", b" }").split(b" ")
+    for _ in range(rng.choice((1, 1, 2))):
+        parts[rng.randrange(len(parts))] = rng.choice(_TOKENS)
+    data = b" ".join(parts)
+    return name, data if of < 0.9 else mutated(data, rng, _PAYLOADS)
+
+
+def check(request: Requests) -> None:
+    """Assert that what was taken is allowed: S1 at the first of its gates."""
+    if isinstance(request, Set):
+        assert 0.0 <= request.u <= U_MAX_V, request.u
+    if isinstance(request, Run):
+        assert request.u
+        assert all(0.0 <= volts <= U_MAX_V for volts in request.u), request.u
+        assert not set(request.experiment) - set("abcdefghijklmnopqrstuvwxyz0123456789-")
+
+
+def fuzz(most: int, seed: int) -> Counter[str]:
+    """Parse `most` payloads; return how many were taken and refused."""
+    rng = Random(seed)
+    found: Counter[str] = Counter()
+    for _ in range(most):
+        name, data = command(rng)
+        found["inputs"] += 1
+        try:
+            request = parse(name, data)
+        except ValueError as err:
+            found["refused"] += 1
+            told = str(err)
+        else:
+            check(request)
+            found["taken"] += 1
+            told = ""
+        assert len(told) < 1000, told[:200]
+    return found

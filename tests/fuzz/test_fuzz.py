@@ -1,0 +1,59 @@
+"""A short run of each fuzzer; `make fuzz` is the long one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from random import Random
+
+import pytest
+from armrig_core.commands import Set
+
+from fuzz import bombs, cuts, files, frames, mutation, requests
+
+
+def test_any_bytes_give_frames_or_are_told_as_spoilt() -> None:
+    """Of each kind some come through, and nothing else comes out."""
+    found = frames.fuzz(1_000_000, seed=1)
+
+    kinds = {message.__name__ for message in frames.MESSAGES.values()}
+    assert kinds | {"Spoilt", "Unknown"} | {"bytes"} == set(found)
+
+
+def test_any_fields_give_an_allowed_command_or_a_refusal() -> None:
+    """A few are still commands, so that what is taken is looked at, too."""
+    found = requests.fuzz(20_000, seed=1)
+
+    assert found["taken"] > 300
+    assert found["refused"] > 15_000
+    with pytest.raises(AssertionError):
+        requests.check(Set(lease="a" * 32, n=0, u=5.1))
+
+
+def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
+    """With check sums and without; as deep as a change can go."""
+    found = files.fuzz(800, seed=1)
+
+    assert found["cut"] > 300
+    assert found["whole"] > 50
+    assert found["refused"] > 10
+
+
+def test_a_recording_cut_at_every_byte_gives_its_beginning() -> None:
+    """Of 20 kB; the long run has 1 MiB."""
+    assert cuts.fuzz(20_000, seed=1)["cuts"] == 20_000 - 8
+
+
+@pytest.mark.parametrize("name", ["1 GiB in one chunk", "events", "timing"])
+def test_a_file_made_to_cost_memory_costs_64_mib_at_most(name: str, tmp_path: Path) -> None:
+    """In a process of its own, beyond what an honest file costs."""
+    cost = bombs.cost_mib(bombs.BOMBS[name](), tmp_path)
+
+    assert 1.0 < cost <= bombs.MOST_MIB
+
+
+def test_the_same_seed_gives_the_same_inputs() -> None:
+    """What a long run finds can be found again."""
+    data = files.corpus()
+    a, b = (mutation.mutated(data[0], Random(7), data) for _ in range(2))
+
+    assert a == b != data[0]

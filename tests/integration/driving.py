@@ -1,0 +1,81 @@
+"""A client that drives the motor while something fails, and what is left of its run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import armrig
+import numpy as np
+from processes import Bench, wait_for
+
+VOLTS = (1.0, 4.0)
+STOPPED_S = 1.0
+"""Tells a stop from no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
+_STEP_V = 5 / 1024  # of the emulated duty
+_RUNNER = """
+import sys
+from armrig.rig import Rig
+with Rig(connect=sys.argv[1]) as rig:
+    rig.arm("a test", Ts=float(sys.argv[4]))
+    rig.run([1.0, 4.0] * (int(sys.argv[2]) // 2), pacing=sys.argv[3])
+"""
+
+
+@contextmanager
+def driven(
+    bench: Bench, samples: int = 1000, pacing: str = "scheduled", Ts: float = 0.01
+) -> Iterator[None]:
+    """Have a client of its own process run 1 V and 4 V in turn; it is killed at the end."""
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    before = len(bench.voltage_changes())
+    client = subprocess.Popen(
+        [sys.executable, "-c", _RUNNER, endpoint, str(samples), pacing, str(Ts)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        wait_for(lambda: len(bench.voltage_changes()) > before + 20)
+        yield
+    finally:
+        client.kill()
+        client.wait()
+
+
+def recorded(bench: Bench) -> armrig.Recording:
+    """Return the recording of the last run, once it is finished."""
+    with bench.rig() as rig:
+        wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
+        last = rig.status().last_run
+    assert last is not None
+    return armrig.load(last.recording)
+
+
+def outcome(recording: armrig.Recording) -> str:
+    """Return how a run ended."""
+    assert recording.outcome is not None
+    return recording.outcome.outcome
+
+
+def check_volts(bench: Bench, *more: float) -> None:
+    """S1 and S5, as the witness saw them: nothing but the run's voltages, and 0 V at the end."""
+    allowed = [0.0, *VOLTS, *more]
+    volts = np.array([volts for _, volts in bench.voltage_changes()])
+    assert np.abs(volts[:, None] - allowed).min(axis=1).max() <= _STEP_V
+    assert volts[-1] == 0.0
+
+
+def check_every_k(recording: armrig.Recording) -> None:
+    """L2: each k between the first and the last sample is there, or in a gap."""
+    k = recording.samples["k"].astype(np.int64)
+    missing = sum(gap.count for gap in recording.gaps if k[0] < gap.k_first < k[-1])
+    assert k[-1] - k[0] + 1 == k.size + missing
+
+
+def resident_mib(pid: int) -> float:
+    """Return the memory that a process holds, in MiB."""
+    fields = Path(f"/proc/{pid}/status").read_text().split("VmRSS:")[1].split()
+    return int(fields[0]) / 1024

@@ -1,0 +1,107 @@
+"""`armrig calibrate` on real processes: the daemon then uses what it has found."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from signal import SIGINT
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig.calibration import decompressed, estimate
+from armrig.container import read
+from armrig.replay import replay
+from armrig_core.calibration_file import raw_path, read_calibration
+from armrig_core.manifest import CALIBRATION_RAW
+from processes import Bench, wait_for
+
+UNKNOWN = """
+theta_1_reversed = true
+theta_1_range_deg = 340.0
+theta_1_zero_deg = 100.0
+theta_1_low_v = 0.2
+alpha_reversed = true
+alpha_zero_deg = 170.0
+coulomb_nm = 0.02
+"""
+
+
+def _command(bench: Bench, *arguments: str) -> list[str]:
+    where = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    return [sys.executable, "-m", "armrig", "calibrate", "--connect", where, *arguments]
+
+
+def _calibrated(bench: Bench, output: Path) -> dict[str, Any]:
+    """Calibrate on the command line; return what it printed."""
+    done = subprocess.run(
+        _command(
+            bench,
+            *("--yes", "--json", "-o", str(output), "--volts", "5"),
+            *("--level-seconds", "5", "--rest-seconds", "0.5", "--meter", "32768=2.5"),
+        ),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> None:
+    """Found without a terminal, written, named in the configuration, attached, applied, fresh."""
+    bench.configure(more=UNKNOWN)
+    bench.emulate()
+    daemon = bench.serve()
+    output = bench.folder / "calibration.toml"
+
+    found = _calibrated(bench, output)
+    daemon.end()
+    with bench.config.open("a") as config:
+        config.write('[calibration]\nfile = "calibration.toml"\n')
+    bench.serve()
+    with bench.rig() as rig:
+        rig.arm("a test")
+        rec = armrig.load(rig.run(np.full(30, 1.0)))
+
+    scale = found["figures"]["theta_1_rad_per_count"]
+    true = -np.radians(340) / ((5.0 - 0.2) / 5 * 65536)
+    assert abs(scale["value"] - true) < 3 * scale["std"] < 1e-3 * abs(true)
+    assert found["alpha_sign"] == -1
+    assert bench.volts() == 0.0
+    assert rec.calibration == read_calibration(output)
+    assert rec.theta_1[-1] > rec.theta_1[0] + 0.1, (
+        "a positive voltage turns towards positive angles"
+    )
+    assert armrig.calibration.remarks(rec.calibration, rec.manifest) == []
+    assert replay(rec.path).difference == ""
+    content = read(rec.path)
+    assert content is not None
+    samples = content.attachments[CALIBRATION_RAW]
+    assert samples == raw_path(output).read_bytes()
+    again = estimate(**decompressed(samples), meter=[(2.5, 2.5)])
+    assert again.figures()["theta_1_rad_per_count"].value == pytest.approx(scale["value"])
+
+
+def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:
+    """The run is stopped at once, and the exit code says that it was interrupted."""
+    bench.emulate()
+    bench.serve()
+    output = bench.folder / "calibration.toml"
+    command = _command(bench, "--yes", "-o", str(output), "--rest-seconds", "0.5", "--volts", "3")
+    asked = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    wait_for(lambda: bench.volts() > 2.9)
+
+    asked.send_signal(SIGINT)
+    _, said = asked.communicate(timeout=10)
+
+    assert asked.returncode == 130, said
+    assert "was told to stop (0 V)" in said
+    wait_for(lambda: bench.volts() == 0.0)
+    assert not output.exists()

@@ -1,0 +1,179 @@
+"""What may happen to the daemon's processes, beside what `test_every_way_out.py` tries."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from armrig.rig import RefusedError
+from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded
+from processes import WITHIN_S, Bench, Process, wait_for
+
+TRIPPED = ("ticks in a row were missed", "no answer from the device", "the host paused for")
+"""The first is meant; a machine that is busy itself makes one of the others of it."""
+
+
+def _ends_in_good_order(bench: Bench, daemon: Process, number: signal.Signals) -> None:
+    told_ns = daemon.kill(number)
+    code = daemon.popen.wait(WITHIN_S)
+    assert code == 0, daemon.said
+    assert "Traceback" not in daemon.said
+    if bench.trace.exists():
+        assert bench.went_to_0_v_after(told_ns) < STOPPED_S
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_while_nobody_answers(bench: Bench, number: signal.Signals) -> None:
+    """Phase init: a port behind which there is no device."""
+    master, slave = pty.openpty()
+    bench.port = Path(os.ttyname(slave))
+    bench.configure()
+    daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+    wait_for(lambda: bench.phase() == "init")
+
+    _ends_in_good_order(bench, daemon, number)
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize(
+    ("phase", "number"),
+    [("safe", signal.SIGINT), ("armed", signal.SIGTERM), ("active", signal.SIGINT)],
+)
+def test_a_signal_in_every_phase(bench: Bench, phase: str, number: signal.Signals) -> None:
+    """At rest, armed, and driven by hand; `test_every_way_out.py` has a scheduled run."""
+    bench.emulate()
+    daemon = bench.serve()
+    with bench.rig() as rig:
+        if phase != "safe":
+            rig.arm("a test")
+        if phase == "active":
+            rig.set(4.0)
+            wait_for(lambda: bench.volts() > 3.9)
+
+        _ends_in_good_order(bench, daemon, number)
+    check_volts(bench)
+
+
+def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
+    """The file says why the run ended; a latched fault keeps nobody from ending."""
+    emulator = bench.emulate()
+    daemon = bench.serve()
+    with driven(bench, pacing="exchange"):
+        _ends_in_good_order(bench, daemon, signal.SIGTERM)
+    (path,) = bench.recordings.glob("*.mcap")
+    assert path.stat().st_size > 0
+    daemon = bench.serve()
+    with driven(bench):
+        emulator.end()
+        wait_for(lambda: bench.phase() == "fault")
+        bench.trace.unlink()
+
+        _ends_in_good_order(bench, daemon, signal.SIGINT)
+
+
+def test_a_second_signal_changes_nothing(bench: Bench) -> None:
+    """Who is impatient gets the same good order."""
+    bench.emulate()
+    daemon = bench.serve()
+    with driven(bench):
+        for _ in range(3):
+            told_ns = daemon.kill(signal.SIGTERM)
+            time.sleep(0.002)
+        assert daemon.popen.wait(WITHIN_S) == 0
+        assert bench.went_to_0_v_after(told_ns) < STOPPED_S
+    (path,) = bench.recordings.glob("*.mcap")
+    assert path.suffix == ".mcap"
+
+
+def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
+    """SIGSTOP, 300 ms, SIGCONT: at its first tick, or by what the device said meanwhile.
+
+    Each k is told, and neither old samples nor old frames drive anything.
+    """
+    bench.emulate()
+    daemon = bench.serve()
+    loop_pid = bench.loop_pid(daemon)
+    with driven(bench, pacing="exchange"):
+        os.kill(loop_pid, signal.SIGSTOP)
+        time.sleep(0.3)
+        thawed_ns = time.monotonic_ns()
+        os.kill(loop_pid, signal.SIGCONT)
+
+        recording = recorded(bench)
+    ended = outcome(recording)
+    assert "the host paused for" in ended or "WATCHDOG" in ended
+    check_every_k(recording)
+    check_volts(bench)
+    assert bench.voltage_changes()[-1][0] < thawed_ns, "driven on by the frames of before"
+
+
+def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) -> None:
+    """It was valid when it was sent; at its turn the rig has tripped."""
+    bench.emulate()
+    daemon = bench.serve()
+    loop_pid = bench.loop_pid(daemon)
+    refused: list[str] = []
+
+    def command() -> None:
+        try:
+            rig.set(4.0)
+        except RefusedError as err:
+            refused.append(str(err))
+
+    with bench.rig() as rig:
+        rig.arm("a test")
+        rig.set(1.0)
+        wait_for(lambda: bench.volts() > 0.9)
+        os.kill(loop_pid, signal.SIGSTOP)
+        late = threading.Thread(target=command)
+        late.start()
+        time.sleep(0.3)
+        os.kill(loop_pid, signal.SIGCONT)
+        late.join(WITHIN_S)
+
+        wait_for(lambda: rig.status().phase == "fault")
+    assert refused
+    assert max(volts for _, volts in bench.voltage_changes()) < 1.1
+
+
+@pytest.mark.parametrize("stop_after", [0, 1])
+def test_ticks_that_an_overloaded_host_misses_are_counted_then_trip(
+    bench: Bench, stop_after: int
+) -> None:
+    """The processor is taken away from the loop for two ticks, again and again.
+
+    Each time one is skipped; nothing else trips, and a limit of one ends the run.
+    """
+    bench.configure(more=f"[timing]\nstop_after = {stop_after}", watchdog_ms=250)
+    bench.emulate()
+    daemon = bench.serve()
+    loop_pid = bench.loop_pid(daemon)
+    with driven(bench, samples=60, pacing="exchange", Ts=0.08):
+        for _ in range(4):
+            ticks = len(bench.voltage_changes())
+            wait_for(lambda ticks=ticks: len(bench.voltage_changes()) != ticks or _is_over(bench))
+            time.sleep(0.055)
+            os.kill(loop_pid, signal.SIGSTOP)
+            time.sleep(0.12)
+            os.kill(loop_pid, signal.SIGCONT)
+        recording = recorded(bench)
+
+    check_every_k(recording)
+    check_volts(bench)
+    if stop_after:
+        assert any(text in outcome(recording) for text in TRIPPED)
+    else:
+        assert outcome(recording) == "complete"
+        assert sum(gap.count for gap in recording.gaps if "late" in gap.reason) >= 4
+        assert sum(timing.wake_lateness_us.missed for timing in recording.timing) >= 4
+
+
+def _is_over(bench: Bench) -> bool:
+    with bench.rig() as rig:
+        return rig.status().phase != "active"

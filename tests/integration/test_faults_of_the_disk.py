@@ -1,0 +1,151 @@
+"""What may happen to the directory of the recordings, beside what `test_record.py` tries."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig.rig import RefusedError, RunEndedError
+from armrig_core.commands import parse
+from armrig_core.manifest import Manifest
+from armrig_daemon.record import Recording, RecordingError
+from driving import check_every_k, check_volts, driven
+from processes import Bench, wait_for
+
+ROOM = 8 << 10  # B
+UNPRIVILEGED = """
+import ctypes, os, sys
+ctypes.CDLL(None).prctl(24, 1)  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE: root obeys permissions, too
+os.execv(sys.executable, [sys.executable, "-m", *sys.argv[1:]])
+"""
+MANIFEST = Manifest(
+    **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01},
+    **{"samples": 1, "started": "2026-01-01T00:00:00+00:00", "clock_offset_ns": 0},
+    **{"armrig": "0", "protocol": "1"},
+)
+
+
+def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
+    """RLIMIT_FSIZE: 0 V, a whole prefix, the reason; and the next run finds room again."""
+    bench.emulate()
+    daemon = bench.serve()
+    with driven(bench, samples=3000):  # it would go on for longer than anybody waits here
+        (active,) = bench.recordings.glob("*.active")
+        _, most = resource.prlimit(daemon.popen.pid, resource.RLIMIT_FSIZE)
+        full = (active.stat().st_size + ROOM, most)
+        resource.prlimit(daemon.popen.pid, resource.RLIMIT_FSIZE, full)
+
+        wait_for(lambda: bench.volts() == 0.0)
+        with bench.rig() as rig:
+            wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
+            last = rig.status().last_run
+    assert last is not None
+    assert "File too large; what was flushed is kept there" in last.outcome
+    assert Path(last.recording) == active
+    recording = armrig.load(active)
+    assert recording.truncated
+    assert recording.samples.size > 20
+    check_every_k(recording)
+    check_volts(bench)
+
+    resource.prlimit(daemon.popen.pid, resource.RLIMIT_FSIZE, (most, most))
+    with bench.rig() as rig:
+        wait_for(lambda: rig.status().phase == "safe")
+        rig.arm("a test")
+        assert not armrig.load(rig.run([1.0, 4.0])).truncated
+
+
+def test_the_directory_vanishes_in_the_middle_of_a_run(bench: Bench) -> None:
+    """The run plays on; at its end it is said that the file is gone. The next one makes another."""
+    bench.emulate()
+    daemon = bench.serve()
+    with driven(bench, samples=100):
+        shutil.rmtree(bench.recordings)
+        with bench.rig() as rig:
+            wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
+            last = rig.status().last_run
+    assert last is not None
+    assert "No such file or directory; it is gone" in last.outcome
+    assert "Traceback" not in daemon.said
+    with bench.rig() as rig:
+        wait_for(lambda: rig.status().phase == "safe")
+        rig.arm("a test")
+        assert armrig.load(rig.run([1.0, 4.0])).samples.size == 2
+
+
+def test_a_directory_that_cannot_be_written_is_told_before_the_motor_turns(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read-only from the start: not armed. Read-only later: the run is refused, 0 V stays."""
+    bench.emulate()
+    bench.recordings.mkdir()
+    launcher = bench.folder / "unprivileged.py"
+    launcher.write_text(UNPRIVILEGED)
+    monkeypatch.setenv("PYTHONPATH", str(bench.folder))
+    daemon = bench.start("unprivileged", "armrig_daemon", "run", "--config", str(bench.config))
+    wait_for(lambda: bench.phase() == "safe")
+
+    bench.recordings.chmod(0o500)
+    with bench.rig() as rig:
+        with pytest.raises(RefusedError, match=r"recordings: .*set \[recording\] directory"):
+            rig.arm("a test")
+        bench.recordings.chmod(0o700)
+        rig.arm("a test")
+        bench.recordings.chmod(0o500)
+        with pytest.raises((RefusedError, RunEndedError), match=r"recordings"):
+            rig.run([1.0, 4.0] * 50)
+    bench.recordings.chmod(0o700)
+    assert {volts for _, volts in bench.voltage_changes()} == {0.0}
+    assert "Traceback" not in daemon.said
+
+
+@pytest.mark.parametrize(
+    "name", ["../../x", "/tmp/x", "a\\u0000b", "x/y", "", "a" * 41, ".", "x\\n"]
+)
+def test_a_name_that_leads_elsewhere_is_refused(name: str) -> None:
+    """The daemon makes the file's name; of the client's it takes letters, digits and -."""
+    payload = f'{{"lease": "{"a" * 32}", "n": 1, "u": [1], "experiment": "{name}"}}'
+
+    with pytest.raises(ValueError, match=r"regex.*\$\.experiment"):
+        parse("run", payload.encode())
+
+
+@pytest.mark.parametrize("suffix", [".active", ".compact", ""])
+def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, suffix: str) -> None:
+    """Somebody who can write there puts a symbolic link: what it leads to stays as it was."""
+    directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
+    directory.mkdir()
+    elsewhere.write_text("precious")
+    path = directory / "run.mcap"
+    path.with_name(path.name + suffix).symlink_to(elsewhere)
+
+    if suffix == ".active":
+        with pytest.raises(RecordingError, match="File exists"):
+            Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
+    else:
+        recording = Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
+        recording.finish("complete", 0)
+        recording.join(5)
+        assert recording.error == ""
+        assert not path.is_symlink()
+        assert not armrig.load(path).truncated
+    assert elsewhere.read_text() == "precious"
+
+
+def test_a_link_that_takes_the_place_of_a_file_is_not_written_through(tmp_path: Path) -> None:
+    """While it is written: the open file is ours, whatever its name leads to."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.write_text("precious")
+    directory = tmp_path / "recordings"
+    directory.mkdir()
+    recording = Recording(directory / "run.mcap", MANIFEST, {}, t_first_ns=0, changed=lambda: None)
+    recording.active.unlink()
+    recording.active.symlink_to(elsewhere)
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert recording.done
+    assert elsewhere.read_text() == "precious"

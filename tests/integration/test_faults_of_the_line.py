@@ -1,0 +1,119 @@
+"""What may happen to the line between daemon and device, in the middle of a run.
+
+The witness at the motor's terminals is the emulator's.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from armrig.rig import RefusedError
+from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded
+from processes import Bench, wait_for
+from relay import Relay
+
+BACK_S = 10.0
+"""T1 allows 2 s; a busy machine takes its time to start an answer."""
+
+
+@pytest.fixture
+def line(bench: Bench) -> Iterator[Relay]:
+    """Give the line between a daemon and its device."""
+    bench.emulate()
+    relay = Relay(bench.port, bench.folder / "line")
+    bench.port = bench.folder / "line"
+    bench.configure()
+    bench.serve()
+    yield relay
+    relay.end()
+
+
+def _stays_at_0_v_but_samples_again(bench: Bench) -> None:
+    """T1 and S6: by itself, disarmed; only a reset, then arm, leads out."""
+    with bench.rig() as rig:
+        wait_for(lambda: bool(rig.status().device), BACK_S)
+        k = next(iter(rig.stream())).k
+        assert next(iter(rig.stream())).k > k
+        assert rig.status().phase == "fault"
+        with pytest.raises(RefusedError, match="in fault"):
+            rig.arm("a test")
+        assert bench.volts() == 0.0
+        rig.reset()
+        assert rig.status().phase == "safe"
+
+
+@pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
+def test_the_cable_is_pulled(bench: Bench, line: Relay, pacing: str) -> None:
+    """The pty's master is closed: the device's watchdog stops the motor; plugged in, it samples."""
+    with driven(bench, pacing=pacing):
+        pulled_ns = line.do("unplug")
+
+        assert bench.went_to_0_v_after(pulled_ns) < STOPPED_S
+        assert "is gone" in outcome(recorded(bench))
+        line.do("plug")
+        _stays_at_0_v_but_samples_again(bench)
+    check_volts(bench)
+
+
+@pytest.mark.parametrize("fault", ["stop_reading", "stop_answering"])
+def test_one_direction_of_the_line_fails(bench: Bench, line: Relay, fault: str) -> None:
+    """S4: no answer is no fresh round trip. What waited in the line meanwhile drives nothing."""
+    with driven(bench, pacing="exchange"):
+        failed_ns = line.do(fault)
+
+        assert bench.went_to_0_v_after(failed_ns) < STOPPED_S
+        recording = recorded(bench)
+        time.sleep(1.0)  # the host goes on asking who is there: more waits in the line
+        line.do("ends")
+        _stays_at_0_v_but_samples_again(bench)
+    assert "no answer from the device" in outcome(recording)
+    check_every_k(recording)
+    check_volts(bench)
+
+
+@pytest.mark.parametrize("noise", ["flip", "garbage", "cut"])
+def test_noise_on_the_line_drives_nothing(bench: Bench, line: Relay, noise: str) -> None:
+    """Either way, one piece of twenty: frames are lost, none is made up, every k is told."""
+    with driven(bench), bench.rig() as rig:
+        line.do(noise)
+        time.sleep(2.0)
+        line.do("ends")
+        rig.stop()
+
+        recording = recorded(bench)
+    check_volts(bench)
+    check_every_k(recording)
+    assert recording.missing > 0
+    applied = recording.samples["u_applied_v"]
+    assert np.abs(applied[:, None] - [0.0, 1.0, 4.0]).min(axis=1).max() <= 5 / 1024
+
+
+def test_the_device_is_reset(bench: Bench, line: Relay) -> None:
+    """By DTR, as by any program that opens its port: 0 V at once, and nobody drives it on."""
+    with driven(bench):
+        reset_ns = line.do("reset")
+
+        assert bench.went_to_0_v_after(reset_ns) < STOPPED_S
+        recording = recorded(bench)
+        _stays_at_0_v_but_samples_again(bench)
+    assert "the device was reset" in outcome(recording)
+    check_every_k(recording)
+    check_volts(bench)
+
+
+def test_another_firmware_is_read_and_never_armed(bench: Bench, line: Relay) -> None:
+    """It says which version came and which is wanted; samples come, 0 V stays."""
+    line.do("other_firmware")
+    line.do("reset")
+
+    with bench.rig() as rig:
+        wait_for(lambda: "the firmware speaks version" in rig.status().reason, BACK_S)
+        for ask in (lambda: rig.arm("a test"), rig.reset, lambda: rig.arm("a test")):
+            with pytest.raises(RefusedError, match="the firmware speaks version"):
+                ask()
+        k = next(iter(rig.stream())).k
+        assert next(iter(rig.stream())).k > k
+    assert {volts for _, volts in bench.voltage_changes()} == {0.0}

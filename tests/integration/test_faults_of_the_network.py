@@ -1,0 +1,136 @@
+"""What clients may do to a daemon that drives a motor: not read, ask too much, send too much."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import armrig
+import pytest
+from armrig.session import NoReplyError
+from armrig_daemon.publish import MOST_BYTES
+from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
+from processes import Bench
+
+MORE_MIB = 64.0
+"""What a client may cost the service, R1."""
+_OPEN = """
+import sys, time, zenoh
+config = zenoh.Config.from_json5('{mode: "client", connect: {endpoints: ["%s"]}}' % sys.argv[1])
+config.insert_json5("scouting/multicast/enabled", "false")
+session = zenoh.open(config)
+"""
+SLOW = """
+slow = session.declare_subscriber("rig/1/**", lambda sample: time.sleep(0.2))
+print("there", flush=True)
+time.sleep(60)
+"""
+FLOOD = """
+print("there", flush=True)
+payload = '{"lease": "%s", "n": 1, "u": 5.0}' % ("0" * 32)
+while True:
+    for _ in range(2000):
+        session.get("rig/1/cmd/set", lambda reply: None, payload=payload, timeout=5)
+    time.sleep(0.01)
+"""
+HUGE = """
+print("there", flush=True)
+try:
+    replies = list(session.get("rig/1/cmd/run", payload=bytes(int(sys.argv[2])), timeout=3))
+except zenoh.ZError:
+    replies = []
+print(any(reply.ok for reply in replies), flush=True)
+"""
+
+
+@contextmanager
+def _client(bench: Bench, program: str, *arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """Run a client that means no good, once it is connected."""
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    client = subprocess.Popen(
+        [sys.executable, "-c", _OPEN + program, endpoint, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert client.stdout is not None
+        assert client.stdout.readline() == "there\n"
+        yield client
+    finally:
+        client.kill()
+        client.communicate()
+
+
+def test_subscribers_that_do_not_read_cost_the_run_nothing(bench: Bench) -> None:
+    """One is slow, one is stopped: what they miss is dropped, the recording is whole."""
+    bench.emulate()
+    daemon = bench.serve()
+    with _client(bench, SLOW), _client(bench, SLOW) as stopped:
+        os.kill(stopped.pid, signal.SIGSTOP)
+        before = resident_mib(daemon.popen.pid)
+        with driven(bench, samples=4000, Ts=0.001):
+            recording = recorded(bench)
+        grown = resident_mib(daemon.popen.pid) - before
+    assert outcome(recording) == "complete"
+    assert not any("did not keep up" in gap.reason for gap in recording.gaps)
+    check_every_k(recording)
+    assert grown < MORE_MIB
+
+
+def test_a_flood_of_commands_keeps_no_stop_from_getting_through(bench: Bench) -> None:
+    """They are refused, with a bound on those that wait; a stop gets through."""
+    bench.emulate()
+    daemon = bench.serve()
+    before = resident_mib(daemon.popen.pid)
+    with driven(bench, samples=2000, Ts=0.005), _client(bench, FLOOD):
+        time.sleep(1.0)
+        with bench.rig() as rig:
+            asked_ns = time.monotonic_ns()
+            rig.stop()
+            assert bench.went_to_0_v_after(asked_ns) < STOPPED_S
+        grown = resident_mib(daemon.popen.pid) - before
+    assert outcome(recorded(bench)) == "stopped"
+    check_volts(bench)
+    assert grown < MORE_MIB
+
+
+@pytest.mark.parametrize("size", [MOST_BYTES - (1 << 20), MOST_BYTES + (8 << 20)])
+def test_a_payload_that_is_too_large_disturbs_nobody(bench: Bench, size: int) -> None:
+    """Just inside what zenoh takes it is refused as JSON; beyond, its sender is cut off."""
+    bench.emulate()
+    daemon = bench.serve()
+    with driven(bench, samples=300), _client(bench, HUGE, size) as client:
+        assert client.stdout is not None
+        assert client.stdout.readline() == "False\n"
+        recording = recorded(bench)
+    assert outcome(recording) == "complete"
+    assert daemon.popen.poll() is None
+    assert "Traceback" not in daemon.said
+    check_volts(bench)
+
+
+def test_a_socket_that_is_removed_costs_the_run_nothing(bench: Bench) -> None:
+    """There is no router between: who is connected stays so, who comes is told."""
+    bench.emulate()
+    bench.serve()
+    socket = bench.folder / "armrig" / "1.sock"
+
+    def remove(done: int, total: int) -> None:
+        if done > total / 4:
+            socket.unlink(missing_ok=True)
+
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.01)
+        recording = armrig.load(rig.run([1.0, 4.0] * 50, progress=remove))
+
+        assert not socket.exists()
+        with pytest.raises(NoReplyError, match="no reply from rig 1"), bench.rig():
+            pass
+        assert rig.status().phase == "safe"
+    assert outcome(recording) == "complete"
+    check_volts(bench)
