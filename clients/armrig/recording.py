@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 import numpy as np
 from armrig_core import manifest as records
-from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.calibration import Calibration, Driver, Potentiometer
+from armrig_core.calibration_file import CalibrationFileError, read_calibration
 from armrig_core.manifest import Manifest, Outcome
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
@@ -64,13 +65,16 @@ class Recording:
     outcome: Outcome | None
     """How it ended; None where the file was cut off before."""
     calibration: Calibration | None
-    """Counts to angles; None where it is missing, and then the daemon's angles are used."""
+    """Counts to angles, codes to volts; None where it is missing: the daemon's are used then.
+
+    It was applied to the counts and codes when the recording was read; `made` says how it was made.
+    """
     k_first: int
     """Index of the first row; older files begin with their first sample that came."""
     t: Vector
     """Time in s from the first sample that was due, (N,)."""
     u: Vector
-    """Motor voltage in V that the device held from `t` on, (N,).
+    """Voltage in V at the motor's terminals from `t` on, (N,): what the device held, calibrated.
 
     Where a sample is missing: what its gap record says was held; NaN without a record.
     """
@@ -188,7 +192,7 @@ class Recording:
         return f"<Recording {self.short_hash}: {'; '.join(parts)}>"
 
 
-def load(path: str | Path) -> Recording:
+def load(path: str | Path, calibration: Calibration | str | Path | None = None) -> Recording:
     """Return the recording in a file.
 
     A file that was cut off or damaged gives what is whole at its beginning, with `truncated`.
@@ -197,6 +201,9 @@ def load(path: str | Path) -> Recording:
     ----------
     path : str or Path
         An MCAP file of armrigd's, also an unfinished one (*.mcap.active).
+    calibration : Calibration, str or Path, optional
+        What to read the counts and codes with, or the TOML of `armrig calibrate` that says it; left
+        out, the calibration that the daemon attached.
 
     Returns
     -------
@@ -206,11 +213,17 @@ def load(path: str | Path) -> Recording:
     Raises
     ------
     RecordingError
-        The file is no MCAP, no recording, or damaged before its first sample.
+        The file is no MCAP, no recording, or damaged before its first sample; or the calibration
+        cannot be read.
     OSError
         The file cannot be opened or read.
     """
     path = Path(path)
+    try:
+        if isinstance(calibration, (str, Path)):
+            calibration = read_calibration(Path(calibration))
+    except CalibrationFileError as err:
+        raise RecordingError(str(err)) from err
     try:
         content = read(path)
     except DamageError as err:
@@ -228,7 +241,7 @@ def load(path: str | Path) -> Recording:
         manifest = records.manifest_of(entries)
         outcome = content.metadata.get(records.OUTCOME)
         ended = None if outcome is None else records.outcome_of(outcome)
-        calibration = _calibration(content)
+        attached = _calibration(content)
         check_whole_numbers(manifest, *([ended] if ended else []))
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         msg = f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
@@ -236,7 +249,7 @@ def load(path: str | Path) -> Recording:
     if not 0 < manifest.Ts < _LONGEST_TS_S:
         msg = f"{path}: its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
         raise RecordingError(msg)
-    return _assembled(path, content, manifest, ended, calibration)
+    return _assembled(path, content, manifest, ended, calibration or attached)
 
 
 def _first_line(err: Exception) -> str:
@@ -273,7 +286,7 @@ def _assembled(
         calibration=calibration,
         k_first=rows.k_first,
         t=np.arange(rows.N, dtype=np.float64) * np.float64(manifest.Ts),
-        u=_input(samples, rows, gaps),
+        u=_terminal(_input(samples, rows, gaps), calibration.driver if calibration else Driver()),
         **_angles(samples, rows, calibration, manifest.Ts),
         present=rows.present,
         samples=samples,
@@ -310,6 +323,11 @@ def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vect
     u = rows.filled((gap.k_first, gap.count, gap.u_held_v) for gap in gaps)
     u[rows.rows] = samples["u_applied_v"]
     return u
+
+
+def _terminal(u: Vector, driver: Driver) -> Vector:
+    """Return the voltage at the motor's terminals for that of the codes, in V; 0 V is off."""
+    return np.where(u == 0, 0.0, driver.gain * u + driver.offset_v)
 
 
 def _angles(

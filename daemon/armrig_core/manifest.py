@@ -14,6 +14,8 @@ OUTCOME = "armrig.outcome"
 """Name of the metadata record written at the end; a recording without it was cut off."""
 CONFIG, CALIBRATION, INPUT = "config.json", "calibration.json", "input.csv"
 """Names of the attachments; the input has one voltage a line, under the heading u_v."""
+CALIBRATION_RAW = "calibration.csv.gz"
+"""Name of the attachment with the samples that the calibration was estimated from."""
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):

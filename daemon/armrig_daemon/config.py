@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import platformdirs
 from armrig_core.calibration import Calibration
+from armrig_core.calibration_file import CalibrationFileError, tables_of
 from armrig_core.topics import check_rig_id
 from armrig_core.volts import U_MAX_V, code_of
 from armrig_protocol.messages import (
@@ -185,6 +186,7 @@ class Config(Table, frozen=True, kw_only=True):
     arm: Arm = Arm()
     recording: Recording = Recording()
     calibration: Calibration = Calibration()
+    """`[calibration]`: a file of `armrig calibrate`'s named by `file`, or its tables themselves."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
@@ -253,10 +255,10 @@ def load(
     """
     tables: dict[str, Any] = {}
     for path in paths:
-        layer = _read(path)
+        layer = _calibrated(_read(path), path.absolute().parent, str(path))
         _check(layer, str(path))
         tables = _merged(tables, layer)
-    layer = _from_environment(environ)
+    layer = _calibrated(_from_environment(environ), Path.cwd(), "environment")
     _check(layer, "environment")
     tables = _merged(tables, layer)
     _check(overrides, "command line")
@@ -268,6 +270,28 @@ def load(
         msg = f"[timing] {err}"
         raise ConfigError(msg) from err
     return config
+
+
+def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:
+    """Return a layer with the calibration that it names by `file`, relative to `directory`."""
+    given = layer.get("calibration")
+    if not isinstance(given, Mapping) or "file" not in given:
+        return layer
+    file, beside = given["file"], [key for key in given if key != "file"]
+    if not isinstance(file, str) or not file:
+        msg = f"{where}: calibration.file = {file!r}: must be the path of a calibration's TOML"
+        raise ConfigError(msg)
+    if beside:
+        msg = f"{where}: calibration.{beside[0]} is given beside calibration.file: give one of them"
+        raise ConfigError(msg)
+    try:
+        path = directory / Path(file).expanduser()
+        calibration = tables_of(path)
+        _check({"calibration": calibration}, str(path))
+    except (CalibrationFileError, RuntimeError) as err:
+        msg = f"{where}: calibration.file = {file!r}: {err}"
+        raise ConfigError(msg) from err
+    return {**layer, "calibration": calibration}
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -311,8 +335,13 @@ def _check(tables: Mapping[str, Any], where: str) -> Config:
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(below)
     for key, value in above.items():
+        if key == "calibration" and "made" in value:
+            merged[key] = value  # measured as a whole: nothing of another one is left in it
+            continue
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merged(merged[key], value) if both else value
+        if key == "calibration" and value:
+            merged[key].pop("made", None)  # what was measured is not what is in force
     return merged
 
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from armrig_core.calibration_file import raw_samples
 from armrig_core.commands import LastRun, Renew, Run, RunAccepted
-from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
+from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
 from armrig_core.rehearsal import Rehearsal, rehearse
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
@@ -51,6 +52,7 @@ class Runs:
         self._config = config
         self._directory = directory
         self._changed = changed
+        self._calibration_raw = raw_samples(config.calibration)
         self._planned: Planned | None = None
         self._recording: Recording | None = None
         self._finishing: Recording | None = None
@@ -168,6 +170,8 @@ class Runs:
             CALIBRATION: msgspec.json.encode(self._config.calibration),
             INPUT: planned.text,
         }
+        if self._calibration_raw:
+            attachments[CALIBRATION_RAW] = self._calibration_raw
         self._last = _begun(planned)
         self._first, self._end = started.k_first, started.k_first + started.count
         self._missing = 0
@@ -233,11 +237,10 @@ class Runs:
         if not recording.done:
             return "", ""
         self._finishing = None
-        path = recording.active if recording.error else recording.path
         outcome = recording.error or self._last.outcome
         self._last = msgspec.structs.replace(
             self._last,
-            recording=str(path),
+            recording=str(recording.kept),
             finished=True,
             samples=recording.samples,
             outcome=outcome,
@@ -245,7 +248,10 @@ class Runs:
         if recording.error:
             return "error", recording.error
         missing = self._missing + recording.dropped
-        return "info", f"recorded {path}: {outcome}, {recording.samples} samples, {missing} missing"
+        return (
+            "info",
+            f"recorded {recording.kept}: {outcome}, {recording.samples} samples, {missing} missing",
+        )
 
     def _manifest(
         self,

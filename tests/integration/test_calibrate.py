@@ -68,7 +68,7 @@ def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> 
     bench.serve()
     with bench.rig() as rig:
         rig.arm("a test")
-        rec = armrig.load(rig.run(np.full(30, 1.0)))
+        rec = armrig.load(rig.run(np.full(100, 1.0)))
 
     scale = found["figures"]["theta_1_rad_per_count"]
     true = -np.radians(340) / ((5.0 - 0.2) / 5 * 65536)
@@ -76,9 +76,8 @@ def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> 
     assert found["alpha_sign"] == -1
     assert bench.volts() == 0.0
     assert rec.calibration == read_calibration(output)
-    assert rec.theta_1[-1] > rec.theta_1[0] + 0.1, (
-        "a positive voltage turns towards positive angles"
-    )
+    shown = rec.theta_1[rec.valid]
+    assert shown[-1] > shown[0] + 0.5, "a voltage turns towards positive angles"
     assert armrig.calibration.remarks(rec.calibration, rec.manifest) == []
     assert replay(rec.path).difference == ""
     content = read(rec.path)

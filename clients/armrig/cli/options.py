@@ -14,6 +14,14 @@ Connect = Annotated[
     str | None, typer.Option("--connect", metavar="ENDPOINT", help="zenoh endpoint of the daemon.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+CalibrationFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--calibration",
+        metavar="TOML",
+        help="Read the recordings with this calibration instead of the one attached.",
+    ),
+]
 File = Annotated[Path, typer.Argument(metavar="F", help="Recording (*.mcap).")]
 Na = Annotated[int, typer.Option("--na", help="Number of a's (ARX).")]
 Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]

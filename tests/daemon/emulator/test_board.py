@@ -106,3 +106,20 @@ def test_an_ideal_sensor_has_no_dead_band() -> None:
 
     assert board.theta_1(0) == 65536 // 4
     assert board.alpha(0) == round(65536 * 176 / 360)
+
+
+@pytest.mark.parametrize(
+    ("code", "gain", "offset_v", "terminal"),
+    [(0, 0.9, 0.12, 0.0), (13107, 0.9, 0.12, 1.02), (65535, 1.2, 0.12, 5.0), (66, 0.9, -0.1, 0.0)],
+)
+def test_a_driver_with_a_gain_and_an_offset_stays_between_its_supplies(
+    code: int, gain: float, offset_v: float, terminal: float
+) -> None:
+    """0 V is off, whatever the offset, and what is reported is still the code."""
+    settings = EmulatorSettings(driver_gain=gain, driver_offset_v=offset_v)
+    board = Board(settings, 0, np.random.default_rng(0))
+
+    board.latch(0, code, Cause.REQUEST)
+
+    assert board.volts == pytest.approx(terminal, abs=0.005)
+    assert board.code == reported(code, 10)

@@ -87,3 +87,22 @@ def test_noise_has_the_deviation_that_was_asked_for() -> None:
     # 3.5 standard errors of a standard deviation: sigma / sqrt(2 N) is 0.5 %.
     assert np.std(codes) * 5 / 65536 == pytest.approx(0.010, rel=0.0175)
     assert np.mean(codes) == pytest.approx(0x8000, abs=4)
+
+
+def test_a_track_between_two_resistors_gives_less_than_the_whole_voltage() -> None:
+    """Its ends are no rails; the dead band still shows nothing."""
+    pot = Potentiometer(range_rad=4.0, zero_rad=1.0, wraps=True, low=0.1, high=0.9)
+
+    assert wiper(pot, -1.0) == pytest.approx(0.1)
+    assert wiper(pot, 1.0) == pytest.approx(0.5)
+    assert wiper(pot, 3.0 - 1e-9) == pytest.approx(0.9)
+    assert wiper(pot, 3.1) is None
+
+
+def test_a_potentiometer_mounted_the_other_way_round_falls_when_the_angle_grows() -> None:
+    """From the same place on its track."""
+    pot = Potentiometer(range_rad=4.0, zero_rad=1.0, wraps=False, sign=-1.0)
+
+    assert wiper(pot, 0.0) == pytest.approx(0.25)
+    assert wiper(pot, 0.4) == pytest.approx(0.15)
+    assert wiper(pot, -0.4) == pytest.approx(0.35)

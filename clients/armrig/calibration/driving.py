@@ -1,0 +1,129 @@
+"""The motor: terminal volts for a code, speed for a volt, and the voltage at which it stands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isfinite, pi, sqrt
+
+import numpy as np
+from armrig_core.calibration import Figure
+from armrig_core.volts import U_MAX_V
+from numpy.typing import NDArray
+
+from armrig.calibration.readings import CalibrationError
+from armrig.calibration.turning import Turning
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TerminalVoltage:
+    """Terminal voltage = offset + gain · u, from a meter."""
+
+    line: Vector
+    """(offset in V, gain)."""
+    covariance: Matrix
+    """Of the two; offset's are 0 where one reading had to do."""
+
+    @property
+    def offset(self) -> Figure:
+        """Terminal voltage at u = 0 of the line, in V."""
+        return Figure(value=float(self.line[0]), std=sqrt(float(self.covariance[0, 0])))
+
+    @property
+    def gain(self) -> Figure:
+        """Terminal volts for a volt of u."""
+        return Figure(value=float(self.line[1]), std=sqrt(float(self.covariance[1, 1])))
+
+
+STANDS = 0.1
+"""A chassis slower than this, in rad/s, is held by its friction, and says nothing of the line."""
+IDEAL = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2, 2)))
+"""A driver that nobody has measured."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Speeds:
+    """The line of the speeds: speed = rate · (terminal voltage - zero_torque)."""
+
+    rate: Figure
+    """Speed of the chassis for a volt at the terminals, in rad/s/V."""
+    zero_torque: Figure
+    """Terminal voltage at which the line reaches speed 0, in V: friction and offset together."""
+
+
+def terminal_voltage(
+    meter: Sequence[tuple[float, float]], meter_std_v: float
+) -> TerminalVoltage | None:
+    """Return the line through the readings of a meter; None without readings.
+
+    One reading gives the gain of a line through 0; two or more give the offset, too.
+
+    Parameters
+    ----------
+    meter : sequence of (float, float)
+        Voltage of the code, and what the meter showed at the motor's terminals, both in V.
+    meter_std_v : float
+        Standard deviation of a reading, in V.
+
+    Raises
+    ------
+    CalibrationError
+        A voltage is not possible, or all readings are at the same one.
+    """
+    if not meter:
+        return None
+    if not 0 < meter_std_v < U_MAX_V:
+        msg = f"a meter's standard deviation of {meter_std_v:g} V: must be more than 0"
+        raise CalibrationError(msg)
+    u, y = np.array(meter, dtype=np.float64).T
+    for volts, shown in meter:
+        if not (0 < volts <= U_MAX_V and isfinite(shown) and 0 < shown < 2 * U_MAX_V):
+            msg = f"{shown:g} V at a code of {volts:g} V: must be more than 0 V at a code above 0"
+            raise CalibrationError(msg)
+    if u.size == 1:
+        gain, std = y[0] / u[0], meter_std_v / u[0]
+        return TerminalVoltage(line=np.array([0.0, gain]), covariance=np.diag([0.0, std**2]))
+    if np.ptp(u) == 0:
+        msg = f"all readings of the meter are at {u[0]:g} V: read it at another code, too"
+        raise CalibrationError(msg)
+    X = np.column_stack([np.ones(u.size), u])
+    inverse = np.linalg.inv(X.T @ X)
+    return TerminalVoltage(line=inverse @ X.T @ y, covariance=meter_std_v**2 * inverse)
+
+
+def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
+    """Return the line of the speeds over the voltages; None for fewer than two voltages.
+
+    The speeds are 2 pi b_j / d; their covariance comes from that of the slopes b_j and of the
+    counts of a turn d, and weights the line. The meter's errors are independent of both.
+    """
+    d = turned.per_turn.value
+    omega = 2 * pi * turned.direction * turned.slopes / d
+    moved = omega > STANDS
+    v = turned.volts[moved]
+    if np.unique(v).size < 2:
+        return None
+    J = np.column_stack([np.eye(omega.size) * turned.direction * 2 * pi / d, -omega / d])[moved]
+    omega = omega[moved]
+    W = np.linalg.inv(J @ turned.covariance @ J.T)
+    X = np.column_stack([v, np.ones(v.size)])
+    P = np.linalg.inv(X.T @ W @ X)
+    slope, intercept = P @ X.T @ W @ omega
+    stands = -intercept / slope  # in volts of the code
+    gradient = np.array([-stands / slope, -1 / slope])
+    offset, gain = terminal.line
+    at = np.array([1.0, stands])
+    rate, var_gain = slope / gain, terminal.covariance[1, 1]
+    return Speeds(
+        rate=Figure(
+            value=float(rate),
+            std=sqrt(float(P[0, 0] / gain**2 + rate**2 * var_gain / gain**2)),
+        ),
+        zero_torque=Figure(
+            value=float(offset + gain * stands),
+            std=sqrt(float(gain**2 * gradient @ P @ gradient + at @ terminal.covariance @ at)),
+        ),
+    )

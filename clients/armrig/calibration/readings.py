@@ -1,0 +1,128 @@
+"""The raw samples that a calibration is estimated from, and their compact form."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from io import BytesIO, StringIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from armrig.recording import Recording
+
+Vector = NDArray[np.float64]
+
+MOST_ROWS = 50_000
+"""Rows of the compact form, which then takes less than 1 MiB."""
+_HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
+_LONGEST = 8 << 20  # B of a compact form unpacked
+
+
+class CalibrationError(ValueError):
+    """Recordings that no calibration can be estimated from; says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Readings:
+    """Raw readings of the samples that came."""
+
+    t: Vector
+    """When theta_1 was read, on the device's clock from the first one on, in s, (N,)."""
+    u: Vector
+    """Voltage of the code that the device held from then on, in V, (N,)."""
+    theta_1: Vector
+    """Counts of theta_1's potentiometer, (N,)."""
+    alpha: Vector
+    """Counts of alpha's potentiometer, (N,)."""
+
+    def __post_init__(self) -> None:
+        """Refuse columns of different lengths, and none."""
+        sizes = {column.size for column in (self.t, self.u, self.theta_1, self.alpha)}
+        if len(sizes) != 1 or 0 in sizes:
+            msg = "a recording without samples calibrates nothing: record again"
+            raise CalibrationError(msg)
+
+    @property
+    def N(self) -> int:
+        """Number of samples."""
+        return int(self.t.size)
+
+
+def readings_of(source: Recording | Readings) -> Readings:
+    """Return the raw readings of a recording."""
+    if isinstance(source, Readings):
+        return source
+    samples = source.samples
+    if not samples.size:
+        msg = f"{source.path}: has no samples: record again"
+        raise CalibrationError(msg)
+    return Readings(
+        t=_seconds(samples["t_device_us"].astype(np.int64)),
+        u=samples["u_applied_v"].astype(np.float64),
+        theta_1=samples["theta_1_counts"].astype(np.float64),
+        alpha=samples["alpha_counts"].astype(np.float64),
+    )
+
+
+def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
+    """Return the readings as a gzipped CSV, the same bytes for the same readings.
+
+    Raises
+    ------
+    CalibrationError
+        There are more than `MOST_ROWS`.
+    """
+    out = StringIO()
+    out.write(_HEADING + "\n")
+    rows = 0
+    for name, source in sources.items():
+        readings = readings_of(source)
+        rows += readings.N
+        if rows > MOST_ROWS:
+            msg = f"more than {MOST_ROWS} samples: shorten the runs, or take a longer --Ts"
+            raise CalibrationError(msg)
+        t_us = np.rint(readings.t * 1e6).astype(np.int64)
+        columns = (t_us, readings.u, readings.theta_1, readings.alpha)
+        for t, u, theta_1, alpha in zip(*(c.tolist() for c in columns), strict=True):
+            out.write(f"{name},{t},{u!r},{theta_1:.0f},{alpha:.0f}\n")
+    return gzip.compress(out.getvalue().encode(), mtime=0)
+
+
+def decompressed(data: bytes) -> dict[str, Readings]:
+    """Return what `compressed` was given.
+
+    Raises
+    ------
+    CalibrationError
+        It is damaged, or something else.
+    """
+    try:
+        with gzip.open(BytesIO(data)) as packed:
+            text = packed.read(_LONGEST).decode()
+        heading, *lines = text.splitlines()
+        if heading != _HEADING:
+            msg = f"begins with {heading[:80]!r}"
+            raise ValueError(msg)
+        rows: dict[str, list[list[float]]] = {}
+        for line in lines:
+            name, *fields = line.split(",")
+            t_us, u, theta_1, alpha = (float(field) for field in fields)
+            rows.setdefault(name, []).append([t_us * 1e-6, u, theta_1, alpha])
+    except (OSError, EOFError, ValueError, zlib.error) as err:
+        msg = f"no samples of a calibration: {err}; the first line must be {_HEADING}"
+        raise CalibrationError(msg) from err
+    return {name: _readings(np.array(table)) for name, table in rows.items()}
+
+
+def _readings(table: Vector) -> Readings:
+    t, u, theta_1, alpha = table.T
+    return Readings(t=t, u=u, theta_1=theta_1, alpha=alpha)
+
+
+def _seconds(t_us: NDArray[np.int64]) -> Vector:
+    return np.asarray((t_us - t_us[0]) * 1e-6, dtype=np.float64)

@@ -1,0 +1,126 @@
+"""A calibration as a TOML of its own, and the samples that it was estimated from beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from armrig_core.calibration import Calibration
+
+RAW_LIMIT = 1 << 20
+"""Most that the samples of a calibration may take, compressed, in B."""
+_HEADING = (
+    "# Calibration of a rig, written by `armrig calibrate`. The daemon uses it where its\n"
+    '# configuration says [calibration] file = "…". The samples that it was estimated from\n'
+    "# lie beside it, in a compressed CSV of the same name.\n"
+)
+
+
+class CalibrationFileError(ValueError):
+    """A file that holds no calibration; says which and why."""
+
+
+def raw_path(path: Path) -> Path:
+    """Return where the samples of the calibration in `path` lie."""
+    return path.with_suffix(".csv.gz")
+
+
+def toml_of(calibration: Calibration) -> str:
+    """Return a calibration as TOML."""
+    tables: dict[str, Any] = msgspec.to_builtins(calibration)
+    if tables["made"] is None:
+        del tables["made"]
+    lines = [_HEADING]
+    _write(tables, "", lines)
+    return "\n".join(lines) + "\n"
+
+
+def tables_of(path: Path) -> dict[str, Any]:
+    """Return the tables in the TOML at `path`, not yet checked but for its raw samples.
+
+    Raises
+    ------
+    CalibrationFileError
+        The file cannot be read or is no TOML, or the samples beside it are not those that it was
+        estimated from.
+    """
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as err:
+        msg = f"{path}: {err.strerror}"
+        raise CalibrationFileError(msg) from err
+    except (ValueError, RecursionError) as err:  # TOMLDecodeError and UnicodeDecodeError
+        msg = f"{path}: not a TOML file: {err}"
+        raise CalibrationFileError(msg) from err
+    made = tables.get("made")
+    if isinstance(made, dict):
+        if made.get("raw_sha256"):
+            _raw(path, str(made["raw_sha256"]))
+        made["file"] = str(path.absolute())
+    return tables
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Return the calibration in the TOML at `path`; raises CalibrationFileError."""
+    tables = tables_of(path)
+    try:
+        return msgspec.convert(tables, Calibration)
+    except msgspec.ValidationError as err:
+        msg = f"{path}: {err}; `armrig calibrate` writes such files"
+        raise CalibrationFileError(msg) from err
+
+
+def raw_samples(calibration: Calibration) -> bytes:
+    """Return the compressed samples of a calibration that was read from a file, or nothing.
+
+    Raises
+    ------
+    CalibrationFileError
+        They are not there, too long, or not those that it was estimated from.
+    """
+    made = calibration.made
+    if made is None or not (made.file and made.raw_sha256):
+        return b""
+    return _raw(Path(made.file), made.raw_sha256)
+
+
+def _raw(path: Path, sha256: str) -> bytes:
+    beside = raw_path(path)
+    way_out = f"put it beside {path.name}, or calibrate anew with `armrig calibrate`"
+    try:
+        size = beside.stat().st_size
+        if size > RAW_LIMIT:
+            msg = f"{beside}: {size} B, at most {RAW_LIMIT} are allowed; calibrate anew"
+            raise CalibrationFileError(msg)
+        data = beside.read_bytes()
+    except OSError as err:
+        msg = f"{beside}: {err.strerror}; {way_out}"
+        raise CalibrationFileError(msg) from err
+    if hashlib.sha256(data).hexdigest() != sha256:
+        msg = f"{beside}: not the samples that {path.name} was estimated from; {way_out}"
+        raise CalibrationFileError(msg)
+    return data
+
+
+def _write(table: Mapping[str, Any], name: str, lines: list[str]) -> None:
+    """Append a table: its own values first, then the tables in it."""
+    inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
+    plain = {key: value for key, value in table.items() if key not in inner and value != ""}
+    if name and (plain or not inner):
+        lines.append(f"[{name}]")
+    lines += [f"{key} = {_value(value)}" for key, value in plain.items()]
+    if plain:
+        lines.append("")
+    for key, value in inner.items():
+        _write(value, f"{name}.{key}" if name else key, lines)
+
+
+def _value(value: Any) -> str:
+    # JSON's strings, numbers and booleans are TOML's, too.
+    return json.dumps(value, ensure_ascii=False)

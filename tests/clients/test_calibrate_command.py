@@ -1,0 +1,192 @@
+"""`armrig calibrate`, and what is read with what it writes."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from math import tau
+from pathlib import Path
+from typing import Any
+
+import armrig
+import pytest
+from armrig import collection
+from armrig.cli import main
+from armrig.collection import Collected, Plan
+from armrig.recording import RecordingError, load
+from armrig_core.calibration import Calibration, Driver, Potentiometer
+from armrig_core.calibration_file import raw_path, read_calibration, toml_of
+from calibration_rig import recording_of
+from recordings import recorded, sample, written
+from test_calibration import D, made_turns, still
+
+TURNED = made_turns(noise=32.0, direction=-1)
+
+
+def _files(folder: Path) -> tuple[str, ...]:
+    """Return the options that name a rest and turns that were recorded before."""
+    options: list[str] = []
+    for name, readings in (("rest", still()), ("turns", TURNED)):
+        path = folder / f"{name}.mcap"
+        path.write_bytes(recording_of(readings, f"calibrate-{name}"))
+        options += [f"--{name}", str(path)]
+    return tuple(options)
+
+
+def test_recordings_made_before_are_calibrated_without_a_rig_or_a_question(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Values, deviations, where it came from, and the samples beside it."""
+    output = tmp_path / "new" / "c.toml"
+
+    code = main(["calibrate", *_files(tmp_path), "--meter", "65535=4.9", "-o", str(output)])
+
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    assert f'[calibration] file = "{output}"' in said.err
+    found = read_calibration(output)
+    assert found.theta_1.rad_per_count == pytest.approx(-tau / D, rel=1e-3)
+    assert found.driver.gain == pytest.approx(4.9 / 5, rel=1e-3)
+    made = found.made
+    assert made is not None
+    assert (made.rig, made.device_uid) == ("1", "0001")
+    assert made.recordings["turns"] == load(tmp_path / "turns.mcap").sha256
+    assert made.figures["theta_1_rad_per_count"].std > 0
+    assert raw_path(output).stat().st_size < 100_000
+    assert "theta_1_rad_per_count" in said.out
+    assert " ± " in said.out
+
+
+def test_a_meter_is_held_against_what_the_device_made_of_the_code(tmp_path: Path) -> None:
+    """1000 is 76.3 mV, but the nearest of 1024 duties is 16 of them, 78.1 mV."""
+    output = tmp_path / "c.toml"
+
+    assert main(["calibrate", *_files(tmp_path), "--meter", "1000=0.078125", "-o", str(output)]) == 0
+
+    assert read_calibration(output).driver.gain == pytest.approx(1.0, rel=1e-4)
+
+
+def test_the_person_is_led_through_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two things to do, one meter reading for each voltage, and runs at the device's pace."""
+    _files(tmp_path)
+    plans: list[Plan] = []
+
+    def collect(plan: Plan, **_: Any) -> Collected:
+        plans.append(plan)
+        path = tmp_path / f"{plan.experiment.removeprefix('calibrate-')}.mcap"
+        return Collected(path, 0, 0.01, None, None)
+
+    monkeypatch.setattr(collection, "collect", collect)
+    monkeypatch.setattr(sys, "stdin", _Terminal("\n\n0.97\n\n"))
+    output = tmp_path / "c.toml"
+
+    code = main(["calibrate", "--volts", "1", "--volts", "2", "-o", str(output)])
+
+    said = capsys.readouterr().err
+    assert code == 0, said
+    assert [p.experiment for p in plans] == ["calibrate-rest", "calibrate-turns"]
+    assert {p.pacing for p in plans} == {"scheduled"}
+    assert all(p.dead_man for p in plans)
+    u = plans[1].make(2450, 0.01)
+    assert u.tolist() == [0.0] * 50 + [1.0] * 1200 + [2.0] * 1200
+    assert not plans[0].make(300, 0.01).any()
+    for text in ("let the arm hang still", "turn at 1 V, 2 V, 12 s each", "meter showed"):
+        assert text in said
+    assert read_calibration(output).driver.gain == pytest.approx(0.97, rel=2e-3)
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("given", [(), ("--rest",), ("--rest", "--turns", "--by-hand")])
+def test_without_a_terminal_nothing_is_asked_and_nothing_done(
+    given: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--yes is the way out where anything is left to record."""
+    files = _files(tmp_path)
+    paths = dict(zip(files[::2], files[1::2], strict=True))
+    options = [text for name in given for text in (name, *filter(None, [paths.get(name)]))]
+
+    assert main(["calibrate", *options, "-o", str(tmp_path / "c.toml")]) == 1
+
+    assert "there is no terminal to ask at: give --yes" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--meter", "5=x"], "--meter 5=x: must be CODE=VOLTS"),
+        (["--meter", "65536=2"], "--meter 65536=2: must be CODE=VOLTS"),
+        (["--volts", "5.1"], "--volts 5.1: must be more than 0 and at most 5 V"),
+        (["--level-seconds", "3"], "--level-seconds 3: must be more than 3 s"),
+        (["-o", "c.json"], "a calibration is a TOML"),
+        (["-o", "{}/other.toml"], "is there already, and no calibration"),
+        (["--rest-seconds", "nan"], "--seconds nan: must be a number of seconds"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_before_a_rig_is_asked(
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is overwritten but a calibration."""
+    (tmp_path / "other.toml").write_text("[device]\n")
+    given = [a.format(tmp_path) for a in arguments]
+
+    output = [] if "-o" in given else ["-o", str(tmp_path / "c.toml")]
+    assert main(["calibrate", "--yes", *given, *output]) == 1
+
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "other.toml").read_text() == "[device]\n"
+
+
+OTHER = Calibration(
+    theta_1=Potentiometer(zero_counts=32768.0, rad_per_count=-2e-5),
+    driver=Driver(gain=0.9, offset_v=0.1),
+)
+
+
+def test_a_recording_is_read_with_another_calibration(tmp_path: Path) -> None:
+    """Angles and voltage from the raw counts and codes; 0 V is off, whatever the offset."""
+    samples = [sample(k, u_applied_v=float(k), theta_1_counts=32768 + 100 * k) for k in range(3)]
+    path = written(tmp_path, recorded(samples))
+    file = tmp_path / "c.toml"
+    file.write_text(toml_of(OTHER))
+
+    for calibration in (OTHER, file, str(file)):
+        rec = armrig.load(path, calibration)
+        assert rec.u.tolist() == pytest.approx([0.0, 1.0, 1.9])
+        assert rec.theta_1.tolist() == pytest.approx([0.0, -2e-3, -4e-3])
+        assert rec.calibration == OTHER
+    assert armrig.load(path).u.tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(RecordingError, match=r"nowhere\.toml: No such file"):
+        armrig.load(path, tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize("command", [["info"], ["info", "--json"]])
+def test_info_tells_a_rig_that_was_not_calibrated(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a stale calibration, and says nothing against a good one."""
+    path = str(written(tmp_path, recorded([sample(k) for k in range(3)])))
+    output = tmp_path / "c.toml"
+    assert main(["calibrate", *_files(tmp_path), "-o", str(output)]) == 0
+    capsys.readouterr()
+
+    assert main([*command, path]) == 0
+    assert "The rig was not calibrated" in capsys.readouterr().out
+    assert main([*command, path, "--calibration", str(output)]) == 0
+    good = capsys.readouterr().out
+    text = output.read_text().replace('device_uid = "0001"', 'device_uid = "0002"')
+    output.write_text(text)
+    assert main([*command, path, "--calibration", str(output)]) == 0
+    stale = capsys.readouterr().out
+
+    assert "2026-11-20T05:00" in good or "2026-11-20 05:00" in good
+    assert "alibration is of another device" not in good
+    assert "The calibration is of another device: it was made on 0002" in stale
+    if "--json" in command:
+        assert json.loads(good)["remarks"] == []

@@ -1,0 +1,101 @@
+"""A calibration's TOML and the samples beside it."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiometer
+from armrig_core.calibration_file import (
+    RAW_LIMIT,
+    CalibrationFileError,
+    raw_path,
+    raw_samples,
+    read_calibration,
+    toml_of,
+)
+from msgspec.structs import replace
+
+SAMPLES = b"samples"
+MADE = Made(
+    date="2026-11-20T08:00:00.123+01:00",
+    rig="1",
+    device_uid='a "uid"\\',
+    armrig="0.1.0",
+    figures={"theta_1_rad_per_count": Figure(value=-9.4e-5, std=1.5e-9)},
+    recordings={"rest": "ab" * 32, "turns": "cd" * 32},
+    raw_sha256=hashlib.sha256(SAMPLES).hexdigest(),
+)
+MEASURED = Calibration(
+    theta_1=Potentiometer(zero_counts=1 / 3, rad_per_count=-9.4e-5),
+    alpha=Potentiometer(zero_counts=32768.5, wraps=False),
+    driver=Driver(gain=0.98, offset_v=-0.02),
+    made=MADE,
+)
+
+
+def _written(folder: Path, calibration: Calibration = MEASURED) -> Path:
+    path = folder / "calibration.toml"
+    path.write_text(toml_of(calibration), encoding="utf-8")
+    raw_path(path).write_bytes(SAMPLES)
+    return path
+
+
+@pytest.mark.parametrize("calibration", [MEASURED, Calibration()])
+def test_what_was_written_is_read_to_the_last_bit(calibration: Calibration, tmp_path: Path) -> None:
+    """Only where it was read is new."""
+    path = _written(tmp_path, calibration)
+
+    found = read_calibration(path)
+
+    if calibration.made is not None:
+        assert found.made is not None
+        assert found.made.file == str(path)
+        assert raw_samples(found) == SAMPLES
+        found = replace(found, made=replace(found.made, file=""))
+    assert found == calibration
+
+
+@pytest.mark.parametrize(
+    ("samples", "said"),
+    [
+        (None, "No such file"),
+        (b"others", "not the samples that calibration.toml was estimated from"),
+        (bytes(RAW_LIMIT + 1), "at most 1048576 are allowed"),
+    ],
+)
+def test_samples_that_are_not_its_own_are_refused(
+    samples: bytes | None, said: str, tmp_path: Path
+) -> None:
+    """With the file's name and the way out."""
+    path = _written(tmp_path)
+    if samples is None:
+        raw_path(path).unlink()
+    else:
+        raw_path(path).write_bytes(samples)
+
+    with pytest.raises(CalibrationFileError, match=said) as refused:
+        read_calibration(path)
+    assert "calibration.csv.gz" in str(refused.value)
+    assert "calibrate" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[theta_1", "not a TOML file"),
+        ("[theta_1]\nrad_per_count = 0.0", "rad_per_count=0.0 must be finite and not 0"),
+        ("[driver]\ngain = -1.0", "gain=-1.0 must be from 0.1 to 10"),
+        ("[driver]\noffset_v = nan", "offset_v=nan must be from -5 to 5"),
+        ("[beta]", "unknown field `beta`"),
+    ],
+)
+def test_a_file_that_is_no_calibration_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    """Its name is told."""
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+
+    with pytest.raises(CalibrationFileError, match=said) as refused:
+        read_calibration(path)
+    assert str(path) in str(refused.value)

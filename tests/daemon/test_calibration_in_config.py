@@ -1,0 +1,118 @@
+"""The calibration that the configuration names, and what goes into a recording of it."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from pathlib import Path
+
+import pytest
+from armrig.container import read
+from armrig_core.calibration import Calibration, Made, Potentiometer
+from armrig_core.calibration_file import raw_path, toml_of
+from armrig_core.commands import Run
+from armrig_core.manifest import CALIBRATION_RAW
+from armrig_daemon.config import Config, ConfigError, load
+from armrig_daemon.records import RunStarted, State
+from armrig_daemon.runs import Runs
+
+SAMPLES = b"samples"
+MADE = Made(
+    date="2026-11-20T08:00:00+00:00",
+    rig="1",
+    device_uid="0001",
+    armrig="0.1.0",
+    raw_sha256=hashlib.sha256(SAMPLES).hexdigest(),
+)
+MEASURED = Calibration(theta_1=Potentiometer(zero_counts=1000.0), made=MADE)
+
+
+def _calibration(folder: Path) -> Path:
+    path = folder / "c.toml"
+    path.write_text(toml_of(MEASURED))
+    raw_path(path).write_bytes(SAMPLES)
+    return path
+
+
+def _config(folder: Path, text: str, name: str = "armrig.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_a_calibration_is_named_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
+    """Measured values, and how they were made."""
+    path = _calibration(tmp_path)
+
+    found = load([_config(tmp_path, '[calibration]\nfile = "c.toml"')], {}, {}).calibration
+
+    assert found.theta_1.zero_counts == 1000.0
+    assert found.made is not None
+    assert found.made.file == str(path)
+
+
+def test_the_environment_may_name_it(tmp_path: Path) -> None:
+    """Over what a file says, of which nothing is left."""
+    below = _config(tmp_path, "[calibration.alpha]\nzero_counts = 5.0")
+
+    variable = {"ARMRIG_CALIBRATION_FILE": str(_calibration(tmp_path))}
+    found = load([below], variable, {}).calibration
+
+    assert found.theta_1.zero_counts == 1000.0
+    assert found.alpha.zero_counts == 32768.0
+
+
+def test_a_value_over_a_calibration_is_not_a_measured_one(tmp_path: Path) -> None:
+    """What was said of how it was made is gone."""
+    _calibration(tmp_path)
+    below = _config(tmp_path, '[calibration]\nfile = "c.toml"')
+    above = _config(tmp_path, "[calibration.alpha]\nzero_counts = 5.0", "user.toml")
+
+    found = load([below, above], {}, {}).calibration
+
+    assert (found.theta_1.zero_counts, found.alpha.zero_counts) == (1000.0, 5.0)
+    assert found.made is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[calibration]\nfile = "nowhere.toml"', r"nowhere\.toml: No such file"),
+        ("[calibration]\nfile = 1", "calibration.file = 1: must be the path"),
+        (
+            '[calibration]\nfile = "c.toml"\n[calibration.alpha]\nzero_counts = 1.0',
+            "calibration.alpha is given beside calibration.file: give one",
+        ),
+        ('[calibration]\nfile = "bad.toml"', r"bad\.toml: calibration.beta = {}: no such key"),
+    ],
+)
+def test_a_calibration_that_cannot_be_used_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    """The daemon does not start with another one in its place."""
+    _calibration(tmp_path)
+    _config(tmp_path, "[beta]", "bad.toml")
+
+    with pytest.raises(ConfigError, match=said):
+        load([_config(tmp_path, text)], {}, {})
+
+
+def test_every_recording_carries_the_samples_of_its_calibration(tmp_path: Path) -> None:
+    """As they lay beside the file when the daemon started; without any, there is no attachment."""
+    _calibration(tmp_path)
+    config = load([_config(tmp_path, '[calibration]\nfile = "c.toml"')], {}, {})
+
+    assert _attached(tmp_path, config) == SAMPLES
+    assert _attached(tmp_path, Config()) is None
+
+
+def _attached(folder: Path, config: Config) -> bytes | None:
+    done = threading.Event()
+    runs = Runs(config, folder, done.set)
+    order, _ = runs.plan(Run(lease="a" * 32, n=1, u=[0.0]), 0.01)
+    started = RunStarted(t_host_ns=0, run_id=order.run_id, k_first=0, count=1)
+    state = State(t_host_ns=0, phase="active", reason="", owner="", ts_us=10_000, device={})
+    path = runs.begin(started, state, {}, 0)
+    runs.end("complete")
+    assert done.wait(5)
+    content = read(path.with_suffix("")) or read(path)
+    assert content is not None
+    return content.attachments.get(CALIBRATION_RAW)
