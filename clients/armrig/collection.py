@@ -14,9 +14,11 @@ from armrig_core.commands import LastRun, RunAccepted
 from armrig_core.rehearsal import Rehearsal, in_words
 from numpy.typing import NDArray
 
-from armrig.progress import bar
+from armrig.progress import TimingNote, bar
+from armrig.recording import load
 from armrig.rig import Rig, RunEndedError
 from armrig.session import NoReplyError, RigError
+from armrig.usability import DataVerdict, data_verdict
 
 MOST_SAMPLES = 1_000_000
 """As many as the daemon takes in one run."""
@@ -41,6 +43,8 @@ class Collected(NamedTuple):
     """Samples asked for."""
     Ts: float
     """Sampling time, in s."""
+    verdict: DataVerdict | None
+    """What the data are good for; None where the daemon's disk is not ours to read."""
     rehearsal: Rehearsal | None
     """What the daemon's model of the rig did; None from a daemon that rehearses nothing."""
 
@@ -52,11 +56,11 @@ class Plan:
     experiment: str
     """Kind of experiment, part of the recording's name."""
     make: Callable[[int, float], NDArray[Any]]
-    """N and Ts in s -> u (N,) in V."""
+    """N and Ts in s -> u in V; (N,), or whatever whole periods in N or a file make."""
     details: Mapping[str, Any]
     """What makes the same input again."""
-    seconds: float
-    """Length, in s."""
+    seconds: float | None
+    """Length, in s; None is the input's own, and N is then 0."""
     Ts: float | None
     """Sampling time in s; None is the daemon's."""
     pacing: Literal["scheduled", "exchange"]
@@ -82,6 +86,8 @@ class Plan:
         if not 1 <= len(self.owner) <= LONGEST_OWNER:
             msg = f"--owner has {len(self.owner)} characters: 1 to {LONGEST_OWNER} are allowed"
             raise ValueError(msg)
+        if self.seconds is None:
+            return
         if self.Ts is not None or self.seconds > MOST_SAMPLES * LONGEST_TS:
             number_of_samples(self.seconds, self.Ts or LONGEST_TS)
 
@@ -129,14 +135,11 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
         granted = None
         try:
             granted = opened.arm(plan.owner, plan.Ts)
-            N = number_of_samples(plan.seconds, granted.Ts)
-            if not isclose(N * granted.Ts, plan.seconds, rel_tol=1e-9):
-                tell(
-                    f"{plan.seconds:g} s are no whole number of samples of {granted.Ts:g} s: "
-                    f"{N} are played, {N * granted.Ts:g} s"
-                )
-            u = plan.make(N, granted.Ts)
-            with bar(plan.experiment) as progress:
+            u = _input(plan, granted.Ts, tell)
+            with (
+                opened.arrivals("timing") as come,
+                bar(plan.experiment, note=TimingNote(come)) as progress,
+            ):
                 path = opened.run(
                     u,
                     pacing=plan.pacing,
@@ -154,7 +157,24 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
             raise
         except RigError as err:
             raise RigError(_reason(opened, err, connect)) from err
-    return Collected(path, N, granted.Ts, rehearsals[0] if rehearsals else None)
+    rehearsal = rehearsals[0] if rehearsals else None
+    verdict = data_verdict(load(path)) if path.is_file() else None
+    return Collected(path, u.size, granted.Ts, verdict, rehearsal)
+
+
+def _input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
+    """Return the input at the sampling time in force; a length that is not as asked is told."""
+    if plan.seconds is None:
+        u = plan.make(0, Ts)
+        number_of_samples(u.size * Ts, Ts)
+        return u
+    u = plan.make(number_of_samples(plan.seconds, Ts), Ts)
+    if not isclose(u.size * Ts, plan.seconds, rel_tol=1e-9):
+        tell(
+            f"{plan.seconds:g} s are no whole number of samples of {Ts:g} s: "
+            f"{u.size} are played, {u.size * Ts:g} s"
+        )
+    return u
 
 
 def with_commands(text: str, rig: str, connect: str | None) -> str:

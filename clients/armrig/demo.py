@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from armrig.excitation import step, telegraph
-from armrig.progress import bar
+from armrig.progress import TimingNote, bar
 from armrig.recording import Recording, load
 from armrig.report import report
 from armrig.report_figures import write_figures
@@ -102,7 +102,10 @@ def _recorded(
         wait_for_phase(rig, "safe")
         rig.arm("armrig demo", Ts)
         try:
-            with bar(name, console) as progress:
+            with (
+                rig.arrivals("timing") as come,
+                bar(name, console, note=TimingNote(come)) as progress,
+            ):
                 return rig.run(u, progress=progress, **request)
         except RunEndedError as err:
             if time.monotonic() > retry_until:

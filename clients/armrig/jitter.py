@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from armrig.dataset import Dataset
     from armrig.recording import Recording
 
 Vector = NDArray[np.float64]
@@ -96,11 +97,25 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
         lateness=_spread(lateness_us(recording)),
         samples=int(recording.samples.size),
         missing=recording.missing,
-        longest_gap=_longest_run(~recording.present),
+        longest_gap=longest_run(~recording.present),
     )
 
 
-def _longest_run(marked: NDArray[np.bool_]) -> int:
+def angle_of_jitter(timing: SamplingStatistics, data: Dataset) -> float:
+    """Return what the jitter can have done to an angle: it is read at another time than k Ts.
+
+    Standard deviation of the interval times the rate that 99 % of the data stay below, in the
+    data's unit.
+    """
+    return timing.std_us * 1e-6 * fastest_rate(data)
+
+
+def fastest_rate(data: Dataset) -> float:
+    """Return the rate of y that 99 % of its differences stay below, in y's unit per s."""
+    return float(np.nanpercentile(np.abs(np.diff(data.y)) / data.Ts, 99))
+
+
+def longest_run(marked: NDArray[np.bool_]) -> int:
     """Return how many are marked in a row at most."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
     return int((edges[1::2] - edges[::2]).max(initial=0))

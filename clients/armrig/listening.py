@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import zenoh
@@ -80,6 +81,21 @@ def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
                     raise _gone(rig)
                 heard_s = time.monotonic()
             time.sleep(_LISTEN_S)
+
+
+@contextmanager
+def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
+    """Give a function that returns what has come of a key since it was last asked, at once."""
+    _, name = _stream_of(key)
+    with session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber:
+
+        def come() -> list[Any]:
+            messages = []
+            while (received := subscriber.try_recv()) is not None:
+                messages.append(decoded(name, received.payload.to_bytes()))
+            return messages
+
+        yield come
 
 
 def decoded(name: str, payload: bytes) -> Any:

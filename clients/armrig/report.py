@@ -15,7 +15,9 @@ import matplotlib as mpl
 import numpy as np
 import typst
 
+from armrig.calibration.staleness import calibrated
 from armrig.causes import Causes
+from armrig.dataset import Dataset
 from armrig.fit import Fit
 from armrig.jitter import SamplingStatistics, Spread
 from armrig.quantities import (
@@ -32,7 +34,7 @@ from armrig.quantities import (
 )
 from armrig.recording import Recording
 from armrig.report_figures import DETAIL_S, write_figures
-from armrig.study import STEP, Judged, Study
+from armrig.study import STAIRCASE, STEP, Judged, Study, kind_of
 from armrig.verdict import summary, verdict
 from armrig.whiteness import WHITE_LEVEL
 
@@ -102,6 +104,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "chain": _shared_facts(study),
         "timing": [*_timing_rows(study.timing), *_causes_rows(study.causes)],
         "data": _data_text(study),
+        "treatment": treatment(study),
         "step": _step_caption(study),
         "orders": f"na = nb = {arx.orders['na']}, nk = {arx.nk}"
         if arx.orders["na"] == arx.orders["nb"] == oe.orders["nf"]
@@ -130,8 +133,8 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
 
 def role(study: Study, recording: Recording) -> str:
     """Return what a recording was used for."""
-    if recording.manifest.experiment == STEP:
-        return "step"
+    if kind_of(recording) in (STEP, STAIRCASE):
+        return kind_of(recording)
     if recording.sha256 == study.estimation.source:
         return "estimation and validation" if study.halves else "estimation"
     return "validation" if recording.sha256 == study.validation.source else "not used"
@@ -154,6 +157,7 @@ def _facts(study: Study) -> list[list[str]]:
     row("samples at Ts", lambda r: f"{r.N} at {milliseconds(r.Ts)}")
     row("length", lambda r: f"{r.N * r.Ts:.1f} s")
     row("input", _input_range)
+    row("calibrated", lambda r: calibrated(r.calibration))
     row("missing samples", lambda r: str(r.missing))
     row("in the dead band, or just after", lambda r: str(r.hidden))
     row("outcome", lambda r: r.outcome.outcome if r.outcome else "cut off")
@@ -310,16 +314,57 @@ def _test_rows(study: Study) -> list[list[str]]:
 
 def _data_text(study: Study) -> str:
     hidden = 100 * study.estimation.missing / study.estimation.N
+    # To have been cut in two is no treatment.
+    untouched = len(study.estimation.history) <= study.halves
     return (
         "The voltage is the one that the device says it applied, the angle is unwrapped from the "
-        "raw counts. It grows without end, because the voltage is never negative: nothing is "
-        f"removed from it, no mean and no trend. {hidden:.1f}{NBSP}% of the estimation data "
-        "have no angle."
+        "raw counts. It grows without end, because the voltage is never negative"
+        f"{': nothing is removed from it, no mean and no trend' * untouched}. {hidden:.1f}{NBSP}% "
+        "of the estimation data have no angle."
     )
 
 
+def treatment(study: Study) -> list[str]:
+    """Return what was done to the data and what was taken from them, a sentence a step.
+
+    What was done alike to both is told once.
+    """
+    ours, theirs = study.estimation, study.validation
+    if ours.history == theirs.history and not (ours.trends or theirs.trends):
+        return [f"Both: {step}." for step in ours.history]
+    return [
+        sentence
+        for name, data in (("Estimation data", ours), ("Validation data", theirs))
+        for sentence in (
+            *(f"{name}: {step}." for step in data.history),
+            *_trends(name, data),
+        )
+    ]
+
+
+def _trends(name: str, data: Dataset) -> list[str]:
+    """Return what `detrend` took from each experiment, so that it can be put back."""
+    said = []
+    for i, trend in enumerate(data.trends, 1):
+        which = f"experiment {i} of {len(data.trends)}" if len(data.trends) > 1 else "the data"
+        parts = [
+            _line(what, level, slope, unit)
+            for what, level, slope, unit in (
+                ("u", trend.u_level, trend.u_slope, data.input_unit),
+                (data.output, trend.y_level, trend.y_slope, data.unit),
+            )
+        ]
+        said.append(f"{name}: from {which} were taken {' and '.join(parts)}.")
+    return said
+
+
+def _line(what: str, level: float, slope: float, unit: str) -> str:
+    rising = f" rising by {number(slope)}{NBSP}{unit}/s" if slope else ""
+    return f"{number(level)}{NBSP}{unit} of {what}{rising}"
+
+
 def _step_caption(study: Study) -> str | None:
-    steps = [r for r in study.recordings if r.manifest.experiment == STEP]
+    steps = [r for r in study.recordings if kind_of(r) == STEP]
     if not steps:
         return None
     return f"Chassis angle after a step of the motor's voltage (recording {steps[0].short_hash})."

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.study import STEP, Study
+from armrig.study import STEP, Study, kind_of
 
 _STYLE: Any = {
     "svg.fonttype": "none",
@@ -69,7 +69,7 @@ def _data_figure(study: Study) -> Figure:
 
 
 def _step_figure(study: Study) -> Figure | None:
-    steps = [r for r in study.recordings if r.manifest.experiment == STEP]
+    steps = [r for r in study.recordings if kind_of(r) == STEP]
     if not steps:
         return None
     figure, (ax,) = _canvas(2.1, (0.5, 0.42, 6.35, 1.9))

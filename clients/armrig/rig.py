@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar
 
@@ -15,7 +15,7 @@ from armrig_core import commands, topics
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.listening import listen
+from armrig.listening import arrivals, listen
 from armrig.session import RigError, default_endpoint, no_reply, open_session
 
 Progress = Callable[[int, int], None]
@@ -256,6 +256,10 @@ class Rig:
     def stream(self, name: str = "sample") -> Iterator[Any]:
         """Iterate over what the rig publishes from now on: see `armrig.stream`."""
         return listen(self._connected(), topics.stream_key(self.rig, name))
+
+    def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
+        """Give, in a `with` block, a function that returns what has come of a stream, at once."""
+        return arrivals(self._connected(), topics.stream_key(self.rig, name))
 
     def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:
         """Return the voltages (N,), or refuse them: never clamped, and never sent."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,13 @@ from armrig.validation import ComparisonTable, ResidualTest, compare, residuals
 
 STEP = "step"
 """Kind of an experiment that is shown, and not identified from."""
+STAIRCASE = "staircase"
+"""Another one."""
+
+
+def kind_of(recording: Recording) -> str:
+    """Return the kind of a recording's experiment, without the name that it was given."""
+    return recording.manifest.experiment.partition("-")[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,18 +93,26 @@ class Study:
         return next(r for r in self.recordings if r.sha256 == sha256)
 
 
-def study(recordings: Sequence[Recording], *, orders: Orders | None = None) -> Study:
+def study(
+    recordings: Sequence[Recording],
+    *,
+    orders: Orders | None = None,
+    treat: Callable[[Dataset], Dataset] | None = None,
+) -> Study:
     """Identify ARX and OE models and judge them, with the physics, on other data.
 
-    The first recording that is no step estimates, the next one validates; where there is only one,
-    its second half validates.
+    The first recording that is no step and no staircase estimates, the next one validates; where
+    there is only one, its second half validates.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        At least one that is no step.
+        At least one that is no step and no staircase.
     orders : Orders, optional
         Of the models; the arm's by default.
+    treat : callable, optional
+        What is done to the data of each recording first, such as `armrig.hampel`; the report
+        prints every step. The models are of what it leaves.
 
     Returns
     -------
@@ -110,15 +125,13 @@ def study(recordings: Sequence[Recording], *, orders: Orders | None = None) -> S
         There is nothing to identify from, or the orders are too high for it.
     """
     orders = orders or Orders()
-    excited = [r for r in recordings if r.manifest.experiment != STEP]
+    excited = [r for r in recordings if kind_of(r) not in (STEP, STAIRCASE)]
     if not excited:
         msg = "nothing to identify from: give a recording whose input is no single step, such as "
         msg += "one of `armrig collect blackbox`"
         raise RecordingError(msg)
-    if len(excited) > 1:
-        estimation, validation = excited[0].dataset(), excited[1].dataset()
-    else:
-        estimation, validation = excited[0].dataset().split(2)
+    data = [r.dataset() if treat is None else treat(r.dataset()) for r in excited[:2]]
+    estimation, validation = data if len(data) > 1 else data[0].split(2)
     samples, nk = estimation.N - estimation.missing, orders.nk
     require_sensible(samples=samples, nk=nk, na=orders.na, nb=orders.nb)
     require_sensible(
@@ -147,7 +160,9 @@ def study(recordings: Sequence[Recording], *, orders: Orders | None = None) -> S
         validation=validation,
         halves=len(excited) == 1,
         models=(*judged, Judged(name="physics", fit=physics, tests=None)),
-        table=compare(validation, *(f for _, f in models), physics),
+        table=compare(
+            validation, *(f for _, f in models), physics, labels=("ARX", "OE", "physics")
+        ),
         timing=tuple(sampling_statistics(r) for r in recordings),
         causes=tuple(causes(r) for r in recordings),
         omega=omega,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from armrig.calibration.staleness import remarks
+from armrig.jitter import angle_of_jitter, fastest_rate
 from armrig.quantities import error, microseconds, milliseconds, number, p_relation, percent
 from armrig.study import Judged, Study
 from armrig.whiteness import WHITE_LEVEL
@@ -34,6 +36,7 @@ def verdict(study: Study) -> list[str]:
             "to the angle: the least-squares estimate then buys one-step prediction with a wrong "
             "transfer function. For simulation and for control use the OE model."
         )
+    points += calibration_remarks(study)
     points.append(_jitter_verdict(study))
     missing = sum(r.missing for r in study.recordings)
     if missing:
@@ -44,18 +47,21 @@ def verdict(study: Study) -> list[str]:
     return points
 
 
+def calibration_remarks(study: Study) -> list[str]:
+    """Return what speaks against the calibration of any recording, each sentence once."""
+    said = [s for r in study.recordings for s in remarks(r.calibration, r.manifest)]
+    return list(dict.fromkeys(said))
+
+
 def _jitter_verdict(study: Study) -> str:
-    """Return what the jitter can have done to the angle: it is read at another time than k Ts."""
-    index = study.recordings.index(study.recording_of(study.validation.source))
-    std_us = study.timing[index].std_us
-    rates = np.abs(np.diff(study.validation.y)) / study.validation.Ts
-    fastest = float(np.nanpercentile(rates, 99))
-    angle = error(std_us * 1e-6 * fastest, study.validation.unit)
+    """Return what the jitter can have done to the angle of the validation data."""
+    data = study.validation
+    timing = study.timing[study.recordings.index(study.recording_of(data.source))]
     return (
         "The sampling interval of the validation data has a standard deviation of "
-        f"{microseconds(std_us)}; at {number(fastest)} {study.validation.unit}/s, hardly ever "
-        f"exceeded, that is an angle of {angle}, in the measurement and in what the input has done "
-        "by then."
+        f"{microseconds(timing.std_us)}; at {number(fastest_rate(data))} {data.unit}/s, hardly "
+        f"ever exceeded, that is an angle of {error(angle_of_jitter(timing, data), data.unit)}, in "
+        "the measurement and in what the input has done by then."
     )
 
 

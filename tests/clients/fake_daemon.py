@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any, Self
 
 import msgspec
@@ -25,6 +26,7 @@ class FakeDaemon:
         self.refusals: dict[str, str] = {}
         self.fault = ""
         self.rehearsal: Rehearsal | None = None
+        self.during_run: Callable[[], object] = lambda: None
         self._run: commands.Run | None = None
         self._polls = 0
 
@@ -97,6 +99,8 @@ class FakeDaemon:
             raise ValueError(self.refusals[request.name])
         if isinstance(request, commands.Status):
             self._polls += self._run is not None
+            if self._run is not None:
+                self.during_run()
             return self.status()
         if isinstance(request, commands.Arm):
             return commands.LeaseGranted(

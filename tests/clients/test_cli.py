@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from contextlib import suppress
 from io import StringIO
 from pathlib import Path
 
+import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
@@ -21,7 +23,7 @@ from armrig.scheduling import scheduling
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
-from recordings import recorded, sample, written
+from recordings import of_the_arm, recorded, sample, timing, written
 from rich.console import Console
 
 READERS = (["info"], ["identify", "--structure", "arx"], ["compare"], ["report"])
@@ -123,7 +125,10 @@ def test_no_daemon_is_told_with_what_to_do(
         ["identfy"],
         ["info"],
         ["identify", "f.mcap"],
-        ["identify", "f.mcap", "--structure", "armax"],
+        ["identify", "f.mcap", "--structure", "arimax"],
+        ["compare", "f.mcap"],
+        ["identify", "f.mcap", "--search", "--na", "2"],
+        ["identify", "f.mcap", "--structure", "oe", "--weights", "cva"],
         ["identify", "f.mcap", "--structure", "arx", "--na", "two"],
         ["identify", "f.mcap", "--structure", "arx", "--integrator"],
         ["collect", "nothing"],
@@ -300,6 +305,162 @@ def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str)
 
     [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
     assert run.u == [0.5] * 20 + [4.5] * 30
+
+
+def test_collect_greybox_says_what_to_do_to_the_rig(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before it plays; the input is a black box's."""
+    assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert run.experiment == "greybox"
+    assert run.details["input"] == "telegraph"
+    assert "Take the rotating part off (handout, figure 6)" in capsys.readouterr().err
+
+
+def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str) -> None:
+    """Friction shows as the difference."""
+    arguments = ["collect", "staircase", "--levels", "3", "--seconds", "1", "--connect", where]
+
+    assert main(arguments) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    stairs = np.repeat([0.5, 2.5, 4.5, 2.5, 0.5], 20)
+    np.testing.assert_array_equal(run.u, stairs)
+
+
+def test_collect_bla_plays_periods_with_other_phases(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One recording a realisation, of the same power, so that they can be compared."""
+    arguments = ["--period", "0.5", "--periods", "3", "--realisations", "2", "--connect", where]
+
+    assert main(["collect", "bla", *arguments]) == 0
+
+    played = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    one, two = (np.array(r.u).reshape(3, 50) for r in played)
+    assert capsys.readouterr().out == "/nowhere/run.mcap\n" * 2
+    for u in (one, two):
+        np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
+    assert np.std(one) == pytest.approx(np.std(two), rel=1e-12)
+    assert np.abs(one - two).max() > 0.5
+    assert [r.details["realisation"] for r in played] == [0, 1]
+
+
+@pytest.mark.parametrize("name", ["telegraph", "prbs", "white", "multisine"])
+def test_collect_validation_plays_the_next_seed_too(
+    name: str, daemon: FakeDaemon, where: str
+) -> None:
+    """Two recordings with one command; the second says in its name what it is for."""
+    arguments = ["collect", "blackbox", "--input", name, "--seed", "7", "--seconds", "1"]
+    arguments += ["--validation", "--name", "monday", "--connect", where]
+
+    assert main(arguments) == 0
+
+    first, second = (r for r in daemon.asked if isinstance(r, commands.Run))
+    kinds = [first.experiment, second.experiment]
+    assert kinds == ["blackbox-monday", "blackbox-validation-monday"]
+    assert [r.details["seed"] for r in (first, second)] == [7, 8]
+    assert {r.details["input"] for r in (first, second)} == {name}
+    assert first.u != second.u
+
+
+def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_path: Path) -> None:
+    """As long as it is, at the times that it says."""
+    file = tmp_path / "mine.csv"
+    file.write_text("t,u\n" + "".join(f"{k / 100},{k % 5}\n" for k in range(40)))
+
+    assert main(["collect", "blackbox", "--file", str(file), "--connect", where]) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert run.u == [k % 5 for k in range(40)]
+    assert run.details == {"input": "csv", "file": "mine.csv"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--input", "csv"], "a file is played with --file CSV"),
+        (["--input", "prbs", "--file", "FILE"], "no other --input than csv"),
+        (["--file", "FILE", "--seconds", "3"], "--seconds 3: a file has its own length"),
+        (["--file", "FILE", "--validation"], "--validation: csv would be the same again"),
+        (["--input", "chirp", "--validation"], "--validation: chirp would be the same again"),
+        (["--file", "FILE", "--Ts", "0.02"], "t=0.01 s where Ts=0.02 s gives 0.02 s"),
+        (["--file", "/nowhere.csv"], "/nowhere.csv: No such file or directory"),
+        (["--input", "prbs", "--a", "0"], "a=0.0: a prbs switches with a probability of more"),
+        (["--name", "My run"], "--name My run: at most 31 of a-z, 0-9 and -"),
+        (["--high", "6"], "high=6.0 V is outside the rig's 0 to 5 V"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+)
+def test_an_input_that_cannot_be_played_is_told_before_a_rig_is_asked_for(
+    arguments: list[str],
+    said: str,
+    daemon: FakeDaemon,
+    where: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """With the way out."""
+    file = tmp_path / "mine.csv"
+    file.write_text("t,u\n0,1\n0.01,2\n0.02,3\n")
+    given = [str(file) if x == "FILE" else x for x in arguments]
+
+    assert main(["collect", "blackbox", *given, "--connect", where]) == 1
+
+    assert said in told(capsys)
+    assert daemon.asked == []
+
+
+def test_collect_judges_the_data(
+    daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In words beside the path, whole in the JSON; data with a fault are no failure."""
+    daemon.recording = str(written(tmp_path, of_the_arm(armrig.telegraph(500, 0.05, 2.45, 2.55))))
+
+    assert main(["collect", "blackbox", "--connect", where]) == 0
+    said = capsys.readouterr()
+    assert main(["collect", "blackbox", "--connect", where, "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+
+    assert said.out == f"{daemon.recording}\n"
+    assert "the data can be used, with care" in said.err
+    assert "too quiet" in said.err
+    assert verdict["usable"] is True
+    assert {f["about"]: f["level"] for f in verdict["findings"]}["signal"] == "warning"
+
+
+def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
+    daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recording is told all the same; there is no second one."""
+    daemon.recording = str(written(tmp_path, of_the_arm(np.full(500, 2.0))))
+
+    assert main(["collect", "blackbox", "--validation", "--connect", where]) == 1
+
+    said = capsys.readouterr()
+    assert said.out == f"{daemon.recording}\n"
+    assert "the data cannot be used: the input never moves" in said.err
+    assert daemon.names().count("run") == 1
+
+
+def test_the_bar_says_how_the_timing_is(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the rig's own stream: lateness of the last second, all that was missed, the queue."""
+    report = timing(0)
+    report.wake_lateness_us.p99, report.wake_lateness_us.missed = 123.0, 2
+    report.queue_depth.p50, report.queue_depth.n = 17, 100
+    daemon.during_run = lambda: daemon.session.put("rig/1/timing", report.SerializeToString())
+    daemon.polls_per_run = 5
+
+    assert main(["collect", "step", "--connect", where]) == 0
+
+    said = capsys.readouterr().err
+    missed = re.search(r"late 123 µs \(p99\), missed (\d+), queue 17", " ".join(said.split()))
+    assert missed is not None
+    assert int(missed[1]) in range(4, 13, 2)
 
 
 def test_collect_says_what_the_rehearsal_was(
@@ -648,9 +809,9 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["arx", "--nf", "3"], "--nf 3 goes with --structure oe; an ARX model has na and nb"),
-        (["oe", "--na", "3"], "--na 3 goes with --structure arx; an OE model has nb and nf"),
-        (["OE"], "--structure: 'OE' is not one of 'arx', 'oe'; see"),
+        (["arx", "--nf", "3"], "--nf 3 goes with --structure oe or bj; an ARX model has na, nb and nk"),
+        (["oe", "--na", "3"], "--na 3 goes with --structure arx or armax or iv4; an OE model has nb, nf and nk"),
+        (["OE"], "--structure: 'OE' is not one of 'arx', 'armax', 'oe', 'bj', 'iv4', 'n4sid'; see"),
         (["arx", "--na", "two"], "--na: must be an integer; see"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",

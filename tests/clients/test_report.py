@@ -6,16 +6,19 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import armrig
 import numpy as np
 import pytest
 from armrig.dataset import Dataset
 from armrig.recording import RecordingError, load
-from armrig.report import content, report, role
+from armrig.report import content, report, role, treatment
 from armrig.report_figures import write_figures
 from armrig.study import Orders, Study, physical_model, study
+from armrig.trend import Trend
 from armrig.verdict import verdict
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
-from recordings import recorded, sample, written
+from armrig_core.calibration import Calibration, Made
+from recordings import of_the_arm, recorded, sample, written
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +65,69 @@ def test_one_recording_is_cut_in_two(three_recordings: tuple[Path, ...]) -> None
     assert halved.estimation.N + halved.validation.N == 1500
     assert not any(row.on_estimation_data for row in halved.table.rows)
     assert role(halved, halved.recordings[0]) == "estimation and validation"
+
+
+def test_every_step_of_treatment_is_told_in_words(three_recordings: tuple[Path, ...]) -> None:
+    """And what was taken from the data, each with its unit."""
+    step, first, second = (load(path) for path in three_recordings)
+
+    def treat(data: Dataset) -> Dataset:
+        return armrig.detrend(armrig.hampel(data)[100:])
+
+    told = treatment(study([step, first, second], treat=treat))
+
+    names = [sentence.partition(":")[0] for sentence in told]
+    assert names == ["Estimation data"] * 4 + ["Validation data"] * 4
+    assert "samples of theta_1 missing as outliers" in told[0]
+    assert "took samples 100 to 1499 of 1500" in told[1]
+    assert "removed the mean from u and y" in told[2]
+    level = np.mean(first.dataset()[100:].u)
+    assert told[3].startswith(
+        f"Estimation data: from the data were taken {level:.3g}\xa0V of u and "
+    )
+    assert told[3].endswith("\xa0rad of theta_1.")
+
+
+def test_a_line_that_was_taken_is_told_with_its_slope(done: Study) -> None:
+    """A mean has none."""
+    trend = Trend(u_level=2.5, y_level=1.0, y_slope=-0.25)
+    data = done.estimation.replaced(step="removed a straight line", trends=(trend,))
+
+    told = treatment(replace(done, estimation=data))
+
+    assert told[1] == (
+        "Estimation data: from the data were taken 2.5\xa0V of u and 1\xa0rad of theta_1 rising by "
+        "\u22120.25\xa0rad/s."
+    )
+
+
+def test_nothing_done_is_told_as_such(
+    done: Study, three_recordings: tuple[Path, ...], tmp_path: Path
+) -> None:
+    """No list, and the claim that nothing was removed stands only then."""
+    halved = study([load(three_recordings[1])])
+    treated = study([load(path) for path in three_recordings[1:]], treat=armrig.detrend)
+
+    assert treatment(done) == []
+    assert treatment(halved) == [
+        "Estimation data: took samples 0 to 749 of 1500.",
+        "Validation data: took samples 750 to 1499 of 1500.",
+    ]
+    claims = ["no mean and no trend" in content(s, [])["data"] for s in (done, halved, treated)]
+    assert claims == [True, True, False]
+    assert report(treated, tmp_path / "treated.pdf").stat().st_size > 0
+
+
+def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
+    done: Study, three_recordings: tuple[Path, ...], tmp_path: Path
+) -> None:
+    """Its kind stands before the name that the student gave it."""
+    stairs = of_the_arm(armrig.staircase(300), experiment="staircase-monday")
+    named = written(tmp_path, stairs, "stairs.mcap")
+
+    found = study([load(named), *(load(path) for path in three_recordings[1:])])
+
+    assert [role(found, r) for r in found.recordings] == ["staircase", "estimation", "validation"]
 
 
 def test_a_step_alone_is_nothing_to_identify_from(three_recordings: tuple[Path, ...]) -> None:
@@ -157,3 +223,17 @@ def test_a_truncated_recording_is_named_in_the_report(
 def study_data() -> Dataset:
     """Return two samples at 100 Hz."""
     return Dataset(u=np.zeros(2), y=np.zeros(2), Ts=0.01, output="theta_1", unit="rad")
+
+
+def test_a_rig_that_was_not_calibrated_is_told_once(done: Study) -> None:
+    """In the verdict, and for each recording in the table; a calibrated one is not."""
+    made = Made(date="2026-11-20T04:00:00+01:00", rig="1", device_uid="0001", armrig="0.1.0")
+    good = tuple(replace(r, calibration=Calibration(made=made)) for r in done.recordings)
+
+    for recordings, told, when in (
+        (done.recordings, 1, "no"),
+        (good, 0, "2026-11-20 04:00"),
+    ):
+        judged = replace(done, recordings=recordings)
+        assert " ".join(verdict(judged)).count("was not calibrated") == told
+        assert ["calibrated", *[when] * len(recordings)] in content(judged, [])["facts"]

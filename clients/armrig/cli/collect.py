@@ -1,15 +1,19 @@
-"""The commands that record: collect blackbox, collect step."""
+"""The commands that record: collect blackbox, greybox, step, staircase, bla."""
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from armrig.cli.options import Connect, Json, RigId, print_json, tell
+from armrig.cli.options import Connect, Json, RigId, tell
+from armrig.cli.playing import SECONDS, Played, Run, chosen, collect_each
 
 app = typer.Typer(
-    help="Play an input, record what the rig does, and print the recording's path.",
+    help="Play an input, record what the rig does, print the recording's path, and say what the "
+    "data are good for; exit code 0 where they can be used.",
     rich_markup_mode=None,
 )
 
@@ -19,8 +23,29 @@ SamplingTime = Annotated[
 Seconds = Annotated[
     float, typer.Option("--seconds", help="Length; at most 1 000 000 samples are played.")
 ]
+InputSeconds = Annotated[
+    float | None, typer.Option("--seconds", help="Length, 30 s by default; a file has its own.")
+]
 Low = Annotated[float, typer.Option("--low", help="Lower level in V.")]
 High = Annotated[float, typer.Option("--high", help="Upper level in V.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=2**53, help="Of what is random.")]
+Input = Annotated[
+    Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None,
+    typer.Option("--input", help="What to play; a telegraph by default."),
+]
+InputFile = Annotated[
+    Path | None,
+    typer.Option("--file", metavar="CSV", help="Input of your own: a row u, or t and u, a sample."),
+]
+SwitchProbability = Annotated[
+    float, typer.Option("--a", help="Probability of a switch at each sample (telegraph, prbs).")
+]
+Validation = Annotated[
+    bool, typer.Option("--validation", help="Record twice: the second with the next seed.")
+]
+Name = Annotated[
+    str, typer.Option("--name", help="Part of the recording's name, of a-z, 0-9 and -.")
+]
 Pacing = Annotated[
     Literal["scheduled", "exchange"],
     typer.Option("--pacing", help="Who makes the samples: the device's timer, or the host."),
@@ -38,18 +63,24 @@ DeadMan = Annotated[
 ]
 DEAD_MAN_S = 1.0
 """Who closes the terminal, or loses the connection, expects that the motor stops."""
+ARM_OFF = (
+    "greybox: this is for the chassis alone. Take the rotating part off (handout, figure 6) and "
+    "tell the daemon, [arm] removed = true; of an emulated rig [emulator] arm_removed = true, too"
+)
 
 
 @app.command()
 def blackbox(
-    seconds: Seconds = 30.0,
-    a: Annotated[float, typer.Option("--a", help="Probability of a switch at each sample.")] = 0.05,
+    seconds: InputSeconds = None,
+    input: Input = None,
+    file: InputFile = None,
+    a: SwitchProbability = 0.05,
     low: Low = 0.5,
     high: High = 4.5,
-    seed: Annotated[
-        int, typer.Option("--seed", min=0, max=2**53, help="Of the random switches.")
-    ] = 1,
+    seed: Seed = 1,
+    validation: Validation = False,
     Ts: SamplingTime = None,
+    name: Name = "",
     pacing: Pacing = "scheduled",
     owner: Owner = "armrig collect",
     dead_man: DeadMan = DEAD_MAN_S,
@@ -57,17 +88,35 @@ def blackbox(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play a random telegraph signal."""
-    from armrig.excitation import telegraph
+    """Play a random input, or one of your own, to the whole rig."""
+    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    collect_each(chosen("blackbox", input, file, seconds, a, low, high, seed, validation, Ts), run)
 
-    telegraph(1, a, low, high)  # a level that is not allowed is told before a rig is asked for
-    details = {"input": "telegraph", "a": a, "low": low, "high": high, "seed": seed}
-    _collect(
-        "blackbox",
-        lambda N, _: telegraph(N, a, low, high, seed),
-        *(details, seconds, Ts, pacing, owner, dead_man, rig, connect),
-        json=json,
-    )
+
+@app.command()
+def greybox(
+    seconds: InputSeconds = None,
+    input: Input = None,
+    file: InputFile = None,
+    a: SwitchProbability = 0.05,
+    low: Low = 0.5,
+    high: High = 4.5,
+    seed: Seed = 1,
+    validation: Validation = False,
+    Ts: SamplingTime = None,
+    name: Name = "",
+    pacing: Pacing = "scheduled",
+    owner: Owner = "armrig collect",
+    dead_man: DeadMan = DEAD_MAN_S,
+    rig: RigId = "1",
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Play a random input, or one of your own, to the chassis: the rotating part is taken off."""
+    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    plan = chosen("greybox", input, file, seconds, a, low, high, seed, validation, Ts)
+    tell(ARM_OFF)
+    collect_each(plan, run)
 
 
 @app.command()
@@ -77,6 +126,7 @@ def step(
     low: Low = 0.5,
     high: High = 4.5,
     Ts: SamplingTime = None,
+    name: Name = "",
     pacing: Pacing = "scheduled",
     owner: Owner = "armrig collect",
     dead_man: DeadMan = DEAD_MAN_S,
@@ -84,18 +134,91 @@ def step(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play a step from the lower to the upper level."""
+    """Play a step from the lower to the upper level: time constant, delay, gain."""
     from armrig.excitation import step as stepped
 
     stepped(1, low=low, high=high)
     _check_step_time(at, seconds)
     details = {"input": "step", "low": low, "high": high, "at": at}
-    _collect(
-        "step",
+
+    def make(N: int, Ts: float) -> Any:
         # A time just before the end may be nearest to the end, where it would be no step.
-        lambda N, Ts: stepped(N, low=low, high=high, at=min(round(at / Ts), N - 1)),
-        *(details, seconds, Ts, pacing, owner, dead_man, rig, connect),
-        json=json,
+        return stepped(N, low=low, high=high, at=min(round(at / Ts), N - 1))
+
+    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    collect_each([Played("step", make, details, seconds)], run)
+
+
+@app.command()
+def staircase(
+    seconds: Seconds = SECONDS,
+    levels: Annotated[int, typer.Option("--levels", min=2, help="How many levels.")] = 6,
+    low: Low = 0.5,
+    high: High = 4.5,
+    Ts: SamplingTime = None,
+    name: Name = "",
+    pacing: Pacing = "scheduled",
+    owner: Owner = "armrig collect",
+    dead_man: DeadMan = DEAD_MAN_S,
+    rig: RigId = "1",
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Play levels one after the other, up and down again: static gain and friction."""
+    import numpy as np
+
+    from armrig.excitation import staircase as stairs
+    from armrig.excitation import step as stepped
+
+    stepped(1, low=low, high=high)
+    up = np.linspace(low, high, levels)
+    voltages = [*up, *up[-2::-1]]
+    details = {"input": "staircase", "low": low, "high": high, "levels": levels}
+    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    collect_each(
+        [Played("staircase", lambda N, _: stairs(N, voltages, low, high), details, seconds)], run
+    )
+
+
+@app.command()
+def bla(
+    period: Annotated[float, typer.Option("--period", help="Length of a period in s.")] = 5.0,
+    periods: Annotated[int, typer.Option("--periods", min=2, help="Periods in a row.")] = 5,
+    count: Annotated[
+        int, typer.Option("--realisations", min=1, help="Recordings, each with other phases.")
+    ] = 4,
+    low: Low = 0.5,
+    high: High = 4.5,
+    seed: Seed = 1,
+    Ts: SamplingTime = None,
+    name: Name = "",
+    pacing: Pacing = "scheduled",
+    owner: Owner = "armrig collect",
+    dead_man: DeadMan = DEAD_MAN_S,
+    rig: RigId = "1",
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """Play multisines, a recording for each draw of the phases, for `armrig.bla`."""
+    from armrig.excitation.by_name import realisations
+
+    realisations(3, 1, low, high, seed, periods=1)
+    if not period > 0:  # NaN neither
+        msg = f"--period {period:g}: must be a number of seconds, more than 0"
+        raise ValueError(msg)
+    details = {"input": "multisine", "low": low, "high": high, "periods": periods}
+    details |= {"realisations": count, "seed": seed}
+
+    def make(r: int, N: int, _: float) -> Any:
+        return realisations(N - N % periods, count, low, high, seed, periods=periods)[r]
+
+    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    collect_each(
+        (
+            Played("bla", partial(make, r), details | {"realisation": r}, period * periods)
+            for r in range(count)
+        ),
+        run,
     )
 
 
@@ -108,37 +231,3 @@ def _check_step_time(at: float, seconds: float) -> None:
         msg = f"--at {at:g} s is {where} the end, {seconds:g} s; give an earlier --at or more "
         msg += "--seconds"
         raise ValueError(msg)
-
-
-def _collect(
-    experiment: str,
-    make: Any,
-    details: dict[str, Any],
-    seconds: float,
-    Ts: float | None,
-    pacing: Literal["scheduled", "exchange"],
-    owner: str,
-    dead_man: float,
-    rig: str,
-    connect: str | None,
-    *,
-    json: bool,
-) -> None:
-    from armrig.collection import Plan, collect
-
-    plan = Plan(
-        experiment=experiment,
-        make=make,
-        details=details,
-        seconds=seconds,
-        Ts=Ts,
-        pacing=pacing,
-        owner=owner,
-        dead_man=dead_man or None,
-    )
-    done = collect(plan, rig=rig, connect=connect, tell=tell)
-    if json:
-        told = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
-        print_json(told | {"rehearsal": done.rehearsal})
-    else:
-        typer.echo(str(done.path))

@@ -10,6 +10,7 @@ import typer
 
 from armrig.cli.options import (
     SAME_DATA,
+    CalibrationFile,
     File,
     Json,
     Na,
@@ -27,19 +28,22 @@ _MCAP = b"\x89MCAP0\r\n"
 
 def info(
     file: File,
+    calibration: CalibrationFile = None,
     json: Json = False,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="PNG", help="Figure of the timing to write.")
     ] = None,
 ) -> None:
     """Say what a recording holds and how well it was sampled."""
+    from armrig.calibration.staleness import calibrated, remarks
     from armrig.causes import causes, in_words
     from armrig.jitter import sampling_statistics
     from armrig.recording import load
+    from armrig.usability import data_verdict
 
     if plot is not None:
         check_output(plot, [file])
-    rec = load(file)
+    rec = load(file, calibration)
     if plot is not None:
         _plot_timing(rec, plot)
     timing = sampling_statistics(rec)
@@ -47,7 +51,9 @@ def info(
         facts = {"sha256": rec.sha256, "manifest": rec.manifest, "outcome": rec.outcome}
         facts |= {"samples": int(rec.samples.size), "missing": rec.missing, "invalid": rec.hidden}
         facts |= {"truncated": rec.truncated, "damage": rec.damage, "sampling": timing}
-        facts |= {"causes": causes(rec)}
+        facts |= {"causes": causes(rec), "calibration": rec.calibration}
+        facts |= {"remarks": remarks(rec.calibration, rec.manifest)}
+        facts |= {"verdict": data_verdict(rec).facts()}
         print_json(facts | {"gaps": rec.gaps, "events": rec.events})
         return
     manifest = rec.manifest
@@ -71,11 +77,14 @@ def info(
             else f"not known: the file {'is cut off before it' if rec.truncated else 'does not'} "
             + ("says" if rec.truncated else "say"),
         ),
+        ("calibrated", calibrated(rec.calibration)),
+        *(("remark", text) for text in remarks(rec.calibration, rec.manifest)),
         ("jitter", _microseconds(jitter, 0)),
         ("lateness", _microseconds(lateness, 1)),
         *in_words(causes(rec)),
         *(("gap", f"{g.count} samples at {g.t:.3f} s, {g.reason}") for g in rec.gaps),
         *(("damage", rec.damage) for _ in range(rec.truncated)),
+        ("verdict", data_verdict(rec).in_a_line),
     )
 
 
@@ -108,6 +117,7 @@ def report(
     nb: Nb = 4,
     nf: Nf = 4,
     nk: Nk = 1,
+    calibration: CalibrationFile = None,
     json: Json = False,
 ) -> None:
     """Typeset a report: the first recording that is no step estimates, the next validates."""
@@ -117,7 +127,7 @@ def report(
     from armrig.report import report as typeset
     from armrig.study import Orders, study
 
-    recordings = [warned(load(f)) for f in files]
+    recordings = [warned(load(f, calibration)) for f in files]
     with estimating("na, nb and nf"):
         done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
     same = done.validation.digest == done.estimation.digest

@@ -37,11 +37,15 @@ def bla(
     nonlinear distortion, as friction makes, which averaging over periods never removes. `std_*` are
     of the mean with both; with one realisation of the noise only.
 
+    Where y is missing, as in the dead band of theta_1, the mean of the other periods at the same
+    place stands in, which leaves G without a bias. With n_k of the P periods known at place k,
+    s²_r is then larger by (P - 1) / (mean of n_k - 1) times the mean of P/n_k, as for white noise.
+
     Parameters
     ----------
     data : Dataset or sequence of Dataset
-        One experiment a realisation, each with the same period and another set of phases. Periods
-        with a missing output are left out.
+        One experiment a realisation, each with the same period and another set of phases. A period
+        less than half of which is known is left out.
     period_length : int, optional
         Samples a period; by default found from u.
     transient : int, default 1
@@ -58,7 +62,7 @@ def bla(
     Raises
     ------
     ValueError
-        An input is not periodic, periods differ, or no whole period is left.
+        An input is not periodic, periods differ, or some place in the period is never seen.
 
     References
     ----------
@@ -72,14 +76,14 @@ def bla(
     P = _common_period(parts) if period_length is None else period_length
     require_integers(period_length=(P, 2))
     pairs = [_whole_periods(part, P, transient, integrates=integrates) for part in parts]
-    lit = np.all([excited(U) for U, _ in pairs], axis=0)
+    lit = np.all([excited(U) for U, _, _ in pairs], axis=0)
     lit[0] = False
     at = np.flatnonzero(lit)
     if at.size == 0:
         msg = "no line is excited in all realisations: use the same lines, with other phases"
         raise ValueError(msg)
     R = len(pairs)
-    G_r = np.array([np.mean(Y[:, at], axis=0) / U[at] for U, Y in pairs])
+    G_r = np.array([np.mean(Y[:, at], axis=0) / U[at] for U, Y, _ in pairs])
     noise = _noise_variance(pairs, at) / R
     total = np.var(G_r, axis=0, ddof=1) / R if R > 1 else noise
     omega: Vector = 2 * np.pi * at.astype(np.float64) / (P * joint.Ts)
@@ -87,7 +91,7 @@ def bla(
     G = np.mean(G_r, axis=0)
     std = np.sqrt(total / 2)
     nonlinear = np.sqrt(np.maximum(R * (total - noise), 0.0)) if R > 1 else np.full(at.size, np.nan)
-    counts = [Y.shape[0] for _, Y in pairs]
+    counts = [Y.shape[0] for _, Y, _ in pairs]
     return SpectralEstimate(
         omega=omega,
         G=G * S,
@@ -98,7 +102,7 @@ def bla(
         method=f"best linear approximation, {R} realisations of {min(counts)} … {max(counts)} "
         f"periods of {P} samples",
         integrator=integrates,
-        N=P * sum(counts),
+        N=sum(int(n_k.sum()) for _, _, n_k in pairs),
         Ts=joint.Ts,
         output=joint.output,
         unit=joint.unit,
@@ -121,29 +125,48 @@ def _common_period(parts: Sequence[Dataset]) -> int:
 
 def _whole_periods(
     part: Dataset, P: int, transient: int, *, integrates: bool
-) -> tuple[Complex, Complex]:
-    """Return U (lines,) and Y (periods, lines) of the periods in which every y is known."""
+) -> tuple[Complex, Complex, NDArray[np.intp]]:
+    """Return U (lines,), Y (periods, lines) with gaps bridged, and how often y is known (P,)."""
     treated = difference(part) if integrates else part
     periods = part.N // P
     cut = slice(transient * P, periods * P)
     y = treated.y[cut].reshape(-1, P)
-    y = y[np.isfinite(y).all(axis=1)]
+    seen = np.isfinite(y)
+    most = np.count_nonzero(seen, axis=1) >= P / 2
+    y, seen = y[most], seen[most]
     if y.shape[0] == 0:
-        msg = f"a realisation of {part.N} samples has no whole period of {P} left after "
-        msg += f"{transient} of transient and those with a missing output: record more periods"
+        msg = f"a realisation of {part.N} samples has no period of {P}, known by half, left after "
+        msg += f"{transient} of transient: record more periods"
         raise ValueError(msg)
+    n_k = np.count_nonzero(seen, axis=0)
+    if never := int(np.count_nonzero(n_k == 0)):
+        msg = f"a realisation of {part.N} samples shows {never} of the {P} places in its period in "
+        msg += f"no period after {transient} of transient: record more periods"
+        raise ValueError(msg)
+    bridged = np.where(seen, y, np.nanmean(y, axis=0))
     U = np.fft.rfft(part.u[cut][:P])
-    return U, np.asarray(np.fft.rfft(y, axis=1))
+    return U, np.asarray(np.fft.rfft(bridged, axis=1)), n_k
 
 
-def _noise_variance(pairs: Sequence[tuple[Complex, Complex]], at: NDArray[np.int_]) -> Vector:
+def _noise_variance(
+    pairs: Sequence[tuple[Complex, Complex, NDArray[np.intp]]], at: NDArray[np.int_]
+) -> Vector:
     """Return the mean over realisations of the variance of G_r that is noise, NaN if unknown."""
     variances = [
-        np.var(Y[:, at], axis=0, ddof=1) / (Y.shape[0] * np.abs(U[at]) ** 2)
-        for U, Y in pairs
+        np.var(Y[:, at], axis=0, ddof=1) * _share_of_mean(n_k, Y.shape[0]) / np.abs(U[at]) ** 2
+        for U, Y, n_k in pairs
         if Y.shape[0] > 1
     ]
     return np.mean(variances, axis=0) if variances else np.full(at.size, np.nan)
+
+
+def _share_of_mean(n_k: NDArray[np.intp], periods: int) -> float:
+    """Return the variance of the mean over that between periods: 1/periods where y is whole.
+
+    What stands in for a missing sample does not scatter.
+    """
+    free = float(np.mean(n_k)) - 1
+    return (periods - 1) / free * float(np.mean(1 / n_k)) if free > 0 else float("nan")
 
 
 def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[str]:

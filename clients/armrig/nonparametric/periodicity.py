@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
+# A PWM of 10 bits puts 1e-3 of a multisine's 125 lines on each of the lines between, 2e-3 at most.
+_ROUNDED = 5e-3
+
 
 def period(u: Vector, tolerance: float = 1e-9) -> int | None:
     """Return the least P with u(t + P) = u(t) throughout and two periods at least, else None.
@@ -27,5 +30,5 @@ def period(u: Vector, tolerance: float = 1e-9) -> int | None:
 
 
 def excited(U: NDArray[np.complex128]) -> NDArray[np.bool_]:
-    """Tell at which lines of a transform there is power beyond rounding."""
-    return np.asarray(np.abs(U) > 1e-6 * np.abs(U).max(initial=0.0))
+    """Tell at which lines of a transform there is power beyond rounding, and that of the PWM."""
+    return np.asarray(np.abs(U) > _ROUNDED * np.abs(U).max(initial=0.0))

@@ -33,6 +33,7 @@ Vector = NDArray[np.float64]
 SAMPLES_PER_PERIOD = 20  # handout 3.1.1: omega_s = 20 omega_B
 COHERENT = 0.5  # least coherence at which a frequency is believed
 LAGS = (100, 300)  # of the impulse response, the second where the first are too few
+MOST_LAGS = 500  # of the impulse response of steps
 FEWEST, MOST = 7, 10  # handout 3.1.1: samples in the transient
 NEAR_NYQUIST = 0.8  # of it: what counts as near
 ALIASING = 0.05  # share of power near Nyquist from which folding is suspected
@@ -154,7 +155,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     stepped = _is_stepped(data)
     curve = _from_steps if stepped else _from_impulse
     t, response, tau, transient = curve(data, integrates)
-    estimate = _spectrum(data, integrates=integrates, stepped=stepped)
+    estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
     first, last = _bandwidth(estimate)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
     wanted = min(Ts_step, Ts_spectrum, transient / FEWEST)
@@ -241,16 +242,21 @@ def _long_enough(data: Dataset, integrates: bool) -> ImpulseResponse:
     return response
 
 
-def _spectrum(data: Dataset, *, integrates: bool, stepped: bool) -> SpectralEstimate:
+def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:
     """Return the frequency response (the rate's, if y integrates).
 
-    By spectral analysis, but for steps: their power at low frequency leaks through any lag window.
+    By spectral analysis, but for steps, whose transient in s is known: their power at low frequency
+    leaks through any lag window.
     """
-    if not stepped:
+    if transient is None:
         estimate = spa(data, "log", integrator=integrates)
     else:
-        response = _long_enough(data, integrates)
-        omega = np.geomspace(np.pi / data.Ts / 200, np.pi / data.Ts, 200)
+        # One that is cut off before the transient is over swells at its last lags.
+        n = int(np.clip(1.2 * transient / data.Ts, LAGS[0], MOST_LAGS))
+        n = min(n, (data.N - data.missing) // 5)
+        response = impulse_response(data, n, integrator=integrates)
+        # From far below: at a high rate two decades begin in the arm's notch, which is no level.
+        omega = np.geomspace(np.pi / data.Ts / 5000, np.pi / data.Ts, 300)
         estimate = response.spectrum(omega)
     return estimate.rate() if integrates else estimate
 
@@ -262,8 +268,11 @@ def _bandwidth(estimate: SpectralEstimate) -> tuple[float, float]:
     """
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
-    sure = magnitude - 2 * np.nan_to_num(estimate.std_magnitude[known])
-    if estimate.coherence is not None:  # of many frequencies without u some are above by chance
+    # Of many frequencies that noise alone makes some are above by chance: by 2 standard deviations
+    # where the coherence says which they are, by 4 none of some hundred.
+    width = 4 if estimate.coherence is None else 2
+    sure = magnitude - width * np.nan_to_num(estimate.std_magnitude[known])
+    if estimate.coherence is not None:
         sure = np.where(estimate.coherence[known] > COHERENT, sure, -np.inf)
     level = float(np.mean(magnitude[: max(1, omega.size // 10)])) / np.sqrt(2)
     below, above = np.flatnonzero(magnitude < level), np.flatnonzero(sure > level)

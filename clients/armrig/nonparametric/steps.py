@@ -146,7 +146,12 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     half, _ = crossing_time(t, smooth / gain, 0.5)
     L, interval = dead_time(t, y / gain, half, data.Ts)
     after = t > 0
-    outside = np.abs(smooth[after] / gain - 1) > 0.05 + 2 * noise / abs(gain)
+    # Beside a hole an average of a few is as loud as they are: it does not count here.
+    whole = np.convolve(np.isfinite(y), np.ones(window), "same") >= window / 2
+    off = np.where(whole, np.abs(smooth / gain - 1), np.nan)
+    # What the settled third does is noise: of thousands of samples some are beyond any 2 of its
+    # standard deviations.
+    outside = off[after] > 0.05 + np.nanmax(off[k >= (2 * k[-1]) // 3])
     last = int(np.flatnonzero(outside)[-1]) if outside.any() else -1
     times = t[after]
     settling = float(times[min(last + 1, times.size - 1)])

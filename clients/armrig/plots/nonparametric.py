@@ -182,8 +182,11 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
     ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0)
     ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 %")
     ax.set_xlim(0, end)
+    shown = result.response[result.t <= end]
+    lowest, highest = float(np.nanmin(shown)), float(np.nanmax(shown))
+    ax.set_ylim(lowest - 0.4 * (highest - lowest), None)  # room for the legend
     _within(ax, "$t$ [s]")
-    ax.legend(loc="lower center", fontsize="small")
+    ax.legend(loc="lower left", ncols=3, handlelength=1.2, columnspacing=0.8, fontsize="small")
     s = result.spectrum
     level = float(np.mean(s.magnitude[: max(1, s.omega.size // 10)]))
     below.plot(s.omega, s.magnitude / level, color=BLUE, lw=1.1, label="$|G|$ / low-frequency gain")
@@ -197,7 +200,7 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
         below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
     below.set_xscale("log")
     below.set_yscale("log")
-    below.set_ylim(1e-4, 4)
+    below.set_ylim(1e-7, 4)  # the lower half is the legend's
     below.set_xlabel(r"$\omega$ [rad/s]")
     below.legend(loc="lower left", ncols=2, fontsize="small")
     finish(ax)

@@ -18,6 +18,7 @@ from armrig.excitation import (
     white_noise,
     within,
 )
+from armrig.excitation.by_name import NAMES, by_name, clock_of, details_of, realisations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -301,3 +302,47 @@ def test_a_file_that_must_not_be_played_is_refused_by_its_row(
 
     with pytest.raises(ValueError, match=message):
         from_csv(path, 0.01)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
+    """And made again by its details."""
+    figures = {"a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
+
+    u = by_name(name, 700, 0.01, **figures)  # type: ignore[arg-type]
+    details = details_of(name, **figures)  # type: ignore[arg-type]
+    again = by_name(details.pop("input"), 700, 0.01, **(figures | details))
+
+    assert u.shape == (700,)
+    assert 1 <= u.min() < u.max() <= 2
+    assert np.abs(u - 1.5).max() > 0.49
+    np.testing.assert_array_equal(u, again)
+
+
+def test_an_input_that_has_no_name_is_refused() -> None:
+    """With those that there are."""
+    with pytest.raises(ValueError, match=r"input 'noise': there are telegraph, prbs, white"):
+        by_name("noise", 10, 0.01, a=0.05, low=1, high=2, seed=1)
+
+
+def test_a_prbs_by_name_switches_as_often_as_a_telegraph() -> None:
+    """In ten thousand samples, within a tenth."""
+    switches = [
+        np.count_nonzero(np.diff(by_name(n, 10_000, 0.01, a=0.05, low=1, high=2, seed=1)))
+        for n in ("telegraph", "prbs")
+    ]
+
+    assert switches[1] == pytest.approx(switches[0], rel=0.1)
+    assert clock_of(0.5) == 1
+
+
+def test_realisations_have_the_same_power_at_the_same_lines_and_fit() -> None:
+    """Other phases are all that differs, so that `bla` may average."""
+    drawn = realisations(600, 3, 0.5, 4.5, 1, periods=3)
+
+    U = [np.abs(np.fft.rfft(u - 2.5)) for u in drawn]
+    for other in U[1:]:
+        np.testing.assert_allclose(other, U[0], atol=1e-9)
+    assert np.flatnonzero(U[0] > 1e-6).tolist() == [3 * l for l in range(1, 51)]  # noqa: E741
+    assert all(u.min() >= 0.5 and u.max() <= 4.5 for u in drawn)
+    assert max(np.abs(u - 2.5).max() for u in drawn) == pytest.approx(2.0)

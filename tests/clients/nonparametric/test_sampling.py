@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.dataset import Dataset
-from armrig.excitation import telegraph
+from armrig.excitation import step, telegraph
 from armrig.nonparametric.sampling import nearest_125, sampling_time
 from armrig.polynomial import filtered
 
@@ -49,6 +49,25 @@ def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
     assert found.omega_step == pytest.approx(48.0, rel=0.15)
     assert found.omega_first < 15 < 55 < found.omega_spectrum < 75
     assert "the fast part decides" in repr(found)
+
+
+def test_a_step_through_converter_and_dead_band_leads_to_the_same(
+    sampled: Callable[[float], Any],
+) -> None:
+    """At 2 ms the rate of a 10-bit angle is mostly noise: it is no band, and no late settling."""
+    resolution = np.radians(352) / 1024
+    rng = np.random.default_rng(1)
+    exact = sampled(0.002).dataset(step(5000, at=500))
+    y = np.round(exact.y / resolution + 0.5 * rng.standard_normal(exact.N)) * resolution
+    shown = np.mod(exact.y, 2 * np.pi) < np.radians(352)
+    data = exact.replaced(step=None, y=y, valid=shown)
+
+    found = sampling_time(data)
+
+    assert found.from_step
+    assert found.Ts == 0.005
+    assert found.settling < 0.5
+    assert 50 < found.omega_spectrum < 80
 
 
 def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:

@@ -1,0 +1,130 @@
+"""What `armrig collect` plays, recording by recording, and how it tells what came of each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import typer
+
+from armrig.cli.options import print_json, tell
+
+SECONDS = 30.0
+_LONGEST_NAME = 40  # what the daemon takes as a kind of experiment
+
+
+class Run(NamedTuple):
+    """What all kinds are recorded with."""
+
+    Ts: float | None
+    name: str
+    pacing: Literal["scheduled", "exchange"]
+    owner: str
+    dead_man: float
+    rig: str
+    connect: str | None
+    json: bool
+
+
+class Played(NamedTuple):
+    """One recording of a collection."""
+
+    experiment: str
+    make: Callable[[int, float], Any]
+    """N and Ts in s -> u in V."""
+    details: dict[str, Any]
+    seconds: float | None
+
+
+def chosen(
+    experiment: str,
+    input: str | None,
+    file: Path | None,
+    seconds: float | None,
+    a: float,
+    low: float,
+    high: float,
+    seed: int,
+    validation: bool,
+    Ts: float | None,
+) -> list[Played]:
+    """Return what to play; what is not allowed is told before a rig is asked for."""
+    from armrig.excitation import from_csv
+    from armrig.excitation.by_name import SEEDED, by_name, details_of
+
+    name = input or ("telegraph" if file is None else "csv")
+    if (name == "csv") != (file is not None):
+        msg = f"--input {name} with --file {file}: " if file else f"--input {name}: "
+        msg += "a file is played with --file CSV, and with no other --input than csv"
+        raise ValueError(msg)
+    if validation and name not in SEEDED:
+        msg = f"--validation: {name} would be the same again; take an input with a seed "
+        msg += f"({', '.join(SEEDED)}), or collect twice"
+        raise ValueError(msg)
+    if file is not None:
+        if seconds is not None:
+            msg = f"--seconds {seconds:g}: a file has its own length; leave it out"
+            raise ValueError(msg)
+        file.stat()
+        if Ts is not None:
+            from_csv(file, Ts)
+        details: dict[str, Any] = {"input": "csv", "file": file.name}
+        return [Played(experiment, lambda _, Ts: from_csv(file, Ts), details, None)]
+    figures = {"a": a, "low": low, "high": high}
+    by_name(name, 3, 0.01, seed=seed, **figures)
+    named = [(experiment, seed), (f"{experiment}-validation", seed + 1)][: 1 + validation]
+    return [
+        Played(
+            told,
+            lambda N, Ts, seed=seed: by_name(name, N, Ts, seed=seed, **figures),  # type: ignore[misc]
+            details_of(name, seed=seed, **figures),
+            SECONDS if seconds is None else seconds,
+        )
+        for told, seed in named
+    ]
+
+
+def _named(experiment: str, name: str) -> str:
+    """Return the kind of experiment with the name that the student gives it."""
+    whole = f"{experiment}-{name}" if name else experiment
+    if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _LONGEST_NAME:
+        most = _LONGEST_NAME - len(experiment) - 1
+        msg = f"--name {name}: at most {most} of a-z, 0-9 and - are allowed"
+        raise ValueError(msg)
+    return whole
+
+
+def collect_each(played: Iterable[Played], run: Run) -> None:
+    """Record one after the other, and tell each; data that cannot be used end it."""
+    from armrig.collection import Plan, collect
+
+    plans = [
+        Plan(
+            experiment=_named(p.experiment, run.name),
+            make=p.make,
+            details=p.details,
+            seconds=p.seconds,
+            Ts=run.Ts,
+            pacing=run.pacing,
+            owner=run.owner,
+            dead_man=run.dead_man or None,
+        )
+        for p in played
+    ]
+    for plan in plans:
+        done = collect(plan, rig=run.rig, connect=run.connect, tell=tell)
+        verdict = done.verdict
+        if run.json:
+            told = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
+            told |= {"rehearsal": done.rehearsal}
+            print_json(told | {"verdict": verdict and verdict.facts()})
+        else:
+            typer.echo(str(done.path))
+        if verdict is None:
+            tell("the recording lies where the daemon is: `armrig info` says there what it holds")
+        elif not verdict.usable:
+            raise RuntimeError(verdict.in_a_line)
+        else:
+            tell(verdict.in_a_line)

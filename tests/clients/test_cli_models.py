@@ -1,0 +1,162 @@
+"""Models from the command line: every structure, the search, models in files and their tests."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.estimation.oe import oe
+
+
+@pytest.fixture(scope="module")
+def model(three_recordings: tuple[Path, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the file of an OE model of the second recording."""
+    path = tmp_path_factory.mktemp("models") / "oe.json"
+    arguments = ["identify", str(three_recordings[1]), "--structure", "oe", "--integrator"]
+    assert main([*arguments, "--save", str(path), "--json"]) == 0
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heading", "equation"),
+    [
+        (["armax", "--nc", "2"], "ARMAX(na=4, nb=4, nc=2, nk=1)", "A(q) y(t) = B(q) u(t) + C(q)"),
+        (
+            ["bj", "--nd", "0", "--integrator"],
+            "BJ(nb=4, nc=1, nd=0, nf=4, nk=1)",
+            "y(t) = B(q)/F(q) u(t) + C(q) e(t); one root of F is 1 by construction",
+        ),
+        (["iv4", "--nk", "2"], "IV4(na=4, nb=4, nk=2)", "A(q) y(t) = B(q) u(t) + v(t)"),
+        (
+            ["n4sid", "--order", "4", "--weights", "moesp", "--integrator"],
+            "N4SID(order=4, nk=1)",
+            "C(q) e(t); one root of A is 1 by construction",
+        ),
+    ],
+    ids=lambda x: x[0] if isinstance(x, list) else "",
+)
+def test_identify_has_every_structure_with_its_equation(
+    arguments: list[str],
+    heading: str,
+    equation: str,
+    three_recordings: tuple[Path, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As the model itself says it."""
+    assert main(["identify", str(three_recordings[1]), "--structure", *arguments]) == 0
+
+    text = capsys.readouterr().out
+    assert text.startswith(f"{heading}: u [V] to theta_1 [rad]")
+    assert equation in text
+
+
+def test_a_saved_model_is_the_estimated_one(
+    three_recordings: tuple[Path, ...], model: Path
+) -> None:
+    """To the last digit."""
+    data = armrig.load(three_recordings[1]).dataset("theta_1")
+
+    fit = armrig.load_fit(model)
+
+    np.testing.assert_array_equal(
+        fit.theta, oe(data, nb=4, nf=4, integrator=True).theta, strict=True
+    )
+
+
+def test_a_recording_is_not_overwritten_by_a_model(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would be lost."""
+    path = str(three_recordings[1])
+    before = three_recordings[1].read_bytes()
+
+    assert main(["identify", path, "--structure", "arx", "--save", path]) == 1
+
+    assert "would be lost" in capsys.readouterr().err
+    assert three_recordings[1].read_bytes() == before
+
+
+def test_validate_judges_a_model_from_a_file(
+    three_recordings: tuple[Path, ...],
+    model: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Simulated, predicted so many samples ahead, and its residuals tested; in a figure too."""
+    arguments = ["validate", str(three_recordings[2]), "--model", str(model)]
+    figure = tmp_path / "v.png"
+
+    assert main([*arguments, "--horizon", "1", "--horizon", "20", "--plot", str(figure)]) == 0
+    text = capsys.readouterr().out
+    assert main([*arguments, "--horizon", "1", "--horizon", "20", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    assert [x.split()[0] for x in text.splitlines()[2:5]] == ["simulated", "1", "20"]
+    assert "no dynamics missing: p" in text
+    assert facts["rms_error"] < 0.006
+    assert [x["horizon"] for x in facts["ahead"]] == [1, 20]
+    assert facts["on_estimation_data"] is False
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_validating_on_the_estimation_data_is_told(
+    three_recordings: tuple[Path, ...], model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It flatters the model."""
+    assert main(["validate", str(three_recordings[1]), "--model", str(model)]) == 0
+
+    said = capsys.readouterr()
+    assert "the very data that they were estimated from" in said.err
+    assert "(estimation data)" in said.out
+
+
+def test_compare_takes_models_from_files_beside_its_own(
+    three_recordings: tuple[Path, ...], model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And the files' alone, where there is one recording only."""
+    one, two = (str(path) for path in three_recordings[1:])
+
+    assert main(["compare", one, two, "--model", str(model), "--json"]) == 0
+    both = json.loads(capsys.readouterr().out)["models"]
+    assert main(["compare", two, "--model", str(model), "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)["models"]
+
+    assert [m["model"] for m in both] == ["ARX", "OE", "physics", "oe"]
+    assert both[3]["rms_error"] == pytest.approx(both[1]["rms_error"], rel=1e-6)
+    assert [m["model"] for m in alone] == ["oe"]
+
+
+def test_a_search_says_what_it_chose_and_why(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The arm has four poles; one more is no better, one less is not enough."""
+    arguments = ["identify", str(three_recordings[1]), "--search", "--structure", "oe"]
+    arguments += ["--validate", str(three_recordings[2])]
+
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert main([*arguments, "--jobs", "2", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    assert "OE[4 4 1]" in next(x for x in text.splitlines() if "<- chosen" in x)
+    assert "fewer parameters are not enough: OE[3 3 1]" in text
+    assert [m["model"] for m in facts["search"]["models"] if m["chosen"]] == ["OE[4 4 1]"]
+    assert facts["orders"] == {"nb": 4, "nf": 4, "nk": 1}
+
+
+def test_a_file_that_is_no_model_is_told_in_a_line(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With what writes one."""
+    path = tmp_path / "x.json"
+    path.write_text("{}")
+
+    assert main(["validate", str(three_recordings[1]), "--model", str(path)]) == 1
+
+    assert capsys.readouterr().err == (
+        f"armrig: {path} is no model; models are written by fit.save(path)\n"
+    )

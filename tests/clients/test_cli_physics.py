@@ -1,0 +1,175 @@
+"""The commands check, greybox, split, simulate and integrate: good input, bad input, JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig.cli import main
+
+
+def facts(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
+    """Return what the command prints as JSON."""
+    assert main([*arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what the command tells a person."""
+    assert main(arguments) == 0
+    return capsys.readouterr().out
+
+
+def test_check_finds_no_feedback_and_no_delay(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In words, as JSON and as a figure."""
+    recording, figure = str(three_recordings[1]), tmp_path / "check.png"
+
+    text = said(["check", recording, "--plot", str(figure)], capsys)
+    found = facts(["check", recording], capsys)
+
+    assert found["open_loop"]["feedback"] is False
+    assert found["open_loop"]["p_value"] >= 0.05
+    assert (found["delay"]["nk"], found["delay"]["delay"]) == (1, 0)
+    assert "nothing speaks against open loop" in text
+    assert "no delay beyond the hold's own sample" in text
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_greybox_gives_the_parameters_of_the_arm(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Within three deviations of the handout's."""
+    arguments = ["greybox", str(three_recordings[1]), "--model", "arm", "--free", "J_1"]
+    arguments += ["--free", "J_2"]
+
+    text = said(arguments, capsys)
+    J = facts(arguments, capsys)["parameters"]
+
+    for name, truth in (("J_1", 1.7e-3), ("J_2", 4.8e-3)):
+        assert abs(J[name]["value"] - truth) < 3 * J[name]["std"] < 0.02 * truth
+        assert J[name]["unit"] == "kg m²"
+        assert f"{J[name]['value']:.5g}" in text
+
+
+def test_split_gives_each_part_and_the_law(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The exponent of the deviation against N is -1/2."""
+    arguments = ["split", str(three_recordings[1]), "--model", "arm", "--parts", "1,2"]
+
+    text = said(arguments, capsys)
+    found = facts(arguments, capsys)
+
+    assert [s["parts"] for s in found["splits"]] == [1, 2]
+    assert len(found["splits"][1]["values"]) == 2
+    assert found["exponent"] == pytest.approx(-0.5, abs=0.1)
+    assert "half the information" in text
+
+
+def test_simulate_holds_the_physics_against_a_recording(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A wrong spring simulates worse."""
+    recording = str(three_recordings[1])
+
+    right = facts(["simulate", recording], capsys)["models"]
+    wrong = facts(["simulate", recording, "--set", "K_lin=1.4"], capsys)["models"]
+
+    assert [m["model"] for m in right] == ["physics"]
+    assert right[0]["rms_error"] < 0.006 < wrong[0]["rms_error"]
+    assert right[0]["figures"]["antiresonance"]["value"] == pytest.approx(15.74, abs=0.02)
+
+
+def test_simulate_takes_saved_models_too(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Under the name of their file, the physics last."""
+    import armrig
+
+    data = armrig.load(three_recordings[1]).dataset()
+    armrig.oe(data, nb=4, nf=4, integrator=True).save(tmp_path / "mine.json")
+    arguments = ["simulate", str(three_recordings[2]), "--model", str(tmp_path / "mine.json")]
+
+    text = said(arguments, capsys)
+
+    assert [m["model"] for m in facts(arguments, capsys)["models"]] == ["mine", "physics"]
+    assert "anti-resonance [rad/s]" in text
+    assert "mine and physics" in text
+
+
+def test_simulate_without_a_recording_answers_a_step(capsys: pytest.CaptureFixture[str]) -> None:
+    """With the handout's figures, or those of other parameters."""
+    assert facts(["simulate"], capsys)["steady_speed"] == pytest.approx(1.8623, abs=1e-4)
+    other = facts(["simulate", "--set", "N=32"], capsys)["steady_speed"]
+    assert other == pytest.approx(2 * 1.8623, abs=2e-4)
+    assert "Initial slope 98.40" in said(["simulate"], capsys)
+
+
+def test_integrate_tells_stable_from_unstable(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A step on either side of AB(2)'s limit; the trapezoidal rule has none."""
+    figure = tmp_path / "solution.png"
+    arguments = ["integrate", "--h", "0.02", "--h", "0.04", "--method", "ab2"]
+    arguments += ["--method", "trapezoidal"]
+
+    text = said([*arguments, "--plot", str(figure)], capsys)
+    rows = facts(arguments, capsys)["rows"]
+
+    assert [row["stable"] for row in rows] == [True, False, True, True]
+    assert rows[1]["error"] > 1 > rows[0]["error"]
+    assert rows[2]["limit"] is None
+    assert text.count("UNSTABLE") == 1
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_integrate_recommends_a_step_for_each_method(capsys: pytest.CaptureFixture[str]) -> None:
+    """With the error asked for."""
+    found = facts(["integrate", "--tolerance", "0.01", "--span", "1"], capsys)
+
+    assert len(found["rows"]) == 5
+    assert all(row["stable"] and row["error"] <= 0.01 for row in found["rows"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message", "code"),
+    [
+        (["check", "F", "--level", "2"], "level=2.0 must lie between 0 and 1", 1),
+        (["check", "nothing.mcap"], "nothing.mcap: No such file", 1),
+        (["check", "F", "--plot", "F"], "one of the recordings to read", 1),
+        (["check", "F", "--plot", "a.xyz"], "a.xyz: a figure's name ends in one of", 1),
+        (["greybox", "F", "--free", "J_9"], "free='J_9' is none of J_1", 1),
+        (["greybox", "F", "--set", "J_1"], "--set J_1: give NAME=VALUE", 2),
+        (["split", "F", "--parts", "1,x"], "--parts '1,x': whole numbers", 2),
+        (["split", "F", "--parts", "0"], "parts=0 must be an integer >= 1", 1),
+        (["simulate", "--set", "J_2=-1"], "J_2=-1.0 must be finite and > 0", 1),
+        (["simulate", "--model", "m.json"], "--model needs a recording", 2),
+        (["integrate", "--method", "rk4"], "method='rk4' is none of forward_euler", 1),
+        (["integrate", "--h", "0"], "--h 0: a step is > 0", 2),
+        (["integrate", "--h", "1e-9"], "at most 2000000", 2),
+        (["integrate", "--omega", "-1"], "omega=-1.0 must be finite and > 0", 1),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else None,
+)
+def test_what_cannot_be_done_is_told_in_a_line(
+    arguments: list[str],
+    message: str,
+    code: int,
+    three_recordings: tuple[Path, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """No traceback, nothing on standard output, and the recording is as it was."""
+    recording = three_recordings[1]
+    before = recording.read_bytes()
+
+    assert main([str(recording) if x == "F" else x for x in arguments]) == code
+
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert message in told.err
+    assert told.err.count("\n") == 1
+    assert recording.read_bytes() == before

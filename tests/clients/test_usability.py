@@ -1,0 +1,220 @@
+"""What the data are good for: each fault of a recording is told, and a sound one has none."""
+
+from __future__ import annotations
+
+from math import tau
+from pathlib import Path
+from typing import Any
+
+import armrig
+import msgspec
+import numpy as np
+import pytest
+from armrig.recording import Recording, load
+from armrig.usability import DataVerdict, data_verdict
+from armrig_core.manifest import Outcome
+from armrig_core.rehearsal import Rehearsal
+from armrig_protocol.messages import Flag
+from numpy.typing import NDArray
+from recordings import POT, gap, manifest, of_the_arm, recorded, sample, written
+
+
+def judged(directory: Path, u: NDArray[np.float64], **options: Any) -> DataVerdict:
+    """Return the verdict on the arm driven by u."""
+    return data_verdict(load(written(directory, of_the_arm(u, **options))))
+
+
+def by_hand(directory: Path, messages: list[Any], **about: Any) -> Recording:
+    """Return a recording of these messages."""
+    whole = manifest(samples=len(messages), **about)
+    return load(written(directory, recorded(messages, manifest=whole)))
+
+
+def swinging(n: int, **changes: Any) -> list[Any]:
+    """Return samples of an angle that swings by a rad under an input that switches."""
+    made = []
+    for k in range(n):
+        counts = round(32768 + np.sin(tau * k / 50) / POT.rad_per_count)
+        volts = 1.0 + (k // 25) % 2
+        fields = {"theta_1_counts": counts, "theta_1_rad": POT.angle(counts)}
+        made.append(sample(k, u_cmd_v=volts, u_applied_v=volts, **fields)._replace(**changes))
+    return made
+
+
+def levels(verdict: DataVerdict) -> dict[str, str]:
+    """Return the level of each finding by what it is about."""
+    return {f.about: f.level for f in verdict.findings}
+
+
+def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
+    """And its figures are those of what was simulated: half a step of noise on the converter."""
+    found = judged(tmp_path, armrig.telegraph(3000, 0.05))
+
+    assert found.usable
+    assert found.warnings == ()
+    assert {type(x) for x in found.facts().values()} <= {bool, str, tuple, float}
+    assert "the data are good" in found.in_a_line
+    step = 64 * POT.rad_per_count
+    assert found.step_rad == step
+    # Noise of half a step, rounded to steps (a twelfth of the square); the residuals have more.
+    assert np.hypot(0.5, 12**-0.5) * step < found.noise_rad < 2 * step
+    assert found.hidden_share == pytest.approx(8 / 360 + 0.01, abs=0.005)
+    assert found.missing_share == 0
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "level"),
+    [(0.5, 4.5, "good"), (2.45, 2.55, "warning"), (2.499, 2.501, "unusable")],
+)
+def test_levels_too_near_each_other_are_too_quiet(
+    low: float, high: float, level: str, tmp_path: Path
+) -> None:
+    """The same telegraph, with ever less of it."""
+    found = judged(tmp_path, armrig.telegraph(3000, 0.05, low, high))
+
+    assert levels(found)["signal"] == level
+    assert found.usable == (level != "unusable")
+
+
+def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> None:
+    """At a constant voltage there is none, although the chassis starts and turns."""
+    found = judged(tmp_path, np.full(1000, 2.0))
+
+    assert found.signal_rad == 0
+    assert not found.usable
+    assert "the input never moves" in found.in_a_line
+
+
+def test_what_the_handout_asks_for_is_loud_enough(tmp_path: Path) -> None:
+    """White noise, a step, and a staircase."""
+    for u in (armrig.white_noise(3000), armrig.step(500, at=100), armrig.staircase(3000)):
+        assert judged(tmp_path, u).warnings == ()
+
+
+def test_missing_samples_are_told_and_many_are_warned_of(tmp_path: Path) -> None:
+    """One in a hundred may be."""
+    u = armrig.telegraph(1000, 0.05)
+
+    few = judged(tmp_path, u, missing=slice(500, 505))
+    many = judged(tmp_path, u, missing=slice(500, 515))
+
+    assert levels(few)["samples"] == "good"
+    assert levels(many)["samples"] == "warning"
+    assert many.missing_share == pytest.approx(0.015)
+    assert "15 of 1000 samples are missing" in many.in_a_line
+
+
+def test_turns_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
+    """With the time from which on: half a turn takes a quarter of a second."""
+    found = judged(tmp_path, armrig.telegraph(1000, 0.05), missing=slice(500, 540))
+
+    assert "the turns are not known from 5.4" in found.in_a_line
+
+
+def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_path: Path) -> None:
+    """At 10 rad/s, a millisecond is a hundredth of a rad."""
+    rng = np.random.default_rng(1)
+
+    def late(std_us: float) -> Recording:
+        made = swinging(400)
+        jitter = (std_us * rng.standard_normal(400)).astype(int)
+        moved = [
+            s._replace(t_device_us=s.t_device_us + int(j))
+            for s, j in zip(made, jitter, strict=True)
+        ]
+        return by_hand(tmp_path, moved)
+
+    assert levels(data_verdict(late(10)))["timing"] == "good"
+    assert levels(data_verdict(late(2000)))["timing"] == "warning"
+
+
+def test_alpha_at_a_rail_is_told_as_clipped(tmp_path: Path) -> None:
+    """It has no dead band to pass through."""
+    made = swinging(200)
+    made[10:14] = [s._replace(flags=s.flags | int(Flag.ADC1_RAIL)) for s in made[10:14]]
+
+    found = data_verdict(by_hand(tmp_path, made))
+
+    assert "alpha is clipped at a rail in 4 of 200 samples" in found.in_a_line
+    assert found.usable
+
+
+def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
+    """A wire is off, or the chassis stands in the dead band."""
+    found = data_verdict(by_hand(tmp_path, swinging(100, flags=int(Flag.ADC0_RAIL))))
+
+    assert not found.usable
+    assert "none of 100 samples shows theta_1" in repr(found)
+    assert np.isnan(found.signal_rad)
+    assert b'"usable":false' in msgspec.json.encode(found.facts())
+
+
+@pytest.mark.parametrize(("hidden", "said"), [(150, "1.5 s on end"), (0, "")])
+def test_a_chassis_that_stands_in_the_dead_band_is_warned_of(
+    hidden: int, said: str, tmp_path: Path
+) -> None:
+    """No turning chassis is hidden for so long."""
+    made = swinging(1000)
+    made[400 : 400 + hidden] = [
+        s._replace(flags=int(Flag.ADC0_RAIL)) for s in made[400 : 400 + hidden]
+    ]
+
+    found = data_verdict(by_hand(tmp_path, made))
+
+    assert levels(found)["angle"] == ("warning" if hidden else "good")
+    assert said in found.in_a_line
+
+
+def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
+    """Whatever they show."""
+    found = data_verdict(by_hand(tmp_path, swinging(19)))
+
+    assert not found.usable
+    assert "19 samples are no data" in found.in_a_line
+
+
+def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
+    """With its reason; a file that is not whole, too."""
+    ended = Outcome(outcome="stopped", samples=300, missing=0)
+    data = recorded(swinging(300), manifest=manifest(samples=600), outcome=ended)
+
+    early = data_verdict(load(written(tmp_path, data)))
+    cut = data_verdict(load(written(tmp_path, data[: len(data) - 400])))
+
+    assert "the run ended early: stopped" in early.in_a_line
+    assert "the file is not whole" in cut.in_a_line
+
+
+@pytest.mark.parametrize(
+    ("moves", "told_on", "level", "said"),
+    [
+        (True, True, "unusable", "take the rotating part off"),
+        (True, False, "warning", "see that it is"),
+        (False, True, "warning", "removed = true"),
+        (False, False, "good", "is off"),
+    ],
+)
+def test_a_greybox_recording_is_of_the_chassis_alone(
+    moves: bool, told_on: bool, level: str, said: str, tmp_path: Path
+) -> None:
+    """Alpha rests, and the daemon knows why."""
+    made = [
+        s._replace(alpha_counts=32768 + 64 * (k % 9) * moves) for k, s in enumerate(swinging(200))
+    ]
+    rehearsal = Rehearsal(revolutions=1.0, alpha_rad=0.2 * told_on, turned_rad=1.0)
+    about = {"experiment": "greybox-monday", "rehearsal": rehearsal}
+
+    found = data_verdict(by_hand(tmp_path, made, **about))
+
+    (arm,) = (f for f in found.findings if f.about == "arm")
+    assert arm.level == level
+    assert said in arm.text
+
+
+def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: Path) -> None:
+    """And one at the beginning."""
+    made = swinging(200)
+    del made[100:103]
+    found = data_verdict(by_hand(tmp_path, [gap(0, 5, 0.0), *made[5:]]))
+
+    assert found.missing_share > 0
