@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check bench simulate format clean
+.PHONY: demo test check coverage mutants bench fuzz simulate format clean
 
 demo: .venv/run
 	$(BIN)/armrig demo
@@ -17,6 +17,16 @@ check: .venv/dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Every branch of the core and of the device's state machine; what adds nothing to that is left out.
+coverage: .venv/dev
+	$(BIN)/pytest -q tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
+	  test_clockmap.py test_every_nth_call.py test_record.py emulator/test_plant.py emulator/test_pty.py)
+
+# N generated bugs in the same modules, each of which a test must see.
+N ?= 300
+mutants: .venv/dev
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation --n $(N)
+
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py
 
@@ -24,6 +34,10 @@ bench: .venv/dev
 SEEDS ?= 1000
 simulate: .venv/dev
 	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS))
+
+# 10^8 bytes of frames, 10^6 commands, 10^5 files, 1 MiB cut at every byte: half an hour.
+fuzz: .venv/dev
+	PYTHONPATH=tests $(BIN)/python -m fuzz
 
 format: .venv/dev
 	$(BIN)/ruff check --fix

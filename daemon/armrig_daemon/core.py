@@ -42,6 +42,7 @@ from armrig_daemon.stopping import end_run, stop, trip
 
 ARMED_NS = 10_000_000_000
 """How long the rig may be held armed without a command, at 0 V, in ns."""
+_NOISE = (Spoilt, Unknown)
 
 
 def start(rules: Rules) -> State:
@@ -108,7 +109,7 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
     state = replace(state, pending=pending)
     done: list[Action] = []
     for message in received:
-        if isinstance(message, Spoilt | Unknown):
+        if isinstance(message, _NOISE):
             # Noise on the line is the line's; the sample it cost is a gap of its own.
             done.append(log(now_ns, "debug", f"line: {message}"))
             continue

@@ -88,7 +88,9 @@ def seen(state: State, now_ns: int, device_state: int, *, ended: bool = False) -
 
     `ended` says that the frame tells of the end of a run, at its k_stop.
     """
-    before, state = state.device_state, replace(state, device_state=device_state)
+    before = state.device_state
+    if device_state != before:
+        state = replace(state, device_state=device_state)
     if state.asked is not None:
         reached = {
             Want.ARM: device_state == DeviceState.ARMED,

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import serial
 
-
 READ = 2048
 """Bytes taken at once: with what is sent for them they fit into one record of the pipe."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.volts import applied_code
+from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     Ack,
     Cause,
@@ -12,13 +13,15 @@ from armrig_protocol.messages import (
     HelloReply,
     Message,
     Pong,
+    Stop,
 )
 from armrig_protocol.messages import Event as DeviceEvent
 from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon import comparing, gaps, handshake, scheduling
-from armrig_daemon.asking import Step, ask, log, say_state
+from armrig_daemon.asking import Step, ask, log, say_state, send
 from armrig_daemon.conversion import converted, extended
 from armrig_daemon.faults import Fault, Id
 from armrig_daemon.state import Action, Phase, Publish, RoundTrip, State, Want
@@ -80,6 +83,9 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
     if asked is None or ack.of_seq != asked.seq or ack.code == Code.OK:
         return handshake.seen(state, now_ns, ack.state)
     if ack.code == Code.STALE:
+        if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
+            # Old frames hold it there, played again, and HELLO has to wait: STOP has not.
+            return send(state, now_ns, encode(Stop(0, state.seq)))
         return state, []  # it will be sent again, with a newer seq
     text = f"the device refuses {asked.want}: {handshake.name_of(ack.code)}"
     return handshake.failed(state, now_ns, text)
@@ -142,4 +148,10 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
 def _self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     state, done = handshake.seen(scheduling.heard(state, m.echo), now_ns, m.state)
     state, actions = scheduling.sample(state, now_ns, m)
-    return state, done + actions
+    done += actions
+    if scheduling.is_ahead(state, m.echo) and state.phase in (Phase.ARMED, Phase.ACTIVE):
+        # It has made our own frames stale, and will look like one of them once we have sent it.
+        cause = f"the device has heard frame {m.echo}, and the next of ours is {state.seq}"
+        state, actions = trip(state, now_ns, Fault(Id.STATE, cause))
+        done += actions
+    return state, done

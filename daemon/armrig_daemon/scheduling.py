@@ -98,10 +98,17 @@ def _is_filled(state: State) -> bool:
 
 def heard(state: State, echo: int) -> State:
     """Take note that the device has heard the frame `echo`: that is what proves a round trip."""
+    if is_ahead(state, echo):
+        return state
     newest = [b for b in state.beats if (echo - b.seq) & 0xFFFF < 0x8000]
     if not newest:
         return state
     return replace(state, beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
+
+
+def is_ahead(state: State, echo: int) -> bool:
+    """Return whether `echo` is of a frame that we have not sent: another's, or an old one."""
+    return (echo - state.seq) & 0xFFFF < 0x8000
 
 
 def is_stopping(state: State) -> bool:

@@ -74,8 +74,12 @@ class Trace:
     def add(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> Chunk | None:
         """Note a step; return those so far once they are enough for a chunk."""
         told = [(_NUMBERS[type(e)], _written_event(e)) for e in events]
-        sent = [a.data for a in actions if isinstance(a, Send)]
-        size = _STEP_BYTES + sum(_EVENT_BYTES + len(d) for _, d in told) + sum(map(len, sent))
+        sent = [a.data for a in actions if type(a) is Send]
+        size = _STEP_BYTES
+        for _, data in told:
+            size += _EVENT_BYTES + len(data)
+        for data in sent:
+            size += len(data)
         full = self.take() if self._steps and self._bytes + size > CHUNK else None
         if size > CHUNK:  # a flood of orders: the hole shows in the numbers
             self._number += 1

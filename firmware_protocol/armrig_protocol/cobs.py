@@ -17,7 +17,13 @@ def stuff(text: bytes) -> bytes:
     if len(text) > LONGEST:
         msg = f"{len(text)} bytes are too many to stuff: at most {LONGEST}"
         raise ValueError(msg)
-    return b"".join([bytes((len(run) + 1,)) + run for run in text.split(b"\0")])
+    stuffed = bytearray(b"\0" + text)
+    at = 0
+    for run in text.split(b"\0"):
+        code = len(run) + 1
+        stuffed[at] = code
+        at += code
+    return bytes(stuffed)
 
 
 def unstuff(stuffed: bytes) -> bytes | None:
@@ -25,10 +31,10 @@ def unstuff(stuffed: bytes) -> bytes | None:
 
     `stuffed` has no 00 in it: those end frames, and are gone before this.
     """
-    runs = []
-    at, end = 0, len(stuffed)
+    text = bytearray(stuffed)
+    at, end = 0, len(text)
     while at < end:
-        code = stuffed[at]
-        runs.append(stuffed[at + 1 : at + code])
+        code = text[at]
+        text[at] = 0
         at += code
-    return b"\0".join(runs) if at == end else None
+    return bytes(text[1:]) if at == end else None

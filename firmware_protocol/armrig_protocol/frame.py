@@ -80,4 +80,5 @@ def decode(stuffed: bytes) -> Message | Unknown | Spoilt:
     if number in ARRAYS:
         count = ARRAYS[number]
         fields = (*fields[:-count], fields[-count:])
-    return MESSAGES[number]._make(fields)
+    # As `_make`, at half its time: the layout has as many fields as the class.
+    return tuple.__new__(MESSAGES[number], fields)

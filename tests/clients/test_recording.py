@@ -374,7 +374,7 @@ def test_chunks_of_any_size_read_the_same(
 
 
 def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> None:
-    """At every byte of a small file: a prefix without holes, or one line saying what it is."""
+    """L3, at every byte of a small file: a prefix without holes, or one line saying what it is."""
     whole = recorded([sample(k) for k in range(40)], flush_every=8, chunk_size=1 << 20)
     path = tmp_path / "cut.mcap.active"
     lengths: list[int] = []

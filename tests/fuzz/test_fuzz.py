@@ -39,7 +39,7 @@ def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
 
 
 def test_a_recording_cut_at_every_byte_gives_its_beginning() -> None:
-    """Of 20 kB; the long run has 1 MiB."""
+    """L3: of 20 kB; the long run has 1 MiB."""
     assert cuts.fuzz(20_000, seed=1)["cuts"] == 20_000 - 8
 
 

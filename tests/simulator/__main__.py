@@ -34,7 +34,10 @@ def main() -> int:
     empty = done.emptiness()
     for line in empty:
         print(f"this campaign means nothing: {line}")
-    return 1 if done.violations or empty else 0
+    late = done.lateness()
+    for line in late:
+        print(f"later than told: {line}")
+    return 1 if done.violations or empty or late else 0
 
 
 def _again(seed: int, folder: Path) -> int:

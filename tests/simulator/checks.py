@@ -8,7 +8,6 @@ which of them the device may take in, and which commands the holder of the lease
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
 
 from armrig_core.telemetry import Sample
 from armrig_daemon.asking import MOST_BEATS
@@ -36,43 +35,31 @@ from armrig_protocol.messages import (
     CODE_FULL_SCALE,
     MAX_UNECHOED,
     TYPES,
+    Arm,
+    Cause,
     ClearFault,
-    Estop,
+    Config,
     Exchange,
     Hello,
-    Setpoints,
+    Start,
     Stop,
 )
+from armrig_protocol.messages import State as DeviceState
 
+from simulator.frames import Frame, may_exchange, may_fill
 from simulator.options import MS, Options
 from simulator.violation import Violation
 
-HELLO, STOP, ESTOP = TYPES[Hello], TYPES[Stop], TYPES[Estop]
-EXCHANGE, SETPOINTS, CLEAR = TYPES[Exchange], TYPES[Setpoints], TYPES[ClearFault]
-_WIRE_NS = 3 * MS
-"""What a frame takes on the wire behind others, at most: no delay of the line."""
+HELLO, STOP, CLEAR = TYPES[Hello], TYPES[Stop], TYPES[ClearFault]
+CONFIG, EXCHANGE = TYPES[Config], TYPES[Exchange]
+_LEADS = {DeviceState.ARMED: TYPES[Arm], DeviceState.RUN: TYPES[Start]}
+"""Which frame alone leads where the motor may turn."""
 FULL_SCALE_V = 5.0
+LINK_GONE, COMMANDER_GONE = "link gone", "commander gone"
 _MOST_MORE = 100
 """Records that wait in the outbox however full it is: gaps, answers, ends of runs."""
-
-
-class Frame(NamedTuple):
-    """A frame that the host sent."""
-
-    number: int
-    type: int
-    seq: int
-    t_ns: int
-    grant: int
-    """Under which lease; 0 is none."""
-    code: int
-    """Held by hand then; -1 where an experiment says it."""
-    command_ns: int
-    """When its command was given."""
-    stale: bool
-    """Sent when the round trip was too old to drive on."""
-    reset: bool
-    """A person had asked for a reset since the last trip."""
+HELD = "S2: driven on by old frames alone, the host not heard"
+PLAYED = "played again from an earlier session: "
 
 
 class Checks:
@@ -85,7 +72,8 @@ class Checks:
         """Trips by their cause, and how often each check had something to judge."""
         self.worst_ns: dict[str, int] = {}
         """Longest time to 0 V, by what was the matter."""
-        self.bits = options.pwm_bits
+        bits = options.pwm_bits
+        self._half_step = FULL_SCALE_V / (1 << bits + 1) if bits else 0.0
         self.volts = 0.0
         self.in_run = False
         self.latches = self.driving_latches = 0
@@ -101,6 +89,14 @@ class Checks:
         self.command_ns = 0
         self.last_sample_ns = 0
         self._limit = options.watchdog_ms * MS
+        ts_ns = options.ts_us * 1000
+        self._s2_ns = max(100 * MS, 5 * ts_ns) + self._limit + 2 * ts_ns
+        """Lease, the device's watchdog and 2 Ts: the longest time from a command to 0 V (S2)."""
+        self._s3_ns = self._limit * 1.0002 + MS
+        """The watchdog by an oscillator that is 200 ppm slow, and 1 ms (S3)."""
+        self._age_ns = max(50 * MS, 3 * ts_ns)
+        self._frames: dict[bytes, Frame] = {}
+        self._session = 0
         self._boot()
         self.begin_host(0)
 
@@ -108,13 +104,10 @@ class Checks:
 
     def begin_host(self, now_ns: int) -> None:
         """Forget what the process knew that is gone."""
-        self._frames: dict[bytes, Frame] = {}
-        self._by_seq: dict[int, Frame] = {}
-        self._count = 0
-        self._seq = 0
-        self.fresh_ns = now_ns
-        self.newest_ns = now_ns
-        self.must_stop = self.stop_sent = self.stale = False
+        self.link_up()
+        self.fresh_ns = self.newest_ns = self.step_ns = now_ns
+        """Of the newest frame that has come back, or come to the device; of the core's step."""
+        self.must_stop = self.stop_sent = False
         self.latched = False
         self._next_k: int | None = None
         self._latched_codes: dict[int, int] = {}
@@ -126,20 +119,11 @@ class Checks:
         self.ended_ns: int | None = None
 
     def link_up(self) -> None:
-        """Note that seq begins anew."""
+        """Note that seq begins anew: what was sent before is of an earlier session."""
         self._seq = 0
-
-    def ts_ns(self) -> int:
-        """Return the longest sampling time in force, in ns."""
-        return self.options.ts_us * 1000
-
-    def lease_ns(self) -> int:
-        """Return how long a command outlives itself (S2)."""
-        return max(100 * MS, 5 * self.ts_ns())
-
-    def s2_ns(self) -> int:
-        """Return the longest time from the last command to 0 V (S2)."""
-        return self.lease_ns() + self._limit + 2 * self.ts_ns()
+        self._session += 1
+        self._own: dict[int, int] = {}
+        """When each frame of this session was sent, by seq."""
 
     def ordered(self, now_ns: int, given_ns: int, order: Order) -> None:
         """Note an order that the core is about to take; it was put into the pipe at `given_ns`."""
@@ -161,6 +145,10 @@ class Checks:
 
     def _is_valid(self, order: Leased) -> bool:
         return self.lease is not None and order.lease == self.lease and order.n > self._n
+
+    def is_arming(self) -> bool:
+        """Return whether somebody has asked for the rig and has no answer yet."""
+        return any(isinstance(order, Take) for _, order in self._given.values())
 
     def told(self, now_ns: int, record: Record) -> None:
         """Judge what the core tells."""
@@ -218,14 +206,14 @@ class Checks:
         elif self.phase in ("init", "safe"):
             self._close(now_ns)
 
-    def begin_step(self, now_ns: int, *, is_tick: bool, driving: bool, scheduled: bool) -> None:
+    def begin_tick(self, now_ns: int, *, driving: bool, scheduled: bool) -> None:
         """Judge the round trip before the core does (S4)."""
-        age_ns = self._limit if scheduled else max(50 * MS, 3 * self.ts_ns())
-        self.stale = now_ns - self.fresh_ns > age_ns
-        self.must_stop = is_tick and self.stale and driving
+        self.step_ns = now_ns
+        age_ns = self._limit if scheduled else self._age_ns
+        self.must_stop = driving and now_ns - self.fresh_ns > age_ns
         self.stop_sent = False
 
-    def end_step(self, now_ns: int) -> None:
+    def end_tick(self, now_ns: int) -> None:
         """Judge what the core did at a stale tick (S4)."""
         if self.must_stop:
             self.seen["S4"] += 1
@@ -239,21 +227,32 @@ class Checks:
         kind = text[1] if text[0] > 1 else 0
         if kind == STOP:
             self.stop_sent = True
-        live = self.grant if self.lease is not None else 0
-        frame = Frame(
-            self._count,
+        self._frames[text] = Frame(
             kind,
             self._seq,
             now_ns,
-            live,
+            self._session,
+            self.grant if self.lease is not None else 0,
             self.code if self.run is None else -1,
             self.command_ns,
-            self.stale,
+            self.step_ns - self.fresh_ns > self._age_ns,
             not self.latched,
+            text,
         )
-        self._frames[text] = self._by_seq[self._seq] = frame
-        self._count += 1
+        self._own[self._seq] = now_ns
+        if self._seq == self._old_echo:
+            self._old_looks_ours(now_ns)
         self._seq = (self._seq + 1) & 0xFFFF
+
+    def _old_looks_ours(self, sent_ns: int) -> None:
+        """Let an old frame's echo count: the host has sent one with its seq, and cannot know.
+
+        In a scheduled run only: an EXCHANGE is known by its k, too.
+        """
+        if self.run is None or not self.run.scheduled:
+            return
+        self.seen[f"{PLAYED}echo not to be told from the host's own"] += 1
+        self.newest_ns = max(self.newest_ns, sent_ns)
 
     def came_back(self, heard_ns: int) -> None:
         """Note an answer that came whole, made when the device had heard what was sent then."""
@@ -293,11 +292,18 @@ class Checks:
     # -- the device ------------------------------------------------------------------------------
 
     def _boot(self) -> None:
-        self._taken: Frame | None = None
-        self._newest = -1
+        self._taken: dict[int, Frame] = {}
+        """What it has taken in, by seq."""
+        self._newest = self._k = self._old_echo = -1
+        self._u = 0
         self._part = b""
         self.fed_ns = 0
-        self.late_ns = 0
+        """When a frame was taken in, whosever."""
+        self._old_ns = -self._limit
+        """When one of an earlier session was."""
+        self._heard_ns = 0
+        """When one of this session came, taken in or not."""
+        self._configured_ns = 0
 
     def booted(self) -> None:
         """Note a reset of the device."""
@@ -314,62 +320,118 @@ class Checks:
         frame = self._frames.get(piece)
         if frame is None:
             return None
-        ahead = (frame.seq - self._newest) & 0xFFFF
-        fresh = self._newest < 0 or 1 <= ahead < 0x8000
+        ours = frame.session == self._session
+        if ours:
+            self._heard_ns = t_ns
+        fresh = self._newest < 0 or 1 <= (frame.seq - self._newest) & 0xFFFF < 0x8000
         if fresh or (frame.type == HELLO and not bound):
-            self._newest, self._taken = frame.seq, frame
+            self._newest = frame.seq
+            self._taken[frame.seq] = frame
             self.fed_ns = t_ns
-            # Later than its watchdog nothing finds the device driving: that is no delay.
-            self.late_ns = min(max(0, t_ns - frame.t_ns - _WIRE_NS), self._limit + 50 * MS)
-            self.newest_ns = max(self.newest_ns, frame.t_ns)
+            if frame.type == CONFIG and not bound:
+                self._configured_ns = t_ns
+            elif frame.type == HELLO and not bound:
+                self._k = -1  # the next may be any
+            self._old_echo = -1
+            if ours:
+                self.newest_ns = max(self.newest_ns, frame.t_ns)
+            else:
+                self._old_ns, self._old_echo = t_ns, frame.seq
+                if frame.seq in self._own:
+                    self._old_looks_ours(self._own[frame.seq])
+                self.seen[f"{PLAYED}taken in"] += 1
         return frame
 
     def changed(self, t_ns: int, before: int, after: int, frame: Frame | None) -> None:
-        """Judge a transition of the device that a frame made (S6)."""
+        """Judge a transition of the device that a frame made (S6).
+
+        What is played again arms and starts nothing: that takes a frame of this session, sent
+        after the configuration in force had come (PROTOCOL.md, section 7).
+        """
         left = before in (6, 7) and after not in (6, 7)
         if left and (frame is None or frame.type != CLEAR or not frame.reset):
             raise Violation("S6", t_ns, "the device left its fault without a reset")
-        if after == 5 and self.volts > 0:
-            raise Violation("S6", t_ns, f"RUN begins with {self.volts:.3f} V")
+        leads = _LEADS.get(DeviceState(after))
+        if leads is not None:
+            if frame is None or frame.type != leads or frame.session != self._session:
+                raise Violation("S6", t_ns, f"in state {after} by a frame that was played again")
+            if frame.t_ns < self._configured_ns:
+                raise Violation("S6", t_ns, f"in state {after} by a frame from before its CONFIG")
+        if after == DeviceState.RUN:
+            self._u = 0
+            if self.volts > 0:
+                raise Violation("S6", t_ns, f"RUN begins with {self.volts:.3f} V")
 
     def zero_in_time(self, t_ns: int) -> None:
         """Judge how long the motor has been driven without host and without command (S2, S3)."""
         if not self.volts:
             return
         silent_ns = t_ns - self.fed_ns
-        if silent_ns > self._limit * 1.0002 + MS:
+        if silent_ns > self._s3_ns:
             raise Violation("S3", t_ns, f"no valid frame for {silent_ns / MS:.1f} ms")
-        since = t_ns - self.command_ns - self.late_ns
-        if since > self.s2_ns() and self.run is None:
+        if self.run is None and self._is_over(t_ns, self.command_ns):
+            since = t_ns - self.command_ns
             raise Violation("S2", t_ns, f"the last command was given {since / MS:.1f} ms ago")
-        if self.ended_ns is not None and t_ns - self.ended_ns - self.late_ns > self.s2_ns():
+        if self.ended_ns is not None and self._is_over(t_ns, self.ended_ns):
             raise Violation("S2", t_ns, "driven on long after a stop")
+
+    def _is_over(self, t_ns: int, since_ns: int) -> bool:
+        """Return whether what was said at `since_ns` may drive no more: the time of S2 and S5.
+
+        It has no allowance for a delay of the line, though a device cannot know a frame's age: a
+        line that falls behind at once lets the watchdog bite, which is in the time, and with one
+        that falls behind slowly the host sees the age, and its STOP is on the way in time.
+        One thing is left out, and counted: where nothing of the host comes through for a whole
+        watchdog, old frames that are played again hold RUN (PROTOCOL.md, section 7).
+        """
+        if t_ns - since_ns <= self._s2_ns:
+            return False
+        if t_ns - self._old_ns <= self._s3_ns and t_ns - self._heard_ns > self._limit:
+            self.seen[HELD] += 1
+            return False
+        return True
 
     def latch(self, t_ns: int, code: int, k: int, seq: int, *, scheduled: bool) -> None:
         """Judge a code that is about to drive the motor (S5)."""
         self.latches += 1
         self.zero_in_time(t_ns)
-        if not code:
-            return
-        self.driving_latches += 1
-        if scheduled:
-            self._scheduled(t_ns, code, k)
-        else:
-            self._exchanged(t_ns, code, k, seq)
+        if code:
+            self.driving_latches += 1
+            if scheduled:
+                self._scheduled(t_ns, code, k, seq)
+            else:
+                self._exchanged(t_ns, code, k, seq)
+        if k >= 0 and not scheduled:
+            self._k, self._u = k, code
 
-    def _scheduled(self, t_ns: int, code: int, k: int) -> None:
+    def _scheduled(self, t_ns: int, code: int, k: int, seq: int) -> None:
         run = self.offered or self.run
-        if run is None or not run.scheduled or 2 * k >= len(run.codes):
-            raise Violation("S5", t_ns, f"code {code} at sample {k}, which no experiment has")
-        wanted = run.codes[2 * k] | run.codes[2 * k + 1] << 8
-        if code != wanted:
+        wanted = -1
+        if run is not None and run.scheduled and 2 * k < len(run.codes):
+            wanted = run.codes[2 * k] | run.codes[2 * k + 1] << 8
+        if code == wanted:
+            self.command_ns = t_ns
+            return
+        frame = self._taken.get(seq)
+        if frame is None or frame.session == self._session:
             raise Violation("S5", t_ns, f"code {code} at sample {k}, where u[k] is {wanted}")
-        self.command_ns = t_ns
+        error = may_fill(frame, code, k)
+        if error:
+            raise Violation("S5", t_ns, f"code {code} at sample {k}, played again: {error}")
+        self.seen[f"{PLAYED}SETPOINTS latched"] += 1
 
     def _exchanged(self, t_ns: int, code: int, k: int, seq: int) -> None:
-        frame = self._by_seq.get(seq)
+        frame = self._taken.get(seq)
         if frame is None:
             raise Violation("S5", t_ns, f"code {code} from a frame that nobody sent (seq {seq})")
+        if frame.session != self._session:
+            slew = self.options.slew
+            last_k, last_code = self._k, self._u
+            error = may_exchange(frame, code, k, last_k=last_k, last_code=last_code, slew=slew)
+            if error:
+                raise Violation("S5", t_ns, f"code {code} at k={k}, played again: {error}")
+            self.seen[f"{PLAYED}EXCHANGE latched"] += 1
+            return
         if frame.grant != self.grant or not frame.grant:
             raise Violation("S6", t_ns, f"code {code}, sent when nobody held the rig")
         if frame.stale:
@@ -383,15 +445,14 @@ class Checks:
             self.command_ns = frame.t_ns
         if code != wanted:
             raise Violation("S5", t_ns, f"code {code} at k={k}, where {wanted} was commanded")
-        age_ns = t_ns - frame.command_ns - self.late_ns
-        if frame.code >= 0 and age_ns > self.s2_ns():
-            raise Violation("S5", t_ns, f"code {code} of a command {age_ns / MS:.0f} ms ago")
+        if frame.code >= 0 and self._is_over(t_ns, frame.command_ns):
+            age_ms = (t_ns - frame.command_ns) / MS
+            raise Violation("S5", t_ns, f"code {code} of a command {age_ms:.0f} ms ago")
 
     def latch_done(self, t_ns: int, asked: int, k: int, got: int, *, scheduled: bool) -> None:
         """Judge what the motor really got for a code, and remember it (S5)."""
-        half_step = FULL_SCALE_V / (1 << self.bits + 1) if self.bits else 0.0
         wanted = FULL_SCALE_V * asked / CODE_FULL_SCALE
-        if abs(self.volts - wanted) > half_step + 1e-9:
+        if abs(self.volts - wanted) > self._half_step + 1e-9:
             raise Violation("S5", t_ns, f"{self.volts} V for code {asked}, which is {wanted} V")
         codes = self._latched_codes
         codes[self.k_first + k if scheduled else k] = got
@@ -402,8 +463,7 @@ class Checks:
     def gets(self, t_ns: int, volts: float, state: int, cause: int) -> None:
         """Judge what the motor has from now on (S1), and whether it came to 0 V in time."""
         top = FULL_SCALE_V * self.options.u_max / CODE_FULL_SCALE
-        half_step = FULL_SCALE_V / (1 << self.bits + 1) if self.bits else 0.0
-        if not 0.0 <= volts <= min(FULL_SCALE_V, top + half_step + 1e-9):
+        if not 0.0 <= volts <= min(FULL_SCALE_V, top + self._half_step + 1e-9):
             raise Violation("S1", t_ns, f"{volts} V at the motor")
         if volts and state != 5:
             raise Violation("S1", t_ns, f"{volts} V in state {state}")
@@ -414,15 +474,17 @@ class Checks:
         self.volts = volts
 
     def _stopped(self, t_ns: int, cause: int) -> None:
-        if cause == 4:
-            self._worst("link gone", t_ns - self.fed_ns)
+        if cause == Cause.WATCHDOG:
+            self._worst(LINK_GONE, t_ns - self.fed_ns)
         if self.reason.startswith("the lease") and self.run is None:
-            self._worst("commander gone", t_ns - self.command_ns)
+            self._worst(COMMANDER_GONE, t_ns - self.command_ns)
         elif self.ended_ns is not None:
             self._worst("stop or trip", t_ns - self.ended_ns)
 
     def _worst(self, kind: str, ns: int) -> None:
-        self.seen[f"to 0 V: {kind}"] += 1
+        options = self.options
+        kind = f"watchdog {options.watchdog_ms} ms, Ts {options.ts_us // 1000} ms: {kind}"
+        self.seen[f"to 0 V, {kind}"] += 1
         self.worst_ns[kind] = max(self.worst_ns.get(kind, 0), ns)
 
 

@@ -31,7 +31,7 @@ class Line:
         self._last_ns = 0
         self._kept: deque[bytes] = deque(maxlen=_MOST_KEPT)
         self.controls: dict[int, bytes] = {}
-        """The newest frame of each type since the link came up."""
+        """The newest frame of each type."""
         self.cut_until_ns = 0
         """Nothing gets through before this."""
 
@@ -50,14 +50,9 @@ class Line:
         return self._spoil(t_ns, data)
 
     def played_again(self) -> list[bytes]:
-        """Return what would lead a device that knows no boot to RUN, and what was sent last."""
+        """Return what would lead a device without nonces to RUN, and what was sent last."""
         ways = [HELLO, CONFIG, ARM, START]
         return [self.controls[w] for w in ways if w in self.controls] + list(self._kept)[-80:]
-
-    def forget(self) -> None:
-        """Forget what could be played again."""
-        self._kept.clear()
-        self.controls.clear()
 
     def _retune(self, t_ns: int) -> None:
         self._edges = [t for t in self._edges if t > t_ns]

@@ -22,6 +22,7 @@ ELSEWHERE: Final = (
     "late",
     "kill",
     "played_again",
+    "old_frames",
     "service_gone",
     "reset",
     "unplug",
@@ -36,6 +37,23 @@ ELSEWHERE: Final = (
 )
 KINDS: Final = (*(f"{kind} {way}" for way in WAYS for kind in LINE), *ELSEWHERE)
 """Every fault, each way of the line by itself."""
+
+
+_WEIGHTS: Final = {
+    "full_pipe": 0.5,  # the pipe's real reader costs time
+    # Each strikes once in its episode, or not at all where the process is gone.
+    "service_gone": 2.5,
+    "old_frames": 2.0,
+    "pause": 1.6,
+    "kill": 1.4,
+    "played_again": 1.4,
+    "unplug": 1.4,
+    "hang": 1.4,
+    "reset": 1.2,
+    "pause_in_write": 1.2,
+    "slow_service": 2.0,
+}
+"""How much more often than others a fault is drawn."""
 
 
 class Episode(NamedTuple):
@@ -106,7 +124,7 @@ def draw(seed: int, *, only: Sequence[str] = KINDS) -> Options:
     rng = Random(seed)
     ts_us = rng.choice([5_000] * 7 + [2_000, 10_000, 20_000])
     narrow = rng.random() < 0.3
-    episodes = [_episode(rng, only) for _ in range(rng.randint(3, 7))]
+    episodes = [_episode(rng, only) for _ in range(rng.randint(3, 8))]
     lines = [kind for kind in only if " " in kind]
     if lines and rng.random() < 0.4:
         kind = rng.choice(lines)
@@ -121,10 +139,10 @@ def draw(seed: int, *, only: Sequence[str] = KINDS) -> Options:
         u_min=rng.randint(0, 6_000) if narrow else 0,
         u_max=rng.randint(50_000, 65_535) if narrow else 65_535,
         slew=rng.choice([0, 0, 0, 15_000, 40_000]),
-        turns=rng.choice([0, 0, 0, 300, 1_500]),
+        turns=rng.choice([0, 0, 200, 300, 1_500]),
         rail_ticks=rng.choice([0, 0, 0, 8, 60]),
         stop_after=rng.choice([0, 0, 3]),
-        service_ns=rng.choice([0, 0, 400 * MS]),
+        service_ns=rng.choice([0, 400 * MS]),
         boot_ms=rng.choice([0.0, 5.0, 50.0]),
         pwm_bits=rng.choice([10, 10, 10, 8, 16, 0]),
         adc_noise_v=rng.choice([0.0, 0.0, 0.0, 0.0025]),
@@ -140,9 +158,11 @@ def draw(seed: int, *, only: Sequence[str] = KINDS) -> Options:
 
 
 def _episode(rng: Random, only: Sequence[str]) -> Episode:
-    # The pipe's real reader costs time: half as often.
-    weights = [0.5 if kind == "full_pipe" else 1.0 for kind in only]
+    weights = [_WEIGHTS.get(kind, 1.0) for kind in only]
     kind = rng.choices(only, weights)[0]
     t_ns = round(rng.uniform(_FIRST_NS, CLEAR_NS - 700 * MS))
-    for_ns = round(5 * MS * 120 ** rng.random())  # 5 to 600 ms, as many short as long ones
+    share = rng.random()
+    for_ns = round(5 * MS * 120**share)  # 5 to 600 ms, as many short as long ones
+    if kind == "slow_service":
+        for_ns = round(600 * MS * share)  # only a long one is a frozen one
     return Episode(kind, t_ns, for_ns, rng.random())

@@ -73,24 +73,29 @@ class WatchedLoop(Loop):
         self._rig = rig
 
     def _step(self, now_ns: int, events: list[Event]) -> None:
-        rig, state = self._rig, self.state
-        checks = rig.checks
-        is_tick = type(events[0]) is Tick
-        driving = state.phase is Phase.ACTIVE or state.phase is Phase.ARMED
-        checks.begin_step(
-            now_ns,
-            is_tick=is_tick,
-            driving=driving and state.link_up and state.device is not None,
-            scheduled=state.scheduled and state.device_state == DeviceState.RUN,
-        )
+        if type(events[0]) is Tick:
+            self._judged(now_ns, events)
+            return
+        self._rig.checks.step_ns = now_ns
         # One by one, as the core takes them: an order is judged by what was in force then.
         for event in events:
             if type(event) is Ordered:
-                rig.delivered(now_ns, event.order)
+                self._rig.delivered(now_ns, event.order)
             elif type(event) is LinkUp:
-                checks.link_up()
+                self._rig.checks.link_up()
             super()._step(now_ns, [event])
-        checks.end_step(now_ns)
+
+    def _judged(self, now_ns: int, ticks: list[Event]) -> None:
+        """Do a tick, with a look at the round trip before it and at what is kept after it."""
+        state, checks = self.state, self._rig.checks
+        driving = state.phase is Phase.ACTIVE or state.phase is Phase.ARMED
+        checks.begin_tick(
+            now_ns,
+            driving=driving and state.link_up and state.device is not None,
+            scheduled=state.scheduled and state.device_state == DeviceState.RUN,
+        )
+        super()._step(now_ns, ticks)
+        checks.end_tick(now_ns)
         checks.bounded(now_ns, self.state, self._outbox.waiting)
 
 
@@ -321,7 +326,6 @@ class Rig:
             self.device.reset(self.now)
         self._inbox.clear()
         self._orders.clear()
-        self._begin_session()
         self.checks.begin_host(self.now)
         self.commander.forget()
         self.loop = WatchedLoop(self._rules, self)
@@ -372,15 +376,6 @@ class Rig:
             elif " " not in e.kind:
                 self.at(e.t_ns, getattr(self, f"_{e.kind}"), e)
 
-    def _begin_session(self) -> None:
-        """Forget the frames that may be played again.
-
-        The wire has no nonce of a session: a device that was reset takes a frame of an earlier one
-        for new where its seq is ahead. A cable plays nothing again across that; it is not tried.
-        """
-        self._to_device.forget()
-        self._from_device.forget()
-
     def _told(self, kind: str, e: Episode) -> None:
         self.faults[kind] += 1
         if self.story:
@@ -396,17 +391,32 @@ class Rig:
         raise Killed
 
     def _played_again(self, e: Episode) -> None:
-        """End the process, reset the device, and send what would lead it to where it was."""
+        """End the process, and send what would lead the device to where it was, reset or not."""
         if self.loop is None:
             return
         self._told("played_again", e)
         frames = self._to_device.played_again()
-        self.device.reset(self.now)
-        t_ns = self.now + round(self.options.boot_ms * MS) + 2 * MS
+        t_ns = self.now + 2 * MS
+        if e.size < 0.5:
+            self.device.reset(self.now)
+            t_ns += round(self.options.boot_ms * MS)
         for frame in frames:
             t_ns += MS
             self.at(t_ns, self._arrive, frame)
         self.at(t_ns + e.for_ns, self._start)
+        self.loop = None
+        raise Killed
+
+    def _old_frames(self, e: Episode) -> None:
+        """End the process, and play what it sent into the session of the next one."""
+        if self.loop is None:
+            return
+        self._told("old_frames", e)
+        self.at(self.now + 10 * MS, self._start)
+        t_ns = self.now + round(MS * (150 + 250 * e.size))
+        for frame in self._to_device.played_again():
+            t_ns += 3 * MS
+            self.at(t_ns, self._arrive, frame)
         self.loop = None
         raise Killed
 
@@ -437,7 +447,6 @@ class Rig:
 
     def _plug(self, e: Episode) -> None:
         self._unplugged = False
-        self._begin_session()
         if e.size < 0.5:
             self.device.reset(self.now)
         if self.loop is not None:
@@ -502,8 +511,19 @@ class Rig:
         age_ns = self.now - checks.last_sample_ns
         if age_ns > recent_ns:
             raise Violation("T1", self.now, f"the last sample is {age_ns / MS:.0f} ms old")
-        if not options.goes_on and checks.volts and checks.run is None:
+        if checks.phase == "init":
+            raise Violation("T1", self.now, "the device is not known again")
+        if not options.goes_on and checks.run is None and checks.volts:
             raise Violation("T1", self.now, f"{checks.volts:.2f} V, and nobody commands")
+        # Disarmed, but for who has armed since the last stop and trip.
+        if checks.lease is not None or checks.is_arming():
+            return
+        checks.seen["T1: disarmed"] += 1
+        if checks.phase not in ("safe", "fault"):
+            raise Violation("T1", self.now, f"{checks.phase}, and nobody holds the rig")
+        if self.device.state in (DeviceState.ARMED, DeviceState.RUN):
+            text = f"the device is in {self.device.state.name}, and nobody holds the rig"
+            raise Violation("T1", self.now, text)
 
 
 def _rules(options: Options) -> Rules:

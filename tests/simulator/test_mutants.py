@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from simulator.mutants import MUTANTS, Mutant, planted
+from simulator.mutants import DESIGN, MUTANTS, Mutant, planted
 from simulator.options import draw
 from simulator.rig import simulate
 
@@ -45,3 +45,22 @@ def test_a_bug_behind_another_guard_is_masked_by_it(mutant: Mutant) -> None:
         broken = {_broken(mutant, seed) for seed in range(mutant.first, mutant.first + 2)}
 
     assert not broken & mutant.breaks
+
+
+def test_the_bugs_of_the_design_come_first() -> None:
+    """All thirteen, in its order: none is dropped without being seen to be."""
+    assert [m.name for m in MUTANTS[:DESIGN]] == [
+        "freshness by the time of arrival",
+        "no boot nonce",
+        "no CRC",
+        "what is no code is let through (NaN, an integer beyond u16)",
+        "no lease",
+        "any owner",
+        "no staleness",
+        "no firmware timeout",
+        "replay of a frame accepted",
+        "silent gap",
+        "wrong scale in the host",
+        "no pause detection",
+        "no firmware clamp",
+    ]

@@ -14,7 +14,7 @@ from simulator import campaign, story
 from simulator.options import KINDS, draw
 from simulator.rig import simulate
 
-SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "60"))
+SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "800"))
 _HASH = "from simulator.options import draw; from simulator.rig import simulate\n"
 
 
@@ -24,6 +24,7 @@ def test_every_invariant_holds_under_faults() -> None:
 
     assert not done.violations, [f"make simulate SEED={v[0]}: {v[1:]}" for v in done.violations]
     assert not done.emptiness()
+    assert not done.lateness()
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
@@ -66,6 +67,25 @@ def test_a_campaign_in_which_little_happens_says_so() -> None:
     done = campaign.run(range(2), only=("stuck",), workers=0)
 
     assert any("loss to_device struck 0 times" in line for line in done.emptiness())
+
+
+def test_a_campaign_needs_each_cause_of_a_trip() -> None:
+    """A thousand schedules that never tripped by one of them say so; so do times never seen."""
+    done = campaign.Campaign(schedules=1000, ticks=1, driving=1)
+
+    said = done.emptiness()
+
+    assert all(any(cause in line for line in said) for cause in campaign.TRIPS)
+    assert all(any(kind in line for line in said) for kind in campaign.BOUNDS_NS)
+
+
+def test_a_longer_time_to_0_v_than_is_told_is_said() -> None:
+    """210 ms after the commander is gone, 110 ms after the link is, at 100 ms and Ts 5 ms."""
+    worst = {kind: (ns, 7) for kind, ns in campaign.BOUNDS_NS.items()}
+    assert not campaign.Campaign(worst=worst).lateness()
+
+    later = {kind: (ns + 1, 7) for kind, (ns, _) in worst.items()}
+    assert len(campaign.Campaign(worst=later).lateness()) == len(worst)
 
 
 @pytest.mark.parametrize("kind", KINDS)

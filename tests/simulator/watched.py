@@ -54,6 +54,8 @@ class Watched(Device):
             return
         scheduled = fw.timer is not None
         k, seq = (orders[0].k, orders[0].seq) if orders else (-1, -1)
+        if scheduled:
+            seq = fw.u_seq  # of the SETPOINTS that brought what is latched now
         checks.latch(now_ns, code, k, seq, scheduled=scheduled)
         self._really_latch(now_ns, code, cause)
         if code:

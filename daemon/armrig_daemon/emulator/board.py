@@ -109,6 +109,8 @@ class Board:
 
     def motion(self, now_ns: int) -> plant.State:
         """Return where the arm is now, and how fast."""
+        if now_ns == self._now_ns:
+            return self._x  # as at each latch: theta_1 was held at the same instant
         self._x = plant.advance(self._plant, self._x, self._volts, now_ns - self._now_ns)
         self._now_ns = now_ns
         return self._x

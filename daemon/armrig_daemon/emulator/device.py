@@ -58,6 +58,7 @@ class Device:
             pwm_bits=settings.pwm_bits or CODE_BITS,
         )
         self._boot_id = 0
+        self._next_ns = now_ns
         self._begin(now_ns, POWER_ON_FLAGS)
 
     @property
@@ -83,6 +84,7 @@ class Device:
     def receive(self, now_ns: int, data: bytes) -> None:
         """Put bytes on the wire to the device; they arrive one after the other from `now_ns` on."""
         self._rx.put(now_ns, data)
+        self._next_ns = min(self._next_ns, self._rx.first_ns)
 
     def rx_backlog_ns(self, now_ns: int) -> int:
         """Return how long the bytes given so far still occupy the wire to the device."""
@@ -90,14 +92,7 @@ class Device:
 
     def next_ns(self) -> int:
         """Return when something can happen next: call `advance` then."""
-        return min(
-            self._rx.first_ns,
-            self._booted_ns,
-            self._converter.due_ns,
-            self._fw.watchdog_ns,
-            self._fw.timer_ns,
-            self._status_ns,
-        )
+        return self._next_ns
 
     def visible_ns(self) -> int:
         """Return a time before which no byte can leave and the watchdog cannot bite.
@@ -127,8 +122,8 @@ class Device:
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Do what is due until `now_ns`; return frames, each with its last byte's departure."""
-        while (t_ns := self.next_ns()) <= now_ns:
-            self._step(t_ns)
+        while self._next_ns <= now_ns:
+            self._step(self._next_ns)
         return self._tx.take()
 
     def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
@@ -137,9 +132,11 @@ class Device:
         Who has it called again, with all that happens to the device in between, gets the frames
         that `advance` gives, and none of the calls between them.
         """
+        if self._next_ns > now_ns:  # as it is most times that it is asked
+            return []
         tx = self._tx
-        while (t_ns := self.next_ns()) <= now_ns:
-            self._step(t_ns)
+        while self._next_ns <= now_ns:
+            self._step(self._next_ns)
             if tx.waits:
                 return tx.take()
         return []
@@ -162,9 +159,27 @@ class Device:
         self._converter = Converter(self._fw)
         self._booted_ns = self._fw.clock.after(now_ns, self._boot_ns)
         self._status_ns = self._fw.clock.after(now_ns, max(STATUS_NS, self._boot_ns + 1))
+        self._look_ahead()
+
+    def _look_ahead(self) -> None:
+        """Find out when something is due; kept, because it is asked far more often."""
+        fw = self._fw
+        self._next_ns = min(
+            self._rx.first_ns,
+            self._converter.due_ns,
+            fw.watchdog_ns,
+            fw.timer_ns,
+            self._status_ns,
+            self._booted_ns,
+        )
 
     def _step(self, t_ns: int) -> None:
-        """Do one thing that is due at `t_ns`; bytes come first, so that a STOP beats a latch."""
+        """Do one thing that is due at `t_ns`, and look ahead to the next."""
+        self._do(t_ns)
+        self._look_ahead()
+
+    def _do(self, t_ns: int) -> None:
+        """Do one thing that is due; bytes come first, so that a STOP beats a latch."""
         fw = self._fw
         if self._rx.first_ns == t_ns:
             self._arrive(t_ns)

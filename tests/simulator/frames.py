@@ -1,0 +1,55 @@
+"""Frames of the host as the checks know them, and what may come of one that is played again."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from armrig_protocol.frame import decode
+from armrig_protocol.messages import Exchange, Setpoints
+
+
+class Frame(NamedTuple):
+    """A frame that the host sent."""
+
+    type: int
+    seq: int
+    t_ns: int
+    session: int
+    """Counted at each start of the host and each coming of the link: there seq begins anew."""
+    grant: int
+    """Under which lease; 0 is none."""
+    code: int
+    """Held by hand then; -1 where an experiment says it."""
+    command_ns: int
+    """When its command was given."""
+    stale: bool
+    """Sent when the round trip was too old to drive on."""
+    reset: bool
+    """A person had asked for a reset since the last trip."""
+    data: bytes
+
+
+def may_exchange(frame: Frame, code: int, k: int, *, last_k: int, last_code: int, slew: int) -> str:
+    """Return why an EXCHANGE that is played again may not be latched, or nothing.
+
+    PROTOCOL.md, section 7: in RUN it is, where its k is ahead, in range and within `slew`. Here its
+    code must have been a command in its own time, too.
+    """
+    m = decode(frame.data[:-1])
+    if not isinstance(m, Exchange) or (m.u, m.k) != (code, k):
+        return "it says something else"
+    if not frame.grant or frame.stale:
+        return "it was no command when it was sent"
+    if last_k >= 0 and not 1 <= (k - last_k) & 0xFFFFFFFF < 1 << 31:
+        return f"its k={k} is not ahead of {last_k}"
+    if slew and abs(code - last_code) > slew:
+        return f"it is further than {slew} from {last_code}"
+    return ""
+
+
+def may_fill(frame: Frame, code: int, k: int) -> str:
+    """Return why SETPOINTS that are played again may not have supplied sample `k`, or nothing."""
+    m = decode(frame.data[:-1])
+    if not isinstance(m, Setpoints) or not m.k0 <= k < m.k0 + m.n or m.u[k - m.k0] != code:
+        return "it says something else"
+    return "" if frame.grant else "it was no command when it was sent"
