@@ -6,59 +6,210 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from armrig.advising.advice import advice
     from armrig.dataset import Dataset, merge
+    from armrig.estimation.armax import armax
     from armrig.estimation.arx import arx
+    from armrig.estimation.bj import bj
+    from armrig.estimation.iv4 import iv4
+    from armrig.estimation.n4sid import n4sid
     from armrig.estimation.oe import oe
-    from armrig.excitation import step, telegraph
+    from armrig.estimation.order_table import select_orders
+    from armrig.estimation.pem import pem
+    from armrig.estimation.recursive import RarxState, rarx, rarx_start, rarx_step
+    from armrig.excitation import (
+        chirp,
+        from_csv,
+        multisine,
+        prbs,
+        staircase,
+        step,
+        telegraph,
+        white_noise,
+    )
+    from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
+    from armrig.feedback_and_delay.delay import delay
+    from armrig.feedback_and_delay.open_loop import open_loop
     from armrig.fit import Fit
+    from armrig.grey_box.agreement import agreement
+    from armrig.grey_box.estimate import greybox
+    from armrig.grey_box.fit import GreyFit
+    from armrig.grey_box.inverse import inverse_dynamics
+    from armrig.grey_box.split import split_study
+    from armrig.input_description import describe_input
+    from armrig.integration.accuracy import convergence, sinusoid
+    from armrig.integration.advice import recommend_step
+    from armrig.integration.exact import exact
+    from armrig.integration.stability import stability_limit
+    from armrig.integration.stepping import integrate
     from armrig.jitter import sampling_statistics
     from armrig.listening import stream
-    from armrig.physics import ArmParameters, arm, chassis
-    from armrig.preprocess import detrend, difference
+    from armrig.model_file import ModelFileError, load_fit
+    from armrig.model_search import SearchResult, search
+    from armrig.nonparametric.bla import bla
+    from armrig.nonparametric.correlation import correlation
+    from armrig.nonparametric.etfe import etfe
+    from armrig.nonparametric.impulse import impulse_response
+    from armrig.nonparametric.sampling import sampling_time
+    from armrig.nonparametric.spectral import spa
+    from armrig.nonparametric.steps import step_analysis
+    from armrig.nonparametric.structure import structure_hints
+    from armrig.physical_step import characteristics, step_sensitivities
+    from armrig.physics import ArmParameters, arm, chassis, rehearse
+    from armrig.preprocess import (
+        detrend,
+        difference,
+        drift,
+        hampel,
+        prefilter,
+        resample,
+        retrend,
+    )
     from armrig.recording import Recording, RecordingError, load
     from armrig.rig import Rig
     from armrig.session import RigError
+    from armrig.study import physical_model
+    from armrig.subspace_fit import SubspaceFit
+    from armrig.usability import data_verdict
     from armrig.validation import compare, residuals
 
 __all__ = [
     "ArmParameters",
     "Dataset",
     "Fit",
+    "GreyFit",
+    "ModelFileError",
+    "PlannedModel",
+    "RarxState",
     "Recording",
     "RecordingError",
     "Rig",
     "RigError",
+    "SearchResult",
+    "SubspaceFit",
+    "advice",
+    "agreement",
     "arm",
+    "armax",
     "arx",
+    "bj",
+    "bla",
+    "characteristics",
     "chassis",
+    "chirp",
     "compare",
+    "convergence",
+    "correlation",
+    "data_verdict",
+    "delay",
+    "describe_input",
     "detrend",
     "difference",
+    "drift",
+    "etfe",
+    "exact",
+    "from_csv",
+    "greybox",
+    "hampel",
+    "impulse_response",
+    "integrate",
+    "inverse_dynamics",
+    "iv4",
     "load",
+    "load_fit",
     "merge",
+    "multisine",
+    "n4sid",
     "oe",
+    "open_loop",
+    "pem",
+    "physical_model",
+    "prbs",
+    "predicted_parameter_std",
+    "predicted_std",
+    "prefilter",
+    "rarx",
+    "rarx_start",
+    "rarx_step",
+    "recommend_step",
+    "rehearse",
+    "resample",
     "residuals",
+    "retrend",
     "sampling_statistics",
+    "sampling_time",
+    "search",
+    "select_orders",
+    "sinusoid",
+    "spa",
+    "split_study",
+    "stability_limit",
+    "staircase",
     "step",
+    "step_analysis",
+    "step_sensitivities",
     "stream",
+    "structure_hints",
     "telegraph",
+    "white_noise",
 ]
 
 # Each name's module is imported when the name is first asked for (PEP 562): `import armrig` and
 # `armrig --help` are quick, and who only reads a recording never loads zenoh.
 _MODULES = {
+    "advising.advice": ("advice",),
     "dataset": ("Dataset", "merge"),
+    "estimation.armax": ("armax",),
     "estimation.arx": ("arx",),
+    "estimation.bj": ("bj",),
+    "estimation.iv4": ("iv4",),
+    "estimation.n4sid": ("n4sid",),
     "estimation.oe": ("oe",),
-    "excitation": ("step", "telegraph"),
+    "estimation.order_table": ("select_orders",),
+    "estimation.pem": ("pem",),
+    "estimation.recursive": ("RarxState", "rarx", "rarx_start", "rarx_step"),
+    "excitation": (
+        *("chirp", "from_csv", "multisine", "prbs", "staircase", "step", "telegraph"),
+        "white_noise",
+    ),
+    "experiment_design": ("PlannedModel", "predicted_parameter_std", "predicted_std"),
+    "input_description": ("describe_input",),
+    "feedback_and_delay.delay": ("delay",),
+    "feedback_and_delay.open_loop": ("open_loop",),
     "fit": ("Fit",),
-    "physics": ("ArmParameters", "arm", "chassis"),
-    "preprocess": ("detrend", "difference"),
+    "grey_box.agreement": ("agreement",),
+    "grey_box.estimate": ("greybox",),
+    "grey_box.fit": ("GreyFit",),
+    "grey_box.inverse": ("inverse_dynamics",),
+    "grey_box.split": ("split_study",),
+    "integration.accuracy": ("convergence", "sinusoid"),
+    "integration.advice": ("recommend_step",),
+    "integration.exact": ("exact",),
+    "integration.stability": ("stability_limit",),
+    "integration.stepping": ("integrate",),
+    "physical_step": ("characteristics", "step_sensitivities"),
+    "nonparametric.bla": ("bla",),
+    "nonparametric.correlation": ("correlation",),
+    "nonparametric.etfe": ("etfe",),
+    "nonparametric.impulse": ("impulse_response",),
+    "nonparametric.sampling": ("sampling_time",),
+    "nonparametric.spectral": ("spa",),
+    "nonparametric.steps": ("step_analysis",),
+    "nonparametric.structure": ("structure_hints",),
+    "physics": ("ArmParameters", "arm", "chassis", "rehearse"),
+    "preprocess": (
+        *("detrend", "difference", "drift", "hampel", "prefilter", "resample", "retrend"),
+    ),
     "recording": ("Recording", "RecordingError", "load"),
     "rig": ("Rig",),
     "session": ("RigError",),
+    "study": ("physical_model",),
     "listening": ("stream",),
+    "model_file": ("ModelFileError", "load_fit"),
+    "model_search": ("SearchResult", "search"),
     "jitter": ("sampling_statistics",),
+    "subspace_fit": ("SubspaceFit",),
+    "usability": ("data_verdict",),
     "validation": ("compare", "residuals"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

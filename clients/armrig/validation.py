@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.dataset import Dataset
+from armrig.differences import explanation, table
 from armrig.estimation.covariance import exogenous_score
 from armrig.fit import Fit
 from armrig.goodness import fit_percent
@@ -17,6 +19,7 @@ from armrig.least_squares import orthonormal
 from armrig.polynomial import Array, lagged
 from armrig.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.preprocess import INTEGRATING_OUTPUTS, difference
+from armrig.traits import Traits, traits
 from armrig.whiteness import (
     autocovariance,
     default_lags,
@@ -36,7 +39,7 @@ class Comparison:
     """One model's output against measured data."""
 
     name: str
-    """Structure and orders."""
+    """Structure and orders, or the label given."""
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|) over the samples that were measured."""
     rms_error: float
@@ -47,6 +50,13 @@ class Comparison:
     """The model was estimated from these very data."""
     y: Vector
     """ŷ, (N,)."""
+    fit: Fit
+    """The model."""
+
+    @property
+    def traits(self) -> Traits:
+        """Gain, poles, resonances, bandwidth and step response of the model."""
+        return traits(self.fit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -70,6 +80,18 @@ class ComparisonTable:
         """Return number i."""
         return self.rows[i]
 
+    def table(self) -> str:
+        """Return the models' figures side by side: gain, resonances, bandwidth, step, poles."""
+        return "\n".join(table(self.rows))
+
+    def explain(self) -> str:
+        """Say which is closest, and where each differs by more than chance from the physics.
+
+        The physics is `armrig.physical_model(p, data)`, one of the models (handout, assignment
+        3.4); without one each is held against the last.
+        """
+        return "\n".join(explanation(self.rows))
+
     def __repr__(self) -> str:
         """Say it in a few lines."""
         what = "simulation" if self.horizon is None else f"{self.horizon} samples ahead"
@@ -86,7 +108,12 @@ class ComparisonTable:
         return "\n".join(lines)
 
 
-def compare(data: Dataset, *fits: Fit, horizon: int | None = None) -> ComparisonTable:
+def compare(
+    data: Dataset,
+    *fits: Fit,
+    horizon: int | None = None,
+    labels: Sequence[str] | None = None,
+) -> ComparisonTable:
     """Compare models with data, by simulation unless a horizon is given.
 
     A model cannot know the state the rig was in when the data began, so the initial state of each
@@ -104,31 +131,50 @@ def compare(data: Dataset, *fits: Fit, horizon: int | None = None) -> Comparison
         At least one, of the output that the data show.
     horizon : int, optional
         Predict so many samples ahead, >= 1, from the measured past; by default simulate.
+    labels : sequence of str, optional
+        Names of the models, one each; structure and orders by default.
 
     Returns
     -------
     ComparisonTable
-        One row a model: fit in percent, rms error in y's unit, ŷ (N,).
+        One row a model: fit in percent, rms error in y's unit, ŷ (N,). Its `table()` puts gain,
+        poles, resonances, bandwidth and step response side by side, `explain()` says what differs.
 
     Raises
     ------
     ValueError
-        No model was given, or one has another output, unit or sampling time.
+        No model was given, the labels are not one a model, or a model has another output, unit or
+        sampling time.
     """
     if not fits:
         msg = "compare needs at least one model: compare(data, fit)"
         raise ValueError(msg)
+    names = [_name(fit) for fit in fits] if labels is None else list(labels)
+    if len(names) != len(fits):
+        msg = f"{len(names)} labels for {len(fits)} models; give one each"
+        raise ValueError(msg)
     integrating = data.output in INTEGRATING_OUTPUTS or any(fit.integrator for fit in fits)
     note = "initial state" + (" and input offset" if any(f.integrator for f in fits) else "")
     return ComparisonTable(
-        rows=tuple(_compared(data, fit, horizon, integrating=integrating) for fit in fits),
+        rows=tuple(
+            _compared(data, fit, name, horizon, integrating=integrating)
+            for fit, name in zip(fits, names, strict=True)
+        ),
         horizon=horizon,
         unit=data.unit,
         note=f"{note} estimated from these data by least squares",
     )
 
 
-def _compared(data: Dataset, fit: Fit, horizon: int | None, *, integrating: bool) -> Comparison:
+def _name(fit: Fit) -> str:
+    if np.isnan(fit.loss):  # nothing was estimated
+        return "physics"
+    return f"{fit.structure.upper()}[{' '.join(str(n) for n in fit.orders.values())}]"
+
+
+def _compared(
+    data: Dataset, fit: Fit, name: str, horizon: int | None, *, integrating: bool
+) -> Comparison:
     y = fit.predict(data, horizon=horizon)
     percent, rms = _misfit(data.y, y)
     velocity = None
@@ -136,12 +182,13 @@ def _compared(data: Dataset, fit: Fit, horizon: int | None, *, integrating: bool
         model = data.replaced(y=y, valid=np.isfinite(y), step=None)
         velocity, _ = _misfit(difference(data).y, difference(model).y)
     return Comparison(
-        name=f"{fit.structure.upper()}[{' '.join(str(n) for n in fit.orders.values())}]",
+        name=name,
         fit_percent=percent,
         rms_error=rms,
         velocity_fit_percent=velocity,
         on_estimation_data=bool(fit.digest) and fit.digest == data.digest,
         y=y,
+        fit=fit,
     )
 
 

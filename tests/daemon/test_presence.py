@@ -41,3 +41,11 @@ def test_another_s_sign_and_an_old_one_are_none(sign: Renew, complaint: str) -> 
         renewed(begun(RUN, 100.0), sign, 101.0)
     with pytest.raises(ValueError, match="no run of this lease"):
         renewed(None, sign, 101.0)
+
+
+def test_a_sign_that_is_played_again_keeps_nothing_alive() -> None:
+    """The number of the newest sign is the one to exceed, not that of the start."""
+    presence = renewed(begun(RUN, 100.0), Renew(lease=LEASE, n=7), 101.0)
+
+    with pytest.raises(ValueError, match="n=7 must be greater than the last, 7"):
+        renewed(presence, Renew(lease=LEASE, n=7), 102.0)

@@ -110,3 +110,57 @@ def test_a_host_that_pauses_again_and_again_is_not_armed(p99_us: float, *, refus
 
     assert bool(_untimely(timing, 100)) is refused
     assert _untimely(None, 100) == ""
+
+
+def _sample(t_ms: float, *, y0: int = 20_000, u: float = 0.0, flags: int = 0) -> Sample:
+    t_ns = round(t_ms * MS)
+    return Sample(0, t_ns, t_ns, t_ns // 1000, 0.5, 0.0, u, u, y0, 32768, flags)
+
+
+@pytest.mark.parametrize(("t_ms", "named"), [(209.999, False), (210, True)])
+def test_alpha_may_be_at_its_end_for_less_than_a_fifth_of_a_second(
+    t_ms: float, named: bool
+) -> None:
+    """From the last sample inside its range on, to the ns; the first sample counts as inside."""
+    for flags in (0, int(Flag.ADC1_RAIL)):
+        readings = seen(seen(Readings(), _sample(0)), _sample(10, flags=0))
+        if flags:
+            readings = seen(Readings(), _sample(10, flags=flags))
+        readings = seen(readings, _sample(t_ms, flags=int(Flag.ADC1_RAIL)))
+        assert bool(_objection(readings)) == named
+
+
+@pytest.mark.parametrize(("turn", "named"), [(0.9999, False), (1.0, True)])
+def test_a_whole_turn_of_driving_is_what_it_takes(turn: float, named: bool) -> None:
+    """Not a moment less."""
+    driven = Readings(newest=_sample(0), volt_s=turn)
+
+    assert bool(objection(driven, turns_per_volt_s=1.0, alpha_is_read=True)) == named
+
+
+@pytest.mark.parametrize(("counts", "moved"), [(256, False), (257, True), (-256, False)])
+def test_readings_within_256_counts_are_one_place(counts: int, moved: bool) -> None:
+    """Smallest and greatest are of one place: from where it was left, all begins anew."""
+    before = seen(seen(Readings(), _sample(0, u=3.0)), _sample(10, u=3.0))
+
+    after = seen(before, _sample(20, y0=20_000 + counts))
+
+    y0 = 20_000 + counts
+    assert before.volt_s == pytest.approx(0.02)
+    assert after.volt_s == pytest.approx(0.0 if moved else 0.04)
+    span = (y0, y0) if moved else (min(20_000, y0), max(20_000, y0))
+    assert (after.least, after.greatest) == span
+    assert (after.newest, after.alpha_free_ns) == (_sample(20, y0=y0), 20 * MS)
+
+
+@pytest.mark.parametrize(
+    ("apart_ms", "volts", "volt_s"),
+    [(200, 3.0, 0.4), (200.001, 3.0, 0.0), (0, 3.0, 0.0), (100, 1.0, 0.0), (100, 1.1, 0.01)],
+)
+def test_only_what_turns_a_free_motor_counts_as_driving(
+    apart_ms: float, volts: float, volt_s: float
+) -> None:
+    """More than the friction takes, over no longer than a turn could hide in."""
+    first = seen(Readings(), _sample(1000, u=volts))
+
+    assert seen(first, _sample(1000 + apart_ms)).volt_s == pytest.approx(volt_s)

@@ -13,7 +13,17 @@ from typing import Annotated, Any
 
 import typer
 
-from armrig.cli import collect, files, models, rig, tools
+from armrig.cli import (
+    calibrate,
+    collect,
+    files,
+    integration,
+    judging,
+    models,
+    physics,
+    rig,
+    tools,
+)
 from armrig.cli.options import tell
 
 app = typer.Typer(
@@ -28,12 +38,19 @@ for _command in (
     rig.watch,
     rig.stop,
     rig.reset,
+    calibrate.calibrate,
     tools.bench,
     tools.doctor,
     files.info,
     files.replay,
     models.identify,
-    models.compare,
+    judging.validate,
+    judging.compare,
+    physics.check,
+    physics.greybox,
+    physics.split,
+    physics.simulate,
+    integration.integrate,
     files.report,
 ):
     app.command()(_command)

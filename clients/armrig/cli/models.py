@@ -1,4 +1,4 @@
-"""The commands that estimate models: identify, compare."""
+"""The command that estimates models: identify."""
 
 from __future__ import annotations
 
@@ -7,196 +7,218 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from armrig.cli.options import SAME_DATA, File, Json, Na, Nb, Nf, Nk, print_json, tell, warned
+from armrig.cli.drawing import Plot, check_plot, write_plot
+from armrig.cli.files import check_output
+from armrig.cli.options import (
+    SAME_DATA,
+    CalibrationFile,
+    File,
+    Json,
+    Nk,
+    print_json,
+    tell,
+    warned,
+)
+from armrig.cli.structures import (
+    NaOrNone,
+    NbOrNone,
+    NcOrNone,
+    NdOrNone,
+    NfOrNone,
+    OrderOrNone,
+    Structure,
+    WeightsOrNone,
+    check_integrator,
+    chosen_orders,
+    estimated,
+)
 
 if TYPE_CHECKING:
+    from armrig.dataset import Dataset
     from armrig.fit import Fit
+    from armrig.model_search import SearchResult
 
-# None says that the option was not given: what does not apply is refused, not ignored.
-NaOrNone = Annotated[
-    int | None, typer.Option("--na", help="Number of a's (ARX only).", show_default="4")
-]
-NfOrNone = Annotated[
-    int | None,
-    typer.Option(
-        "--nf", help="Number of f's (OE only), the integrator's included.", show_default="4"
-    ),
-]
 Output = Annotated[
     Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")
 ]
-Structure = Literal["arx", "oe"]
 
 
 def identify(
     file: File,
-    structure: Annotated[Structure, typer.Option("--structure", help="Which model.")],
+    structure: Annotated[
+        Structure | None, typer.Option("--structure", help="Which model.", show_default=False)
+    ] = None,
     na: NaOrNone = None,
-    nb: Nb = 4,
+    nb: NbOrNone = None,
+    nc: NcOrNone = None,
+    nd: NdOrNone = None,
     nf: NfOrNone = None,
+    order: OrderOrNone = None,
     nk: Nk = 1,
+    weights: WeightsOrNone = None,
     integrator: Annotated[
-        bool, typer.Option("--integrator", help="OE: one root of F is 1 exactly.")
+        bool,
+        typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID)."),
     ] = False,
+    search: Annotated[
+        bool,
+        typer.Option("--search", help="Try all structures, or the one given, with several orders."),
+    ] = False,
+    most: Annotated[
+        int, typer.Option("--max-order", min=1, help="Highest order that --search tries.")
+    ] = 5,
+    jobs: Annotated[
+        int, typer.Option("--jobs", min=1, help="Processes that --search estimates in.")
+    ] = 1,
     validate: Annotated[
         Path | None, typer.Option("--validate", metavar="F2", help="Recording to validate with.")
     ] = None,
     output: Output = "theta_1",
+    calibration: CalibrationFile = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", metavar="JSON", help="File to write the model to.")
+    ] = None,
+    plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Estimate a model from a recording and say how sure it is."""
-    from armrig import account
-    from armrig.estimating import estimating
+    """Estimate a model from a recording, or search for one, and say how sure it is."""
     from armrig.preprocess import INTEGRATING_OUTPUTS
     from armrig.recording import load
+
+    given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}
+    orders: dict[str, int | None] = {}
+    if search:
+        _check_nothing_fixed(given, weights=weights)
+    elif structure is None:
+        msg = "give --structure, such as --structure oe --integrator, or --search"
+        raise typer.BadParameter(msg)
+    else:
+        orders = chosen_orders(structure, given)
+    if integrator and structure is not None:
+        check_integrator(structure)
+    if weights is not None and structure != "n4sid":
+        msg = f"--weights {weights} goes with --structure n4sid"
+        raise typer.BadParameter(msg)
+    if integrator and output not in INTEGRATING_OUTPUTS:
+        tell(f"--integrator: {output} does not integrate, a root at 1 is not the rig's")
+    inputs = [file, *([validate] if validate else [])]
+    check_plot(plot, inputs)
+    if save is not None:
+        check_output(save, inputs)
+    data = warned(load(file, calibration)).dataset(output)
+    # Before the minutes that an estimation may take.
+    other = None if validate is None else warned(load(validate, calibration)).dataset(output)
+    found = None
+    if search:
+        found = _searched(
+            data, other, structure, nk=nk, integrator=integrator, most=most, jobs=jobs
+        )
+        fit = found.fit
+    elif structure is not None:
+        fit = estimated(data, structure, orders, nk=nk, integrator=integrator, weights=weights)
+    _told(fit, found, data, other, where=validate, json=json)
+    if save is not None:
+        fit.save(save)
+    if plot is not None:
+        from armrig.plots import plot_bode, plot_poles_zeros, plot_step
+
+        write_plot(
+            plot,
+            lambda ax: plot_bode(fit, ax=ax),
+            lambda ax: plot_step(fit, ax=ax),
+            lambda ax: plot_poles_zeros(fit, ax=ax),
+        )
+
+
+def _check_nothing_fixed(given: dict[str, int | None], *, weights: str | None) -> None:
+    """Refuse orders beside a search for them."""
+    fixed = {name: value for name, value in (given | {"weights": weights}).items() if value}
+    for name, value in fixed.items():
+        msg = f"--{name} {value} does not go with --search, which tries orders up to --max-order"
+        raise typer.BadParameter(msg)
+
+
+def _searched(
+    data: Dataset,
+    other: Dataset | None,
+    structure: Structure | None,
+    *,
+    nk: int,
+    integrator: bool,
+    most: int,
+    jobs: int,
+) -> SearchResult:
+    from concurrent.futures import ProcessPoolExecutor
+    from contextlib import nullcontext
+
+    from armrig.estimating import estimating
+    from armrig.model_search import FAMILIES, search
+
+    families = FAMILIES if structure is None else (structure,)
+    pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
+    with estimating("--max-order"), pool as executor:
+        return search(
+            data,
+            other,
+            families=families,
+            orders=range(1, most + 1),
+            nk=nk,
+            integrator=True if integrator else None,
+            executor=executor,
+        )
+
+
+def _told(
+    fit: Fit,
+    found: SearchResult | None,
+    data: Dataset,
+    other: Dataset | None,
+    *,
+    where: Path | None,
+    json: bool,
+) -> None:
+    from armrig import account
+    from armrig.estimating import estimating
     from armrig.validation import compare, residuals
 
-    _check_options_apply(structure, na=na, nf=nf, integrator=integrator)
-    na, nf = 4 if na is None else na, 4 if nf is None else nf
-    if integrator and output not in INTEGRATING_OUTPUTS:
-        tell(f"--integrator: {output} does not integrate, a root at 1 of F is not the rig's")
-    data = warned(load(file)).dataset(output)
-    # Before the minutes that an estimation may take.
-    other = None if validate is None else warned(load(validate)).dataset(output)
-    fit = _estimated(data, structure, na=na, nb=nb, nf=nf, nk=nk, integrator=integrator)
     judged = None
     if other is not None:
-        with estimating("nb, and na or nf"):
+        with estimating("the orders"):
             judged = compare(other, fit), residuals(fit, other)
         if judged[0][0].on_estimation_data:
             tell(SAME_DATA)
     if not json:
+        if found is not None:
+            typer.echo(repr(found))
         typer.echo("\n".join(account.of_model(fit)))
         if judged is not None:
-            typer.echo(f"validation on {validate}\n{judged[0]!r}")
+            typer.echo(f"validation on {where}\n{judged[0]!r}")
             typer.echo("\n".join(account.of_tests(judged[1])))
         if hint := account.hint(fit):
             tell(hint)
         return
-    facts = _model_facts(fit) | {"recording": data.source}
+    facts = account.facts_of_model(fit) | {"recording": data.source}
+    if found is not None:
+        facts["search"] = _search_facts(found)
     if other is not None and judged is not None:
-        facts["validation"] = _validation_facts(other, judged[0][0], judged[1])
+        facts["validation"] = account.facts_of_tests(other, judged[0][0], judged[1])
     print_json(facts)
 
 
-def compare(
-    file: File,
-    other: Annotated[Path, typer.Argument(metavar="F2", help="Recording to validate with.")],
-    na: Na = 4,
-    nb: Nb = 4,
-    nf: Nf = 4,
-    nk: Nk = 1,
-    json: Json = False,
-) -> None:
-    """Identify ARX and OE from F, and compare them and the physics on F2, which they never saw."""
-    from armrig.estimating import estimating
-    from armrig.recording import load
-    from armrig.study import Orders, study
-
-    recordings = [warned(load(f)) for f in (file, other)]
-    with estimating("na, nb and nf"):
-        done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
-    same = done.validation.digest == done.estimation.digest
-    if same:
-        tell(SAME_DATA)
-    rows = [
-        {
-            "model": model.name,
-            "fit_percent": row.fit_percent,
-            "rms_error": row.rms_error,
-            "velocity_fit_percent": row.velocity_fit_percent,
-            "on_estimation_data": row.on_estimation_data,
-        }
-        for model, row in zip(done.models, done.table.rows, strict=True)
-    ]
-    if json:
-        print_json({"validation": done.validation.source, "models": rows})
-        return
-    where = str(done.recording_of(done.validation.source).path)
-    where += ", its second half, the first one estimates" if done.halves else ""
-    typer.echo(f"simulated on {where} (recording {done.validation.source[:12]})")
-    for model, row in zip(done.models, done.table.rows, strict=True):
-        velocity = row.velocity_fit_percent
-        typer.echo(
-            f"  {model.name:8} fit {row.fit_percent:7.2f} %  rms {row.rms_error:.4g} "
-            f"{done.table.unit}"
-            + (f"  velocity fit {velocity:7.2f} %" if velocity is not None else "")
-            + ("  (estimation data)" if row.on_estimation_data else "")
-        )
-
-
-def _check_options_apply(
-    structure: str, *, na: int | None, nf: int | None, integrator: bool
-) -> None:
-    """Refuse options of the other structure, which would be without effect."""
-    if structure == "arx" and integrator:
-        msg = "--integrator goes with --structure oe; an ARX model finds its own"
-        raise typer.BadParameter(msg)
-    if structure == "arx" and nf is not None:
-        msg = f"--nf {nf} goes with --structure oe; an ARX model has na and nb"
-        raise typer.BadParameter(msg)
-    if structure == "oe" and na is not None:
-        msg = f"--na {na} goes with --structure arx; an OE model has nb and nf"
-        raise typer.BadParameter(msg)
-
-
-def _estimated(
-    data: Any, structure: Structure, *, na: int, nb: int, nf: int, nk: int, integrator: bool
-) -> Fit:
-    """Return the model; orders that are too high for the data are refused."""
-    from armrig.estimating import estimating, require_finite
-    from armrig.estimation.orders import require_sensible
-
-    samples = data.N - data.missing
-    if structure == "arx":
-        from armrig.estimation.arx import arx
-
-        require_sensible(samples=samples, nk=nk, na=na, nb=nb)
-        with estimating("na and nb"):
-            fit = arx(data, na=na, nb=nb, nk=nk)
-            require_finite(fit, "na and nb")
-    else:
-        from armrig.estimation.oe import oe
-
-        require_sensible(samples=samples, nk=nk, integrator=integrator, nb=nb, nf=nf)
-        with estimating("nb and nf"):
-            fit = oe(data, nb=nb, nf=nf, nk=nk, integrator=integrator)
-            require_finite(fit, "nb and nf")
-    return fit
-
-
-def _model_facts(fit: Any) -> dict[str, Any]:
-    rows = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
+def _search_facts(found: SearchResult) -> dict[str, Any]:
+    rows = zip(found.ranked, found.rms, found.excess, found.excess_std, strict=True)
     return {
-        "structure": fit.structure,
-        "orders": fit.orders,
-        "integrator": fit.integrator,
-        "Ts": fit.Ts,
-        "parameters": {
-            name: {"value": float(v), "std": float(s), "std_robust": float(r)}
-            for name, v, s, r in rows
-        },
-        "noise_variance": fit.noise_variance,
-        "loss": fit.loss,
-        "fpe": fit.fpe,
-        "aic": fit.aic,
-        "mdl": fit.mdl,
-        "fit_percent": fit.fit_percent,
-        "p_white": fit.whiteness,
-        "converged": fit.converged,
-        "warnings": list(fit.warnings),
-        "N": fit.N,
-    }
-
-
-def _validation_facts(other: Any, row: Any, tests: Any) -> dict[str, Any]:
-    return {
-        "recording": other.source,
-        "on_estimation_data": row.on_estimation_data,
-        "fit_percent": row.fit_percent,
-        "rms_error": row.rms_error,
-        "velocity_fit_percent": row.velocity_fit_percent,
-        "p_white": tests.whiteness,
-        "p_no_dynamics_missing": tests.missing_dynamics,
-        "p_no_feedback": tests.feedback,
+        "models": [
+            {
+                "model": j.candidate.name,
+                "parameters": j.parameters,
+                "rms_error": float(rms),
+                "excess": float(excess),
+                "excess_std": float(std),
+                "chosen": j is found.chosen,
+            }
+            for j, rms, excess, std in rows
+        ],
+        "failed": {j.candidate.name: j.reason for j in found.failed},
+        "reasons": found.explain().splitlines(),
     }

@@ -17,6 +17,7 @@ from armrig.plots.canvas import (
     sign,
 )
 from armrig.plots.data import plot_data, plot_spectrum, plot_timing, plot_values
+from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
 from armrig.plots.greybox import plot_greybox, plot_split
 from armrig.plots.inputs import plot_input
 from armrig.plots.integration import (
@@ -41,6 +42,7 @@ from armrig.plots.nonparametric import (
     plot_step_analysis,
     plot_structure,
 )
+from armrig.plots.orders import plot_orders
 from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 
 __all__ = [
@@ -58,10 +60,13 @@ __all__ = [
     "plot_convergence",
     "plot_correlation",
     "plot_data",
+    "plot_delay",
     "plot_fit",
     "plot_greybox",
     "plot_impulse",
     "plot_input",
+    "plot_open_loop",
+    "plot_orders",
     "plot_physical_step",
     "plot_poles_zeros",
     "plot_residuals",

@@ -48,7 +48,7 @@ def plot_compare(
 
     The errors' scale is linear up to three times the best model's rms error and logarithmic beyond.
     """
-    table = compare(data, *fits, horizon=horizon) if table is None else table
+    table = compare(data, *fits, horizon=horizon, labels=labels) if table is None else table
     ax, below = panels(ax, 0.38)
     for panel in (ax, below):
         shade(panel, data)

@@ -1,0 +1,140 @@
+"""What a model gives away of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.equation import verdict
+from armrig.fit import Fit
+from armrig.preprocess import INTEGRATING_OUTPUTS
+from armrig.usability import Finding
+from armrig.whiteness import WHITE_LEVEL, joint_p_value
+
+Complex = NDArray[np.complex128]
+Matrix = NDArray[np.float64]
+
+_SAME = 0.01  # p value of a pole and a zero that cannot be told apart
+_NEAR = 0.3  # largest distance in the z plane at which they are compared
+_REAL = 1e-9
+_STD_99 = 2.58
+
+
+def of_model(fit: Fit) -> Iterator[Finding]:
+    """Iterate over the points, in the order in which one would look."""
+    yield _of_search(fit)
+    white = not fit.whiteness < WHITE_LEVEL
+    text = verdict(fit) + ("" if white else "; raise the orders, or add a noise model")
+    yield _said("residuals", text, good=white)
+    yield _of_overlap(fit)
+    yield from _of_poles(fit)
+    yield from _of_integrator(fit)
+    yield from _of_first_coefficient(fit)
+    if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
+        text = "ARX takes the noise to pass through 1/A; on an angle it is added at the end: "
+        yield _said("structure", text + "compare with oe(…, integrator=True)", good=False)
+
+
+def _said(about: str, text: str, *, good: bool) -> Finding:
+    return Finding(level="good" if good else "warning", about=about, text=text)
+
+
+def _of_search(fit: Fit) -> Finding:
+    if not fit.converged:
+        text = "the search did not converge: lower the orders, or give it more data"
+    elif not fit.agreed:
+        text = "start values led to different minima: the best was taken, it may not be the global"
+    else:
+        return _said("search", "one minimum" if fit.starts else "closed form", good=True)
+    return _said("search", text, good=False)
+
+
+def overlapping(fit: Fit) -> list[tuple[complex, complex, float]]:
+    """Return pole, zero and p value of the pairs that cannot be told apart (1 %), nearest first.
+
+    The difference of a pole and a zero has the covariance J P J^T, J their derivatives by theta:
+    where the order is too high both wander, together, and only this difference is small. A
+    conjugate pair is told once.
+    """
+    poles = [(letter, z) for letter in ("a", "f") for z in _roots(fit, letter)]
+    found = []
+    for letter, pole in poles:
+        if pole.imag < 0 or (letter == fit.integrating and abs(pole - 1) < 1e-6):
+            continue
+        for zero in _roots(fit, "b"):
+            apart = pole - zero
+            if zero.imag < -_REAL or abs(apart) > _NEAR:
+                continue
+            d = _derivative(fit, letter, pole) - _derivative(fit, "b", zero)
+            J = np.vstack([d.real, d.imag])
+            s = np.array([apart.real, apart.imag])
+            p = joint_p_value(s, J @ fit.covariance @ J.T)
+            if p >= _SAME:
+                found.append((complex(pole), complex(zero), p))
+    return sorted(found, key=lambda pair: abs(pair[0] - pair[1]))
+
+
+def _roots(fit: Fit, letter: str) -> Complex:
+    p = getattr(fit, letter.upper())
+    return np.roots(p[fit.nk :] if letter == "b" else p).astype(np.complex128)
+
+
+def _derivative(fit: Fit, letter: str, root: complex) -> Complex:
+    """Return the derivative of a root by theta (d,): dz = -z^(n-k) / p'(z) dp_k."""
+    p = getattr(fit, letter.upper())
+    p, first = (p[fit.nk :], 0) if letter == "b" else (p, 1)
+    powers = p.size - 1 - np.arange(first, p.size)
+    out = np.zeros(fit.theta.size, dtype=np.complex128)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out[fit.slice_of(letter)] = -(root**powers) / np.polyval(np.polyder(p), root)
+    return out
+
+
+def _of_overlap(fit: Fit) -> Finding:
+    pairs = overlapping(fit)
+    if not pairs:
+        return _said("order", "all poles and zeros can be told apart", good=True)
+    told = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
+    text = f"pole and zero {told} (z plane) cannot be told apart: they cancel, and the order is "
+    return _said("order", text + "too high by as many; lower nb and nf (or na)", good=False)
+
+
+def _of_poles(fit: Fit) -> Iterator[Finding]:
+    poles = fit.poles()
+    for z, std in zip(poles.values, poles.std, strict=True):
+        if abs(z) > 1 + max(_STD_99 * std, 1e-3) and z.imag >= 0:
+            text = f"pole {_z(z)} is outside the unit circle: the rig is stable, so simulate with "
+            yield _said("unstable", text + "care, and look at delay and orders", good=False)
+        if abs(z.imag) < _REAL and z.real < 0:
+            sure = "" if z.real + _STD_99 * std < 0 else ", though it may as well be positive"
+            text = f"pole {_z(z)} is real and negative{sure}: sampling makes none such of a rig in "
+            text += "continuous time (exp(s Ts) > 0), it stands for noise; lower the order"
+            yield _said("poles", text, good=False)
+
+
+def _of_integrator(fit: Fit) -> Iterator[Finding]:
+    if fit.integrator:
+        return
+    poles = fit.poles()
+    for z, std in zip(poles.values, poles.std, strict=True):
+        if abs(z.imag) < _REAL and abs(z.real - 1) < max(_STD_99 * std, 1e-3):
+            text = f"pole {z.real:.5f} ± {std:.1g} is 1 as far as can be told: fix it, "
+            yield _said("integrator", text + "oe(…, integrator=True)", good=False)
+            return
+    if fit.output in INTEGRATING_OUTPUTS:
+        text = f"{fit.output} integrates, and no pole of the model is 1: fix it, "
+        yield _said("integrator", text + "oe(…, integrator=True)", good=False)
+
+
+def _of_first_coefficient(fit: Fit) -> Iterator[Finding]:
+    i = fit.slice_of("b").start
+    b, std = float(fit.theta[i]), float(fit.std_robust[i])
+    if std > 0 and abs(b) < _STD_99 * std:
+        text = f"b1 = {b:.2g} ± {std:.2g} is not shown to be there: a delay, or nothing but noise; "
+        yield _said("delay", text + "armrig.delay(data) decides", good=False)
+
+
+def _z(z: complex) -> str:
+    return f"{z.real:.3f}" if abs(z.imag) < _REAL else f"{z.real:.3f} ± {abs(z.imag):.3f}i"

@@ -1,0 +1,281 @@
+"""The commands that hold a recording against the physics: check, greybox, split, simulate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from armrig.cli.drawing import Plot, check_plot, write_plot
+from armrig.cli.options import CalibrationFile, File, Json, print_json, warned
+from armrig.cli.rows import row_facts
+
+if TYPE_CHECKING:
+    from armrig_core.arm import ArmParameters
+
+    from armrig.dataset import Dataset
+
+Output = Annotated[
+    Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")
+]
+GreyOutput = Annotated[Literal["theta_1", "alpha"], typer.Option("--output", help="Which output.")]
+Given = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="A parameter of the rig in SI units; may be repeated."
+    ),
+]
+Free = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--free", metavar="NAME", help="Parameter to estimate; may be repeated.", show_default="J_1"
+    ),
+]
+Rig = Annotated[
+    Literal["chassis", "arm"],
+    typer.Option("--model", help="The rig without its rotating part, or the whole."),
+]
+Friction = Annotated[
+    Literal["viscous", "coulomb", "both"] | None,
+    typer.Option("--friction", help="Estimate friction too; the handout neglects it."),
+]
+
+
+def check(
+    file: File,
+    output: Output = "theta_1",
+    level: Annotated[float, typer.Option("--level", help="Of the test for feedback.")] = 0.05,
+    calibration: CalibrationFile = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Say whether the rig ran in open loop, and whether it has a delay (handout 3.7, 3.8)."""
+    from armrig import delay, open_loop
+    from armrig.estimating import waiting
+
+    check_plot(plot, [file])
+    data = _data(file, output, calibration)
+    with waiting("testing"):
+        loop, late = open_loop(data, level), delay(data)
+    write_plot(plot, lambda ax: loop.plot(ax=ax), lambda ax: late.plot(ax=ax))
+    if json:
+        print_json(
+            {
+                "recording": data.source,
+                "open_loop": {
+                    "feedback": loop.feedback,
+                    "p_value": loop.p_value,
+                    "level": loop.level,
+                    "lags": loop.granger.lags,
+                    "others": loop.others,
+                    "remarks": loop.remarks,
+                },
+                "delay": {
+                    "nk": late.nk,
+                    "delay": late.delay,
+                    "interval": late.interval,
+                    "p_values": late.p_values,
+                    "t_q": late.t_q,
+                    "remarks": late.remarks,
+                },
+            }
+        )
+        return
+    typer.echo(f"open loop (handout 3.7)\n{_indented(loop.explain())}")
+    typer.echo(f"delay (handout 3.8)\n{_indented(late.explain())}")
+
+
+def greybox(
+    file: File,
+    model: Rig = "chassis",
+    free: Free = None,
+    friction: Friction = None,
+    given: Given = None,
+    output: GreyOutput = "theta_1",
+    calibration: CalibrationFile = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Estimate the rig's physical parameters, J_1 by default (handout 3.5)."""
+    import armrig
+    from armrig.estimating import waiting
+    from armrig.grey_box.fit import UNITS
+
+    check_plot(plot, [file])
+    fixed = _parameters(given)
+    data = _data(file, output, calibration)
+    with waiting("estimating"):
+        fit = armrig.greybox(
+            data, _model(model), tuple(free or ("J_1",)), fixed, output, friction=friction
+        )
+    write_plot(plot, lambda ax: fit.plot(data, ax=ax), height=4.5)
+    if json:
+        parameters = {
+            name: {
+                "value": fit.values[name],
+                "std": fit.std[name],
+                "std_robust": fit.std_robust[name],
+                "unit": UNITS.get(name, ""),
+            }
+            for name in fit.names
+        }
+        facts: dict[str, Any] = {"recording": data.source, "model": model}
+        facts |= {"parameters": parameters}
+        facts |= {"influence": fit.influence, "fit_percent": fit.fit_percent, "loss": fit.loss}
+        facts |= {"p_white": fit.whiteness, "N": fit.N, "Ts": fit.Ts}
+        print_json(facts | {"converged": fit.converged, "warnings": fit.warnings})
+        return
+    typer.echo(f"{fit!r}\n{fit.explain()}")
+
+
+def split(
+    file: File,
+    parts: Annotated[
+        str, typer.Option("--parts", metavar="K,…", help="Into how many parts to cut.")
+    ] = "1,2,4",
+    model: Rig = "chassis",
+    free: Free = None,
+    given: Given = None,
+    output: GreyOutput = "theta_1",
+    calibration: CalibrationFile = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Estimate from halves and quarters of a recording, and study the deviations (handout 3.6)."""
+    import armrig
+    from armrig.estimating import waiting
+
+    check_plot(plot, [file])
+    cuts, fixed = _cuts(parts), _parameters(given)
+    data = _data(file, output, calibration)
+
+    def estimate(part: Dataset) -> Any:
+        return armrig.greybox(part, _model(model), tuple(free or ("J_1",)), fixed, output)
+
+    with waiting("estimating"):
+        study = armrig.split_study(data, cuts, estimate)
+    write_plot(plot, lambda ax: study.plot(ax=ax), height=5.0)
+    if json:
+        rows = [
+            {
+                "parts": s.k,
+                "N": s.N.tolist(),
+                "values": s.values.tolist(),
+                "std": s.std.tolist(),
+                "pooled": s.pooled,
+                "scaled_std": s.scaled_std,
+                "chi2": s.chi2,
+                "p_value": s.p_value,
+            }
+            for s in study.splits
+        ]
+        facts = {"recording": data.source, "parameter": study.parameter, "splits": rows}
+        print_json(facts | {"exponent": study.exponent})
+        return
+    typer.echo(f"{study!r}\n{study.explain()}")
+
+
+def simulate(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="F", help="Recording whose input to simulate with.")
+    ] = None,
+    model: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--model", metavar="JSON", help="Model saved by fit.save() too; may be repeated."
+        ),
+    ] = None,
+    given: Given = None,
+    calibration: CalibrationFile = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Simulate the physics, and saved models, with a recording's input (handout 3.4).
+
+    Without a recording: what the physics answers to a step of one volt (handout 2.2).
+    """
+    p = _parameters(given)
+    check_plot(plot, [f for f in (file, *(model or ())) if f is not None])
+    if file is None:
+        if model:
+            msg = "--model needs a recording, whose input it is simulated with: armrig simulate F"
+            raise typer.BadParameter(msg)
+        _step(p, json=json, plot=plot)
+        return
+    from armrig import compare, load_fit, physical_model
+    from armrig.plots import plot_compare
+
+    data = _data(file, "theta_1", calibration)
+    fits = [*(load_fit(path) for path in model or ()), physical_model(p, data)]
+    labels = [*(path.stem for path in model or ()), "physics"]
+    table = compare(data, *fits, labels=labels)
+    write_plot(plot, lambda ax: plot_compare(data, *fits, labels=labels, table=table, ax=ax))
+    if json:
+        print_json({"recording": data.source, "models": [row_facts(row) for row in table.rows]})
+        return
+    typer.echo(f"{table!r}\n{table.table()}")
+    typer.echo(table.explain())
+
+
+def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
+    from armrig import characteristics
+    from armrig.plots import plot_physical_step
+
+    found = characteristics(p)
+    write_plot(plot, lambda ax: plot_physical_step({"these parameters": p}, ax=ax))
+    if json:
+        roots = {
+            name: [[z.real, z.imag] for z in getattr(found, name).tolist()]
+            for name in ("poles", "zeros")
+        }
+        figures = ("steady_speed", "initial_slope", "rigid_slope")
+        print_json({name: getattr(found, name) for name in figures} | roots)
+        return
+    typer.echo(found.explain())
+
+
+def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:
+    from armrig.recording import load
+
+    data: Dataset = warned(load(file, calibration)).dataset(output)
+    return data
+
+
+def _model(name: str) -> Any:
+    import armrig
+
+    return {"chassis": armrig.chassis, "arm": armrig.arm}[name]
+
+
+def _parameters(given: list[str] | None) -> ArmParameters:
+    """Return the handout's parameters with those given in their place."""
+    from dataclasses import fields, replace
+
+    from armrig_core.arm import ArmParameters
+
+    names = [f.name for f in fields(ArmParameters)]
+    values: dict[str, float] = {}
+    for text in given or ():
+        name, _, number = text.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = None
+        if name not in names or value is None:
+            msg = f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
+            raise typer.BadParameter(msg)
+        values[name] = value
+    return replace(ArmParameters(), **values)
+
+
+def _cuts(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(k) for k in text.split(","))
+    except ValueError as err:
+        msg = f"--parts {text!r}: whole numbers with commas are wanted, such as 1,2,4"
+        raise typer.BadParameter(msg) from err
+
+
+def _indented(text: str) -> str:
+    return "\n".join(f"  {line}" for line in text.splitlines())

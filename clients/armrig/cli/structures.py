@@ -1,0 +1,97 @@
+"""The structures that a person can ask for: their options, and the model that comes of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from armrig.dataset import Dataset
+    from armrig.fit import Fit
+
+Structure = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]
+Weights = Literal["cva", "moesp", "n4sid"]
+
+# The orders of each, with what they are by default: the arm has four poles, one an integrator.
+_ORDERS: dict[str, dict[str, int | None]] = {
+    "arx": {"na": 4, "nb": 4},
+    "armax": {"na": 4, "nb": 4, "nc": 4},
+    "oe": {"nb": 4, "nf": 4},
+    "bj": {"nb": 4, "nc": 1, "nd": 1, "nf": 4},
+    "iv4": {"na": 4, "nb": 4},
+    "n4sid": {"order": None},
+}
+_INTEGRATORS = ("armax", "oe", "bj", "n4sid")
+
+
+def _option(name: str, what: str, default: str) -> Any:
+    used = ", ".join(s.upper() for s, orders in _ORDERS.items() if name in orders)
+    return typer.Option(f"--{name}", help=f"Number of {what} ({used}).", show_default=default)
+
+
+# None says that the option was not given: what does not apply is refused, not ignored.
+NaOrNone = Annotated[int | None, _option("na", "a's", "4")]
+NbOrNone = Annotated[int | None, _option("nb", "b's", "4")]
+NcOrNone = Annotated[int | None, _option("nc", "c's", "ARMAX 4, BJ 1")]
+NdOrNone = Annotated[int | None, _option("nd", "d's", "1")]
+NfOrNone = Annotated[int | None, _option("nf", "f's, the integrator's included", "4")]
+OrderOrNone = Annotated[int | None, _option("order", "states", "by the data")]
+WeightsOrNone = Annotated[
+    Weights | None,
+    typer.Option("--weights", help="Of the projection (N4SID).", show_default="cva"),
+]
+
+
+def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[str, int | None]:
+    """Return the structure's orders; one of another structure, without effect here, is refused."""
+    own = _ORDERS[structure]
+    for name, value in given.items():
+        if value is not None and name not in own:
+            users = " or ".join(s for s, orders in _ORDERS.items() if name in orders)
+            msg = f"--{name} {value} goes with --structure {users}; "
+            msg += f"{_a(structure)} model has {_listed([*own, 'nk'])}"
+            raise typer.BadParameter(msg)
+    return own | {name: value for name, value in given.items() if value is not None}
+
+
+def check_integrator(structure: Structure) -> None:
+    """Refuse an integrator where there is none by construction."""
+    if structure not in _INTEGRATORS:
+        msg = f"--integrator goes with --structure {' or '.join(_INTEGRATORS)}; "
+        msg += f"{_a(structure)} model finds its own"
+        raise typer.BadParameter(msg)
+
+
+def estimated(
+    data: Dataset,
+    structure: Structure,
+    orders: dict[str, int | None],
+    *,
+    nk: int,
+    integrator: bool,
+    weights: Weights | None = None,
+) -> Fit:
+    """Return the model; orders that are too high for the data are refused."""
+    import armrig
+    from armrig.estimating import estimating, require_finite
+    from armrig.estimation.orders import require_sensible
+
+    asked = {name: n for name, n in orders.items() if n is not None}
+    require_sensible(samples=data.N - data.missing, nk=nk, integrator=integrator, **asked)
+    more: dict[str, Any] = {"integrator": True} if integrator else {}
+    if weights is not None:
+        more["weights"] = weights
+    named = _listed([*orders])
+    with estimating(named):
+        fit: Fit = getattr(armrig, structure)(data, **orders, nk=nk, **more)
+        require_finite(fit, named)
+    return fit
+
+
+def _a(structure: str) -> str:
+    return f"{'an' if structure[0] in 'aio' or structure == 'n4sid' else 'a'} {structure.upper()}"
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,151 @@
+"""How models differ, as a table and in words that name what the figure depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armrig.quantities import minus, places
+from armrig.traits import SCALARS, Traits
+
+if TYPE_CHECKING:
+    from armrig.validation import Comparison
+
+SURE = 2.58  # standard deviations of the difference, 1 %
+_MOST_DECIMALS = 6
+_LARGE = 2.0  # ratio of rms errors at which one model is called the better one
+_HOPELESS = 5.0  # and at which the other one is not worth a comparison of figures
+_NAMES = {
+    "gain": "steady gain",
+    "resonance": "resonance [rad/s]",
+    "antiresonance": "anti-resonance [rad/s]",
+    "bandwidth": "bandwidth [rad/s]",
+    "rise_time": "time to 63 % [s]",
+    "overshoot": "overshoot [%]",
+}
+_BECAUSE = {
+    "gain": "on the rig it is the motor and its supply: 1/(N K_m) without friction, and less with; "
+    "neither inertia nor spring has a part in it",
+    "resonance": "both inertias and the spring make it, and the motor's damping",
+    "antiresonance": "on the rig it is sqrt(K_lin/J_2), the arm alone on its spring: neither the "
+    "chassis nor the motor has a part in it",
+    "bandwidth": "the anti-resonance pulls |G| below −3 dB: it goes with K_lin/J_2 first",
+    "rise_time": "J_1 R_m / (N K_m)² makes the first rise, before the spring is wound",
+    "overshoot": "the spring gives back what it took; J_2 against J_1 and the motor's damping "
+    "make its size",
+}
+
+
+def table(rows: Sequence[Comparison]) -> list[str]:
+    """Return the figures of all models side by side, those of a claim without deviations."""
+    unit = "rate, " if any(row.traits.integrating for row in rows) else ""
+    columns = [[f"{unit}±: one σ", *_NAMES.values(), "poles [1/s]"]]
+    most = max(row.traits.poles.size for row in rows)
+    columns[0] += [""] * (most - 1)
+    for row in rows:
+        t = row.traits
+        cells = [_with_std(getattr(t, name), t.std[name]) for name in SCALARS]
+        poles = [_pole(t, i) for i in range(t.poles.size)]
+        columns.append([row.name, *cells, *poles, *[""] * (most - len(poles))])
+    widths = [max(map(len, column)) for column in columns]
+    lines = []
+    for name, *figures in zip(*columns, strict=True):
+        first = f"{name:{widths[0]}}"
+        rest = "  ".join(f"{c:>{w}}" for c, w in zip(figures, widths[1:], strict=True))
+        lines.append(f"  {first}  {rest}".rstrip())
+    return lines
+
+
+def explanation(rows: Sequence[Comparison]) -> list[str]:
+    """Return in words which model is best, and what sets each apart from the reference.
+
+    That is the physics (nothing of it was estimated), or else the last.
+    """
+    lines = [_best(rows)]
+    reference = next((row for row in rows if np.isnan(row.fit.loss)), rows[-1])
+    for row in (row for row in rows if row is not reference):
+        if row.rms_error > _HOPELESS * reference.rms_error:
+            lines.append(_hopeless(row, reference))
+            continue
+        apart = list(_apart(row, reference))
+        if not apart:
+            lines.append(
+                f"{row.name} and {reference.name}: no figure differs by more than its uncertainty "
+                f"({SURE:g} σ) allows."
+            )
+        lines += apart
+    return lines
+
+
+def _best(rows: Sequence[Comparison]) -> str:
+    ranked = sorted(rows, key=lambda row: row.rms_error)
+    best, next_ = ranked[0], ranked[min(1, len(ranked) - 1)]
+    if len(rows) == 1:
+        return f"{best.name} is off by {best.rms_error:.3g} rms."
+    said = f"{best.name} is closest to these data, {best.rms_error:.3g} rms against "
+    said += f"{next_.rms_error:.3g} of {next_.name}"
+    if next_.rms_error < _LARGE * best.rms_error:
+        said += ": not much of a difference"
+    if best.on_estimation_data:
+        said += ", but it was estimated from them: judge by another recording"
+    return f"{said}."
+
+
+def _hopeless(row: Comparison, reference: Comparison) -> str:
+    """Say why the figures of a model that simulates so badly say nothing of the rig."""
+    said = f"{row.name} is off {row.rms_error / reference.rms_error:.3g} times as far as "
+    said += f"{reference.name}: what sets its figures apart is the model's fault, not the rig's"
+    if row.fit.structure == "arx":
+        said += ". ARX takes the noise to pass through 1/A; where it is added to the output, as a "
+        said += "potentiometer's is, least squares buys one-step prediction with a wrong model: "
+        return said + "take OE."
+    return f"{said}. Look at its orders and its delay."
+
+
+def _apart(row: Comparison, reference: Comparison) -> Iterator[str]:
+    """Iterate over the figures that differ by more than chance."""
+    a, b = row.traits, reference.traits
+    if a.integrating != b.integrating:
+        which = (row if a.integrating else reference).name
+        yield f"Only {which} integrates: the other figures cannot be compared."
+        return
+    for name in SCALARS:
+        x, y = getattr(a, name), getattr(b, name)
+        if np.isnan(x) != np.isnan(y):
+            has = row if np.isnan(y) else reference
+            none = reference if np.isnan(y) else row
+            figure = _NAMES[name].partition(" [")[0]
+            at = _with_std(getattr(has.traits, name), has.traits.std[name])
+            yield f"{has.name} has a {figure} ({at}) and {none.name} has none: {_BECAUSE[name]}."
+            continue
+        std = float(np.hypot(a.std[name], b.std[name]))
+        if np.isnan(x) or not abs(x - y) > max(SURE * std, 1e-3 * abs(y)):
+            continue
+        share = f" ({minus(f'{100 * (x - y) / y:+.2g}')} %)" if y else ""
+        figure = _NAMES[name].partition(" [")[0]
+        yield (
+            f"{figure}: {row.name} {_with_std(x, a.std[name])}, {reference.name} "
+            f"{_with_std(y, b.std[name])}{share}; {_BECAUSE[name]}."
+        )
+
+
+def _with_std(x: float, std: float) -> str:
+    if np.isnan(x):
+        return "none"
+    if not (std > 0 and np.isfinite(std)):
+        return minus(f"{x:.5g}")
+    decimals = min(places(std), _MOST_DECIMALS)
+    return minus(f"{x:.{decimals}f} ± {std:.{decimals}f}")
+
+
+def _pole(t: Traits, i: int) -> str:
+    s = t.poles[i]
+    if np.isnan(s):
+        return "none in continuous time"
+    std = t.poles_std[i]
+    decimals = places(std) if std > 0 else 2
+    imaginary = f" {'+' if s.imag > 0 else '-'} {abs(s.imag):.{decimals}f}i" if s.imag else ""
+    real = "0" if s == 0 else f"{s.real:.{decimals}f}"
+    return minus(real + imaginary) + (f" (±{std:.{decimals}f})" if std > 0 else "")

@@ -1,0 +1,102 @@
+"""Figures of the tests for feedback and for delay."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armrig.plots.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    NAMES,
+    VERMILION,
+    axes,
+    finish,
+    panels,
+    sign,
+)
+from armrig.quantities import p_relation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.feedback_and_delay.delay import Delay
+    from armrig.feedback_and_delay.open_loop import OpenLoop
+    from armrig.nonparametric.impulse import ImpulseResponse
+
+BAND_99_PERCENT = 2.58
+CHI2_95_PERCENT = 3.84  # one degree of freedom
+_ABOUT = 15  # lags shown on the causal side
+_BEYOND = 6  # lags shown past nk
+
+
+def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
+    """Show the impulse response at negative and positive lags, and the test that decides.
+
+    Where u came first stems may stand out; at negative lags, where y came first, none does in open
+    loop.
+    """
+    ax = axes(ax)
+    said = "feedback" if result.feedback else "no feedback found"
+    title = f"Granger's F-test: p {p_relation(result.p_value)}, {said}"
+    if result.response is None:
+        ax.text(0.5, 0.5, title, transform=ax.transAxes, ha="center")
+        return sign(ax, result.source)
+    _response(ax, result.response, int(result.response.lags[0]), _ABOUT)
+    ax.axvspan(result.response.lags[0] - 0.5, -0.5, color=VERMILION, alpha=0.07, lw=0)
+    ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+    ax.set_xlabel("lag [samples]; shaded: y came first")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.3 * (high - low))  # room for the legend
+    ax.legend(loc="upper left", title=title, fontsize="small")
+    finish(ax)
+    return sign(ax, result.source)
+
+
+def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
+    """Show the first coefficients with their band and, below, the losses by nk."""
+    ax, below = panels(ax, 0.45)
+    last = result.nk + _BEYOND
+    _response(ax, result.response, 0, last)
+    for panel in (ax, below):
+        panel.axvline(result.nk, color=GREY, lw=0.8, ls="--")
+    ax.legend(loc="upper right", title=f"nk = {result.nk}", fontsize="small")
+    for loss, name, colour, marker in (
+        (result.oe_loss, "OE", BLUE, "o"),
+        (result.arx_loss, "ARX", VERMILION, "s"),
+    ):
+        nk, V = np.array(list(loss)), np.array(list(loss.values()))
+        best = float(V.min())
+        rise = result.response.N * np.log(V / best) if best > 0 else np.zeros(V.size)
+        below.plot(nk, rise, marker=marker, ms=4, lw=0.8, color=colour, label=name, mfc="none")
+    below.axhline(CHI2_95_PERCENT, color=GREY, lw=0.8, ls=":", label="95 %")
+    below.set_yscale("symlog", linthresh=10)
+    below.set_yticks([0, 10, 100, 1000, 10000], ["0", "10", "100", "1000", "10⁴"])
+    below.set_ylim(bottom=-1)
+    below.minorticks_off()
+    below.set_ylabel("$N$ ln(loss/least)")
+    below.set_xlabel("lag, or nk [samples]")
+    below.set_xticks(range(last + 1))
+    below.legend(loc="upper right", fontsize="small")
+    finish(ax, below, xlim=(-0.5, last + 0.5))
+    return sign(ax, result.source)
+
+
+def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
+    """Show the coefficients first … last that die out, with their 99 % band about zero."""
+    g, std = response.decaying
+    shown = (response.lags >= first) & (response.lags <= last)
+    lags, g, band = response.lags[shown], g[shown], BAND_99_PERCENT * std[shown]
+    ax.fill_between(
+        lags, -band, band, step="mid", color=GREY, alpha=0.3, lw=0, label="99 %, if there is none"
+    )
+    ax.vlines(lags, 0, g, color=BLUE, lw=1.0)
+    ax.plot(lags, g, "o", color=BLUE, ms=3.5)
+    ax.axhline(0, color=INK, lw=0.6)
+    name = NAMES.get(response.output, response.output)
+    per = "/s" if response.integrator else ""
+    of = f"rate of {name}" if response.integrator else name
+    unit = f"{response.unit or '–'}{per}/{response.input_unit or '–'}"
+    ax.set_ylabel(f"$g$ of {of}\n[{unit}]")

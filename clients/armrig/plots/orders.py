@@ -1,0 +1,62 @@
+"""The figure of an order table: what is gained by more parameters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armrig.plots.canvas import BLUE, GREY, VERMILION, axes, finish
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.estimation.order_table import Criterion, OrderTable
+
+
+def plot_orders(
+    table: OrderTable, criterion: Criterion | None = None, *, ax: Axes | None = None
+) -> Axes:
+    """Show the best structure for each number of parameters, and what each criterion chooses.
+
+    The ordinate is the share of y's variance that is not explained one step ahead, on the
+    validation data where there are some.
+    """
+    ax = axes(ax)
+    on_other = table.validation_loss is not None
+    loss = table.loss if table.validation_loss is None else table.validation_loss
+    share = 100 * loss / table.output_variance
+    d = table.parameters
+    best = table.envelope(criterion)
+    shown = np.isfinite(share)
+    ax.plot(d[shown], share[shown], ".", color=GREY, ms=3, alpha=0.35, label="all structures")
+    ax.plot(d[best], share[best], "o-", color=BLUE, ms=4, lw=1.0, label="best of so many")
+    chosen: dict[int, list[str]] = {}
+    for name in table.criteria:
+        chosen.setdefault(int(np.nanargmin(table.values(name))), []).append(name)
+    for k, (i, names) in enumerate(sorted(chosen.items(), key=lambda x: int(d[x[0]]))):
+        o = table.orders(i)
+        said = ", ".join(x.upper() if x != "validation" else x for x in names)
+        ax.plot(d[i], share[i], "s", color=VERMILION, ms=8, mfc="none", mew=1.4)
+        ax.annotate(
+            f"{said} [{o.na} {o.nb} {o.nk}]",
+            (d[i], share[i]),
+            xytext=(0, 16 + 13 * k),
+            textcoords="offset points",
+            ha="center",
+            fontsize="small",
+            bbox={"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0},
+            arrowprops={"arrowstyle": "-", "color": GREY, "lw": 0.6},
+        )
+    ax.set_yscale("log")
+    for axis in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
+        axis("{x:g}")
+    ax.locator_params(axis="x", integer=True)
+    top = float(share[best].max()) if best.size else 1.0
+    low = float(np.nanmin(share))
+    ax.set_ylim(low / 1.3, max(3 * top, 1.5 * low))
+    ax.set_xlabel("number of parameters, $n_a + n_b$")
+    ax.set_ylabel(f"not explained of {'validation' if on_other else 'the'} data [%]")
+    ax.legend(loc="upper right", fontsize="small")
+    finish(ax)
+    return ax

@@ -1,0 +1,137 @@
+"""The figures by which models are held against the physics (handout, assignment 3.4)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import armrig
+import numpy as np
+import pytest
+from armrig.study import physical_model
+from armrig.traits import SCALARS, traits
+from armrig_core.arm import ArmParameters, arm_matrices
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
+
+HANDOUT = ArmParameters()
+
+
+def test_the_physics_has_the_figures_that_follow_from_its_parameters(plant: HandoutPlant) -> None:
+    """Gain 1/(N K_m), anti-resonance sqrt(K_lin/J_2), the eigenvalues as poles, no deviations."""
+    t = traits(physical_model(HANDOUT, plant.dataset(1)))
+    eigenvalues = np.linalg.eigvals(arm_matrices(HANDOUT)[0])
+
+    assert t.integrating
+    assert t.gain == pytest.approx(1 / (HANDOUT.N * HANDOUT.K_m), rel=1e-6)
+    assert t.antiresonance == pytest.approx(np.sqrt(HANDOUT.K_lin / HANDOUT.J_2), rel=2e-3)
+    assert np.sort(np.abs(t.poles)) == pytest.approx(np.sort(np.abs(eigenvalues)), abs=1e-4)
+    assert set(t.std.values()) == {0.0}
+
+
+def test_a_first_order_system_has_its_textbook_figures() -> None:
+    """Gain 2, time constant 0.1 s, bandwidth 10 rad/s, neither resonance nor overshoot."""
+    Ts, tau = 1e-3, 0.1
+    pole = np.exp(-Ts / tau)
+    fit = replace(_any_fit(), B=np.array([0.0, 2 * (1 - pole)]), F=np.array([1.0, -pole]), Ts=Ts)
+
+    t = traits(fit)
+
+    assert t.gain == pytest.approx(2.0)
+    assert t.rise_time == pytest.approx(tau, rel=0.01)
+    assert t.bandwidth == pytest.approx(1 / tau, rel=0.01)
+    assert np.isnan([t.resonance, t.antiresonance]).all()
+    assert t.overshoot == pytest.approx(0.0, abs=0.2)
+    assert t.poles == pytest.approx([-1 / tau])
+
+
+def test_errors_are_as_large_as_the_deviations_reported(plant: HandoutPlant) -> None:
+    """Over 30 experiments the errors in deviations have an effective value near 1.
+
+    Each experiment has deviations of its own: how well the gain shows depends on how far the
+    telegraph has wandered.
+    """
+    truth = traits(physical_model(HANDOUT, plant.dataset(1)))
+    found = [
+        traits(armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True))
+        for seed in range(30)
+    ]
+
+    for name in SCALARS:
+        z = [(getattr(t, name) - getattr(truth, name)) / t.std[name] for t in found]
+        assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35, name
+
+
+def test_a_wrong_inertia_of_the_arm_is_told_with_what_depends_on_it(plant: HandoutPlant) -> None:
+    """The gain, in which J_2 has no part, is not."""
+    data = plant.dataset(1)
+    fit = armrig.oe(data, nb=4, nf=4, integrator=True)
+    wrong = physical_model(replace(HANDOUT, J_2=1.05 * HANDOUT.J_2), data)
+
+    said = armrig.compare(plant.dataset(2), fit, wrong, labels=("OE", "physics")).explain()
+
+    assert "anti-resonance: OE" in said
+    assert "sqrt(K_lin/J_2)" in said
+    assert "steady gain" not in said
+    assert said.startswith("OE is closest")
+
+
+def test_the_right_physics_differs_by_nothing(plant: HandoutPlant) -> None:
+    """All figures within their uncertainty."""
+    data = plant.dataset(4)
+    fit = armrig.oe(data, nb=4, nf=4, integrator=True)
+    table = armrig.compare(plant.dataset(5), fit, physical_model(HANDOUT, data))
+
+    assert "no figure differs" in table.explain()
+    assert "not much of a difference" in table.explain()
+
+
+def test_a_model_that_cannot_simulate_is_not_held_against_the_rig(plant: HandoutPlant) -> None:
+    """What sets ARX apart is its noise model's fault."""
+    data = plant.dataset(1)
+    models = armrig.arx(data, na=4, nb=4), physical_model(HANDOUT, data)
+
+    said = armrig.compare(plant.dataset(2), *models, labels=("ARX", "physics")).explain()
+
+    assert "the model's fault, not the rig's" in said
+    assert "take OE" in said
+
+
+def test_the_table_has_a_column_for_each_model(plant: HandoutPlant) -> None:
+    """And a line for each figure, and for each pole."""
+    data = plant.dataset(1)
+    table = armrig.compare(
+        data, armrig.arx(data, na=2, nb=2), physical_model(HANDOUT, data), labels=("mine", "theirs")
+    )
+    lines = table.table().splitlines()
+
+    assert lines[0].split()[-2:] == ["mine", "theirs"]
+    assert len(lines) == 1 + 6 + 4
+
+
+def test_labels_are_one_a_model(plant: HandoutPlant) -> None:
+    """More or fewer are refused."""
+    data = plant.dataset(1)
+
+    with pytest.raises(ValueError, match="2 labels for 1 models"):
+        armrig.compare(data, physical_model(HANDOUT, data), labels=("a", "b"))
+
+
+def _any_fit() -> armrig.Fit:
+    none = np.zeros((2, 2))
+    return armrig.Fit(
+        structure="oe",
+        A=np.ones(1),
+        B=np.array([0.0, 1.0]),
+        F=np.array([1.0, -0.5]),
+        nk=1,
+        covariance=none,
+        covariance_robust=none,
+        noise_variance=1.0,
+        loss=1.0,
+        N=100,
+        Ts=1.0,
+        fit_percent=0.0,
+        whiteness=0.5,
+    )

@@ -1,0 +1,350 @@
+"""The device taken one frame at a time, and the corners that no ordinary session comes to."""
+
+from __future__ import annotations
+
+from math import radians, tau
+
+import numpy as np
+import pytest
+from armrig_daemon.emulator.board import Board, _potentiometers, driven
+from armrig_daemon.emulator.clock import Clock
+from armrig_daemon.emulator.device import LEAD_NS, Device
+from armrig_daemon.emulator.firmware import NEVER, Firmware, Order, Traits
+from armrig_daemon.emulator.reception import Reception
+from armrig_daemon.emulator.sampling import latch
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    VERSION,
+    Arm,
+    Cause,
+    Config,
+    Event,
+    Exchange,
+    Flag,
+    Hello,
+    Keepalive,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Sample,
+    Setpoints,
+    Start,
+    State,
+    Status,
+)
+from emulated_host import (
+    CONFIG,
+    CONVERSION_NS,
+    EXCHANGE_NS,
+    MS,
+    QUIET,
+    SAMPLE_NS,
+    US,
+    Host,
+    S,
+    bytes_of,
+    events,
+    only,
+)
+from msgspec.structs import replace
+
+SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500}
+SESSION: list[tuple[int, bytes | Message]] = [
+    (1 * MS, Hello(0, 0, VERSION, SCHEMA_HASH)),
+    (1 * MS, Config(0, 0, **CONFIG)),
+    (1 * MS, Arm(0, 0, 0, 0, 0)),
+    (1 * MS, Start(0, 0, 0, 0)),
+    *[(700 * US, Exchange(0, 0, 0, 30_000 + i)) for i in range(20)],
+    (0, Ping(0, 0, 5)),
+    (0, b"noise\0"),
+    (1100 * MS, Keepalive(0, 0)),
+    (1 * MS, b""),  # nothing leaves meanwhile
+]
+
+
+def test_frame_by_frame_the_device_says_what_it_says_at_once() -> None:
+    """The same bytes at the same times; never two in one answer, none of them late."""
+    sent = bytes_of(QUIET, SESSION)
+    at_once, apart = Device(QUIET, 0), Device(QUIET, 0)
+    one: list[tuple[int, bytes]] = []
+    other: list[tuple[int, bytes]] = []
+
+    for t_ns, data in [*sent, (4 * S, b"")]:
+        one += at_once.advance(t_ns)
+        while frames := apart.advance_to_frame(t_ns):
+            assert len(frames) in (1, 2)  # an ACK and the EVENT of its transition are made at once
+            other += frames
+        at_once.receive(t_ns, data)
+        apart.receive(t_ns, data)
+
+    assert len(one) > 30
+    assert other == one
+    assert apart.advance_to_frame(4 * S) == []
+
+
+@pytest.mark.parametrize(("bits", "told"), [(0, 16), (10, 10)])
+def test_hello_tells_the_bits_of_what_is_read_and_driven(bits: int, told: int) -> None:
+    """Where the model rounds nothing, the code's own 16."""
+    host = Host(EmulatorSettings(baud=1_000_000, boot_ms=5.0, adc_bits=bits, pwm_bits=bits))
+
+    hello = host.hello()
+
+    assert (hello.adc_bits, hello.pwm_bits) == (told, told)
+
+
+def test_status_tells_what_a_fresh_device_has_counted() -> None:
+    """Nothing but the frame that asked it; an emulator has a supply, and no stack to run out of."""
+    host = Host()
+    host.hello()
+
+    status = only(Status, host.wait(1 * S))
+
+    assert status._replace(boot=0, seq=0, uptime_ms=0) == Status(
+        state=State.IDLE,
+        seq=0,
+        boot=0,
+        vcc_mv=5000,
+        uptime_ms=0,
+        frames=1,
+        spoilt=0,
+        refused=0,
+        rx_lost=0,
+        tx_dropped=0,
+        late=0,
+        underruns=0,
+        isr_max_us=0,
+        stack_free=65535,
+    )
+    assert status.uptime_ms == 1000
+
+
+def test_the_end_of_a_run_is_seen_when_it_is_due() -> None:
+    """`visible_ns` does not wait for a sample behind the last one, for there is none."""
+    host = Host().reach(State.ARMED, **SCHEDULED)
+    host.supply(0, [10, 20, 30])
+    host.wait(1 * MS)
+    host.put(Start, k_stop=3)
+    frames: list[tuple[int, bytes]] = []
+
+    while host.device.state is not State.IDLE:
+        at_ns = host.device.visible_ns()
+        assert all(left >= at_ns for left, _ in host.device.advance(at_ns - 1))
+        frames += host.device.advance(at_ns)
+
+    fw = host.device._fw
+    assert (fw.state, fw.cause) == (State.IDLE, Cause.END)
+    assert fw.timer_ns == NEVER
+
+
+@pytest.mark.parametrize(
+    ("u", "k", "seq", "samples"),
+    [(100, 2, None, True), (101, 2, None, False), (100, 1, None, False), (100, 2, 1, False)],
+)
+def test_who_waits_for_a_sample_may_sleep_through_its_conversions(
+    u: int, k: int, seq: int | None, samples: bool
+) -> None:
+    """Whatever else an EXCHANGE leads to, its answer is there at once."""
+    host = Host().reach(State.RUN, u_max=100)
+    host.ask(Exchange, k=1, u=50)
+
+    arrival_ns = host.put(Exchange, k=k, u=u, seq=seq)
+    visible_ns = host.device.visible_ns()
+    (left_ns, _), *_ = host.device.advance(arrival_ns + 2 * MS)
+
+    assert visible_ns <= left_ns
+    assert (visible_ns >= arrival_ns + 2 * CONVERSION_NS) == samples
+    if samples:
+        assert visible_ns == left_ns - LEAD_NS
+
+
+@pytest.mark.parametrize(
+    ("volts", "gain", "offset", "terminal"),
+    [
+        (0.0, 1.2, 0.5, 0.0),
+        (2.0, 1.0, 0.0, 2.0),
+        (2.0, 1.0, 0.5, 2.5),
+        (2.0, 0.5, 0.0, 1.0),
+        (2.0, 1.5, -0.5, 2.5),
+        (4.0, 1.5, 0.0, 5.0),
+        (0.5, 1.0, -1.0, 0.0),
+        (6.0, 1.0, 0.0, 6.0),
+    ],
+)
+def test_a_driver_has_a_gain_and_an_offset_and_ends_at_its_supply(
+    volts: float, gain: float, offset: float, terminal: float
+) -> None:
+    """0 V is off, whatever its offset; an ideal one hides nothing that is too much."""
+    assert driven(volts, gain, offset) == pytest.approx(terminal)
+
+
+def test_each_reading_is_of_its_own_angle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not of the other, and of no speed."""
+    board = Board(QUIET, 0, np.random.default_rng(0))
+    at_rest = board.theta_1(0)
+    assert board.alpha(0) == at_rest
+    turned = {}
+    for i in range(4):
+        motion = tuple(0.3 * (i == j) for j in range(4))
+        monkeypatch.setattr(board, "motion", lambda _, motion=motion: motion)
+        turned[i] = (board.theta_1(0) != at_rest, board.alpha(0) != at_rest)
+
+    assert turned == {0: (True, False), 1: (False, True), 2: (False, False), 3: (False, False)}
+
+
+def test_the_motor_gets_what_the_driver_makes_of_the_duty() -> None:
+    """And the code that is told stays that of the duty."""
+    settings = EmulatorSettings(driver_gain=0.5, driver_offset_v=0.25, pwm_bits=0)
+    board = Board(settings, 0, np.random.default_rng(0))
+
+    board.latch(0, 65535, Cause.REQUEST)
+
+    assert (board.volts, board.code) == (pytest.approx(2.75), 65535)
+
+
+@pytest.mark.parametrize("ideal", [False, True])
+def test_each_track_is_what_the_settings_say(ideal: bool) -> None:
+    """Only theta_1 turns on over its ends, but where both are ideal; then a turn is the range."""
+    settings = EmulatorSettings(
+        potentiometers=not ideal,
+        theta_1_range_deg=340.0,
+        theta_1_zero_deg=170.0,
+        theta_1_low_v=0.5,
+        theta_1_high_v=4.5,
+        theta_1_reversed=True,
+        alpha_range_deg=300.0,
+        alpha_zero_deg=90.0,
+        alpha_low_v=1.0,
+        alpha_high_v=4.0,
+    )
+
+    theta_1, alpha = _potentiometers(settings)
+    other_way = _potentiometers(replace(settings, theta_1_reversed=False, alpha_reversed=True))
+
+    ranges = (tau, tau) if ideal else (radians(340), radians(300))
+    assert (theta_1.range_rad, alpha.range_rad) == ranges
+    assert (theta_1.zero_rad, alpha.zero_rad) == (radians(170), radians(90))
+    assert (theta_1.wraps, alpha.wraps) == (True, ideal)
+    assert (theta_1.low, theta_1.high) == (0.1, 0.9)
+    assert (alpha.low, alpha.high) == (0.2, 0.8)
+    assert (theta_1.sign, alpha.sign) == (-1.0, 1.0)
+    assert [pot.sign for pot in other_way] == [1.0, -1.0]
+
+
+@pytest.mark.parametrize(
+    ("k0", "u", "trips"),
+    [(1, [200], False), (0, [150, 200], False), (1, [200, 250], False), (1, [200, 251], True)],
+)
+def test_a_step_within_what_is_queued_counts_once(k0: int, u: list[int], trips: bool) -> None:
+    """What comes again is no step; behind it, the slew counts on."""
+    host = Host().reach(State.ARMED, **{**SCHEDULED, "slew": 50, "u_rest": 100})
+    host.supply(0, [150, 200])
+
+    host.supply(k0, u)
+    answers = host.wait(3 * MS)
+
+    assert events(answers) == ([(State.ARMED, State.FAULT, Cause.SLEW)] if trips else [])
+
+
+def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
+    """Who watches the line sees the very bytes that will be taken in."""
+    wire = Reception(0, 1_000_000)
+    frame = encode(Keepalive(0, 7))
+    wire.put(0, frame + encode(Setpoints(0, 8, 0, 1, 0, (5,) + (0,) * 23)))
+
+    assert wire.first() == frame
+    assert wire.first_ns == len(frame) * 10 * US
+    assert wire.peek() == wire.take() == [Keepalive(0, 7)]
+    assert wire.first() != frame
+
+
+@pytest.mark.parametrize("cut", [1, 5, 12])
+def test_a_frame_that_comes_in_two_writes_is_one(cut: int) -> None:
+    """The wire knows no writes; what comes first waits for the rest."""
+    host = Host()
+    data = encode(Ping(0, 1, 77))
+
+    host.device.receive(host.now_ns, data[:cut])
+    before = host.wait(3 * MS)
+    host.device.receive(host.now_ns, data[cut:])
+    pong = only(Pong, host.wait(3 * MS))
+
+    assert before == []
+    assert pong.host_ns == 77
+
+
+def test_who_sleeps_through_conversions_is_woken_for_what_comes_meanwhile() -> None:
+    """The answer to a PING behind an EXCHANGE leaves before its sample."""
+    host = Host().reach(State.RUN)
+    host.put(Exchange, k=1, u=50)
+    host.put(Ping, host_ns=7)
+
+    visible_ns = host.device.visible_ns()
+    (left_ns, _), *_ = host.device.advance(host.now_ns + 2 * MS)
+
+    assert visible_ns <= left_ns < host.now_ns + EXCHANGE_NS + 2 * CONVERSION_NS + SAMPLE_NS
+
+
+def test_on_a_wire_that_takes_no_time_an_answer_is_visible_at_once() -> None:
+    """Not a nanosecond later than it leaves."""
+    host = Host(EmulatorSettings(model_baud=False, boot_ms=5.0))
+
+    host.put(Ping, host_ns=7)
+
+    assert host.device.visible_ns() <= host.now_ns
+    assert [left for left, _ in host.device.advance(host.now_ns)] == [host.now_ns]
+
+
+def _firmware() -> Firmware:
+    return Firmware(
+        board=Board(QUIET, 0, np.random.default_rng(0)),
+        traits=Traits(conversion_ns=1, hold_ns=1, adc_bits=10, pwm_bits=10),
+        rng=np.random.default_rng(0),
+        clock=Clock(0),
+        boot_id=1,
+        mcusr=1,
+    )
+
+
+def test_a_run_that_has_lost_its_timer_ends_at_0_v() -> None:
+    """S1: rather than go on with what nobody paces."""
+    firmware = _firmware()
+    firmware.state = State.RUN
+    firmware.board.latch(0, 65535, Cause.REQUEST)
+
+    (event,) = firmware.tick(0)
+
+    assert events([event]) == [(State.RUN, State.IDLE, Cause.END)]
+    assert firmware.board.volts == 0.0
+
+
+def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
+    """S5: rather no device at all than a code that nobody sent."""
+    firmware = _firmware()
+    firmware.orders.append(Order(0, 0))
+
+    with pytest.raises(RuntimeError, match="without a queue"):
+        latch(firmware, 0)
+
+    assert firmware.board.volts == 0.0
+
+
+@pytest.mark.parametrize("state", [State.READY, State.RUN])
+def test_an_alpha_at_its_rail_is_told_in_each_sample(state: State) -> None:
+    """Its own flag, and in RUN its own guard."""
+    railed = EmulatorSettings(
+        baud=1_000_000, boot_ms=5.0, adc_noise_v=0.0, alpha_zero_deg=0.0, pwm_bits=0, adc_bits=0
+    )
+    host = Host(railed).reach(state, rail_ticks=2)
+
+    first = host.ask(Exchange, k=1, u=0)
+    second = host.ask(Exchange, k=2, u=0)
+
+    for answers in (first, second):
+        sample = only(Sample, answers)
+        assert sample.flags & Flag.ADC1_RAIL
+        assert not sample.flags & Flag.ADC0_RAIL
+    tripped = [m for m in second if isinstance(m, Event)]
+    assert [m.cause for m in tripped] == ([Cause.ADC_RAIL] if state is State.RUN else [])

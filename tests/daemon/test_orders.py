@@ -1,0 +1,302 @@
+"""What the service asks of the core: each refusal, from the state that it is for."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_core.volts import code_of
+from armrig_daemon.config import Config, Limits
+from armrig_daemon.faults import Fault, Id
+from armrig_daemon.records import Answer, Halt, Hold, Order, Play, Quit, Reset, RunEnded, Take
+from armrig_daemon.state import Exit, Phase, Run, State, Want
+from armrig_protocol.messages import ClearFault, Hello, Stop
+from armrig_protocol.messages import State as DeviceState
+from core_states import HOLD, PLAY, TAKE, armed, awaiting, driven, ordered, rested
+from msgspec.structs import replace
+from virtual_bench import LEASE, MS, Bench, codes
+
+
+def _refusal(bench: Bench, order: Order, state: State | None = None) -> str:
+    """Return why an order is refused; it then does nothing else."""
+    decided = ordered(bench, order, state)
+    (answer,) = decided.told(Answer)
+    assert answer.order == order.order
+    assert len(decided.actions) == 1
+    before = state or bench.loop.state
+    assert decided.state == replace(before, service_ns=bench.ports.now)
+    return str(answer.error)
+
+
+def test_an_order_that_is_none_of_ours_is_refused() -> None:
+    """The loop and the service may be of two releases."""
+    assert "not an order" in _refusal(rested(), Order(order=5))
+
+
+def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
+    """A second SIGTERM sends no second STOP."""
+    bench = driven()
+    once = ordered(bench, Quit(reason="SIGTERM"))
+    again = ordered(bench, Quit(reason="SIGTERM"), once.state)
+
+    assert [type(m) for m in once.sent] == [Stop]
+    assert again.actions == []
+    assert again.state == once.state
+
+
+@pytest.mark.parametrize("gone", [{"link_up": False}, {"device": None}])
+def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> None:
+    """A run that was on is told as ended before the exit."""
+    bench = driven()
+    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1), outcome="unplugged", **gone)
+
+    decided = ordered(bench, Quit(reason="SIGTERM"), state)
+
+    assert [r.outcome for r in decided.told(RunEnded)] == ["unplugged"]
+    assert isinstance(decided.actions[-1], Exit)
+    assert decided.sent == []
+
+
+def test_a_rig_that_is_ending_is_not_armed() -> None:
+    """The exit is not put off."""
+    bench = rested()
+    assert "ending" in _refusal(bench, TAKE, replace(bench.loop.state, quitting=True))
+
+
+@pytest.mark.parametrize("want", list(Want))
+@pytest.mark.parametrize("order", [TAKE, HOLD, PLAY])
+def test_while_the_device_is_asked_something_an_order_waits(want: Want, order: Order) -> None:
+    """One request at a time: the refusal names it."""
+    bench = rested() if isinstance(order, Take) else armed()
+    state = awaiting(bench.loop.state, want)
+
+    assert _refusal(bench, order, state) == f"busy with {want}: try again"
+
+
+@pytest.mark.parametrize("change", [{"phase": Phase.INIT}, {"device": None}])
+def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, object]) -> None:
+    """INIT is not yet, and no device is not at all."""
+    bench = rested()
+
+    text = _refusal(bench, TAKE, replace(bench.loop.state, **change))
+
+    assert text == "there is no device yet: see that it is plugged in"
+
+
+def test_a_rig_that_is_held_is_not_taken() -> None:
+    """The refusal names who holds it; in fault, what is wrong."""
+    bench = armed()
+    fault = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
+
+    assert _refusal(bench, TAKE) == "held by a student: wait, or stop it"
+    assert _refusal(bench, TAKE, fault) == "in fault (it ran out): mend it, then reset"
+
+
+def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
+    """S4: 50 ms at Ts 10 ms, and not a nanosecond more."""
+    bench = rested()
+    old = replace(bench.loop.state, fresh_ns=bench.ports.now - 50 * MS)
+
+    assert ordered(bench, TAKE, old).told(Answer) == []
+    assert "no answer" in _refusal(bench, TAKE, replace(old, fresh_ns=old.fresh_ns - 1))
+
+
+@pytest.mark.parametrize("state", [s for s in DeviceState if s not in (2, 3)])
+def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> None:
+    """Refused, and led back by HELLO."""
+    bench = rested()
+
+    decided = ordered(bench, TAKE, replace(bench.loop.state, device_state=int(state)))
+
+    (answer,) = decided.told(Answer)
+    assert f"in state {int(state)}, not at rest" in answer.error
+    assert [type(m) for m in decided.sent] == [Hello]
+
+
+# -- the reset -----------------------------------------------------------------------------------
+
+
+def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> State:
+    return replace(bench.loop.state, phase=Phase.FAULT, device_state=int(device_state))
+
+
+def test_a_reset_where_nothing_is_latched_is_done_at_once() -> None:
+    """Nothing is asked of the device, whoever holds it."""
+    bench = armed()
+    decided = ordered(bench, Reset(order=8))
+
+    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert decided.state.phase is Phase.ARMED
+    assert decided.sent == []
+
+
+def test_a_reset_needs_a_device() -> None:
+    """Without one there is nothing to see that the cause is gone."""
+    bench = rested()
+    state = replace(_in_fault(bench), device=None)
+
+    assert "there is no device" in _refusal(bench, Reset(order=8), state)
+
+
+def test_a_reset_waits_for_the_stop() -> None:
+    """S6: first the motor stands, as the device says."""
+    bench = rested()
+    state = awaiting(_in_fault(bench), Want.STOP)
+
+    assert _refusal(bench, Reset(order=8), state) == "busy with STOP: try again"
+
+
+@pytest.mark.parametrize(
+    ("state", "asks"),
+    [
+        (DeviceState.FAULT, ClearFault),
+        (DeviceState.ESTOP, ClearFault),
+        (DeviceState.IDLE, Hello),
+        (DeviceState.READY, Hello),
+    ],
+)
+def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, asks: type) -> None:
+    """By its token; where only the daemon has latched, HELLO begins anew."""
+    bench = rested()
+    latched = replace(_in_fault(bench, state), token=12345)
+
+    (sent,) = ordered(bench, Reset(order=8), latched).sent
+
+    assert type(sent) is asks
+    assert not isinstance(sent, ClearFault) or sent.token == 12345
+
+
+# -- the stop ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"phase": Phase.SAFE}, {"phase": Phase.FAULT}, {"device": None}],
+)
+def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -> None:
+    """Nobody waits for a device that is at 0 V, or out of our reach."""
+    bench = driven()
+    decided = ordered(bench, Halt(order=6), replace(bench.loop.state, **change))
+
+    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert decided.sent == []
+
+
+def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
+    """SAFE, but a CONFIG on its way may lead to an ARM: it is taken back."""
+    bench = rested()
+    decided = ordered(bench, Halt(order=6), awaiting(bench.loop.state, Want.CONFIGURE, TAKE))
+
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "overtaken by STOP")]
+
+
+# -- the lease's holder --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("phase", [Phase.INIT, Phase.SAFE, Phase.FAULT])
+def test_a_lease_holds_where_the_rig_is_armed_only(phase: Phase) -> None:
+    """S5: whatever is left of it elsewhere moves nothing."""
+    bench = armed()
+    assert "not the lease" in _refusal(bench, HOLD, replace(bench.loop.state, phase=phase))
+
+
+def test_numbers_grow_by_one_at_least() -> None:
+    """S5: the same number again is an old command."""
+    bench = armed()
+    state = bench.loop.state
+    assert state.lease is not None
+    at_7 = replace(state, lease=replace(state.lease, n=7))
+
+    assert "n=7 must be greater than the last, 7" in _refusal(bench, replace(HOLD, n=7), at_7)
+    assert ordered(bench, replace(HOLD, n=8), at_7).told(Answer) == []
+
+
+def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
+    """S2: and its number is the one to exceed."""
+    bench = driven()
+
+    lease = ordered(bench, HOLD).state.lease
+
+    assert lease is not None
+    assert (lease.n, lease.renewed_ns) == (50, bench.ports.now)
+
+
+def test_a_voltage_in_force_is_changed_without_another_start() -> None:
+    """Told as done at once; the next tick carries it."""
+    bench = driven()
+    decided = ordered(bench, HOLD)
+
+    assert decided.state.code == HOLD.code
+    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert decided.sent == []
+
+
+def test_no_hand_on_a_running_experiment() -> None:
+    """Its input is its own."""
+    bench = driven()
+    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1))
+
+    assert "experiment r is running" in _refusal(bench, HOLD, state)
+
+
+def test_no_experiment_while_the_motor_is_driven_by_hand() -> None:
+    """It would begin from another voltage than 0 V."""
+    assert "driven by hand" in _refusal(driven(), PLAY)
+
+
+def test_no_second_experiment_while_the_first_fills_its_queue() -> None:
+    """Armed, but not free."""
+    bench = armed()
+    state = replace(bench.loop.state, run=Run("first", codes(1.0), -1, scheduled=True))
+
+    assert "first is about to start" in _refusal(bench, PLAY, state)
+
+
+def test_an_experiment_of_no_sample_is_none() -> None:
+    """It would start the motor and never end."""
+    assert "empty" in _refusal(armed(), replace(PLAY, codes=b""))
+
+
+def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
+    """The refusal says what it can do."""
+    bench = armed()
+    state = bench.loop.state
+    assert state.device is not None
+    exchanging = replace(state, device=state.device._replace(capabilities=1))
+
+    assert "no scheduled mode" in _refusal(bench, replace(PLAY, scheduled=True), exchanging)
+    assert "no scheduled mode" in _refusal(
+        bench, replace(PLAY, scheduled=True), replace(state, device=None)
+    )
+
+
+@pytest.mark.parametrize("order", [HOLD, PLAY])
+def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Order) -> None:
+    """Armed for 0.9 ms, at 500 kBd only scheduled: the host ticks slower than that."""
+    bench = rested()
+    assert not bench.take(900).error
+    assert bench.loop.state.ts_us != 900
+
+    assert "Ts=0.0009 s cannot be carried in exchange mode" in _refusal(bench, order)
+
+
+@pytest.mark.parametrize(("volts", "allowed"), [(1.9, True), (2.0, True), (2.1, False)])
+def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: bool) -> None:
+    """S1: 1 V a sample, from the 1 V that are held; said in volts."""
+    bench = Bench(Config(limits=Limits(slew_v=1.0)))
+    bench.take()
+    bench.order(Hold(order=99, lease=LEASE, n=0, code=code_of(1.0)))
+    bench.run_for(20)
+
+    (answer,) = ordered(bench, replace(HOLD, code=code_of(volts))).told(Answer)
+
+    assert answer.error == ("" if allowed else "u steps by 1.1 V: at most 1 V in a sample")
+
+
+def test_an_experiment_is_played_by_its_own_way() -> None:
+    """Exchanged by START at once, scheduled by way of a STOP; each kept with its order."""
+    bench = armed()
+    for scheduled, want in ((False, Want.START), (True, Want.STOP)):
+        order: Play = replace(PLAY, scheduled=scheduled)
+        asked = ordered(bench, order).state.asked
+        assert asked is not None
+        assert (asked.want, asked.order) == (want, order)

@@ -1,0 +1,129 @@
+"""Runs of pytest in a child each: the parent never imports what bugs are planted in."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from enum import StrEnum
+from math import ceil
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+MEMORY_BYTES = 3 << 30  # a bug may let a list grow for ever
+PATIENCE = 10  # of the clock for one of the processor: others use it too
+QUIET = ["-q", "-x", "--no-header", "--no-summary", "-p", "no:cacheprovider", "-p", "no:cov"]
+QUIET += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # plugins are imported by the parent
+
+
+class Outcome(StrEnum):
+    """What became of a bug."""
+
+    CAUGHT = "caught"
+    TIMED_OUT = "timed out"
+    SURVIVED = "survived"
+    NOT_REACHED = "not reached"
+
+
+class Verdict(NamedTuple):
+    """An outcome, and who brought it about."""
+
+    outcome: Outcome
+    by: str
+    """The test that failed, or what else went wrong."""
+    took_s: float
+
+
+class _First:
+    """Notes the first test that fails."""
+
+    def __init__(self) -> None:
+        self.failed = ""
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed and not self.failed:
+            self.failed = report.nodeid
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.failed and not self.failed:
+            self.failed = f"import of {report.nodeid}"
+
+
+def tried(tests: list[str], plant: Callable[[], None], limit_s: float) -> Verdict:
+    """Run tests one after the other, in a child with a bug in it, until one fails.
+
+    Raises
+    ------
+    RuntimeError
+        pytest itself did not run: that is no bug caught.
+    """
+
+    def run(told: Path) -> None:
+        plant()
+        first = _First()
+        code = pytest.main([*QUIET, *tests], plugins=[first])
+        told.write_text(json.dumps([int(code), first.failed]))
+
+    began = time.monotonic()
+    status, told = in_child(run, limit_s)
+    took_s = time.monotonic() - began
+    if status is None:
+        return Verdict(Outcome.TIMED_OUT, f"{limit_s:.0f} s", took_s)
+    if told is None:
+        return Verdict(Outcome.CAUGHT, f"the process ended with status {status}", took_s)
+    code, failed = told
+    if code == pytest.ExitCode.OK:
+        return Verdict(Outcome.SURVIVED, "", took_s)
+    if not failed:
+        msg = f"pytest ended with {code}, and no test failed: is the file of --reach an old one?"
+        raise RuntimeError(msg)
+    return Verdict(Outcome.CAUGHT, failed, took_s)
+
+
+def in_child(run: Callable[[Path], None], limit_s: float) -> tuple[int | None, Any]:
+    """Return the child's exit status, None where it took too long, and what it told.
+
+    Parameters
+    ----------
+    limit_s : float
+        Of the processor's time.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        told = Path(folder) / "told"
+        pid = os.fork()
+        if pid == 0:
+            _be_modest(Path(folder), limit_s)
+            try:
+                run(told)
+            except BaseException:  # whatever it is, it is the child's
+                told.write_text(json.dumps([-1, ""]))
+            finally:
+                os._exit(0)
+        deadline = time.monotonic() + PATIENCE * limit_s
+        while time.monotonic() < deadline:
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done and os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU:
+                return None, None
+            if done:
+                return status, json.loads(told.read_text()) if told.exists() else None
+            time.sleep(0.01)
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        return None, None
+
+
+def _be_modest(folder: Path, limit_s: float) -> None:
+    """Keep a child's words and files to itself, and bound what it takes."""
+    resource.setrlimit(resource.RLIMIT_CPU, (ceil(limit_s), ceil(limit_s) + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(folder)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, sys.stdout.fileno())
+    os.dup2(nothing, sys.stderr.fileno())
