@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 from math import isnan
+from typing import Any
 
 import numpy as np
 
+from armrig.dataset import Dataset
+from armrig.equation import form
 from armrig.fit import Fit
 from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.quantities import p_relation, places
-from armrig.validation import ResidualTest
+from armrig.subspace_fit import SubspaceFit
+from armrig.validation import Comparison, ResidualTest
 from armrig.whiteness import WHITE_LEVEL
 
-_FORMS = {"arx": "A(q) y(t) = B(q) u(t) + e(t)", "oe": "y(t) = B(q)/F(q) u(t) + e(t)"}
 _MOST_DECIMALS = 9
 
 
 def of_model(fit: Fit) -> list[str]:
     """Return the model: equation, coefficients with both standard deviations, and verdict."""
-    orders = ", ".join(f"{name}={n}" for name, n in fit.orders.items())
     squared = _squared(fit.unit)
-    root = "; one root of F is 1 by construction" if fit.integrator else ""
+    root = f"; one root of {fit.integrating.upper()} is 1 by construction" if fit.integrator else ""
     lines = [
-        f"{fit.structure.upper()}({orders}): {_with_unit('u', fit.input_unit)} to "
-        f"{_with_unit(fit.output, fit.unit)}, Ts {fit.Ts:g} s, N {fit.N}",
-        f"  {_FORMS[fit.structure]}{root}",
+        heading(fit),
+        f"  {form(fit)}{root}",
         *coefficients(fit),
         f"  fit {fit.fit_percent:.2f} % one step ahead on estimation data",
         f"  loss {fit.loss:.4g}{squared}, FPE {fit.fpe:.4g}{squared}, AIC {fit.aic:.5g}",
@@ -34,7 +35,18 @@ def of_model(fit: Fit) -> list[str]:
         how = "agree" if fit.agreed else "DISAGREE, the best was taken"
         ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
         lines.append(f"  starts {how}: {ends}{squared}" + ("" if fit.converged else _UNFINISHED))
+    if isinstance(fit, SubspaceFit):
+        lines += [f"  {line}" for line in fit.explain().splitlines()]
     return [*lines, *(f"  warning: {w.replace('std_robust', 'σ robust')}" for w in fit.warnings)]
+
+
+def heading(fit: Fit) -> str:
+    """Return structure, orders, signals and data in a line."""
+    orders = ", ".join(f"{name}={n}" for name, n in fit.orders.items())
+    return (
+        f"{fit.structure.upper()}({orders}): {_with_unit('u', fit.input_unit)} to "
+        f"{_with_unit(fit.output, fit.unit)}, Ts {fit.Ts:g} s, N {fit.N}"
+    )
 
 
 _UNFINISHED = " (NOT CONVERGED)"
@@ -65,6 +77,49 @@ def of_tests(tests: ResidualTest) -> list[str]:
         f"  no dynamics missing: {_p(tests.missing_dynamics, 'look at the orders or the delay')}",
         f"  no feedback: {_p(tests.feedback, 'look at the experiment, or the delay is too large')}",
     ]
+
+
+def facts_of_model(fit: Fit) -> dict[str, Any]:
+    """Return the model for a program."""
+    rows = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
+    facts = {
+        "structure": fit.structure,
+        "orders": fit.orders,
+        "integrator": fit.integrator,
+        "Ts": fit.Ts,
+        "parameters": {
+            name: {"value": float(v), "std": float(s), "std_robust": float(r)}
+            for name, v, s, r in rows
+        },
+        "noise_variance": fit.noise_variance,
+        "loss": fit.loss,
+        "fpe": fit.fpe,
+        "aic": fit.aic,
+        "mdl": fit.mdl,
+        "fit_percent": fit.fit_percent,
+        "p_white": fit.whiteness,
+        "converged": fit.converged,
+        "warnings": list(fit.warnings),
+        "N": fit.N,
+    }
+    if isinstance(fit, SubspaceFit):
+        facts["canonical_correlations"] = fit.canonical_correlations.tolist()
+        facts["suggested_order"] = fit.suggested_order
+    return facts
+
+
+def facts_of_tests(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[str, Any]:
+    """Return the verdict of validation data for a program."""
+    return {
+        "recording": data.source,
+        "on_estimation_data": row.on_estimation_data,
+        "fit_percent": row.fit_percent,
+        "rms_error": row.rms_error,
+        "velocity_fit_percent": row.velocity_fit_percent,
+        "p_white": tests.whiteness,
+        "p_no_dynamics_missing": tests.missing_dynamics,
+        "p_no_feedback": tests.feedback,
+    }
 
 
 def hint(fit: Fit) -> str:

@@ -14,10 +14,13 @@ import numpy as np
 
 from armrig.fit import Fit, Start
 from armrig.free_response import FreeResponse
+from armrig.subspace_fit import SubspaceFit
 
 FORMAT = "armrig model"
 VERSION = 1
+_KINDS = {"n4sid": SubspaceFit}
 _ARRAYS = ("A", "B", "C", "D", "F", "covariance", "covariance_robust")
+_SINGULAR = ("singular_values", "canonical_correlations")
 _FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
 
 
@@ -76,8 +79,10 @@ def load_fit(path: str | PathLike[str]) -> Fit:
 
 
 def _restored(content: dict[str, Any]) -> Fit:
-    values = {f.name: content[f.name] for f in fields(Fit)}
-    values |= {name: np.array(_numbers(values[name]), dtype=np.float64) for name in _ARRAYS}
+    kind = _KINDS.get(content["structure"], Fit)
+    values = {f.name: content[f.name] for f in fields(kind)}
+    arrays = [name for name in (*_ARRAYS, *_SINGULAR) if name in values]
+    values |= {name: np.array(_numbers(values[name]), dtype=np.float64) for name in arrays}
     values |= {name: float(values[name]) for name in _FIGURES}
     values["starts"] = tuple(
         Start(**(start | {"loss": float(start["loss"])})) for start in values["starts"]
@@ -91,7 +96,7 @@ def _restored(content: dict[str, Any]) -> Fit:
         for free in values["free"]
     )
     values |= {name: tuple(values[name]) for name in ("warnings", "history")}
-    return Fit(**values)
+    return kind(**values)
 
 
 def _plain(value: Any) -> Any:

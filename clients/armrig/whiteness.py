@@ -152,19 +152,49 @@ def portmanteau(
     M -= R[0] * by_fitted @ by_fitted.T
     if theta_covariance is not None:
         M += by_theta @ theta_covariance @ by_theta.T
-    return joint_p_value(pairs[1:] * R[1:] - m, M)
+    return portmanteau_p_value(*joint_statistic(pairs[1:] * R[1:] - m, M), N)
+
+
+def portmanteau_p_value(Q: float, m: int, N: int) -> float:
+    """Return P(Q' >= Q) for a portmanteau statistic Q' of m lags and N white Gaussian residuals.
+
+    Its mean is m but its variance is not 2 m: each r(k)² is divided by the same R(0)² and shares
+    its products with the others. In 60 000 runs for each of N = 100, 250, 500 and m = 5, 10, 25
+    it was 2 m (1 + c), c = (2 m - 5.5)/N, to within 0.02 for N >= 250, and chi-squared rejects
+    5.8 % at N = 500, m = 25 where 5 % is meant. So Q/m is taken as F(m, v), scaled to the mean
+    1, with the v whose variance is that one.
+
+    References
+    ----------
+    .. [1] N. Davies, C. M. Triggs, P. Newbold, Biometrika 64 (1977) 517-522.
+    """
+    from scipy.special import chdtrc, fdtrc
+
+    if m == 0:
+        return float("nan")
+    c = (2 * m - 5.5) / N
+    if c <= 0:
+        return float(chdtrc(m, Q))
+    v = 4 + (m + 2) / c
+    return float(fdtrc(m, v, Q / m * v / (v - 2)))
 
 
 def joint_p_value(s: Array, M: Array) -> float:
     """Return P(chi² >= s^T M^+ s), with the rank of M as degrees of freedom."""
     from scipy.special import chdtrc
 
+    Q, degrees = joint_statistic(s, M)
+    return float(chdtrc(degrees, Q)) if degrees else float("nan")
+
+
+def joint_statistic(s: Array, M: Array) -> tuple[float, int]:
+    """Return s^T M^+ s and the rank of M; 0 and 0 where M is nothing."""
     scale = np.sqrt(np.maximum(np.diag(M), 0.0))
     used = scale > 1e-10 * max(float(scale.max(initial=0.0)), 1e-300)
     if not used.any():
-        return float("nan")
+        return 0.0, 0
     s, M = s[used] / scale[used], M[np.ix_(used, used)] / np.outer(scale[used], scale[used])
     value, vector = np.linalg.eigh(M)
     kept = value > 1e-8 * value[-1]
     z = vector[:, kept].T @ s
-    return float(chdtrc(int(np.count_nonzero(kept)), np.sum(z**2 / value[kept])))
+    return float(np.sum(z**2 / value[kept])), int(np.count_nonzero(kept))

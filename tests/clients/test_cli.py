@@ -809,9 +809,18 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["arx", "--nf", "3"], "--nf 3 goes with --structure oe or bj; an ARX model has na, nb and nk"),
-        (["oe", "--na", "3"], "--na 3 goes with --structure arx or armax or iv4; an OE model has nb, nf and nk"),
-        (["OE"], "--structure: 'OE' is not one of 'arx', 'armax', 'oe', 'bj', 'iv4', 'n4sid'; see"),
+        (
+            ["arx", "--nf", "3"],
+            "--nf 3 goes with --structure oe or bj; an ARX model has na, nb and nk",
+        ),
+        (
+            ["oe", "--na", "3"],
+            "--na 3 goes with --structure arx or armax or iv4; an OE model has nb, nf and nk",
+        ),
+        (
+            ["OE"],
+            "--structure: 'OE' is not one of 'arx', 'armax', 'oe', 'bj', 'iv4', 'n4sid'; see",
+        ),
         (["arx", "--na", "two"], "--na: must be an integer; see"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",

@@ -14,6 +14,7 @@ from armrig.polynomial import Array
 TOLERANCE = 1e-10
 MOST_STEPS = 200
 _SAME = 1e-7  # relative difference in cost up to which two ends are one
+_FALLS = 0.9  # factor by which a gradient that still falls does so in a step
 _FLOATING_LIMIT = 1e-13  # a promised relative decrease below this is rounding noise
 
 
@@ -99,7 +100,13 @@ def levenberg_marquardt(
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3) if ratio < 1 else 1 / 10
             growth = 2.0
         elif promised <= _FLOATING_LIMIT * cost:
-            return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
+            # The cost, a large sum, cannot tell better from worse any more. The gradient can: to
+            # stop here would leave some sqrt(1e-13 N) standard deviations to chance.
+            ends = _compressed(trial_e, trial_J)
+            if not np.linalg.norm(ends[2]) < _FALLS * np.linalg.norm(z):
+                return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
+            theta, cost, change = theta + step, trial_cost, 0.0
+            s, Vt, z, scale = ends
         else:
             damping, growth = max(damping, 1e-12) * growth, 2 * growth
             if damping > 1e12:

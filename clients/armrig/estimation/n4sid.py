@@ -1,0 +1,235 @@
+"""Subspace identification: a state space without a search, and so without a local minimum."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, get_args
+
+import numpy as np
+
+from armrig.checks import require_integers
+from armrig.dataset import Dataset
+from armrig.estimation.covariance import correlated_score
+from armrig.estimation.orders import require_samples
+from armrig.estimation.searching import with_integrator
+from armrig.estimation.subspace import (
+    Weights,
+    autoregressive_order,
+    projection,
+    realised,
+    suggested_order,
+    windows,
+)
+from armrig.goodness import fit_percent
+from armrig.innovations import Errors, Regression, errors, prepared, regression
+from armrig.least_squares import orthonormal
+from armrig.polynomial import Array, lagged, reflected, without_integrator
+from armrig.preprocess import INTEGRATING_OUTPUTS
+from armrig.structure import Structure
+from armrig.subspace_fit import SubspaceFit
+from armrig.whiteness import WHITE_LEVEL, default_lags, portmanteau
+
+LEAST, LONGEST = 10, 30  # samples of past and of future
+_ENOUGH = 4000  # windows to choose the horizon from
+_MOST = 10  # order that is suggested at most
+_NEAR_ONE = 0.02  # distance of a pole from 1 that is worth a word
+
+
+def n4sid(
+    data: Dataset,
+    order: int | None = None,
+    weights: Weights = "cva",
+    *,
+    nk: int = 1,
+    integrator: bool = False,
+    horizon: int | None = None,
+) -> SubspaceFit:
+    """Estimate a state space x(t+1) = A x + B u + K e, y = C x + D u + e from projections.
+
+    The future of y is projected on past u and y, with the future input apart; the singular values
+    of the weighted projection show the order, its left singular vectors give A and C, the states'
+    residuals K. Given these, B, D and the unknown past follow from least squares on the one-step
+    errors. There is no search, and no start value. It is no minimum of the prediction error
+    either: a search (`armax`, `oe`, `bj`) gains some efficiency over it.
+
+    Parameters
+    ----------
+    data : Dataset
+        A window of 2 `horizon` samples with a missing one is left out. Means of u and y, and the
+        ramp that an offset of u makes on an integrating output, are projected out.
+    order : int, optional
+        Number of states, >= 1; by default the one of least MDL of the states' one-step errors.
+    weights : {"cva", "moesp", "n4sid"}
+        Of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, Van Overschee and
+        De Moor's N4SID.
+    nk : int, default 1
+        Samples before u reaches y; 0 is a direct term D.
+    integrator : bool, default False
+        The pole nearest 1 is 1 exactly; the input's offset is estimated along. y itself is
+        projected, never its difference, which would drown the slow poles in noise.
+    horizon : int, optional
+        Samples of past and of future, more than `order`; by default the order of an ARX model by
+        AIC, between 10 and 30, or 2 (order + 1) if that is more, and fewer for short data. Long
+        ones serve noise that is white on the output, short ones noise that the poles shape.
+
+    Returns
+    -------
+    SubspaceFit
+        `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
+        polynomials; the subspace estimate's own is not known, and larger: for an ARMAX model of
+        order 2 (N = 2000, 200 runs) it scattered by 0.96 to 1.34 times these deviations.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, or the data do not show so many states.
+
+    References
+    ----------
+    .. [1] P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996.
+    .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 10.6.
+    """
+    if weights not in get_args(Weights):
+        allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
+        msg = f"weights={weights!r} must be one of {allowed}"
+        raise ValueError(msg)
+    require_integers(nk=(nk, 0), order=(1 if order is None else order, 1))
+    later = max(nk - 1, 0)
+    signals = [(lagged(part.u, [later])[:, 0], part.y) for part in data.experiments()]
+    signals = [(u[later:], y[later:]) for u, y in signals]
+    i = _horizon(data, signals, order) if horizon is None else int(horizon)
+    require_integers(horizon=(i, 2 if order is None else int(order) + 1))
+    w = windows(signals, past=i, future=i)
+    asked = f"horizon={i}, with windows of {2 * i} samples without a gap,"
+    require_samples(asked, needed=4 * i + 2 + 2 * i, got=w.N + 2 * i - 1)
+    found = projection(w, weights)
+    canonical = found if weights == "cva" else projection(w, "cva")
+    suggested = suggested_order(w, canonical, min(_MOST, i - 1))
+    n = suggested if order is None else int(order)
+    if n > found.states:
+        msg = f"order={n}: the data show {found.states} states; lower the order"
+        raise ValueError(msg)
+    space = realised(w, found, n)
+    A = np.real(np.poly(space.A))
+    C = reflected(np.real(np.poly(space.A - np.outer(space.K, space.C))))
+    if integrator:
+        A = _integrating(A)
+    structure = Structure(
+        na=n - int(integrator),
+        nb=n + int(nk == 0),
+        nc=n,
+        nk=nk,
+        integrator="a" if integrator else "",
+    )
+    facts = {
+        "weights": weights,
+        "horizon": i,
+        "singular_values": found.singular_values,
+        "canonical_correlations": canonical.singular_values,
+        "suggested_order": suggested,
+    }
+    said = () if space.steady else ("no steady Kalman gain was found: the noise model is 1/1",)
+    return _fit(data, structure, A, C, facts, said)
+
+
+def _horizon(data: Dataset, signals: Sequence[tuple[Array, Array]], order: int | None) -> int:
+    least = 2 if order is None else int(order) + 1
+    most = max((data.N - data.missing) // 12, least)
+    w = windows(signals, past=min(LONGEST, most), future=1, most=_ENOUGH)
+    enough = 2 * len(w.R) < w.N
+    wanted = autoregressive_order(w) if enough else LEAST
+    return min(max(wanted, LEAST, 2 * least), most)
+
+
+def _integrating(A: Array) -> Array:
+    """Return A with its real root nearest 1 moved there."""
+    z = np.roots(A).astype(np.complex128)
+    z[np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9))] = 1.0
+    return np.convolve([1.0, -1.0], without_integrator(np.real(np.poly(z))))
+
+
+def _fit(
+    data: Dataset,
+    n: Structure,
+    A: Array,
+    C: Array,
+    facts: dict[str, Any],
+    said: tuple[str, ...],
+) -> SubspaceFit:
+    """Return the model with B by least squares on the one-step errors, for given A and C."""
+    free = without_integrator(A) if n.integrator else A
+    one = np.ones(1)
+    experiments = [prepared(part, n) for part in data.experiments()]
+    given = [regression(x, n, C=C, D=one, F=one) for x in experiments]
+    whole = np.vstack([g.unknown.without(np.column_stack([g.X, g.y])) for g in given])
+    basis = orthonormal(whole[:, n.na : -1])
+    if basis.rank < n.nb:
+        msg = f"u determines only {basis.rank} of {n.nb} numerator coefficients; lower the order "
+        msg += "or excite with a richer input"
+        raise ValueError(msg)
+    b = basis.coefficients(whole[:, -1] - whole[:, : n.na] @ free[1:])
+    B = np.append(np.zeros(n.nk), b)
+    parts = [
+        errors(x, n, g, A=free, B=B, C=C, D=one, F=one)
+        for x, g in zip(experiments, given, strict=True)
+    ]
+    return SubspaceFit(
+        structure="n4sid",
+        A=A,
+        B=B,
+        C=C,
+        nk=n.nk,
+        integrator=bool(n.integrator),
+        offset=bool(n.trend),
+        Ts=data.Ts,
+        **_figures(data, n, [x.rows for x in experiments], parts, given, A, said),
+        **data.origin(),
+        **facts,
+    )
+
+
+def _figures(
+    data: Dataset,
+    n: Structure,
+    rows: list[Array],
+    parts: list[Errors],
+    given: list[Regression],
+    A: Array,
+    said: tuple[str, ...],
+) -> dict[str, Any]:
+    """Return loss, covariance bound and verdict of the one-step errors."""
+    blocks = [np.hstack([g.unknown.without(g.X), p.Psi]) for g, p in zip(given, parts, strict=True)]
+    residuals = [np.where(r, p.e, np.nan) for r, p in zip(rows, parts, strict=True)]
+    M = sum(int(np.count_nonzero(r)) for r in rows)
+    sse = sum(float(p.e @ p.e) for p in parts)
+    degrees = M - blocks[0].shape[1] - sum(g.unknown.rank for g in given)
+    require_samples("the order", needed=M - degrees + 1, got=M)
+    bread_basis = orthonormal(np.vstack(blocks))
+    bread = bread_basis.W @ bread_basis.W.T
+    scores = [P * p.e[:, None] for P, p in zip(blocks, parts, strict=True)]
+    robust = bread @ (correlated_score(scores) * M / degrees) @ bread
+    to_full = with_integrator(n)
+    white = portmanteau(residuals, blocks, [g.unknown.span for g in given], default_lags(M))
+    y = data.y[np.concatenate(rows)]
+    return {
+        "covariance": to_full @ (sse / degrees * bread) @ to_full.T,
+        "covariance_robust": to_full @ robust @ to_full.T,
+        "noise_variance": sse / degrees,
+        "loss": sse / M,
+        "N": M,
+        "fit_percent": fit_percent(y, sse),
+        "whiteness": white,
+        "warnings": (*said, *_warnings(data, n, A, white)),
+    }
+
+
+def _warnings(data: Dataset, n: Structure, A: Array, white: float) -> Iterator[str]:
+    yield "the deviations are the bound that a search attains; those of a subspace are larger"
+    z = np.roots(A)
+    if np.any(np.abs(z) > 1 + 1e-9):
+        yield f"a pole is unstable, |z| = {np.abs(z).max():.4f}"
+    near = np.min(np.abs(z - 1), initial=np.inf)
+    if not n.integrator and data.output in INTEGRATING_OUTPUTS and near < _NEAR_ONE:
+        yield f"{data.output} integrates and a pole is {near:.1g} from 1: try integrator=True"
+    if white < WHITE_LEVEL:
+        yield "the residuals are coloured: trust std_robust, or raise the order"

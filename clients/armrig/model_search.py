@@ -1,0 +1,379 @@
+"""Search over model structures: what predicts other data best, and what is as good and simpler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from math import isfinite, sqrt
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.checks import require_integers
+from armrig.dataset import Dataset
+from armrig.estimation.armax import armax
+from armrig.estimation.arx import arx
+from armrig.estimation.bj import bj
+from armrig.estimation.iv4 import iv4
+from armrig.estimation.n4sid import n4sid
+from armrig.estimation.oe import oe
+from armrig.fit import Fit
+from armrig.prediction import require_same_signals
+from armrig.preprocess import INTEGRATING_OUTPUTS
+from armrig.validation import ResidualTest, residuals
+
+Vector = NDArray[np.float64]
+Family = Literal["arx", "iv4", "armax", "oe", "bj", "n4sid"]
+
+FAMILIES: tuple[Family, ...] = ("arx", "iv4", "armax", "oe", "bj", "n4sid")
+_ESTIMATORS: dict[Family, Callable[..., Fit]] = {
+    **{"arx": arx, "iv4": iv4, "armax": armax, "oe": oe, "bj": bj, "n4sid": n4sid},
+}
+_KNOWING_AN_INTEGRATOR = ("armax", "oe", "bj", "n4sid")
+_NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
+_BATCHES = 30  # of the validation data, for the standard error of a mean of dependent samples
+_REJECTED = 0.05  # p value below which a residual test is told
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A structure with its orders."""
+
+    family: Family
+    """Which estimator."""
+    orders: tuple[tuple[str, int], ...]
+    """Its orders by name."""
+    integrator: bool = False
+    """A pole at 1 by construction."""
+
+    @property
+    def name(self) -> str:
+        """Structure and orders, as a comparison names them."""
+        return f"{self.family.upper()}[{' '.join(str(n) for _, n in self.orders)}]"
+
+    def estimated(self, data: Dataset) -> Fit:
+        """Return the model of the data."""
+        known = {"integrator": True} if self.integrator else {}
+        return _ESTIMATORS[self.family](data, **dict(self.orders), **known)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judged:
+    """A candidate and what the validation data say of it."""
+
+    candidate: Candidate
+    """Structure and orders."""
+    fit: Fit | None
+    """The model, None where there is none."""
+    reason: str
+    """Why there is no model, or ""."""
+    error: Vector
+    """y - ŷ on the validation data, (N,), NaN where there is none; () without a model."""
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters, 0 without a model."""
+        return 0 if self.fit is None else self.fit.parameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SearchResult:
+    """Models ranked on validation data, and the one to take; print it or ask it to explain."""
+
+    ranked: tuple[Judged, ...]
+    """Best first; those without a model, or whose output has no bound, are not among them."""
+    rms: Vector
+    """Root mean square of the error of each of `ranked`, in y's unit."""
+    excess: Vector
+    """Mean squared error less that of the best, (n,)."""
+    excess_std: Vector
+    """Standard error of `excess`, from the differences in batches, (n,)."""
+    chosen_index: int
+    """Of the simplest within one standard error of the best."""
+    failed: tuple[Judged, ...]
+    """Candidates without a usable model."""
+    tests: ResidualTest
+    """Of the chosen model's residuals on the validation data."""
+    horizon: int | None
+    """Samples ahead; None is simulation."""
+    unit: str
+    """Of y."""
+
+    @property
+    def chosen(self) -> Judged:
+        """The simplest within one standard error of the best."""
+        return self.ranked[self.chosen_index]
+
+    @property
+    def fit(self) -> Fit:
+        """The chosen model."""
+        if self.chosen.fit is None:  # never: what is ranked has a model
+            raise ValueError(self.chosen.reason)
+        return self.chosen.fit
+
+    @property
+    def within(self) -> NDArray[np.bool_]:
+        """Which of `ranked` are within one standard error of the best, (n,)."""
+        return np.asarray(self.excess <= self.excess_std)
+
+    def explain(self) -> str:
+        """Return in words what was chosen, and why."""
+        return "\n".join(f"- {line}" for line in _reasons(self))
+
+    def __repr__(self) -> str:
+        """Say the best ones in a table, the choice marked."""
+        what = "simulated" if self.horizon is None else f"predicted {self.horizon} samples ahead"
+        count = len(self.ranked) + len(self.failed)
+        lines = [f"{count} models, {what}, ranked by their error on the validation data"]
+        width = max(len(j.candidate.name) for j in self.ranked)
+        head = (
+            f"  {'model':{width}} {'parameters':>10} {'rms':>11}  {'excess of the best ± se':>24}"
+        )
+        lines.append(head)
+        shown = sorted({*range(min(10, len(self.ranked))), self.chosen_index})
+        for i in shown:
+            j = self.ranked[i]
+            of_best = "" if i == 0 else f"{self.excess[i]:.3g} ± {self.excess_std[i]:.2g}"
+            mark = "  <- chosen" if i == self.chosen_index else ""
+            lines.append(
+                f"  {j.candidate.name:{width}} {j.parameters:10} {self.rms[i]:11.5g}  "
+                f"{of_best:>24}{mark}"
+            )
+        if len(self.ranked) > len(shown):
+            lines.append(f"  … and {len(self.ranked) - len(shown)} more")
+        return "\n".join([*lines, self.explain()])
+
+
+def search(
+    data: Dataset,
+    validation: Dataset | None = None,
+    *,
+    families: Iterable[Family] = FAMILIES,
+    orders: Iterable[int] = range(1, 6),
+    nk: int | Iterable[int] = 1,
+    integrator: bool | None = None,
+    horizon: int | None = None,
+    executor: Executor | None = None,
+) -> SearchResult:
+    """Estimate many structures, rank them on other data, choose the simplest as good as the best.
+
+    A candidate of order n has n poles and n numerator coefficients; a Box-Jenkins one also nc =
+    nd = 1 and 2. The best has the least mean squared error on the validation data. As good is
+    whose mean of e² - e²_best is at most its standard error, from the means of 30 batches, since
+    the errors of a simulation are correlated; the simplest has the fewest parameters.
+
+    Parameters
+    ----------
+    data : Dataset
+        To estimate from.
+    validation : Dataset, optional
+        Other data; by default the second half of `data`, of which then the first half estimates.
+    families : iterable of str
+        Of "arx", "iv4", "armax", "oe", "bj" and "n4sid".
+    orders : iterable of int
+        Numbers of poles to try, >= 1, an integrator's included.
+    nk : int or iterable of int, default 1
+        Samples before u reaches y, all of them tried.
+    integrator : bool, optional
+        Whether structures that can have one get a pole at 1 exactly; by default where the output
+        is an angle that integrates.
+    horizon : int, optional
+        Samples ahead, >= 1; by default the models are simulated.
+    executor : concurrent.futures.Executor, optional
+        Where the candidates are estimated, such as a ``ProcessPoolExecutor``; here by default.
+
+    Returns
+    -------
+    SearchResult
+        `fit` is the chosen model, `ranked` all of them, `explain()` the reasons.
+
+    Raises
+    ------
+    ValueError
+        Nothing could be estimated, or an argument is out of range.
+
+    References
+    ----------
+    .. [1] T. Hastie, R. Tibshirani, J. Friedman, *The Elements of Statistical Learning*, 2nd ed.,
+       2009, section 7.10 (one standard error).
+    """
+    if validation is None:
+        data, validation = data.split(2)
+    known = data.output in INTEGRATING_OUTPUTS if integrator is None else integrator
+    delays = [nk] if isinstance(nk, int) else [*nk]
+    candidates = list(_candidates([*families], [*orders], delays, integrator=known))
+    judge = partial(_judged, data=data, validation=validation, horizon=horizon)
+    judged = list((map if executor is None else executor.map)(judge, candidates))
+    return _ranked(judged, validation, horizon)
+
+
+def _candidates(
+    families: list[Family], orders: list[int], delays: list[int], *, integrator: bool
+) -> Iterator[Candidate]:
+    for family in families:
+        if family not in FAMILIES:
+            msg = f"families has {family!r}; each must be one of {', '.join(FAMILIES)}"
+            raise ValueError(msg)
+    for n in orders:
+        require_integers(orders=(n, 1))
+    for nk in delays:
+        require_integers(nk=(nk, 0))
+    for family in families:
+        fixed = integrator and family in _KNOWING_AN_INTEGRATOR
+        for nk in delays:
+            for n in orders:
+                for named in _orders(family, n):
+                    yield Candidate(
+                        family=family, orders=(*named.items(), ("nk", nk)), integrator=fixed
+                    )
+
+
+def _orders(family: Family, n: int) -> list[dict[str, int]]:
+    if family == "bj":
+        return [{"nb": n, "nc": m, "nd": m, "nf": n} for m in _NOISE_ORDERS]
+    return [
+        {
+            "arx": {"na": n, "nb": n},
+            "iv4": {"na": n, "nb": n},
+            "armax": {"na": n, "nb": n, "nc": n},
+            "oe": {"nb": n, "nf": n},
+            "n4sid": {"order": n},
+        }[family]
+    ]
+
+
+def _judged(
+    candidate: Candidate, data: Dataset, validation: Dataset, horizon: int | None
+) -> Judged:
+    none = np.zeros(0)
+    try:
+        with np.errstate(all="ignore"):
+            fit = candidate.estimated(data)
+            require_same_signals(fit, validation)
+            error = validation.y - fit.predict(validation, horizon=horizon)
+    except (ValueError, np.linalg.LinAlgError) as err:
+        return Judged(candidate=candidate, fit=None, reason=str(err), error=none)
+    reason = ""
+    if not np.isfinite(fit.theta).all() or np.isinf(error).any():
+        reason = "its output has no bound"
+    return Judged(candidate=candidate, fit=fit, reason=reason, error=error)
+
+
+def _ranked(judged: list[Judged], validation: Dataset, horizon: int | None) -> SearchResult:
+    usable = [j for j in judged if not j.reason]
+    failed = [j for j in judged if j.reason]
+    if not usable:
+        msg = "none of the structures could be estimated"
+        msg += f"; the first, {failed[0].candidate.name}: {failed[0].reason}" if failed else ""
+        raise ValueError(msg)
+    # The same samples for all: one model's transient is not another's.
+    both = np.all([np.isfinite(j.error) for j in usable], axis=0)
+    if not both.any():
+        msg = "no validation sample is predicted by all models; validate on longer data"
+        raise ValueError(msg)
+    squared = np.array([j.error[both] ** 2 for j in usable])
+    order = np.argsort(squared.mean(axis=1), kind="stable")
+    squared, usable = squared[order], [usable[i] for i in order]
+    difference = squared - squared[0]
+    excess_std = np.array([_standard_error(d) for d in difference])
+    excess = difference.mean(axis=1)
+    as_good = np.flatnonzero(excess <= excess_std)
+    # Fewest parameters, and of those the better, which comes first.
+    chosen = int(min(as_good, key=lambda i: (usable[i].parameters, i)))
+    fit = usable[chosen].fit
+    if fit is None:
+        raise ValueError(usable[chosen].reason)
+    return SearchResult(
+        ranked=tuple(replace(j, error=_frozen(j.error)) for j in usable),
+        rms=np.sqrt(squared.mean(axis=1)),
+        excess=excess,
+        excess_std=excess_std,
+        chosen_index=chosen,
+        failed=tuple(failed),
+        tests=residuals(fit, validation),
+        horizon=horizon,
+        unit=validation.unit,
+    )
+
+
+def _frozen(x: Vector) -> Vector:
+    x.flags.writeable = False
+    return x
+
+
+def _standard_error(x: Vector) -> float:
+    """Return that of the mean of dependent samples, by the means of batches."""
+    k = min(_BATCHES, x.size)
+    if k < 2:
+        return 0.0
+    means = np.array([part.mean() for part in np.array_split(x, k)])
+    return float(np.std(means, ddof=1)) / sqrt(k)
+
+
+def _reasons(found: SearchResult) -> Iterator[str]:
+    best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
+    what = "simulation" if found.horizon is None else f"prediction {found.horizon} samples ahead"
+    of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
+    yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
+    if i:
+        yield (
+            f"chosen: {chosen.candidate.name}, {chosen.parameters} parameters instead of "
+            f"{best.parameters}; its mean squared error is higher by {found.excess[i]:.2g} ± "
+            f"{found.excess_std[i]:.2g}, no more than chance makes"
+        )
+    else:
+        yield "chosen: the same, since nothing simpler is within one standard error of it"
+    yield from _of_poorer(found)
+    yield from _of_families(found)
+    yield from _of_tests(found.tests)
+    if chosen.fit is not None and chosen.fit.structure != "n4sid":
+        yield from chosen.fit.warnings
+    if found.failed:
+        first = found.failed[0]
+        yield (
+            f"without a usable model: {len(found.failed)}, such as "
+            f"{first.candidate.name}: {first.reason}"
+        )
+
+
+def _of_poorer(found: SearchResult) -> Iterator[str]:
+    """Say that fewer parameters were not enough."""
+    fewer = [k for k, j in enumerate(found.ranked) if j.parameters < found.chosen.parameters]
+    if fewer:
+        k = fewer[0]
+        yield (
+            f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "
+            f"{found.ranked[k].parameters}, and rms error {found.rms[k]:.4g}, "
+            f"{found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors off"
+        )
+
+
+def _of_families(found: SearchResult) -> Iterator[str]:
+    """Say how far the equation-error model is from the output-error one, if it is far."""
+    best: dict[Family, int] = {}
+    for k, j in enumerate(found.ranked):
+        best.setdefault(j.candidate.family, k)
+    if "arx" in best and "oe" in best and found.rms[best["oe"]] > 0:
+        ratio = float(found.rms[best["arx"]] / found.rms[best["oe"]])
+        if isfinite(ratio) and not found.within[best["arx"]] and ratio > 1.1:
+            yield (
+                f"the best ARX model's error is {ratio:.3g} times that of the best OE model: "
+                "noise on the output biases A, which an ARX model takes for dynamics"
+            )
+
+
+def _of_tests(tests: ResidualTest) -> Iterator[str]:
+    for p, said in (
+        (tests.missing_dynamics, "the input still explains its residuals: dynamics are missing"),
+        (tests.feedback, "its residuals run ahead of the input: feedback, or nk is too large"),
+    ):
+        if p < _REJECTED:
+            yield f"{said} (p = {p:.2g})"
+    if tests.whiteness < _REJECTED:
+        yield (
+            f"its residuals are coloured (p = {tests.whiteness:.2g}): good for simulation, but "
+            "trust std_robust, and take a noise model for prediction"
+        )

@@ -1,0 +1,95 @@
+"""The search for a model: ranked on other data, simpler where that is as good."""
+
+from __future__ import annotations
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset
+from armrig.excitation import telegraph
+from armrig.model_search import search
+from armrig.polynomial import filtered
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
+
+
+def _data(seed: int, C: list[float], D: list[float], N: int = 1500) -> Dataset:
+    rng = np.random.default_rng(seed)
+    u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
+    y = filtered([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u)
+    return Dataset(u=u, y=y + filtered(C, D, 0.5 * rng.standard_normal(N)), Ts=1.0)
+
+
+@pytest.mark.parametrize(
+    ("C", "D", "chosen"),
+    [
+        ([1.0], [1.0, -1.2, 0.6], {"ARX[2 2 1]", "IV4[2 2 1]"}),
+        ([1.0], [1.0], {"OE[2 2 1]"}),
+        ([1.0, 0.9], [1.0, -0.7], {"BJ[2 1 1 2 1]"}),
+    ],
+    ids=["ARX", "OE", "BJ"],
+)
+def test_the_true_structure_is_chosen_by_prediction(
+    C: list[float], D: list[float], chosen: set[str]
+) -> None:
+    """Not a larger one that is better by chance, not a smaller one that is worse."""
+    found = search(
+        _data(1, C, D),
+        _data(2, C, D),
+        families=("arx", "iv4", "oe", "bj"),
+        orders=range(1, 4),
+        horizon=1,
+    )
+
+    assert found.chosen.candidate.name in chosen
+    assert found.excess[found.chosen_index] <= found.excess_std[found.chosen_index]
+    assert (np.diff(found.rms) >= 0).all()
+
+
+def test_the_arm_gets_its_integrator_and_the_reasons(plant: HandoutPlant) -> None:
+    """Simulated, where an ARX model fails."""
+    found = search(
+        plant.dataset(1), plant.dataset(2), families=("arx", "oe", "n4sid"), orders=range(2, 6)
+    )
+
+    assert found.chosen.candidate.name == "OE[4 4 1]"
+    assert found.fit.integrator
+    text = found.explain()
+    assert "noise on the output biases A" in text
+    assert "fewer parameters are not enough: OE[3 3 1]" in text
+
+
+def test_other_processes_find_the_same() -> None:
+    """To the last digit, whatever the executor."""
+    data = _data(1, [1.0], [1.0], 400)
+
+    here = search(data, families=("oe",), orders=(1, 2))
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
+        there = search(data, families=("oe",), orders=(1, 2), executor=executor)
+
+    np.testing.assert_array_equal(here.fit.theta, there.fit.theta)
+    np.testing.assert_array_equal(here.rms, there.rms)
+
+
+def test_what_fails_is_told_and_does_not_stop_the_search() -> None:
+    """Too many orders for so few samples."""
+    data = _data(1, [1.0], [1.0], 80)
+
+    found = search(data, families=("arx",), orders=(1, 2, 30))
+
+    assert [j.candidate.name for j in found.failed] == ["ARX[30 30 1]"]
+    assert "without a usable model: 1, such as ARX[30 30 1]: na=30, nb=30" in found.explain()
+
+
+def test_what_cannot_be_searched_is_refused() -> None:
+    """With what is allowed."""
+    data = _data(1, [1.0], [1.0], 80)
+
+    with pytest.raises(ValueError, match="families has 'arimax'; each must be one of arx, iv4"):
+        search(data, families=("arimax",))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="none of the structures could be estimated; the first"):
+        search(data, families=("arx",), orders=(40,))

@@ -1,0 +1,175 @@
+"""Subspace identification."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.armax import armax
+from armrig.estimation.n4sid import n4sid
+from armrig.estimation.subspace import Weights
+from armrig.excitation import telegraph
+from armrig.model_file import load_fit
+from armrig.polynomial import filtered
+from armrig.subspace_fit import SubspaceFit
+from armrig.validation import compare, residuals
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
+
+OMEGA = np.geomspace(0.5, 100.0, 200)
+B, F, C = [0.0, 1.0, 0.5], [1.0, -1.2, 0.6], [1.0, -0.5, 0.2]
+
+
+def _data(seed: int, N: int = 2000, std: float = 0.5) -> Dataset:
+    rng = np.random.default_rng(seed)
+    u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
+    y = filtered(B, F, u) + filtered(C, F, std * rng.standard_normal(N))
+    return Dataset(u=u, y=y, Ts=1.0)
+
+
+@pytest.mark.parametrize("weights", ["cva", "moesp", "n4sid"])
+@pytest.mark.parametrize("nk", [0, 1, 3])
+def test_noise_free_data_give_back_the_true_system(weights: Weights, nk: int) -> None:
+    """With any weights and delay, from a state that is not zero."""
+    u = np.random.default_rng(1).standard_normal(600)
+    numerator = np.append(np.zeros(nk), [1.0, 0.5, 0.3][: 2 + (nk == 0)])
+    y = filtered(numerator, F, u)
+
+    fit = n4sid(Dataset(u=u[50:], y=y[50:], Ts=1.0), 2, weights, nk=nk)
+
+    np.testing.assert_allclose(fit.A, F, atol=1e-7)
+    np.testing.assert_allclose(fit.B, numerator, atol=1e-7)
+
+
+def test_it_comes_close_to_what_a_search_attains() -> None:
+    """Root mean square error of A and B at most a quarter above that of ARMAX, 60 runs."""
+    error: dict[str, list[float]] = {"n4sid": [], "armax": []}
+    for seed in range(60):
+        data = _data(seed, 800)
+        for name, fit in (("n4sid", n4sid(data, 2)), ("armax", armax(data, na=2, nb=2, nc=2))):
+            off = np.concatenate([fit.A - F, fit.B - B]) / 0.02
+            error[name].append(float(off @ off))
+
+    assert np.mean(error["n4sid"]) < 1.25**2 * np.mean(error["armax"])
+
+
+def test_the_arm_is_found_as_well_as_by_output_error(plant: HandoutPlant) -> None:
+    """Order by the data, integrator exact, no local minimum to fall into."""
+    fits = [n4sid(plant.dataset(seed), integrator=True) for seed in range(4)]
+
+    errors = [plant.relative_error(OMEGA, f.frequency_response(OMEGA).G) for f in fits]
+    assert [f.order for f in fits] == [4] * 4
+    assert np.median(errors) < 0.01
+    assert all(abs(np.sum(f.A)) < 1e-12 for f in fits)  # A(1) = 0
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_dead_band_of_a_potentiometer_costs_little(plant: HandoutPlant, seed: int) -> None:
+    """Quantised to 10 bits, 5 % missing in gaps of all lengths."""
+    data = plant.through_potentiometer(plant.dataset(seed), seed)
+
+    fit = n4sid(data, 4, integrator=True)
+
+    assert plant.relative_error(OMEGA, fit.frequency_response(OMEGA).G) < 0.02
+
+
+def test_an_input_offset_does_not_matter_to_an_integrating_output(plant: HandoutPlant) -> None:
+    """It makes a ramp, which is projected out."""
+    one = plant.dataset(1)
+    shifted = Dataset(u=one.u + 0.7, y=one.y, Ts=one.Ts, output="theta_1", unit="rad")
+
+    a, b = (n4sid(x, 4, integrator=True) for x in (one, shifted))
+
+    np.testing.assert_allclose(a.theta, b.theta, atol=1e-6)
+
+
+def test_an_integrating_angle_without_an_integrator_is_warned_of(plant: HandoutPlant) -> None:
+    """Its pole is near 1 and not there."""
+    warnings = n4sid(plant.dataset(1), 4).warnings
+
+    assert any("try integrator=True" in w for w in warnings)
+
+
+def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
+    """The estimate stays where it was, within its scatter."""
+    valid = np.ones(2000, dtype=np.bool_)
+    valid[::37] = False
+    one = _data(1)
+    data = merge([Dataset(u=one.u, y=one.y, Ts=1.0, valid=valid), _data(2)])
+
+    fit = n4sid(data, 2)
+
+    np.testing.assert_allclose(fit.A, F, atol=5 * fit.std[:2].max())
+    np.testing.assert_allclose(fit.B, B, atol=5 * fit.std[2:4].max())
+
+
+def test_the_state_space_is_the_model() -> None:
+    """In python-control, and simulated by hand, noise gain included."""
+    fit = n4sid(_data(1), 2)
+
+    A, B_s, C_s, D, K = fit.state_space()
+
+    omega = np.array([0.1, 1.0, 3.0])
+    z = np.exp(1j * omega)
+    np.testing.assert_allclose(fit.to_control()(z), fit.frequency_response(omega).G, rtol=1e-9)
+    u, e = np.random.default_rng(1).standard_normal((2, 50))
+    x, y = np.zeros((2, 1)), []
+    for k in range(50):
+        y.append((C_s @ x + D * u[k]).item() + e[k])
+        x = A @ x + B_s * u[k] + K * e[k]
+    expected = filtered(fit.B, fit.A, u) + filtered(fit.C, fit.A, e)
+    np.testing.assert_allclose(y, expected, atol=1e-9)
+
+
+def test_it_predicts_and_is_tested_as_every_model() -> None:
+    """On data that it has not seen: white, and nothing of the input left."""
+    fit, other = n4sid(_data(1), 2), _data(2)
+
+    tests = residuals(fit, other)
+
+    assert compare(other, fit, horizon=1)[0].rms_error == pytest.approx(0.5, rel=0.05)
+    assert tests.whiteness > 0.01
+    assert tests.missing_dynamics > 0.01
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_order_is_suggested_by_the_states_errors(seed: int) -> None:
+    """And the canonical correlations lie between 0 and 1, falling."""
+    fit = n4sid(_data(seed, 3000))
+
+    assert fit.order == fit.suggested_order == 2
+    assert (np.diff(fit.canonical_correlations) <= 0).all()
+    assert 0 <= fit.canonical_correlations[-1] <= fit.canonical_correlations[0] <= 1
+    assert "<- order" in fit.explain()
+
+
+def test_a_saved_model_comes_back_whole(tmp_path: Path) -> None:
+    """With its singular values."""
+    fit = n4sid(_data(1), 2)
+    fit.save(tmp_path / "m.json")
+
+    back = load_fit(tmp_path / "m.json")
+
+    assert isinstance(back, SubspaceFit)
+    np.testing.assert_array_equal(back.singular_values, fit.singular_values)
+    np.testing.assert_array_equal(back.theta, fit.theta)
+    assert back.orders == {"order": 2, "nk": 1}
+
+
+def test_what_cannot_be_estimated_is_refused() -> None:
+    """With the way out."""
+    u = np.random.default_rng(1).standard_normal(300)
+    clean = Dataset(u=u, y=filtered(B, F, u), Ts=1.0)
+
+    with pytest.raises(ValueError, match="the data show 2 states; lower the order"):
+        n4sid(clean, 4)
+    with pytest.raises(ValueError, match="weights='svd' must be one of"):
+        n4sid(clean, 2, "svd")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="horizon=2 must be an integer >= 3"):
+        n4sid(clean, 2, horizon=2)
+    with pytest.raises(ValueError, match=r"windows of 60 samples without a gap,.* needs at least"):
+        n4sid(clean[:100], 2, horizon=30)

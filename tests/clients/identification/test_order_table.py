@@ -1,0 +1,158 @@
+"""Losses of all ARX structures from one decomposition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.arx import arx
+from armrig.estimation.order_table import select_orders
+from armrig.excitation import telegraph
+from armrig.polynomial import filtered, lagged
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+def _data(seed: int, N: int = 600, nk: int = 2) -> Dataset:
+    rng = np.random.default_rng(seed)
+    u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
+    F, B = [1.0, -1.2, 0.6], np.append(np.zeros(nk), [1.0, 0.5])
+    return Dataset(
+        u=u, y=filtered(B, F, u) + filtered([1.0], F, 0.5 * rng.standard_normal(N)), Ts=1.0
+    )
+
+
+def _plainly(parts: list[Dataset], na: int, nb: int, nk: int, skip: int) -> tuple[Vector, Vector]:
+    """Return regressors and y from sample `skip` of each part on, without holes."""
+    Phi, y = [], []
+    for part in parts:
+        block = [-lagged(part.y, range(1, na + 1)), lagged(part.u, range(nk, nk + nb))]
+        X = np.hstack(block)[skip:]
+        # As for the largest regressor: all its past of y must be known.
+        known = np.array(
+            [np.isfinite(part.y[max(t - 4, 0) : t + 1]).all() for t in range(skip, part.N)]
+        )
+        Phi.append(X[known])
+        y.append(part.y[skip:][known])
+    return np.vstack(Phi), np.concatenate(y)
+
+
+@pytest.mark.parametrize("orders", [(1, 1, 0), (4, 3, 3), (2, 2, 2), (0, 2, 1), (3, 1, 3)])
+def test_each_loss_is_that_of_the_structure_s_own_least_squares(
+    orders: tuple[int, int, int],
+) -> None:
+    """On the samples that the largest knows, with gaps and two experiments, here and there."""
+    valid = np.ones(600, dtype=np.bool_)
+    valid[[50, 51, 300]] = False
+    a, b, other = _data(1), _data(2), _data(3)
+    gappy = Dataset(u=a.u, y=a.y, Ts=1.0, valid=valid)
+    table = select_orders(
+        merge([gappy, b]), na=range(5), nb=range(1, 4), nk=range(4), validation=other
+    )
+    i = next(k for k in range(len(table)) if tuple(dict(table.orders(k)).values()) == orders)
+
+    Phi, y = _plainly([gappy, b], *orders, skip=5)
+    theta = np.linalg.lstsq(Phi, y, rcond=None)[0]
+    Phi_v, y_v = _plainly([other], *orders, skip=5)
+
+    assert y.size == table.N
+    assert table.loss[i] == pytest.approx(np.mean((y - Phi @ theta) ** 2), rel=1e-10)
+    assert table.validation_loss is not None
+    expected = np.mean((y_v - Phi_v @ theta) ** 2)
+    assert table.validation_loss[i] == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_true_orders_are_found() -> None:
+    """And handed on as they are."""
+    table = select_orders(_data(1, 3000))
+
+    chosen = table.best("mdl")
+
+    assert dict(chosen) == {"na": 2, "nb": 2, "nk": 2}
+    assert arx(_data(1), **chosen).orders == dict(chosen)
+    assert "mdl        chooses na=2, nb=2, nk=2" in repr(table)
+
+
+def test_validation_data_decide_where_there_are_some() -> None:
+    """The least loss on them; an order too low is far from it."""
+    table = select_orders(_data(1, 3000), validation=_data(2, 3000))
+
+    assert table.validation_loss is not None
+    best = table.orders(int(np.nanargmin(table.validation_loss)))
+    assert table.best() == table.best("validation") == best
+    assert best.na >= 2
+    assert best.nk <= 2
+
+
+def test_the_criteria_are_those_of_a_fit() -> None:
+    """Where all samples are the same: the largest structure."""
+    data = _data(1)
+
+    table = select_orders(data, na=[2], nb=[2], nk=[2])
+    fit = arx(data, na=2, nb=2, nk=2)
+
+    assert table.aic[0] == pytest.approx(fit.aic)
+    assert table.mdl[0] == pytest.approx(fit.mdl)
+    assert table.fpe[0] == pytest.approx(fit.fpe)
+
+
+def test_a_structure_that_the_input_does_not_determine_is_not_chosen() -> None:
+    """A period of three levels determines three b's."""
+    rng = np.random.default_rng(1)
+    u = np.tile([0.0, 1.0, 3.0], 100)
+    y = filtered([0.0, 1.0], [1.0, -0.5], u) + 0.01 * rng.standard_normal(300)
+
+    table = select_orders(Dataset(u=u, y=y, Ts=1.0), na=[1], nb=range(1, 7), nk=[1])
+
+    np.testing.assert_array_equal(np.isfinite(table.loss), table.nb <= 3)
+    assert table.best().nb <= 3
+    assert "3 not determined by the data" in repr(table)
+
+
+def test_the_published_dryer_is_chosen_from_many(
+    reference: Callable[[str], NDArray[np.float64]],
+) -> None:
+    """Its delay of three samples, at the published orders."""
+    u, y = reference("dryer.dat").T
+    data = Dataset(u=u - u.mean(), y=y - y.mean(), Ts=0.08)
+
+    table = select_orders(data[:500], na=[2], nb=[2], nk=range(6), validation=data[500:])
+
+    assert dict(table.best("validation")) == {"na": 2, "nb": 2, "nk": 3}
+
+
+@pytest.mark.parametrize("validated", [True, False])
+def test_the_figure_marks_what_each_criterion_chooses(validated: bool) -> None:
+    """In its place: parameters, and share of the variance."""
+    table = select_orders(_data(1), validation=_data(2) if validated else None)
+
+    figure = Figure()
+    ax = table.plot(ax=figure.subplots())
+
+    texts = [text.get_text() for text in ax.texts]
+    o = table.best("mdl")
+    assert any("MDL" in x and x.endswith(f"[{o.na} {o.nb} {o.nk}]") for x in texts)
+    assert any("validation" in x for x in texts) == validated
+    assert "validation" in ax.get_ylabel() or not validated
+    lowest = {tuple(np.round(text.xy, 9)) for text in ax.texts if isinstance(text, Annotation)}
+    i = int(np.argmin(table.mdl))
+    loss = table.loss if table.validation_loss is None else table.validation_loss
+    expected = (float(o.na + o.nb), round(100 * loss[i] / table.output_variance, 9))
+    assert expected in lowest
+
+
+def test_what_cannot_be_asked_is_refused() -> None:
+    """With the way out."""
+    with pytest.raises(ValueError, match="give select_orders the validation data"):
+        select_orders(_data(1)).best("validation")
+    with pytest.raises(ValueError, match="needs at least 26 samples, got 12"):
+        select_orders(_data(1, 26))
+    with pytest.raises(ValueError, match="nb=0 must be an integer >= 1"):
+        select_orders(_data(1), nb=range(3))
+    with pytest.raises(ValueError, match="na is empty"):
+        select_orders(_data(1), na=[])

@@ -1,0 +1,101 @@
+"""ARX sample by sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.dataset import Dataset, merge
+from armrig.estimation.arx import arx
+from armrig.estimation.recursive import RarxState, rarx, rarx_start, rarx_step
+from armrig.polynomial import filtered
+
+
+def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(N)
+    F = [1.0, a, 0.6]
+    y = filtered([0.0, 1.0, 0.5], F, u) + filtered([1.0], F, 0.3 * rng.standard_normal(N))
+    return Dataset(u=u, y=y, Ts=1.0)
+
+
+def _run(data: Dataset) -> RarxState:
+    state = rarx_start(na=2, nb=2, forgetting=0.97)
+    for u, y in zip(data.u, data.y, strict=True):
+        state = rarx_step(state, u, y)
+    return state
+
+
+@pytest.mark.parametrize(("na", "nb", "nk"), [(2, 2, 1), (0, 3, 0), (1, 1, 2)])
+def test_without_forgetting_it_is_the_estimate_of_all_samples(na: int, nb: int, nk: int) -> None:
+    """To rounding, with its deviations, over gaps and the boundary of two experiments."""
+    valid = np.ones(400, dtype=np.bool_)
+    valid[[100, 200, 201]] = False
+    one = _data(1)
+    data = merge([Dataset(u=one.u, y=one.y, Ts=1.0, valid=valid), _data(2)])
+
+    state = rarx(data, na=na, nb=nb, nk=nk).state
+    fit = arx(data, na=na, nb=nb, nk=nk)
+
+    np.testing.assert_allclose(state.theta, fit.theta, rtol=1e-10)
+    np.testing.assert_allclose(state.std, fit.std, rtol=1e-9)
+    assert state.weight == fit.N
+    np.testing.assert_array_equal(state.B[:nk], 0.0)
+
+
+def test_with_forgetting_it_is_the_weighted_least_squares_estimate() -> None:
+    """A sample k steps ago weighs lambda^k."""
+    data = _data(1, 200)
+
+    state = rarx(data, na=1, nb=1, forgetting=0.95).state
+
+    Phi = np.column_stack([-data.y[:-1], data.u[:-1]])
+    w = np.sqrt(0.95 ** np.arange(198, -1, -1))
+    expected = np.linalg.lstsq(Phi * w[:, None], data.y[1:] * w, rcond=None)[0]
+    np.testing.assert_allclose(state.theta, expected, rtol=1e-10)
+
+
+def test_a_change_of_the_system_is_followed() -> None:
+    """What forgets arrives, what does not stays between."""
+    data = merge([_data(1, 600), _data(2, 600, a=-0.8)])
+
+    follows, stays = (rarx(data, na=2, nb=2, forgetting=f) for f in (0.97, 1.0))
+
+    assert follows.theta[599, 0] == pytest.approx(-1.2, abs=0.1)
+    assert follows.theta[-1, 0] == pytest.approx(-0.8, abs=0.1)
+    assert -1.15 < stays.theta[-1, 0] < -0.85
+
+
+def test_the_deviations_hold_while_forgetting() -> None:
+    """Scatter over reported, 150 runs."""
+    states = [_run(_data(seed, 150)) for seed in range(150)]
+
+    ratio = np.std([s.theta for s in states], axis=0) / np.mean([s.std for s in states], axis=0)
+
+    assert ((ratio > 0.85) & (ratio < 1.15)).all()
+
+
+def test_a_step_leaves_the_state_before_it_as_it_was() -> None:
+    """It is a value."""
+    state = rarx_step(rarx_start(na=1, nb=1), 1.0, 2.0)
+    before = (state.R.copy(), state.u.copy(), state.y.copy())
+
+    rarx_step(state, 3.0, 4.0)
+
+    for now, then in zip((state.R, state.u, state.y), before, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+def test_nothing_is_claimed_before_the_samples_determine_it() -> None:
+    """An input that does not move determines nothing."""
+    state = rarx_start(na=1, nb=2)
+    for _ in range(50):
+        state = rarx_step(state, 0.0, 0.0)
+
+    assert not state.determined
+    assert np.isinf(state.std).all()
+
+
+def test_a_forgetting_that_is_none_is_refused() -> None:
+    """With an example."""
+    with pytest.raises(ValueError, match=r"forgetting=1.1 must be above 0 and at most 1"):
+        rarx_start(na=1, nb=1, forgetting=1.1)

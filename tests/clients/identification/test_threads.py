@@ -1,0 +1,47 @@
+"""The same data give the same model, however many threads the linear algebra runs in."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+
+_SCRIPT = """
+import json
+import numpy as np
+from armrig import Dataset, armax, arx, telegraph
+from armrig.polynomial import filtered
+
+rng = np.random.default_rng(1)
+u = telegraph(20_000, 0.3, 1.5, 3.5, seed=rng) - 2.5
+noise = filtered([1.0, 0.5], [1.0, -0.7], 0.5 * rng.standard_normal(u.size))
+data = Dataset(u=u, y=filtered([0.0, 1.0, 0.5], [1.0, -1.2, 0.6], u) + noise, Ts=1.0)
+fits = [
+    arx(data, na=8, nb=8),
+    armax(data, na=3, nb=2, nc=2),  # too low a nb: Gauss-Newton's steps are slow there
+]
+print(json.dumps([[f.theta.tolist(), f.std.tolist()] for f in fits]))
+"""
+
+
+def _estimated(threads: str) -> Any:
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(names, threads)
+    paths = [path for path in sys.path if path]
+    environment["PYTHONPATH"] = os.pathsep.join(paths)
+    done = subprocess.run(
+        [sys.executable, "-c", _SCRIPT], env=environment, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
+
+
+def test_threads_change_no_estimate_by_a_millionth_of_its_deviation() -> None:
+    """ARX and ARMAX, with one thread and with four, 20 000 samples."""
+    pinned, free = _estimated("1"), _estimated("4")
+
+    for (theta, std), (other, _) in zip(pinned, free, strict=True):
+        np.testing.assert_allclose((np.array(theta) - other) / std, 0.0, atol=1e-6)
