@@ -62,7 +62,9 @@ def test_a_meter_is_held_against_what_the_device_made_of_the_code(tmp_path: Path
     """1000 is 76.3 mV, but the nearest of 1024 duties is 16 of them, 78.1 mV."""
     output = tmp_path / "c.toml"
 
-    assert main(["calibrate", *_files(tmp_path), "--meter", "1000=0.078125", "-o", str(output)]) == 0
+    assert (
+        main(["calibrate", *_files(tmp_path), "--meter", "1000=0.078125", "-o", str(output)]) == 0
+    )
 
     assert read_calibration(output).driver.gain == pytest.approx(1.0, rel=1e-4)
 

@@ -338,8 +338,9 @@ def test_silence_of_a_living_daemon_is_waited_through(
     is_alive = listening._is_alive
 
     def counted(*arguments: Any) -> bool:
-        looked.set()
-        return is_alive(*arguments)
+        found = is_alive(*arguments)
+        looked.set()  # answered, so the daemon has heard of the subscriber, too
+        return found
 
     monkeypatch.setattr(listening, "_is_alive", counted)
 

@@ -28,6 +28,7 @@ Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
 LONGEST_PLAIN, LONGEST_REGULARISED = 70, 100  # lags by default
+FADED = 0.05  # share of the prior's variance left at the last lag of a response long enough
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -293,6 +294,27 @@ def impulse_response(
         source=data.source,
         warnings=tuple(_warnings(g, covariance, kernel, p)),
     )
+
+
+def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> ImpulseResponse:
+    """Return the regularised response with the first of `lags` at which its prior has faded.
+
+    Where none is enough, with those at which it has faded most. One that is cut off before ripples
+    in frequency, every 2 pi/(n Ts) rad/s, and its standard deviations know nothing of that.
+    `died_out` alone does not tell, as its band is wide then.
+    """
+
+    def left(response: ImpulseResponse) -> tuple[bool, float]:
+        share = float(response.hyperparameters["decay"] ** response.lags.size)
+        return not response.died_out, share
+
+    most = max((data.N - data.missing) // 5, 2)
+    tried: list[ImpulseResponse] = []
+    for n in dict.fromkeys(min(n, most) for n in lags):
+        tried.append(impulse_response(data, n, integrator=integrator))
+        if left(tried[-1]) < (False, FADED):
+            break
+    return min(tried, key=left)
 
 
 Estimate = tuple[Vector, Matrix, float, dict[str, float]]

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from armrig.dataset import Dataset, merge
 from armrig.nonparametric.filling import filled
 from armrig.nonparametric.frequency import SpectralEstimate
-from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.nonparametric.impulse import impulse_response, long_enough
 from armrig.nonparametric.integration import settled
 from armrig.nonparametric.spectral import spa
 from armrig.nonparametric.steps import (
     SHARE,
+    StepAnalysis,
     crossing_time,
     dead_time,
     holds,
@@ -32,7 +33,7 @@ Vector = NDArray[np.float64]
 
 SAMPLES_PER_PERIOD = 20  # handout 3.1.1: omega_s = 20 omega_B
 COHERENT = 0.5  # least coherence at which a frequency is believed
-LAGS = (100, 300)  # of the impulse response, the second where the first are too few
+LAGS = (100, 200, 400, 600)  # of the impulse response, the next where the last are too few
 MOST_LAGS = 500  # of the impulse response of steps
 FEWEST, MOST = 7, 10  # handout 3.1.1: samples in the transient
 NEAR_NYQUIST = 0.8  # of it: what counts as near
@@ -152,9 +153,10 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.7.
     """
     integrates = settled(data, integrator, "sampling_time")
-    stepped = _is_stepped(data)
-    curve = _from_steps if stepped else _from_impulse
-    t, response, tau, transient = curve(data, integrates)
+    steps = _settled_steps(data, integrates=integrates)
+    stepped = steps is not None
+    curve = _from_impulse(data, integrates) if steps is None else _from_steps(steps)
+    t, response, tau, transient = curve
     estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
     first, last = _bandwidth(estimate)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
@@ -201,21 +203,37 @@ def nearest_125(x: float) -> float:
     return float(f"{min(candidates, key=lambda c: abs(np.log(c / x))):.1g}")
 
 
-def _is_stepped(data: Dataset) -> bool:
-    """Tell whether u is made of a few long holds."""
-    counts = [len(holds(part.u)) for part in data.experiments()]
-    return max(counts) > 1 and sum(counts) * 50 <= data.N
+def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
+    """Return the step analysis of a few long holds that the response settles in, else None.
+
+    A telegraph's longest hold looks like a step; but its next switch comes before the transient of
+    the last is over, and what is read there is that of several.
+    """
+    lengths = [[n for _, n in holds(part.u)] for part in data.experiments()]
+    switches = sum(len(n) - 1 for n in lengths)
+    if switches == 0 or (switches + len(lengths)) * 50 > data.N:
+        return None
+    between = [n for held in lengths for n in held[1:-1]]
+    if not between:
+        return step_analysis(data, integrator=integrates)
+    # Those before the first switch and after the last may have been cut short.
+    if min(between) < max(between) / 2:
+        return None
+    try:
+        found = step_analysis(data, integrator=integrates)
+    except ValueError:
+        return None
+    return found if found.settling <= min(between) * data.Ts else None
 
 
-def _from_steps(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float]:
-    found = step_analysis(data, integrator=integrates)
+def _from_steps(found: StepAnalysis) -> tuple[Vector, Vector, float, float]:
     after = (found.t > 0) & np.isfinite(found.smooth)
     t, y = found.t[after], found.smooth[after] / found.gain
     return t, y, found.tau, found.settling
 
 
 def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, float, float]:
-    response = _long_enough(data, integrates)
+    response = long_enough(data, LAGS, integrator=integrates)
     g, _ = response.decaying
     y = np.cumsum(g)
     t: Vector = data.Ts * (np.arange(y.size, dtype=np.float64) - 0.5 * integrates)
@@ -230,16 +248,6 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
     return t, y, crossing - dead, end - dead
-
-
-def _long_enough(data: Dataset, integrates: bool) -> ImpulseResponse:
-    """Return the regularised response with as many lags as it takes to die out."""
-    there = data.N - data.missing
-    for n in LAGS:
-        response = impulse_response(data, min(n, there // 5), integrator=integrates)
-        if response.died_out or n >= there // 5:
-            break
-    return response
 
 
 def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:

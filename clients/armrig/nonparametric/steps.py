@@ -33,7 +33,7 @@ class StepAnalysis:
     y: Vector
     """Mean answer less what was before, per unit of u, (n,)."""
     smooth: Vector
-    """Moving average of y, (n,)."""
+    """Moving average of y, (n,); NaN beside a hole, where only a few samples would make it."""
     window: int
     """Samples of the moving average."""
     gain: float
@@ -146,9 +146,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     half, _ = crossing_time(t, smooth / gain, 0.5)
     L, interval = dead_time(t, y / gain, half, data.Ts)
     after = t > 0
-    # Beside a hole an average of a few is as loud as they are: it does not count here.
-    whole = np.convolve(np.isfinite(y), np.ones(window), "same") >= window / 2
-    off = np.where(whole, np.abs(smooth / gain - 1), np.nan)
+    off = np.abs(smooth / gain - 1)
     # What the settled third does is noise: of thousands of samples some are beyond any 2 of its
     # standard deviations.
     outside = off[after] > 0.05 + np.nanmax(off[k >= (2 * k[-1]) // 3])
@@ -226,11 +224,14 @@ def _smoothed(y: Vector, k: NDArray[np.int_], gain: float) -> tuple[Vector, int,
 
 
 def _moving_average(y: Vector, window: int) -> Vector:
+    """Return the mean of what is known within the window, NaN where that is hardly anything."""
     there = np.isfinite(y).astype(np.float64)
     box = np.ones(window)
     count = np.convolve(there, box, "same")
-    with np.errstate(invalid="ignore"):
-        return np.convolve(np.nan_to_num(y), box, "same") / np.where(count > 0, count, np.nan)
+    # Beside a hole an average of a few is as loud as they are: it would cross any level early or
+    # late. Where holes are scattered all over, half of the usual number is enough.
+    enough = (count > 0) & (count > np.median(count) / 2)
+    return np.convolve(np.nan_to_num(y), box, "same") / np.where(enough, count, np.nan)
 
 
 def crossing_time(t: Vector, y: Vector, share: float) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.dataset import Dataset
 from armrig.nonparametric.frequency import SpectralEstimate
-from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
 from armrig.nonparametric.quantile import two_sided
 from armrig.nonparametric.spectral import spa
 from armrig.preprocess import INTEGRATING_OUTPUTS
@@ -25,8 +25,9 @@ Matrix = NDArray[np.float64]
 COHERENT = 0.5  # least coherence at which a frequency is believed
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 HIDDEN = 0.05  # share of the largest coefficient that may hide where a delay is claimed
+SURE = 3.0  # standard deviations by which a resonance stands out from either side
 DRAWS = 200  # of the impulse response's uncertainty
-LAGS = 100
+LAGS = (100, 200, 400)  # of the impulse response, the next where the last are too few
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -144,7 +145,7 @@ def structure_hints(
     nk = first_lag if first_lag < 1 or blind < HIDDEN else 1
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
     believed = _believed(spectrum)
-    response = impulse_response(data, min(LAGS, data.N // 5), integrator=integrates)
+    response = long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
     order = int(np.count_nonzero(values > threshold))
@@ -231,37 +232,59 @@ def _phase_delay(spectrum: SpectralEstimate, believed: NDArray[np.int_], slope: 
 def _extremes(
     response: ImpulseResponse, believed: Vector
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the frequencies of peaks and dips that stand out from both sides.
+    """Return the frequencies of peaks and dips that surely stand out from both sides.
 
     From the transform of the impulse response: a lag window blunts them, the more the longer
-    the delay.
+    the delay. |G| at the extreme and at the foot on either side differ by `SURE` standard
+    deviations of that difference, and the feet lie further apart than the n lags resolve,
+    2 pi/(n Ts).
     """
     from scipy.signal import find_peaks
 
     omega = np.geomspace(believed[0], believed[-1], 300)
-    shown = response.spectrum(omega)
-    shown = shown.rate() if response.integrator else shown
-    level = 20 * np.log10(shown.magnitude)
-    noise = 20 / np.log(10) * shown.std_magnitude / shown.magnitude
+    g, _ = response.decaying
+    turn = np.exp(-1j * np.outer(omega, response.lags) * response.Ts)
+    G = turn @ g
+    # d|G| = along @ dg
+    along = np.real(turn * np.exp(-1j * np.angle(G))[:, None])
+    magnitude, covariance = np.abs(G), _covariance(response)
+    resolved = 2 * np.pi / (g.size * response.Ts)
+
+    def sure(at: int, foot: int) -> bool:
+        d = along[at] - along[foot]
+        std = np.sqrt(max(float(d @ covariance @ d), 0.0))
+        return bool(abs(magnitude[at] - magnitude[foot]) > SURE * std)
+
     found = []
-    for x in (level, -level):
-        at, of = find_peaks(x, prominence=PROMINENT_DB)
-        found.append(tuple(float(w) for w in omega[at[of["prominences"] > 3 * noise[at]]]))
+    for x in (magnitude, 1 / magnitude):
+        at, of = find_peaks(20 * np.log10(x), prominence=PROMINENT_DB)
+        feet = zip(at, of["left_bases"], of["right_bases"], strict=True)
+        found.append(
+            tuple(
+                float(omega[i])
+                for i, left, right in feet
+                if omega[right] - omega[left] > resolved and sure(i, left) and sure(i, right)
+            )
+        )
     return found[0], found[1]
+
+
+def _covariance(response: ImpulseResponse) -> Matrix:
+    """Return that of the response that dies out."""
+    rate = response.rate_covariance
+    return response.covariance if rate is None else rate
 
 
 def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
     """Return singular values and the threshold, both over the largest, from lag nk on."""
     g, _ = response.decaying
-    covariance = response.covariance if response.rate_covariance is None else None
-    covariance = response.rate_covariance if covariance is None else covariance
     # The rate's backward difference is itself a state, a pole at 0 that acts on g(nk) alone.
     h = g[nk + 1 :] if response.integrator else g[nk:]
     m = (h.size + 1) // 2
     index = np.add.outer(np.arange(m), np.arange(h.size - m + 1))
     values = np.linalg.svd(h[index], compute_uv=False)
     draws = rng.multivariate_normal(
-        np.zeros(g.size), np.asarray(covariance), size=DRAWS, method="eigh"
+        np.zeros(g.size), _covariance(response), size=DRAWS, method="eigh"
     )[:, g.size - h.size :]
     norms = np.linalg.norm(draws[:, index], ord=2, axis=(1, 2))
     return values / values[0], float(np.quantile(norms, 0.95)) / float(values[0])

@@ -84,6 +84,21 @@ def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
     assert found.gain == pytest.approx(GAIN, rel=0.02)
 
 
+def test_what_is_left_beside_a_hole_is_not_averaged_alone() -> None:
+    """One loud sample between two holes neither crosses 63 % nor overshoots."""
+    whole = first_order(std=0.3)
+    gap = (np.arange(400) >= 104) & (np.arange(400) < 114)
+    y = whole.y.copy()
+    gap[108], y[108] = False, whole.y[108] + 10.0
+    data = Dataset(u=whole.u, y=y, Ts=TS, valid=~gap)
+
+    found = step_analysis(data, integrator=False)
+
+    assert found.window > 1
+    assert found.tau == pytest.approx(TAU, rel=0.2)
+    assert found.overshoot < 0.1
+
+
 def test_what_has_no_step_is_refused() -> None:
     """With the way out; a hold too short to settle warns."""
     still = Dataset(u=np.ones(100), y=np.zeros(100), Ts=TS)

@@ -8,9 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.dataset import Dataset
-from armrig.nonparametric.structure import structure_hints
+from armrig.excitation import telegraph
+from armrig.nonparametric.impulse import impulse_response
+from armrig.nonparametric.structure import _extremes, structure_hints
 from armrig.polynomial import filtered
 from numpy.typing import NDArray
+
+
+def through_potentiometer(data: Dataset, seed: int) -> Dataset:
+    """Return the angle as a 10-bit converter gives it, without the dead band."""
+    resolution = np.radians(352) / 1024
+    rng = np.random.default_rng(seed)
+    y = np.round(data.y / resolution + 0.5 * rng.standard_normal(data.N)) * resolution
+    shown = np.mod(data.y, 2 * np.pi) < np.radians(352)
+    return data.replaced(step=None, y=y, valid=shown)
 
 
 @pytest.mark.parametrize("output", ["theta_1", "angle"])
@@ -27,6 +38,36 @@ def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
     assert any(14 < w < 17.5 for w in found.antiresonances)
     assert "oe(data, nb=4, nf=4, nk=1, integrator=True)" in repr(found)
     assert found.explain().startswith("- integrator: ")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_response_longer_than_its_lags_has_no_other_resonances(
+    sampled: Callable[[float], Any], seed: int
+) -> None:
+    """At 5 ms the arm swings for longer than 100 lags; through converter and dead band."""
+    u = telegraph(6000, 0.05, seed=seed)
+    data = through_potentiometer(sampled(0.005).dataset(u), seed)
+
+    found = structure_hints(data)
+
+    assert len(found.resonances) == 1
+    assert found.resonances[0] == pytest.approx(30.5, abs=2)
+    assert len(found.antiresonances) == 1
+    assert (found.nf, found.nb) == (4, 4)
+
+
+def test_what_noise_makes_is_no_resonance() -> None:
+    """A first-order system has none; unsmoothed its noise makes some 14 a record that are none."""
+    found = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        u = rng.standard_normal(2000)
+        y = filtered([0, 1], [1, -0.7], u) + 2 * rng.standard_normal(2000)
+        data = Dataset(u=u, y=y, Ts=1.0)
+        response = impulse_response(data, 40, kernel=None, integrator=False)
+        found += sum(map(len, _extremes(response, np.array([0.02, 3.1]))))
+
+    assert found <= 4
 
 
 @pytest.mark.parametrize("delay", [0, 3])
