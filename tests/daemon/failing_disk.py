@@ -12,9 +12,6 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-KINDS = ("open", "write", "read", "fsync", "fdatasync", "rename", "unlink", "ftruncate")
-"""What is asked of the disk while a recording is made."""
-
 
 class Disk:
     """Counts what is asked of it; the `n`-th call of `kind` fails, or each from there on."""

@@ -26,6 +26,7 @@ def test_a_run_that_would_leave_a_limit_never_begins(bench: Bench) -> None:
 
     with bench.rig() as rig:
         rig.arm("a test", Ts=0.02)  # not the configured one
+        next(rig.stream("sample"))  # so that it is known where the chassis stands
         with pytest.raises(RefusedError) as refusal:
             rig.run(u)
         untouched = {volts for _, volts in bench.voltage_changes()}

@@ -14,7 +14,7 @@ from simulator import campaign, story
 from simulator.options import KINDS, draw
 from simulator.rig import simulate
 
-SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "800"))
+SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "1000"))
 _HASH = "from simulator.options import draw; from simulator.rig import simulate\n"
 
 
