@@ -15,7 +15,7 @@ check: .venv/dev
 	$(BIN)/ruff format --check
 	$(BIN)/python -m armrig_protocol.generate --check
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-cache
 
 # Every branch of the core and of the device's state machine; what adds nothing to that is left out.
 coverage: .venv/dev
