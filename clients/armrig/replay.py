@@ -70,8 +70,11 @@ def replay(path: str | Path) -> Replay:
     except (OSError, DamageError) as err:
         msg = f"{path}: {getattr(err, 'strerror', None) or err}"
         raise RecordingError(msg) from err
-    chunks = content.messages.get("trace", []) if content else []
-    if content is None or not chunks or not chunks[0].state:
+    if content is None:
+        msg = f"{path}: is no MCAP file"
+        raise RecordingError(msg)
+    chunks = content.messages.get("trace", [])
+    if not chunks or not chunks[0].state:
         msg = f"{path}: holds no steps of the daemon's core; recorded before replay was built?"
         raise RecordingError(msg)
     try:

@@ -64,3 +64,5 @@ def test_a_recording_without_steps_is_told(tmp_path: object) -> None:
     """What is no recording ends in one line."""
     with pytest.raises(RecordingError, match=r"nowhere\.mcap: No such file"):
         replay(f"{tmp_path}/nowhere.mcap")
+    with pytest.raises(RecordingError, match=r"test_replay\.py: is no MCAP file"):
+        replay(__file__)

@@ -1,0 +1,54 @@
+"""Pages of docs/ whose Python is run, and compared with what they say it prints."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+_BLOCK = re.compile(r"```(python|text)\n(.*?)```", re.DOTALL)
+_HASH = re.compile(r"\b[0-9a-f]{12}\b")
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+
+
+def record_all(script: str, folder: Path) -> None:
+    """Make the recordings that a page speaks of, by the script of its figures."""
+    found = importlib.util.spec_from_file_location(f"figures_{script}", DOCS / "figures" / script)
+    assert found is not None
+    assert found.loader is not None
+    module: Any = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    module.record_all(folder)
+
+
+def run(page: Path, capsys: pytest.CaptureFixture[str], *, atol: float) -> int:
+    """Run a page's Python in the present folder; return how many printed texts were compared.
+
+    The words must be the same; of the numbers the last digit may be another machine's.
+    """
+    names: dict[str, Any] = {}
+    printed, compared = "", 0
+    for language, text in _BLOCK.findall(page.read_text(encoding="utf-8")):
+        if language == "python":
+            exec(compile(text, str(page), "exec"), names)
+            printed = capsys.readouterr().out
+            continue
+        assert without_numbers(printed) == without_numbers(text)
+        np.testing.assert_allclose(numbers(printed), numbers(text), rtol=0.05, atol=atol)
+        compared += 1
+    return compared
+
+
+def without_numbers(text: str) -> str:
+    """Return the words; of a hash nothing is left."""
+    return " ".join(_NUMBER.sub("#", _HASH.sub("", text)).split())
+
+
+def numbers(text: str) -> list[float]:
+    """Return the numbers of a text, those in hashes left out."""
+    return [float(x) for x in _NUMBER.findall(_HASH.sub("", text))]
