@@ -219,6 +219,9 @@ def main(arguments: list[str]) -> int:
 
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, quit_)
+    # The end of the pipes may come late: a service that is killed while its disk is slow dies when
+    # the disk has answered, and keeps them open until then.
+    realtime.end_with_parent()
     granted = realtime.prepare(settings.priority, settings.cpu)
     if granted["fifo"]:  # without it a spin only takes the time of who would let us run
         ports.spin_ns = settings.spin_ns

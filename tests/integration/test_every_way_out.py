@@ -12,6 +12,8 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 import armrig
 import numpy as np
@@ -70,6 +72,23 @@ def _reads_up_to_the_last_flush(run: Run, killed_ns: int) -> None:
     np.testing.assert_allclose(commanded, np.where((k - k[0]) % 2, 4.0, 1.0), atol=1e-4)
     lost_s = (killed_ns - int(recording.samples["t_host_ns"][-1])) / 1e9
     assert lost_s < 1.0  # flushed ten times a second
+
+
+def test_kill_9_of_a_service_whose_disk_keeps_it_from_dying(run: Run) -> None:
+    """A thread in a system call keeps the pipes open: the loop does not wait for their end."""
+    held = []
+    for entry in Path(f"/proc/{run.daemon.popen.pid}/fd").iterdir():
+        with suppress(OSError):
+            if "pipe" in str(entry.readlink()):
+                held.append(os.open(entry, os.O_WRONLY | os.O_NONBLOCK))
+    assert held
+
+    killed_ns = run.daemon.kill()
+
+    assert run.bench.went_to_0_v_after(killed_ns) < STOPPED_S
+    wait_for(lambda: not _alive(run.loop_pid))
+    for fd in held:
+        os.close(fd)
 
 
 def test_kill_9_of_the_service(run: Run) -> None:
