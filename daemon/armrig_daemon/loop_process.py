@@ -63,6 +63,7 @@ class ProcessPorts:
         self._reopen_ns = 0
         self._said = ""
         self._gone = False
+        self._unheard = False
         self.quit_reason = ""
         self.spin_ns = 0
         self._sources = self._readable()
@@ -123,15 +124,15 @@ class ProcessPorts:
 
     def put(self, text: bytes) -> bool:
         """Write one record whole, or not at all: a pipe takes up to 4096 bytes as one."""
-        if self._gone:
+        if self._unheard:
             return False
         try:
             return os.write(self._records_fd, text) == len(text)
         except BlockingIOError:
             return False
         except BrokenPipeError:
-            self._gone = True
-            self._sources = self._readable()
+            # Not its end: that is told by the orders, which must go on being read for it.
+            self._unheard = True
             return False
 
     def tidy(self) -> None:
