@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from armrig_core.bounded import read_bounded
 
 from armrig.fit import Fit, Start
 from armrig.free_response import FreeResponse
@@ -18,6 +19,8 @@ from armrig.subspace_fit import SubspaceFit
 
 FORMAT = "armrig model"
 VERSION = 1
+MOST_BYTES = 1 << 26
+"""Longest file, in B: a model of 1000 parameters has less."""
 _KINDS = {"n4sid": SubspaceFit}
 _ARRAYS = ("A", "B", "C", "D", "F", "covariance", "covariance_robust")
 _SINGULAR = ("singular_values", "canonical_correlations")
@@ -56,7 +59,7 @@ def load_fit(path: str | PathLike[str]) -> Fit:
     """
     path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_bounded(path, MOST_BYTES))
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             msg = f"{path} is no model; models are written by fit.save(path)"
             raise ModelFileError(msg)
@@ -65,16 +68,17 @@ def load_fit(path: str | PathLike[str]) -> Fit:
             msg += f"{VERSION}; it was written by armrig {content.get('armrig')}"
             raise ModelFileError(msg)
         fit = _restored(content)
-    except ModelFileError:
+        d = fit.theta.size
+        if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
+            msg = f"{path} is a damaged model: {d} parameters and covariances of another size; "
+            msg += "save it again"
+            raise ModelFileError(msg)
+        repr(fit), fit.poles()  # what is no model shows when it is used
+    except (ModelFileError, OSError):
         raise
-    except (ValueError, KeyError, TypeError) as err:
+    except Exception as err:
         msg = f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
         raise ModelFileError(msg) from err
-    d = fit.theta.size
-    if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
-        msg = f"{path} is a damaged model: {d} parameters and covariances of another size; "
-        msg += "save it again"
-        raise ModelFileError(msg)
     return fit
 
 

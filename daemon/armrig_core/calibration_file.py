@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from armrig_core.bounded import read_bounded
 from armrig_core.calibration import Calibration
 
 RAW_LIMIT = 1 << 20
@@ -20,6 +21,9 @@ _HEADING = (
     '# configuration says [calibration] file = "…". The samples that it was estimated from\n'
     "# lie beside it, in a compressed CSV of the same name.\n"
 )
+
+
+_TOML_LIMIT = 1 << 14  # ten times what we write; the reader's time grows with the square
 
 
 class CalibrationFileError(ValueError):
@@ -51,7 +55,7 @@ def tables_of(path: Path) -> dict[str, Any]:
         estimated from.
     """
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(read_bounded(path, _TOML_LIMIT).decode("utf-8"))
     except OSError as err:
         msg = f"{path}: {err.strerror}"
         raise CalibrationFileError(msg) from err
@@ -94,11 +98,7 @@ def _raw(path: Path, sha256: str) -> bytes:
     beside = raw_path(path)
     way_out = f"put it beside {path.name}, or calibrate anew with `armrig calibrate`"
     try:
-        size = beside.stat().st_size
-        if size > RAW_LIMIT:
-            msg = f"{beside}: {size} B, at most {RAW_LIMIT} are allowed; calibrate anew"
-            raise CalibrationFileError(msg)
-        data = beside.read_bytes()
+        data = read_bounded(beside, RAW_LIMIT)
     except OSError as err:
         msg = f"{beside}: {err.strerror}; {way_out}"
         raise CalibrationFileError(msg) from err

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from armrig_daemon.records import Order, Orders, Play
+from armrig_daemon.records import Leased, Order, Orders, Play, Take
 from armrig_daemon.state import (
     Action,
     Beat,
@@ -29,6 +29,7 @@ from armrig_daemon.state import (
 
 CHUNK = 3000
 """Bytes of steps that are handed over together: with its state a chunk fits into 4096."""
+_HELD = "held"  # in place of the lease in force
 _STEP_BYTES, _EVENT_BYTES = 12, 24  # what a step and an event take beyond their data, at most
 _KINDS: tuple[type[Event], ...] = (
     Tick, Beat, Received, Ordered, LinkUp, LinkDown, ServiceGone,
@@ -67,13 +68,14 @@ class Trace:
     def __init__(self, state: State) -> None:
         """Begin with the state in which the run has just started."""
         self._state = written_state(state)
+        self._lease = state.lease.lease if state.lease else ""
         self._number = 0
         self._steps: _Written = []
         self._bytes = len(self._state)
 
     def add(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> Chunk | None:
         """Note a step; return those so far once they are enough for a chunk."""
-        told = [(_NUMBERS[type(e)], _written_event(e)) for e in events]
+        told = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
         sent = [a.data for a in actions if type(a) is Send]
         size = _STEP_BYTES
         for _, data in told:
@@ -96,9 +98,18 @@ class Trace:
 
 
 def written_state(state: State) -> bytes:
-    """Return a state as bytes, without the codes of its run: the recording has its input."""
-    run = state.run
-    return _ENCODER.encode(replace(state, run=replace(run, codes=b"")) if run else state)
+    """Return a state as bytes, without the codes of its run, and without its lease.
+
+    The recording has the input; and who may read the recording must not hold the rig by it.
+    """
+    run, lease = state.run, state.lease
+    return _ENCODER.encode(
+        replace(
+            state,
+            run=replace(run, codes=b"") if run else None,
+            lease=replace(lease, lease=_HELD) if lease else None,
+        )
+    )
 
 
 def restored(data: bytes, codes: bytes) -> State:
@@ -121,17 +132,24 @@ def steps_of(chunk: bytes) -> list[Step]:
     ]
 
 
-def _written_event(event: Event) -> bytes:
+def _written_event(event: Event, lease: str) -> bytes:
     if isinstance(event, Received):
         return event.data
     if isinstance(event, Ordered):
-        return _ENCODER.encode(_without_codes(event.order))
+        return _ENCODER.encode(_without_secrets(event.order, lease))
     return _ENCODER.encode(event)
 
 
-def _without_codes(order: Order) -> Order:
-    """Return an order that fits: a second experiment is refused, whatever its codes are."""
-    return replace(order, codes=b"") if isinstance(order, Play) else order
+def _without_secrets(order: Order, lease: str) -> Order:
+    """Return an order that fits, and that says only whether its lease is the one in force.
+
+    A second experiment is refused, whatever its codes are.
+    """
+    if isinstance(order, Play):
+        order = replace(order, codes=b"")
+    if isinstance(order, Leased | Take):
+        order = replace(order, lease=_HELD if order.lease == lease else "")
+    return order
 
 
 def _event(number: int, data: bytes) -> Event:

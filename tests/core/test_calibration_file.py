@@ -62,7 +62,7 @@ def test_what_was_written_is_read_to_the_last_bit(calibration: Calibration, tmp_
     [
         (None, "No such file"),
         (b"others", "not the samples that calibration.toml was estimated from"),
-        (bytes(RAW_LIMIT + 1), "at most 1048576 are allowed"),
+        (bytes(RAW_LIMIT + 1), "more than the 1048576 B allowed"),
     ],
 )
 def test_samples_that_are_not_its_own_are_refused(

@@ -6,8 +6,18 @@ from itertools import pairwise
 
 import pytest
 from armrig_daemon import core, trace
-from armrig_daemon.records import Hold, Play, RunStarted, Trace
-from armrig_daemon.state import Beat, LinkDown, LinkUp, Ordered, Received, Send, ServiceGone, Tick
+from armrig_daemon.records import Answer, Hold, Play, RunStarted, Trace
+from armrig_daemon.state import (
+    Beat,
+    Emit,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Received,
+    Send,
+    ServiceGone,
+    Tick,
+)
 from virtual_bench import LEASE, Bench, codes
 
 VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
@@ -73,7 +83,7 @@ def test_every_event_comes_back_from_its_bytes() -> None:
     bench = Bench()
     traced(bench, scheduled=True)
     book = trace.Trace(bench.loop.state)
-    order = Play(order=1, lease=LEASE, n=5, run_id="x", codes=b"12", scheduled=True)
+    order = Play(order=1, lease="b" * 32, n=5, run_id="x", codes=b"12", scheduled=True)
     events = [
         *(Tick(7, 70), Beat(), Received(b"\0\1\2"), LinkUp(), LinkDown("gone"), ServiceGone()),
         Ordered(order),
@@ -85,7 +95,32 @@ def test_every_event_comes_back_from_its_bytes() -> None:
     assert (now_ns, sent) == (123, (b"a", b"bc"))
     assert come_back[:-1] == tuple(events[:-1])
     (last,) = (e for e in come_back if isinstance(e, Ordered))
-    assert last.order == Play(order=1, lease=LEASE, n=5, run_id="x", codes=b"", scheduled=True)
+    assert last.order == Play(order=1, lease="", n=5, run_id="x", codes=b"", scheduled=True)
+
+
+def test_who_reads_a_recording_does_not_hold_the_rig_by_it() -> None:
+    """The lease is nowhere in the trace; that an order carried it can still be told."""
+    bench = Bench()
+    bench.take()
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
+    bench.run_for(100)
+    bench.order(Hold(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
+    bench.order(Hold(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease
+    bench.run_for(2_500)
+
+    chunks = bench.of(Trace)
+    assert chunks
+    assert not any(LEASE.encode() in c.state + c.steps for c in chunks)
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    refused = []
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core.step(state, step.now_ns, step.events)
+        refused += [
+            a.record.error
+            for a in actions
+            if isinstance(a, Emit) and isinstance(a.record, Answer) and a.record.error
+        ]
+    assert [r.split(" ")[0:2] for r in refused] == [["the", "experiment"], ["not", "the"]]
 
 
 def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None:

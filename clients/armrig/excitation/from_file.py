@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
+from armrig_core.bounded import read_bounded
 
 from armrig.checks import require_numbers
 from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
 
 _SEPARATORS = str.maketrans(",;", "  ")
+MOST_BYTES = 1 << 26
+"""Longest file, in B: a million rows of two numbers have half of it."""
 _TIME_TOLERANCE = 0.01  # share of Ts: what rounding in a text file costs, not another step size
 
 
@@ -52,7 +56,7 @@ def from_csv(
         raise ValueError(msg)
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_bounded(path, MOST_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as err:
         msg = f"{path}: no file of text (byte {err.start} is not UTF-8); save it as CSV"
         raise ValueError(msg) from err
@@ -100,9 +104,27 @@ def _table(path: Path, text: str) -> tuple[tuple[Vector | None, Vector], list[in
     if numbers.shape[1] not in (1, 2):
         raise ValueError(_unreadable(path, lines, rows))
     if numbers.shape[1] == 1:
+        if [name.strip("\"'").lower() for name in names] not in ([], ["u"]):
+            msg = (
+                f"{path}: column {', '.join(names)}; name it u, or leave the name out: what stands "
+            )
+            msg += "in it drives the motor"
+            raise ValueError(msg)
         return (None, numbers[:, 0]), rows
+    if not names and _may_be_decimals(text):
+        msg = (
+            f"{path}: a comma parts what may be one number (0,5); name the columns t and u in the "
+        )
+        msg += "first row, or part them by a semicolon and write 0.5"
+        raise ValueError(msg)
     order = _order(path, names)
     return (numbers[:, order[0]], numbers[:, order[1]].copy()), rows
+
+
+def _may_be_decimals(text: str) -> bool:
+    """Return whether each row is two whole numbers with nothing but a comma between them."""
+    rows = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
+    return all(re.fullmatch(r"\s*-?\d+,\d+\s*", row) for row in rows)
 
 
 def _unreadable(path: Path, lines: list[str], rows: list[int]) -> str:

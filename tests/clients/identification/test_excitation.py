@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -346,3 +347,31 @@ def test_realisations_have_the_same_power_at_the_same_lines_and_fit() -> None:
     assert np.flatnonzero(U[0] > 1e-6).tolist() == [3 * l for l in range(1, 51)]  # noqa: E741
     assert all(u.min() >= 0.5 and u.max() <= 4.5 for u in drawn)
     assert max(np.abs(u - 2.5).max() for u in drawn) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t\n0\n0.02\n0.04\n", "column t; name it u"),
+        ("x,x,x\n1\n2\n", "column x, x, x; name it u"),
+        ("0,5\n1,5\n2,5\n", "a comma parts what may be one number"),
+        ("2,5\n", "a comma parts what may be one number"),
+    ],
+)
+def test_a_file_that_may_mean_another_voltage_is_refused(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    """A time vector is no input, and 0,5 is half a volt to whoever wrote it."""
+    path = tmp_path / "u.csv"
+    path.write_text(text)
+
+    with pytest.raises(ValueError, match=said):
+        from_csv(path, Ts=1.0)
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    """A pipe that nobody writes to."""
+    os.mkfifo(tmp_path / "u.csv")
+
+    with pytest.raises(OSError, match="not a regular file"):
+        from_csv(tmp_path / "u.csv", Ts=1.0)
