@@ -100,9 +100,14 @@ def of_arm(r: Recording) -> Iterator[Finding]:
         yield _warning("arm", text + "as missing in alpha; theta_1 is not touched")
 
 
-def _of_removed_arm(r: Recording) -> Iterator[Finding]:
+def alpha_moves(r: Recording) -> bool:
+    """Return whether alpha moved by more than its noise: then the arm was on."""
     counts = r.samples["alpha_counts"][(r.samples["flags"] & Flag.ADC1_RAIL) == 0]
-    moved = counts.size > 0 and int(np.ptp(counts)) > _AT_REST * converter_step(r)
+    return counts.size > 0 and int(np.ptp(counts)) > _AT_REST * converter_step(r)
+
+
+def _of_removed_arm(r: Recording) -> Iterator[Finding]:
+    moved = alpha_moves(r)
     rehearsed = r.manifest.rehearsal
     told = rehearsed is not None and rehearsed.alpha_rad > 0
     if moved and told:

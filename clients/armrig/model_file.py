@@ -59,9 +59,10 @@ def load_fit(path: str | PathLike[str]) -> Fit:
     """
     path = Path(path)
     try:
-        content = json.loads(read_bounded(path, MOST_BYTES))
+        text = read_bounded(path, MOST_BYTES)
+        content = json.loads(text) if text.lstrip().startswith(b"{") else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
-            msg = f"{path} is no model; models are written by fit.save(path)"
+            msg = f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
             raise ModelFileError(msg)
         if content.get("version") != VERSION:
             msg = f"{path} has format version {content.get('version')!r}, this armrig reads "

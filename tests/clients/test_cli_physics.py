@@ -43,7 +43,7 @@ def test_greybox_gives_the_parameters_of_the_arm(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Within three deviations of the handout's."""
-    arguments = ["greybox", str(three_recordings[1]), "--model", "arm", "--free", "J_1"]
+    arguments = ["greybox", str(three_recordings[1]), "--free", "J_1"]  # alpha tells the model
     arguments += ["--free", "J_2"]
 
     text = said(arguments, capsys)
@@ -143,6 +143,7 @@ def test_integrate_recommends_a_step_for_each_method(capsys: pytest.CaptureFixtu
         (["check", "F", "--plot", "F"], "one of the recordings to read", 1),
         (["check", "F", "--plot", "a.xyz"], "a.xyz: a figure's name ends in one of", 1),
         (["greybox", "F", "--free", "J_9"], "free='J_9' is none of J_1", 1),
+        (["greybox", "F", "--model", "chassis"], "alpha moves: the arm was on", 1),
         (["greybox", "F", "--set", "J_1"], "--set J_1: give NAME=VALUE", 2),
         (["split", "F", "--parts", "1,x"], "--parts '1,x': whole numbers", 2),
         (["split", "F", "--parts", "0"], "parts=0 must be an integer >= 1", 1),

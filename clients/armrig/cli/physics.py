@@ -33,8 +33,11 @@ Free = Annotated[
     ),
 ]
 Rig = Annotated[
-    Literal["chassis", "arm"],
-    typer.Option("--model", help="The rig without its rotating part, or the whole."),
+    Literal["chassis", "arm"] | None,
+    typer.Option(
+        "--model",
+        help="The rig without its rotating part, or the whole; by default what alpha tells.",
+    ),
 ]
 Friction = Annotated[
     Literal["viscous", "coulomb", "both"] | None,
@@ -88,7 +91,7 @@ def check(
 
 def greybox(
     file: File,
-    model: Rig = "chassis",
+    model: Rig = None,
     free: Free = None,
     friction: Friction = None,
     given: Given = None,
@@ -104,7 +107,7 @@ def greybox(
 
     check_plot(plot, [file])
     fixed = _parameters(given)
-    data = _data(file, output, calibration)
+    data, model = _grey_data(file, output, calibration, model)
     with waiting("estimating"):
         fit = armrig.greybox(
             data, _model(model), tuple(free or ("J_1",)), fixed, output, friction=friction
@@ -134,7 +137,7 @@ def split(
     parts: Annotated[
         str, typer.Option("--parts", metavar="K,…", help="Into how many parts to cut.")
     ] = "1,2,4",
-    model: Rig = "chassis",
+    model: Rig = None,
     free: Free = None,
     given: Given = None,
     output: GreyOutput = "theta_1",
@@ -148,10 +151,11 @@ def split(
 
     check_plot(plot, [file])
     cuts, fixed = _cuts(parts), _parameters(given)
-    data = _data(file, output, calibration)
+    data, model = _grey_data(file, output, calibration, model)
+    rig = _model(model)
 
     def estimate(part: Dataset) -> Any:
-        return armrig.greybox(part, _model(model), tuple(free or ("J_1",)), fixed, output)
+        return armrig.greybox(part, rig, tuple(free or ("J_1",)), fixed, output)
 
     with waiting("estimating"):
         study = armrig.split_study(data, cuts, estimate)
@@ -240,6 +244,23 @@ def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:
 
     data: Dataset = warned(load(file, calibration)).dataset(output)
     return data
+
+
+def _grey_data(
+    file: Path, output: Any, calibration: Path | None, model: Literal["chassis", "arm"] | None
+) -> tuple[Dataset, Literal["chassis", "arm"]]:
+    """Return the data, and of which rig they are; another one than was said is refused."""
+    from armrig.findings import alpha_moves
+    from armrig.recording import load
+
+    recording = warned(load(file, calibration))
+    seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"
+    if model is not None and model != seen:
+        what = "alpha moves: the arm was on" if seen == "arm" else "alpha rests: the arm was off"
+        msg = f"{file}: --model {model}, but {what}; leave --model out, or record the {model} "
+        msg += "(`armrig collect greybox` is for the chassis alone)"
+        raise ValueError(msg)
+    return recording.dataset(output), seen
 
 
 def _model(name: str) -> Any:
