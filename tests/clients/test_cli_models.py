@@ -158,5 +158,5 @@ def test_a_file_that_is_no_model_is_told_in_a_line(
     assert main(["validate", str(three_recordings[1]), "--model", str(path)]) == 1
 
     assert capsys.readouterr().err == (
-        f"armrig: {path} is no model; models are written by fit.save(path)\n"
+        f"armrig: {path} is no model; `armrig identify --save` and fit.save(path) write them\n"
     )
