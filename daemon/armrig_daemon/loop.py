@@ -91,14 +91,16 @@ class Loop:
 
     def _step(self, now_ns: int, events: list[Event]) -> None:
         self.state, actions = core.step(self.state, now_ns, events)
-        if self._trace is not None:
-            self._put_trace(self._trace.add(now_ns, events, actions), now_ns)
+        trace = self._trace
+        if trace is not None:
+            trace.note(now_ns, events, actions)
         for action in actions:
             self._do(action, now_ns)
+        if trace is not None and trace is self._trace:
+            self._put_trace(trace.full(), now_ns)
 
-    def _put_trace(self, chunk: Chunk | None, now_ns: int) -> None:
-        if chunk is not None:
-            number, state, steps = chunk
+    def _put_trace(self, chunks: list[Chunk], now_ns: int) -> None:
+        for number, state, steps in chunks:
             record = TraceRecord(t_host_ns=now_ns, number=number, state=state, steps=steps)
             self._outbox.put(record)
 
@@ -109,15 +111,15 @@ class Loop:
                 if failure is not None:
                     self._step(now_ns, [failure])
             case Publish():
+                self._outbox.put_sample(action.sample)
                 self._meter.sampled(action.sample, self.state.ts_us * 1000)
                 if action.queued >= 0:
                     self._meter.queued(action.queued)
-                self._outbox.put_sample(action.sample)
             case RoundTrip():
                 self._meter.came_back(action.ns)
             case Emit():
                 if self._trace is not None and isinstance(action.record, RunEnded):
-                    self._put_trace(self._trace.take(), now_ns)
+                    self._put_trace(self._trace.rest(), now_ns)
                     self._trace = None
                 self._outbox.put(action.record)
                 if isinstance(action.record, RunStarted):

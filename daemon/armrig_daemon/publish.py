@@ -13,7 +13,7 @@ from armrig_core import protobuf
 from armrig_core.commands import REQUESTS, Refused, Stop, json_schema
 from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
 
-from armrig_daemon.messages import NAMES, Outgoing
+from armrig_daemon.messages import NAMES
 
 MOST_WAITING = 64  # commands that nobody has looked at yet; more are refused
 
@@ -104,9 +104,9 @@ class Session:
         """Close; an open session would never let the interpreter end."""
         self._session.close()
 
-    def put(self, message: Outgoing) -> None:
+    def put(self, stream: str, data: bytes) -> None:
         """Publish; dropped by zenoh where a subscriber does not keep up."""
-        self._publishers[message.stream].put(message.data)
+        self._publishers[stream].put(data)
 
     def next_command(self) -> Command | None:
         """Return the next command that waits, a stop before all others, or None."""

@@ -171,12 +171,11 @@ class Service:
         for record in records:
             match record:
                 case bytes():
+                    self._session.put("sample", record)  # first of all: who listens waits for it
                     sample = _decoded(record)
                     self._readings = readings.seen(self._readings, sample)
-                    message = _outgoing(sample, record)
-                    self._session.put(message)
-                    if self._runs.takes_sample(message.sequence):
-                        batch.append(message)
+                    if self._runs.takes_sample(sample.k):
+                        batch.append(_outgoing(sample, record))
                 case RunStarted():
                     self._begin_run(record)
                 case RunEnded():
@@ -207,7 +206,7 @@ class Service:
         if isinstance(record, Log) and record.level != "debug":
             _print(f"armrigd: {record.level}: {record.message}")
         message = outgoing(record, self._offset_ns)
-        self._session.put(message)
+        self._session.put(message.stream, message.data)
         return message
 
     def _say(self, level: str, message: str) -> None:

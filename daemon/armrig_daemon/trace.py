@@ -70,11 +70,32 @@ class Trace:
         self._state = written_state(state)
         self._lease = state.lease.lease if state.lease else ""
         self._number = 0
+        self._noted: list[tuple[int, Iterable[Event], Iterable[Action]]] = []
         self._steps: _Written = []
         self._bytes = len(self._state)
 
-    def add(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> Chunk | None:
-        """Note a step; return those so far once they are enough for a chunk."""
+    def note(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> None:
+        """Note a step; it is written later, for what it decided must not wait."""
+        self._noted.append((now_ns, events, actions))
+
+    def full(self) -> list[Chunk]:
+        """Write what was noted; return the chunks that are full."""
+        chunks = []
+        for now_ns, events, actions in self._noted:
+            chunk = self._write(now_ns, events, actions)
+            if chunk is not None:
+                chunks.append(chunk)
+        self._noted.clear()
+        return chunks
+
+    def rest(self) -> list[Chunk]:
+        """Write what was noted; return all that was not handed over yet."""
+        return [*self.full(), self._take()]
+
+    def _write(
+        self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
+    ) -> Chunk | None:
+        """Add a step; return those before it once they are enough for a chunk."""
         told = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
         sent = [a.data for a in actions if type(a) is Send]
         size = _STEP_BYTES
@@ -82,7 +103,7 @@ class Trace:
             size += _EVENT_BYTES + len(data)
         for data in sent:
             size += len(data)
-        full = self.take() if self._steps and self._bytes + size > CHUNK else None
+        full = self._take() if self._steps and self._bytes + size > CHUNK else None
         if size > CHUNK:  # a flood of orders: the hole shows in the numbers
             self._number += 1
             return full
@@ -90,8 +111,7 @@ class Trace:
         self._bytes += size + 4 * len(sent)
         return full
 
-    def take(self) -> Chunk:
-        """Return the steps that were not handed over yet."""
+    def _take(self) -> Chunk:
         chunk = Chunk(self._number, self._state, _ENCODER.encode(self._steps))
         self._number, self._state, self._steps, self._bytes = self._number + 1, b"", [], 0
         return chunk

@@ -89,9 +89,10 @@ def test_every_event_comes_back_from_its_bytes() -> None:
         Ordered(order),
     ]
 
-    book.add(123, events, [Send(b"a"), Send(b"bc")])
+    book.note(123, events, [Send(b"a"), Send(b"bc")])
 
-    ((now_ns, come_back, sent),) = trace.steps_of(book.take().steps)
+    (chunk,) = book.rest()
+    ((now_ns, come_back, sent),) = trace.steps_of(chunk.steps)
     assert (now_ns, sent) == (123, (b"a", b"bc"))
     assert come_back[:-1] == tuple(events[:-1])
     (last,) = (e for e in come_back if isinstance(e, Ordered))
@@ -127,11 +128,13 @@ def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None
     """4096 bytes go through at once; what is longer is dropped, and its number with it."""
     bench = Bench()
     book = trace.Trace(bench.loop.state)
-    chunks = [
-        book.add(n, [Received(b"x" * (7 * n % 2048))], [Send(b"y" * 57)] * 8) for n in range(999)
-    ]
-
-    taken = [c for c in [*chunks, book.add(1, [Received(b"z" * 5000)], []), book.take()] if c]
+    taken = []
+    for n in range(999):
+        book.note(n, [Received(b"x" * (7 * n % 2048))], [Send(b"y" * 57)] * 8)
+        if n % 3 == 0:
+            taken += book.full()
+    book.note(1, [Received(b"z" * 5000)], [])
+    taken += book.rest()
 
     assert all(len(c.state) + len(c.steps) < 4000 for c in taken)
     numbers = [c.number for c in taken]
