@@ -59,7 +59,7 @@ def inverse_dynamics(
     data : Dataset
         u in V and theta_1 in rad.
     fixed : ArmParameters, optional
-        N, R_m and K_m; the handout's by default.
+        N, R_m, K_m and, where it is not free, b_1; the handout's by default.
     friction : {"viscous", "coulomb", "both"}, optional
         As for `greybox`. With T_c the input offset is taken to be 0, and stretches in which the
         chassis is nearly at rest are left out.
@@ -104,11 +104,11 @@ def inverse_dynamics(
     score = exogenous_score(blocks, residuals) * inflation
     values, slope = _parameters(beta, names)
     C = slope @ (bread @ score @ bread) @ slope.T
-    # Where a fixed parameter is higher by a share d, the right side of the balance is another one.
-    moved = np.column_stack([_log_derivative(data, p, names, s, k) for k in _HELD])
-    by_held = -beta[0] * slope @ basis.W @ (basis.Q.T @ moved[kept])
-    share = np.array([given.get(k, 0.0) / getattr(p, k) for k in _HELD])
-    carried = by_held * share
+    # Where a fixed parameter is another one, so is the right side of the balance.
+    held = _held(names)
+    moved = whole.moved[kept]
+    by_held = slope @ (np.outer(bread[:, 0], e @ moved) - beta[0] * basis.W @ (basis.Q.T @ moved))
+    carried = by_held * [given.get(k, 0.0) for k in held]
     std_noise, std = (
         dict(zip(names, np.sqrt(np.diag(c)).tolist(), strict=True))
         for c in (C, C + carried @ carried.T)
@@ -126,7 +126,10 @@ def inverse_dynamics(
         covariance_robust=C + carried @ carried.T,
         condition=float(np.linalg.cond(whole.X[kept] / np.linalg.norm(whole.X[kept], axis=0))),
         influence={
-            "J_1": {k: float(v) for k, v in zip(_HELD, by_held[0] / values["J_1"], strict=True)}
+            "J_1": {
+                k: float(v * getattr(p, k) / values["J_1"])
+                for k, v in zip(held, by_held[0], strict=True)
+            }
         },
         fixed=replace(
             p, **{k: max(v, 0.0) if k in SIGNED else v for k, v in values.items() if k != COULOMB}
@@ -155,17 +158,32 @@ class _Regression:
     """Acceleration (M,), NaN where it is not known."""
     X: Matrix
     """Torque, velocity and sign as far as they are free, and the offset, (M, columns)."""
+    moved: Matrix
+    """Derivatives of the torque by what is held, (M, held)."""
     sizes: tuple[int, ...]
     """Rows of each experiment."""
 
 
+def _held(names: tuple[str, ...]) -> tuple[str, ...]:
+    return _HELD if "b_1" in names else (*_HELD, "b_1")
+
+
 def _regression(data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float) -> _Regression:
-    targets, rows = [], []
+    targets, rows, moved = [], [], []
     every = max(1, int(_KEPT * s / data.Ts))
+    by_motor = p.damping - p.b_1
+    damping = by_motor if "b_1" in names else p.damping
     for part in data.experiments():
         x = smoothed(part, s)
-        torque = p.torque_per_volt * x.u - (p.N * p.K_m) ** 2 / p.R_m * x.velocity
-        columns = [torque]
+        driving, braking = p.torque_per_volt * x.u, by_motor * x.velocity
+        columns = [driving - damping * x.velocity]
+        by = {
+            "N": (driving - 2 * braking) / p.N,
+            "R_m": (braking - driving) / p.R_m,
+            "K_m": (driving - 2 * braking) / p.K_m,
+            "b_1": -x.velocity,
+        }
+        moved.append(np.column_stack([by[k] for k in _held(names)])[::every])
         target = x.acceleration.copy()
         if "b_1" in names:
             columns.append(-x.velocity)
@@ -177,7 +195,10 @@ def _regression(data: Dataset, p: ArmParameters, names: tuple[str, ...], s: floa
         targets.append(target[::every])
         rows.append(np.column_stack(columns)[::every])
     return _Regression(
-        target=np.concatenate(targets), X=np.vstack(rows), sizes=tuple(t.size for t in targets)
+        target=np.concatenate(targets),
+        X=np.vstack(rows),
+        moved=np.vstack(moved),
+        sizes=tuple(t.size for t in targets),
     )
 
 
@@ -188,18 +209,6 @@ def _near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
     slow = (np.abs(fine.velocity) < _SLOW).astype(np.float64)
     window = np.ones(2 * (reach + fine.reach) + 1)
     return np.asarray(np.convolve(slow, window)[reach + fine.reach :][: part.N] > 0.5)
-
-
-def _log_derivative(
-    data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float, held: str
-) -> Vector:
-    """Return the derivative of the torque by the logarithm of a fixed parameter, (M,)."""
-    step = 1e-4
-    high, low = (
-        _regression(data, replace(p, **{held: getattr(p, held) * np.exp(x)}), names, s).X[:, 0]
-        for x in (step, -step)
-    )
-    return np.asarray((high - low) / (2 * step))
 
 
 def _by_experiment(

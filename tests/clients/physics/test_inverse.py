@@ -82,6 +82,25 @@ def test_fixed_parameters_carry_their_uncertainty_in(make: Make) -> None:
     assert fit.std["J_1"] == pytest.approx(np.hypot(fit.std_noise["J_1"], 0.01 * fit.values["J_1"]))
 
 
+def test_friction_that_is_known_is_part_of_the_balance(make: Make) -> None:
+    """Held at its value J_1 is right; what b_1 does to J_1 is what another b_1 makes of it."""
+    truth = ArmParameters(b_1=0.05)
+    data = make(p=truth)
+
+    fit = armrig.inverse_dynamics(data, fixed=truth)
+    low, high = (
+        armrig.inverse_dynamics(data, fixed=ArmParameters(b_1=b), width=0.02).values["J_1"]
+        for b in (0.049, 0.051)
+    )
+
+    assert abs(fit.values["J_1"] - truth.J_1) < 4 * fit.std["J_1"]
+    around = armrig.inverse_dynamics(data, fixed=truth, width=0.02, fixed_std={"b_1": 0.02})
+    slope = (high - low) / 0.002
+    assert around.influence["J_1"]["b_1"] == pytest.approx(slope * 0.05 / truth.J_1, abs=1e-3)
+    carried = np.sqrt(around.std["J_1"] ** 2 - around.std_noise["J_1"] ** 2)
+    assert carried == pytest.approx(abs(slope) * 0.02, rel=0.05)
+
+
 def test_too_short_data_are_refused(make: Make) -> None:
     """Nothing is left of them after smoothing."""
     with pytest.raises(ValueError, match="leaves 0 values"):
