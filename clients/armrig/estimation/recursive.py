@@ -57,8 +57,11 @@ class RarxState:
 
     @property
     def noise_variance(self) -> float:
-        """Weighted squared error over its degrees of freedom; NaN while there are none."""
-        degrees = self.weight - self.na - self.nb
+        """Weighted squared error over its degrees of freedom; NaN while there are none.
+
+        Those are sum w - d (sum w²) / (sum w): white noise's own expectation, for a steady input.
+        """
+        degrees = self.weight - (self.na + self.nb) * self._share
         return float(self.R[-1, -1] ** 2 / degrees) if degrees > 0 else float("nan")
 
     @property
@@ -71,9 +74,13 @@ class RarxState:
         if not self.determined:
             return np.full(self.na + self.nb, np.inf)
         W = orthonormal(self.R[:-1, :-1]).W
-        share = (2 - self.weight * (1 - self.forgetting)) / (1 + self.forgetting)
-        variance = share * self.noise_variance * np.einsum("ij,ij->i", W, W)
+        variance = self._share * self.noise_variance * np.einsum("ij,ij->i", W, W)
         return np.asarray(np.sqrt(variance))
+
+    @property
+    def _share(self) -> float:
+        """(sum of w²) / (sum of w)."""
+        return (2 - self.weight * (1 - self.forgetting)) / (1 + self.forgetting)
 
     @property
     def A(self) -> Vector:

@@ -18,8 +18,8 @@ def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:
     return Dataset(u=u, y=y, Ts=1.0)
 
 
-def _run(data: Dataset) -> RarxState:
-    state = rarx_start(na=2, nb=2, forgetting=0.97)
+def _run(data: Dataset, forgetting: float) -> RarxState:
+    state = rarx_start(na=2, nb=2, forgetting=forgetting)
     for u, y in zip(data.u, data.y, strict=True):
         state = rarx_step(state, u, y)
     return state
@@ -67,11 +67,19 @@ def test_a_change_of_the_system_is_followed() -> None:
 
 def test_the_deviations_hold_while_forgetting() -> None:
     """Scatter over reported, 150 runs."""
-    states = [_run(_data(seed, 150)) for seed in range(150)]
+    states = [_run(_data(seed, 150), 0.97) for seed in range(150)]
 
     ratio = np.std([s.theta for s in states], axis=0) / np.mean([s.std for s in states], axis=0)
 
     assert ((ratio > 0.85) & (ratio < 1.15)).all()
+
+
+@pytest.mark.parametrize("forgetting", [0.97, 0.9])
+def test_the_noise_variance_holds_while_forgetting(forgetting: float) -> None:
+    """Within the error of the mean of 150 runs, even where four parameters meet ten samples."""
+    variances = [_run(_data(seed, 150), forgetting).noise_variance for seed in range(150)]
+
+    assert abs(np.mean(variances) - 0.09) < 3 * np.std(variances) / np.sqrt(150)
 
 
 def test_a_step_leaves_the_state_before_it_as_it_was() -> None:
