@@ -94,22 +94,22 @@ class Loop:
         trace = self._trace
         if trace is not None:
             trace.note(now_ns, events, actions)
-        for action in actions:
-            self._do(action, now_ns)
+        failures = [f for action in actions if (f := self._do(action, now_ns)) is not None]
         if trace is not None and trace is self._trace:
             self._put_trace(trace.full(), now_ns)
+        if failures:  # behind all that was decided before: what is told last is what is so
+            self._step(now_ns, failures)
 
     def _put_trace(self, chunks: list[Chunk], now_ns: int) -> None:
         for number, state, steps in chunks:
             record = TraceRecord(t_host_ns=now_ns, number=number, state=state, steps=steps)
             self._outbox.put(record)
 
-    def _do(self, action: Action, now_ns: int) -> None:
+    def _do(self, action: Action, now_ns: int) -> Event | None:
+        """Do what the core has decided; return what is wrong with the line, if anything is."""
         match action:
             case Send():
-                failure = self.ports.write(action.data)
-                if failure is not None:
-                    self._step(now_ns, [failure])
+                return self.ports.write(action.data)
             case Publish():
                 self._outbox.put_sample(action.sample)
                 self._meter.sampled(action.sample, self.state.ts_us * 1000)
@@ -133,3 +133,4 @@ class Loop:
                 self._meter.forget_device()
             case Exit():
                 self.ended = True
+        return None

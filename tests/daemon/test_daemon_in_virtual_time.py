@@ -305,6 +305,20 @@ def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
     assert not driven.take().error
 
 
+def test_a_port_that_fails_under_a_trip_is_told_last(
+    driven: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever asks later is told what is so, not what was on its way when the port went."""
+    monkeypatch.setattr(driven.ports, "write", lambda _: LinkDown("gone"))
+    driven.lateness_ns = 60 * MS  # a pause: it trips, and the STOP is the first frame that fails
+    driven.run_for(20)
+
+    last = driven.of(StateRecord)[-1]
+    assert last.phase == driven.phase
+    assert not last.device
+    assert last.motor.startswith("not known")
+
+
 def test_a_pause_of_the_host_trips(driven: Bench) -> None:
     """After SIGSTOP, a suspend, a frozen machine: 0 V, and a gap that says for how long."""
     driven.lateness_ns = 80 * MS
