@@ -36,7 +36,7 @@ class RecordingError(OSError):
 
 
 class Recording:
-    """One open recording; nothing but its making waits for the disk."""
+    """One open recording; its maker never waits for the disk, though the kernel takes its bytes."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class Recording:
         t_first_ns: int,
         changed: Callable[[], None],
     ) -> None:
-        """Create the file with header, schemas, manifest and attachments, flushed.
+        """Create the file with header, schemas, manifest and attachments, handed to the kernel.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class Recording:
         self._offset_ns = manifest.clock_offset_ns
         self._sample_ns = t_first_ns
         self._changed = changed
-        self._queue: queue.Queue[list[Outgoing] | Outcome] = queue.Queue(QUEUE)
+        self._queue: queue.Queue[list[Outgoing] | Outcome] = queue.Queue()
         try:
             self._file: IO[bytes] = self.active.open("xb")
             self._writer = Writer(
@@ -108,18 +108,16 @@ class Recording:
 
     def add(self, batch: list[Outgoing]) -> None:
         """Hand over messages to be written."""
-        try:
-            self._queue.put_nowait(batch)
-        except queue.Full:
+        if self._queue.qsize() >= QUEUE:
             self.dropped += len(batch)
             return
+        self._queue.put(batch)
         self.samples += sum(message.stream == "sample" for message in batch)
 
     def finish(self, outcome: str, missing: int) -> None:
         """Have the file completed and named; `done` tells when."""
-        end = Outcome(outcome=outcome, samples=self.samples, missing=missing + self.dropped)
-        # The queue is drained all the time: this does not wait for the disk.
-        self._queue.put(end)
+        missing += self.dropped
+        self._queue.put(Outcome(outcome=outcome, samples=self.samples, missing=missing))
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until the file is complete, or for `timeout` s."""
@@ -140,7 +138,6 @@ class Recording:
             kind = _MEDIA_TYPES[name.rpartition(".")[2]]
             writer.add_attachment(now, now, name, kind, data)
         writer.flush()
-        os.fdatasync(self._file.fileno())
         return channels
 
     def _write(self) -> None:
@@ -156,8 +153,9 @@ class Recording:
             self._changed()
 
     def _write_until_the_end(self) -> Outcome:
-        """Write what comes: flushed at 10 Hz, on the disk at 1 Hz."""
-        flushed = synced = time.monotonic()
+        """Write what comes: flushed at 10 Hz, on the disk at 1 Hz, first of all what is there."""
+        flushed = time.monotonic()
+        synced = flushed - SYNC_S
         while True:
             try:
                 batch = self._queue.get(timeout=FLUSH_S)

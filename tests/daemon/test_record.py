@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import threading
 import time
 from pathlib import Path
@@ -151,19 +152,38 @@ def test_whatever_fails_in_the_writer_is_told(
     assert "unexpected" in recording.error
 
 
-def test_a_recording_that_cannot_be_begun_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None:
     """No file, and an error that says what to do."""
-
-    def full(_fd: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", full)
-    with pytest.raises(RecordingError, match="No space left on device; free the disk"):
-        _recording(tmp_path / "run.mcap")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        with pytest.raises(RecordingError, match="File too large; free the disk"):
+            _recording(tmp_path / "run.mcap")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
     assert list(tmp_path.iterdir()) == []
+
+
+def test_nobody_waits_for_a_disk_that_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither who begins a recording nor who ends it; what found no room is counted."""
+    answers = threading.Event()
+    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", lambda _: answers.wait())
+    monkeypatch.setattr("armrig_daemon.record.QUEUE", 3)
+    recording = _recording(tmp_path / "run.mcap")
+    for k in range(9):
+        recording.add([_sample(k)])
+    recording.finish("complete", 0)
+
+    assert not recording.done
+    answers.set()
+    recording.join(5)
+    assert recording.done
+    assert not recording.error
+    assert recording.samples + recording.dropped == 9
+    assert recording.dropped >= 5  # three wait, and one may have been taken before
 
 
 def test_a_disk_that_is_full_leaves_a_whole_prefix(
