@@ -21,6 +21,7 @@ from armrig.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.preprocess import INTEGRATING_OUTPUTS, difference
 from armrig.traits import Traits, traits
 from armrig.whiteness import (
+    WHITE_LEVEL,
     autocovariance,
     default_lags,
     joined,
@@ -244,7 +245,7 @@ class ResidualTest:
         )
         lines = [f"residuals on {where} data, {np.count_nonzero(np.isfinite(self.e))} samples"]
         for good, bad, p, look in verdicts:
-            said = good if p >= 0.05 else f"{bad}: look at the {look}"
+            said = good if p >= WHITE_LEVEL else f"{bad}: look at the {look}"
             lines.append(f"  p = {p:.3g}: {'too few samples to tell' if np.isnan(p) else said}")
         return "\n".join(lines)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -247,3 +248,16 @@ def test_what_cannot_be_judged_is_refused() -> None:
         compare(data(1))
     with pytest.raises(ValueError, match="lags=400 must be 1 to 300"):
         residuals(oe(data(1), nb=2, nf=2), data(1), lags=400)
+
+
+@pytest.mark.parametrize(
+    ("p", "words"),
+    [(0.03, ["white", "no dynamics missing", "no feedback"]), (0.003, ["coloured", "a delay too"])],
+)
+def test_the_words_of_the_tests_are_those_of_the_report(p: float, words: list[str]) -> None:
+    """At 1 %, as everywhere."""
+    tests = residuals(oe(data(1), nb=2, nf=2), data(2))
+
+    said = repr(replace(tests, whiteness=p, missing_dynamics=p, feedback=p))
+
+    assert all(word in said for word in words)
