@@ -60,7 +60,7 @@ REMEDIES: dict[Id, str] = {
     Id.STATE: "see that nobody else talks to the device",
     Id.APPLIED: "do not drive this rig: its firmware or its converter is broken",
     Id.REQUEST: "see to the cable, then reset the device",
-    Id.FIRMWARE: "flash the firmware of this release",
+    Id.FIRMWARE: "flash firmware of this version of the wire (firmware_protocol/PROTOCOL.md)",
     Id.INTERNAL: "report it with the recording: this is a bug in armrig",
 }
 """What to do about each, before `armrig reset`."""

@@ -28,7 +28,7 @@ NO_PORT = 2
 REOPEN_NS = 500_000_000
 _READ = 65536
 # Woken from the long sleep in `select` our caches are cold, after a short second one they are not:
-# p99 of the lateness is 0 µs with it and 62 without, for 14 µs more a tick (docs/benchmarks.md).
+# what it brings and what it costs is in docs/benchmarks.md.
 _MARGIN_NS = 90_000
 
 
