@@ -43,6 +43,9 @@ from armrig_daemon.stopping import end_run, stop, trip
 ARMED_NS = 10_000_000_000
 """How long the rig may be held armed without a command, at 0 V, in ns."""
 _NOISE = (Spoilt, Unknown)
+# By names of their own: an enum's member, looked up in it, takes 0.08 µs each time.
+_RUN, _ARMED, _ACTIVE = DeviceState.RUN, Phase.ARMED, Phase.ACTIVE
+_DRIVING = (_ARMED, _ACTIVE)
 
 
 def start(rules: Rules) -> State:
@@ -63,11 +66,7 @@ def wake_ns(state: State) -> int:
     """Return when the core wants a `Beat`, should nothing happen before."""
     if state.asked is not None:
         return handshake.retry_ns(state.asked)
-    return state.any_ns + _keepalive_ns(state)
-
-
-def _keepalive_ns(state: State) -> int:
-    return state.rules.watchdog_ms * 1_000_000 // 3
+    return state.any_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
 def _one(state: State, now_ns: int, event: Event) -> Step:
@@ -94,7 +93,7 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     state = replace(state, link_up=False, device=None, asked=None, sent=(), pending=b"")
     if state.quitting:
         return state, [*done, Exit()]
-    if state.phase in (Phase.ARMED, Phase.ACTIVE):
+    if state.phase in _DRIVING:
         state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
         return state, done + actions
     state, ended = end_run(state, now_ns)  # its STOP will not be confirmed any more
@@ -106,7 +105,8 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
 
 def _received(state: State, now_ns: int, data: bytes) -> Step:
     pending, received = feed(state.pending, data)
-    state = replace(state, pending=pending)
+    if pending != state.pending:
+        state = replace(state, pending=pending)
     done: list[Action] = []
     for message in received:
         if isinstance(message, _NOISE):
@@ -121,7 +121,7 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
 def _beat(state: State, now_ns: int) -> Step:
     if state.asked is not None:
         return handshake.retry(state, now_ns)
-    drives = state.device_state == DeviceState.RUN
+    drives = state.device_state == _RUN
     if not state.link_up or (drives and scheduling.is_stopping(state)):
         return replace(state, any_ns=now_ns), []  # nothing that would feed its watchdog
     return send(state, now_ns, encode(Keepalive(0, state.seq)))
@@ -129,7 +129,7 @@ def _beat(state: State, now_ns: int) -> Step:
 
 def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     done: list[Action] = []
-    self_paced = state.scheduled and state.device_state == DeviceState.RUN
+    self_paced = state.scheduled and state.device_state == _RUN
     skipped = tick.k - state.k - 1 if state.k >= 0 else 0
     pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
     if skipped > 0 and not self_paced:
@@ -137,7 +137,7 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     state = replace(state, k=tick.k, tick_ns=now_ns)
     if not state.link_up or state.device is None:
         return state, done
-    rules, driving = state.rules, state.phase in (Phase.ARMED, Phase.ACTIVE)
+    rules, driving = state.rules, state.phase in _DRIVING
     fault: Fault | None = None
     if pause_ns > rules.pause_ns(state.ts_us, scheduled=self_paced):
         fault = Fault(Id.PAUSE, f"the host paused for {pause_ns / 1e6:.0f} ms")
@@ -191,11 +191,11 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
     lease = state.lease
     if lease is None or (state.asked is not None and state.asked.want is Want.STOP):
         return state, 0, []
-    if state.phase is Phase.ARMED and now_ns - lease.renewed_ns > ARMED_NS:
+    if state.phase is _ARMED and now_ns - lease.renewed_ns > ARMED_NS:
         state, actions = stop(state, now_ns, "")
         text = "armed for 10 s without a command: disarmed"
         return state, 0, [log(now_ns, "info", text), *actions]
-    if state.phase is not Phase.ACTIVE:
+    if state.phase is not _ACTIVE:
         return state, 0, []
     if state.run is None:
         if now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us):

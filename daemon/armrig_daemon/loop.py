@@ -61,12 +61,12 @@ class Loop:
 
     def _serve_until(self, until_ns: int) -> int:
         """Take what comes, and wake for the core's own times, until shortly before the tick."""
-        pace = self._pace
-        now = self.ports.now_ns()
+        pace, ports = self._pace, self.ports
+        now = ports.now_ns()
         while now < until_ns and not self.ended and self._pace is pace:
             wake = core.wake_ns(self.state)
-            events = self.ports.wait(max(min(until_ns, wake), now))
-            now = self.ports.now_ns()
+            events = ports.wait(until_ns if wake > until_ns else max(wake, now))
+            now = ports.now_ns()
             if events:
                 self._step(now, events)
             elif now >= wake:

@@ -26,7 +26,8 @@ def feed(pending: bytes, data: bytes) -> tuple[bytes, list[Received]]:
     data : bytes
         Any bytes.
     """
-    *texts, rest = (pending + data).split(b"\0")
+    texts = (pending + data).split(b"\0")
+    rest = texts.pop()
     received: list[Received] = []
     for text in texts:
         if len(text) > LONGEST:

@@ -10,6 +10,7 @@ from armrig_protocol.crc import crc32
 from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, TYPES, Config, Message
 
 _CRC = Struct("<I")
+_RESIDUE = 0x2144DF1C  # CRC-32 of whatever ends in its own CRC-32: of a sound frame, that is
 _HEADER = Struct("<BBH")
 _TEXTS = {number: Struct("<B" + layout) for number, layout in LAYOUTS.items()}
 _BODIES = {number: Struct("<x" + layout) for number, layout in LAYOUTS.items()}
@@ -67,7 +68,7 @@ def decode(stuffed: bytes) -> Message | Unknown | Spoilt:
     size = len(frame) - _CRC.size
     if size < _HEADER.size:
         return Spoilt("length")
-    if crc32(frame[:size]) != _CRC.unpack_from(frame, size)[0]:
+    if crc32(frame) != _RESIDUE:
         return Spoilt("crc")
     number = frame[0]
     body = _BODIES.get(number)

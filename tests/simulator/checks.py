@@ -256,7 +256,8 @@ class Checks:
 
     def came_back(self, heard_ns: int) -> None:
         """Note an answer that came whole, made when the device had heard what was sent then."""
-        self.fresh_ns = max(self.fresh_ns, heard_ns)
+        if heard_ns > self.fresh_ns:
+            self.fresh_ns = heard_ns
 
     def sampled(self, now_ns: int) -> None:
         """Note that the core has published a sample."""
@@ -273,8 +274,10 @@ class Checks:
         """Judge a sample that goes to the service (L2, S5)."""
         self._expect(now_ns, sample.k, 1, "a sample")
         code = self._latched_codes.get(sample.k)
+        if code is None:
+            return
         applied = round(sample.u_applied_v * CODE_FULL_SCALE / FULL_SCALE_V)
-        if code is not None and applied not in (0, code):
+        if applied not in (0, code):
             text = f"sample {sample.k} says code {applied} where the motor got {code}"
             raise Violation("S5", now_ns, text)
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+import msgspec
 from armrig_protocol.frame import decode
 from armrig_protocol.messages import Exchange, Setpoints
 
 
-class Frame(NamedTuple):
+class Frame(msgspec.Struct, frozen=True, gc=False):
     """A frame that the host sent."""
 
     type: int

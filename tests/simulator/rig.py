@@ -37,6 +37,7 @@ from simulator.violation import Violation
 from simulator.watched import Watched
 
 NEVER = 1 << 62
+_DRIVING, _RUN = (Phase.ACTIVE, Phase.ARMED), DeviceState.RUN
 _MARK = Struct("<qc")
 _PIPE_NS = 50_000
 Story = Callable[[int, str, Any], None]
@@ -88,11 +89,10 @@ class WatchedLoop(Loop):
     def _judged(self, now_ns: int, ticks: list[Event]) -> None:
         """Do a tick, with a look at the round trip before it and at what is kept after it."""
         state, checks = self.state, self._rig.checks
-        driving = state.phase is Phase.ACTIVE or state.phase is Phase.ARMED
         checks.begin_tick(
             now_ns,
-            driving=driving and state.link_up and state.device is not None,
-            scheduled=state.scheduled and state.device_state == DeviceState.RUN,
+            driving=state.phase in _DRIVING and state.link_up and state.device is not None,
+            scheduled=state.scheduled and state.device_state == _RUN,
         )
         super()._step(now_ns, ticks)
         checks.end_tick(now_ns)
@@ -158,9 +158,10 @@ class Rig:
         """Let time pass until something has come, or `until_ns`."""
         inbox, world = self._inbox, self._world
         advance = self.device.advance_to_frame
+        pauses = self._pauses
         while True:
-            if self._pauses and self._pauses[0][0] <= self.now:
-                self._pause(self._pauses.pop(0))
+            if pauses and pauses[0][0] <= self.now:
+                self._pause(pauses.pop(0))
             if inbox and inbox[0][0] <= self.now:
                 return self._due()
             if self.now >= until_ns:
@@ -170,8 +171,8 @@ class Rig:
                 to_ns = inbox[0][0]
             if world[0][0] < to_ns:
                 to_ns = world[0][0]
-            if self._pauses and self._pauses[0][0] < to_ns:
-                to_ns = self._pauses[0][0]
+            if pauses and pauses[0][0] < to_ns:
+                to_ns = pauses[0][0]
             frames = advance(to_ns)
             if frames:
                 self._left(frames)
@@ -226,10 +227,13 @@ class Rig:
         """Let the world go on, whatever comes for the loop."""
         world, advance = self._world, self.device.advance_to_frame
         while True:
-            t_ns = min(to_ns, world[0][0])
+            t_ns = world[0][0]
+            if t_ns > to_ns:
+                t_ns = to_ns
             while frames := advance(t_ns):
                 self._left(frames)
-            self.now = max(self.now, t_ns)
+            if t_ns > self.now:
+                self.now = t_ns
             if world[0][0] > t_ns:
                 return
             while world[0][0] <= t_ns:
@@ -259,7 +263,7 @@ class Rig:
 
     def _left(self, frames: Sequence[tuple[int, bytes]]) -> None:
         """Carry frames that the device has made just now."""
-        heard_ns = self.checks.newest_ns
+        heard_ns, usb_ns = self.checks.newest_ns, self.options.usb_ns
         for t_ns, data in frames:
             self._log += _MARK.pack(t_ns, b"<") + data
             if self.story:
@@ -269,7 +273,7 @@ class Rig:
             for out_ns, piece in self._from_device.carry(t_ns, data):
                 # A frame proves something with its end, whether or not it was cut before.
                 whole = heard_ns if data.endswith(piece) else -1
-                self.event(out_ns + self.options.usb_ns, Received(piece), whole)
+                self.event(out_ns + usb_ns, Received(piece), whole)
 
     def _arrive(self, piece: bytes) -> None:
         if not self._unplugged:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import Cause, State
 
 from simulator.checks import Checks
+
+_BOOT, _RUN = State.BOOT, State.RUN
 
 
 class Watched(Device):
@@ -37,10 +40,10 @@ class Watched(Device):
     def _arrive(self, t_ns: int) -> None:
         fw, checks = self._fw, self.checks
         before = fw.state
-        if before is State.BOOT:
+        if before is _BOOT:
             super()._arrive(t_ns)
             return
-        bound = before is State.RUN or before is State.ARMED
+        bound = before in MOTOR_MAY_TURN
         frame = checks.arrives(t_ns, self._rx.first(), bound=bound)
         super()._arrive(t_ns)
         if fw.state is not before:
@@ -49,7 +52,7 @@ class Watched(Device):
     def _latch(self, now_ns: int, code: int, cause: Cause) -> None:
         fw, checks = self._fw, self.checks
         orders = fw.orders
-        if fw.state is not State.RUN:
+        if fw.state is not _RUN:
             self._really_latch(now_ns, code, cause)
             return
         scheduled = fw.timer is not None

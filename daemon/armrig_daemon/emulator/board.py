@@ -7,6 +7,7 @@ each change, in the model of the device, whatever the layers above let through.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from math import radians, tau
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from armrig_daemon.emulator import plant
 from armrig_daemon.emulator.sensors import CODE_BITS, Potentiometer, convert, wiper
 from armrig_daemon.emulator.settings import EmulatorSettings
 
+_RUN = State.RUN
 FULL_SCALE_V = FULL_SCALE_MV / 1000
 
 
@@ -42,6 +44,7 @@ def duty(code: int, pwm_bits: int) -> int:
     return ((code << (pwm_bits + 1)) + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
 
 
+@lru_cache
 def reported(code: int, pwm_bits: int) -> int:
     """Return the code of what the pin really gives for `code`; a tie goes up."""
     if not pwm_bits:
@@ -50,6 +53,7 @@ def reported(code: int, pwm_bits: int) -> int:
     return (2 * steps * CODE_FULL_SCALE + (1 << pwm_bits)) >> (pwm_bits + 1)
 
 
+@lru_cache
 def volts(code: int, pwm_bits: int) -> float:
     """Return the mean terminal voltage for `code` behind an ideal driver."""
     if not pwm_bits:
@@ -59,7 +63,7 @@ def volts(code: int, pwm_bits: int) -> float:
 
 def driven(volts: float, gain: float, offset_v: float) -> float:
     """Return the terminal voltage behind a driver; its supply ends at 0 and 5 V, and 0 V is off."""
-    if not volts or (gain, offset_v) == (1.0, 0.0):
+    if not volts or (gain == 1.0 and offset_v == 0.0):
         return volts  # an ideal one hides nothing: what is too much is still too much at the motor
     return min(max(gain * volts + offset_v, 0.0), FULL_SCALE_V)
 
@@ -122,7 +126,7 @@ class Board:
             raise VoltageError(msg)
         self.code = reported(code, self._pwm_bits)
         terminal_v = driven(volts(code, self._pwm_bits), *self._driver)
-        self._apply(now_ns, terminal_v, State.RUN, cause)
+        self._apply(now_ns, terminal_v, _RUN, cause)
 
     def release(self, now_ns: int, state: State, cause: Cause) -> None:
         """Disconnect the pin, drive it and the enable line low: 0 V."""

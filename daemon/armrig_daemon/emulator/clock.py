@@ -30,7 +30,9 @@ class Clock:
 
     def after(self, now_ns: int, dt_ns: int) -> int:
         """Return when `dt_ns` of device time will have passed since `now_ns`."""
-        return self.instant(self.device_ns(now_ns) + dt_ns)
+        # `instant` of `device_ns` and dt, in one: each frame and each act passes here.
+        end_ns = (now_ns - self.reset_ns) * _BILLION // self.second_ns + dt_ns
+        return self.reset_ns - (-end_ns * self.second_ns // _BILLION)
 
 
 def started(settings: EmulatorSettings, now_ns: int) -> Clock:

@@ -38,7 +38,8 @@ class Converter:
         fw = self._fw
         if self._act == 1:
             self._y1 = fw.board.alpha(t_ns)
-            self._plan(2, self._conversion_ns + self._hold_ns)
+            after_ns = self._conversion_ns + self._hold_ns
+            self._act, self.due_ns = 2, fw.clock.instant(self._trigger_ns + after_ns)
             return []
         if self._act == 2:
             # theta_1 is held just before the latch, so that it cannot know of this u.
@@ -57,9 +58,7 @@ class Converter:
 
     def _trigger(self, device_ns: int) -> None:
         """Start alpha's conversion, and plan all that follows from it."""
+        clock = self._fw.clock
         self._trigger_ns = device_ns
-        self.end_ns = self._fw.clock.instant(device_ns + 2 * self._conversion_ns)
-        self._plan(1, self._hold_ns)
-
-    def _plan(self, act: int, after_ns: int) -> None:
-        self._act, self.due_ns = act, self._fw.clock.instant(self._trigger_ns + after_ns)
+        self.end_ns = clock.instant(device_ns + 2 * self._conversion_ns)
+        self._act, self.due_ns = 1, clock.instant(device_ns + self._hold_ns)

@@ -26,6 +26,7 @@ HOLD_NS = 12_000  # ATmega328P data sheet, table 24-1: sample and hold after 1.5
 LEAD_NS = 80_000  # twice what an answer takes to be made, so that it is there when it is due
 STATUS_NS = 1_000_000_000
 MOST_ORDERS = 2
+_BOOT = State.BOOT
 POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
 
 
@@ -137,7 +138,7 @@ class Device:
         tx = self._tx
         while self._next_ns <= now_ns:
             self._step(self._next_ns)
-            if tx.waits:
+            if tx.left:
                 return tx.take()
         return []
 
@@ -159,47 +160,41 @@ class Device:
         self._converter = Converter(self._fw)
         self._booted_ns = self._fw.clock.after(now_ns, self._boot_ns)
         self._status_ns = self._fw.clock.after(now_ns, max(STATUS_NS, self._boot_ns + 1))
-        self._look_ahead()
+        self._next_ns = self._booted_ns  # nothing else is due before
 
-    def _look_ahead(self) -> None:
-        """Find out when something is due; kept, because it is asked far more often."""
-        fw = self._fw
-        self._next_ns = min(
-            self._rx.first_ns,
-            self._converter.due_ns,
+    def _step(self, t_ns: int) -> None:
+        """Do one thing that is due at `t_ns`, and look ahead to the next.
+
+        Bytes come first, so that a STOP beats a latch.
+        """
+        fw, rx, converter = self._fw, self._rx, self._converter
+        if rx.first_ns == t_ns:
+            self._arrive(t_ns)
+        elif self._booted_ns == t_ns:
+            self._booted_ns = NEVER
+            rx.forget(t_ns)
+            self._tx.begin(t_ns)
+            self._tx.send(fw, t_ns, [fw.go(t_ns, State.IDLE, fw.cause)])
+        elif fw.watchdog_ns == t_ns:
+            self._tx.send(fw, t_ns, fw.bite(t_ns))
+        elif converter.due_ns == t_ns:
+            made = converter.step(t_ns)
+            if made:  # two of three acts make nothing
+                self._tx.send(fw, t_ns, made)
+        elif fw.timer_ns == t_ns:
+            self._tx.send(fw, t_ns, fw.tick(t_ns))
+            converter.wake()
+        else:
+            self._status_ns = fw.clock.after(t_ns, STATUS_NS)
+            self._tx.send(fw, t_ns, [fw.status(t_ns)])
+        self._next_ns = min(  # kept, because it is asked far more often
+            rx.first_ns,
+            converter.due_ns,
             fw.watchdog_ns,
             fw.timer_ns,
             self._status_ns,
             self._booted_ns,
         )
-
-    def _step(self, t_ns: int) -> None:
-        """Do one thing that is due at `t_ns`, and look ahead to the next."""
-        self._do(t_ns)
-        self._look_ahead()
-
-    def _do(self, t_ns: int) -> None:
-        """Do one thing that is due; bytes come first, so that a STOP beats a latch."""
-        fw = self._fw
-        if self._rx.first_ns == t_ns:
-            self._arrive(t_ns)
-        elif self._booted_ns == t_ns:
-            self._booted_ns = NEVER
-            self._rx.forget(t_ns)
-            self._tx.begin(t_ns)
-            self._tx.send(fw, t_ns, [fw.go(t_ns, State.IDLE, fw.cause)])
-        elif fw.watchdog_ns == t_ns:
-            self._tx.send(fw, t_ns, fw.bite(t_ns))
-        elif self._converter.due_ns == t_ns:
-            made = self._converter.step(t_ns)
-            if made:  # two of three acts make nothing
-                self._tx.send(fw, t_ns, made)
-        elif fw.timer_ns == t_ns:
-            self._tx.send(fw, t_ns, fw.tick(t_ns))
-            self._converter.wake()
-        else:
-            self._status_ns = fw.clock.after(t_ns, STATUS_NS)
-            self._tx.send(fw, t_ns, [fw.status(t_ns)])
 
     def _next_makes_sample(self) -> bool:
         """Return whether the next piece to arrive is an EXCHANGE that a sample will answer."""
@@ -212,7 +207,7 @@ class Device:
         """Take in the piece that is complete at `t_ns`."""
         fw = self._fw
         received = self._rx.take()
-        if fw.state is State.BOOT:
+        if fw.state is _BOOT:
             return
         for item in received:
             # Where the timer samples, an EXCHANGE never waits: it is refused.
@@ -220,5 +215,7 @@ class Device:
             if waits and len(fw.orders) >= MOST_ORDERS:
                 fw.lose(frame.wire_length(Exchange))
                 continue
-            self._tx.send(fw, t_ns, take(fw, t_ns, item))
+            answers = take(fw, t_ns, item)
+            if answers:  # an EXCHANGE is answered by its sample
+                self._tx.send(fw, t_ns, answers)
             self._converter.wake()

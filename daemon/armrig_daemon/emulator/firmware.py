@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final
 
+import msgspec
 import numpy as np
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import Ack, Cause, Code, Config, Event, Flag, Message, State, Status
+from msgspec.structs import replace
 
 from armrig_daemon.emulator.board import Board
 from armrig_daemon.emulator.clock import U32, Clock, microseconds
@@ -26,6 +28,7 @@ U16: Final = 0xFFFF
 UNNUMBERED: Final = 0
 """seq of a frame before it leaves."""
 SUPPLY_MV = 5000
+MOTOR_MAY_TURN: Final = (State.ARMED, State.RUN)
 NO_STACK_LIMIT = 0xFFFF  # an emulator has no stack to run out of
 
 
@@ -46,7 +49,7 @@ class Traits:
         return -(-2 * self.conversion_ns // 1000)
 
 
-class Order(NamedTuple):
+class Order(msgspec.Struct, frozen=True, gc=False):
     """A sample that an EXCHANGE or the timer asked for and that is not taken yet."""
 
     due_ns: int
@@ -141,7 +144,7 @@ class Firmware:
     def _wind(self) -> None:
         """Set the watchdog, which is on in ARMED and RUN only."""
         self.watchdog_ns = NEVER
-        if self.config is not None and (self.state is State.RUN or self.state is State.ARMED):
+        if self.config is not None and self.state in MOTOR_MAY_TURN:
             self.watchdog_ns = self.clock.after(self.fed_ns, self.config.watchdog_ms * 1_000_000)
 
     def set_timer(self, timer: Timer | None) -> None:
@@ -169,7 +172,7 @@ class Firmware:
                 self.queue = None
         if was is State.RUN:
             # What still waits for its conversions was meant for the run that is over.
-            self.orders = deque(order._replace(drives=False) for order in self.orders)
+            self.orders = deque(replace(order, drives=False) for order in self.orders)
         self.token = 0
         if state in (State.FAULT, State.ESTOP):
             self.token = int(self.rng.integers(1, U32, endpoint=True))

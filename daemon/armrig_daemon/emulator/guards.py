@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+import msgspec
 from armrig_protocol.messages import Cause
 
 RAIL_CODES = 64  # 1/1024 of the range of 65536 codes
 _TURN = 1 << 16
+_NONE = Cause.NONE
 
 
-class Guards(NamedTuple):
+class Guards(msgspec.Struct, frozen=True, gc=False):
     """What was seen since START."""
 
     rails: tuple[int, int] = (0, 0)
@@ -45,7 +45,7 @@ def watch(guards: Guards, y0: int, y1: int, *, rail_ticks: int, turns: int) -> t
     turned = guards.turned + (y0 - last + _TURN // 2) % _TURN - _TURN // 2
     theta_1, alpha = guards.rails
     rails = (theta_1 + 1 if at_rail(y0) else 0, alpha + 1 if at_rail(y1) else 0)
-    cause = Cause.NONE
+    cause = _NONE
     if rail_ticks and max(rails) >= rail_ticks:
         cause = Cause.ADC_RAIL
     elif turns and abs(turned) * 100 >= turns * _TURN:

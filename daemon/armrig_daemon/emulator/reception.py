@@ -46,18 +46,15 @@ class Reception:
 
     def peek(self) -> list[Received]:
         """Return what the next piece will bring."""
-        return self._fed()[1]
-
-    def _fed(self) -> tuple[bytes, list[Received]]:
         if self._peeked is None:
             self._peeked = decoder.feed(self._pending, self._pieces[0][1])
-        return self._peeked
+        return self._peeked[1]
 
     def take(self) -> list[Received]:
         """Return what the next piece brings, which has arrived."""
-        self._pending, received = self._fed()
+        _, piece = self._pieces.popleft()
+        self._pending, received = self._peeked or decoder.feed(self._pending, piece)
         self._peeked = None
-        self._pieces.popleft()
         self.first_ns = self._pieces[0][0] if self._pieces else NEVER
         return received
 

@@ -37,10 +37,11 @@ from armrig_protocol.messages import (
 
 from armrig_daemon.emulator import transitions
 from armrig_daemon.emulator.clock import U32
-from armrig_daemon.emulator.firmware import U16, UNNUMBERED, Firmware, Order
+from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Firmware, Order
 from armrig_daemon.emulator.setpoints import setpoints
 
 UID = int.from_bytes(b"emulator", "little")
+_RUN, _NONE = State.RUN, Cause.NONE
 NO_IMAGE = 0  # an emulator has no image to take a CRC of
 CAPABILITIES = int(Capability.EXCHANGE | Capability.SCHEDULED | Capability.ENABLE_LINE)
 
@@ -59,7 +60,7 @@ def take(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
     if handler is None:  # a type that only devices send
         return [fw.answer(TYPES[kind], received.seq, Code.UNKNOWN_TYPE)]
     # Where the motor may turn, a HELLO that was played again must not make old frames new.
-    resynchronises = kind is Hello and fw.state not in (State.ARMED, State.RUN)
+    resynchronises = kind is Hello and fw.state not in MOTOR_MAY_TURN
     if resynchronises or is_newer(received.seq, fw.newest, U16):
         fw.newest = received.seq
         fw.feed(now_ns)
@@ -76,20 +77,20 @@ def is_newer(number: int, last: int | None, mask: int) -> bool:
 def makes_sample(fw: Firmware, m: Exchange) -> bool:
     """Return whether `m`, taken in the present state, is answered by a sample."""
     fresh = is_newer(m.seq, fw.newest, U16) and is_newer(m.k, fw.k, U32)
-    return fw.timer is None and fresh and _trip(fw, m) is Cause.NONE
+    return fw.timer is None and fresh and _trip(fw, m) is _NONE
 
 
 def _trip(fw: Firmware, m: Exchange) -> Cause:
     """Return the fault that the u of `m` is, or NONE; only in RUN is it looked at."""
     config = fw.config
-    if fw.state is not State.RUN or config is None:
-        return Cause.NONE
+    if fw.state is not _RUN or config is None:
+        return _NONE
     if not config.u_min <= m.u <= config.u_max:
         return Cause.RANGE
     # Against the code as the host sent it: against the rounded duty an allowed ramp could trip.
     if config.slew and abs(m.u - fw.u) > config.slew:
         return Cause.SLEW
-    return Cause.NONE
+    return _NONE
 
 
 def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
@@ -98,9 +99,9 @@ def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
     if not is_newer(m.k, fw.k, U32):
         return [fw.answer(TYPES[Exchange], m.seq, Code.STALE)]
     cause = _trip(fw, m)
-    if cause is not Cause.NONE:
+    if cause is not _NONE:
         return [fw.go(now_ns, State.FAULT, cause, detail=m.u)]
-    drives = fw.state is State.RUN
+    drives = fw.state is _RUN
     if drives:
         fw.u = m.u
     fw.k = m.k
@@ -109,7 +110,7 @@ def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
 
 
 def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
-    if fw.state not in (State.ARMED, State.RUN):
+    if fw.state not in MOTOR_MAY_TURN:
         fw.k = None
     traits = fw.traits
     reply = HelloReply(

@@ -9,6 +9,8 @@ from armrig_daemon.emulator.firmware import U16, UNNUMBERED, Firmware
 from armrig_daemon.emulator.guards import at_rail, watch
 from armrig_daemon.emulator.queue import Setpoint
 
+# By names of their own: an enum's member, looked up in it, takes 0.08 µs each time.
+_RUN, _FAULT, _REQUEST, _NONE = State.RUN, State.FAULT, Cause.REQUEST, Cause.NONE
 _STATE_FLAGS = {
     State.RUN: int(Flag.RUN | Flag.ARMED),
     State.ARMED: int(Flag.ARMED),
@@ -31,7 +33,7 @@ def latch(fw: Firmware, now_ns: int) -> None:
     if not order.drives:
         return
     u, fw.u_seq = (order.u, order.seq) if order.u is not None else _next_setpoint(fw)
-    fw.board.latch(now_ns, u, Cause.REQUEST)
+    fw.board.latch(now_ns, u, _REQUEST)
 
 
 def _next_setpoint(fw: Firmware) -> Setpoint:
@@ -59,16 +61,16 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
     late : bool
         The conversions had to wait for those of another order.
     """
-    order = fw.orders.popleft()
+    order, config = fw.orders.popleft(), fw.config
     events: list[Message] = []
-    if fw.state is State.RUN and fw.config is not None:
+    if fw.state is _RUN and config is not None:
         fw.guards, cause = watch(
-            fw.guards, y0, y1, rail_ticks=fw.config.rail_ticks, turns=fw.config.turns
+            fw.guards, y0, y1, rail_ticks=config.rail_ticks, turns=config.turns
         )
-        if cause is not Cause.NONE:
+        if cause is not _NONE:
             events = [fw.go(now_ns, State.FAULT, cause)]
     flags = fw.news | _STATE_FLAGS.get(fw.state, 0)
-    if fw.state is State.FAULT:
+    if fw.state is _FAULT:
         flags |= _FAULT_FLAGS.get(fw.cause, 0)
     if at_rail(y0):
         flags |= _RAIL_0
@@ -78,20 +80,20 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
         flags |= _LATE
         fw.counters.late += 1
     fw.news = 0
-    taken = Sample(
+    taken = Sample(  # by place: by name it would take twice as long, at each sample
         fw.state,
         UNNUMBERED,
-        boot=fw.boot_id & U16,
-        echo=fw.newest or 0,
-        u_seq=fw.u_seq,
-        k=order.k & U32,
-        t_us=t_us,
-        y0=y0,
-        y1=y1,
-        u_k=fw.board.code,
-        u_km1=fw.u_km1,
-        flags=flags,
-        queued=0 if fw.queue is None else len(fw.queue),
+        fw.boot_id & U16,
+        fw.newest or 0,
+        fw.u_seq,
+        order.k & U32,
+        t_us,
+        y0,
+        y1,
+        fw.board.code,
+        fw.u_km1,
+        flags,
+        0 if fw.queue is None else len(fw.queue),
     )
     # SAMPLE answers a request, and so leaves before the EVENT of the transition that it made.
     return [taken, *events]

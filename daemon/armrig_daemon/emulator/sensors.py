@@ -42,8 +42,11 @@ def wiper(pot: Potentiometer, angle: float) -> float | None:
         position %= tau
         if position > pot.range_rad:
             return None
-    share = min(max(position / pot.range_rad, 0.0), 1.0)
-    return pot.low + (pot.high - pot.low) * share
+    elif position < 0.0:
+        position = 0.0
+    elif position > pot.range_rad:
+        position = pot.range_rad
+    return pot.low + (pot.high - pot.low) * (position / pot.range_rad)
 
 
 def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Generator) -> int:
@@ -68,5 +71,7 @@ def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Ge
     if noise_v:
         fraction += rng.standard_normal() * (noise_v / REFERENCE_V)
     steps = 1 << bits
-    count = min(max(floor(fraction * steps + 0.5), 0), steps - 1)
+    count = floor(fraction * steps + 0.5)
+    if not 0 <= count < steps:
+        count = 0 if count < 0 else steps - 1
     return count << (CODE_BITS - bits)

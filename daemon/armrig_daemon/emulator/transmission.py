@@ -20,11 +20,13 @@ class Transmission:
         self._ring_ns = wire_ns(RING_BYTES, baud)
         self._free_ns = now_ns
         self._seq = 0
-        self._left: list[tuple[int, bytes]] = []
+        self.left: list[tuple[int, bytes]] = []
+        """What was sent since the last `take`, each with its last byte's departure."""
 
     def begin(self, t_ns: int) -> None:
         """Send the 00 that a sender begins with."""
-        self._left.append((self._depart(t_ns, 1), b"\0"))
+        self._free_ns = departure_ns(self._free_ns, t_ns, 1, self._baud)
+        self.left.append((self._free_ns, b"\0"))
 
     def send(self, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
         """Put frames on the wire, numbered; drop what finds no room in the ring."""
@@ -35,21 +37,14 @@ class Transmission:
             numbered = tuple.__new__(type(message), (message[0], self._seq, *message[2:]))
             wire = frame.encode(numbered)
             self._seq = (self._seq + 1) & U16  # a frame that is dropped leaves a break in seq
-            if self._free_ns - t_ns + wire_ns(len(wire), self._baud) > self._ring_ns:
+            end_ns = departure_ns(self._free_ns, t_ns, len(wire), self._baud)
+            if end_ns - t_ns > self._ring_ns:
                 fw.drop()
             else:
-                self._left.append((self._depart(t_ns, len(wire)), wire))
-
-    @property
-    def waits(self) -> bool:
-        """Whether `take` would return something."""
-        return bool(self._left)
+                self._free_ns = end_ns
+                self.left.append((end_ns, wire))
 
     def take(self) -> list[tuple[int, bytes]]:
         """Return what was sent since the last call, each with its last byte's departure."""
-        left, self._left = self._left, []
+        left, self.left = self.left, []
         return left
-
-    def _depart(self, t_ns: int, n_bytes: int) -> int:
-        self._free_ns = departure_ns(self._free_ns, t_ns, n_bytes, self._baud)
-        return self._free_ns
