@@ -17,13 +17,6 @@ SILENCE_S = 1.0
 _LOOK_S = 1.0
 _LISTEN_S = 0.002
 _RING = 10_000  # samples that a slow listener may be behind before it misses some
-_MESSAGES = {
-    "gap": protobuf.GAP,
-    "event": protobuf.LOG,
-    "timing": protobuf.TIMING,
-    "clock": protobuf.CLOCK,
-    "state": protobuf.STATE,
-}
 
 
 def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
@@ -34,7 +27,7 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
     Parameters
     ----------
     key : str
-        `rig/<id>/` and one of sample, gap, event, timing and state.
+        `rig/<id>/` and one of sample, gap, event, timing, clock and state.
     connect : str, optional
         zenoh endpoint of the daemon; by default the socket of this user's daemon.
 
@@ -101,7 +94,7 @@ def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any
 def decoded(name: str, payload: bytes) -> Any:
     """Return one message of the stream `name`."""
     if name != "sample":
-        return protobuf.message_class(_MESSAGES[name]).FromString(payload)
+        return protobuf.message_class(protobuf.OF_STREAM[name]).FromString(payload)
     sample = telemetry.decode_sample(payload)
     if sample is not None:
         return sample

@@ -24,11 +24,16 @@ Progress = Callable[[int, int], None]
 REPLY_S = 5.0
 """How long a reply may take, in s."""
 _POLL_S = 0.1
+_SETTLE_S = 1.0  # for what the daemon refuses only until it, or the device, is ready
 _R = TypeVar("_R")
 
 
 class RefusedError(RigError):
     """The daemon refuses a command, which had no effect."""
+
+
+class BusyError(RefusedError):
+    """The daemon refuses a command for the moment: the same may be taken a little later."""
 
 
 class RunEndedError(RigError):
@@ -88,7 +93,7 @@ class Rig:
         return self._ask(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
-        """Take the rig, at 0 V.
+        """Take the rig, at 0 V; asks again, for up to a second, where it is only not ready yet.
 
         Parameters
         ----------
@@ -109,7 +114,15 @@ class Rig:
         NoReplyError
             The daemon does not answer.
         """
-        granted = self._ask(commands.Arm(owner=owner, Ts=Ts), commands.LeaseGranted)
+        request, until = commands.Arm(owner=owner, Ts=Ts), time.monotonic() + _SETTLE_S
+        while True:
+            try:
+                granted = self._ask(request, commands.LeaseGranted)
+                break
+            except BusyError:
+                if time.monotonic() > until:
+                    raise
+            time.sleep(_POLL_S / 5)
         self._lease, self._n = granted.lease, 0
         self._limits_v = (granted.u_min, granted.u_max)
         return granted
@@ -197,18 +210,20 @@ class Rig:
     def _finished(
         self, request: commands.Run, run: commands.RunAccepted, progress: Progress
     ) -> commands.LastRun:
-        total = len(request.u)
         while True:
-            status = self.status()
-            last = status.last_run
-            if last is None or last.run_id != run.run_id:
-                msg = f"the daemon does not know the run {run.run_id} any more: it was "
-                msg += "started anew meanwhile; look at its log"
-                raise RigError(msg)
-            # A complete run may be short of samples that are missing; it is at its end, too.
-            progress(total if last.outcome == "complete" else last.samples, total)
-            if last.finished and status.phase != "active":
-                return last
+            # In a flood of others' commands ours may be refused: the run goes on, and so do we.
+            with suppress(BusyError):
+                status = self.status()
+                last = status.last_run
+                if last is None or last.run_id != run.run_id:
+                    msg = f"the daemon does not know the run {run.run_id} any more: it was "
+                    msg += "started anew meanwhile; look at its log"
+                    raise RigError(msg)
+                # A complete run may be short of samples that are missing; it is at its end, too.
+                total = len(request.u)
+                progress(total if last.outcome == "complete" else last.samples, total)
+                if last.finished and status.phase != "active":
+                    return last
             if request.dead_man is not None:
                 # Here, in whose wait it is: a thread would give signs for a client that hangs.
                 with suppress(RefusedError):  # it has just ended
@@ -243,9 +258,9 @@ class Rig:
         """
         self._ask(commands.Stop(), commands.Done)
 
-    def reset(self) -> None:
-        """Leave a latched fault, disarmed."""
-        self._ask(commands.Reset(), commands.Done)
+    def reset(self) -> bool:
+        """Leave a latched fault, disarmed; return whether there was one."""
+        return self._ask(commands.Reset(), commands.Done).done
 
     def disarm(self) -> None:
         """Give the rig back, at 0 V."""
@@ -305,6 +320,7 @@ class Rig:
 
 def _refusal(name: str, payload: bytes) -> RefusedError:
     try:
-        return RefusedError(msgspec.json.decode(payload, type=commands.Refused).error)
+        error = msgspec.json.decode(payload, type=commands.Refused).error
     except msgspec.DecodeError:
-        return RefusedError(f"{name}: {payload[:200].decode(errors='replace')}")
+        error = f"{name}: {payload[:200].decode(errors='replace')}"
+    return BusyError(error) if error.endswith(commands.TRY_AGAIN) else RefusedError(error)

@@ -135,6 +135,7 @@ class Done(msgspec.Struct, frozen=True, kw_only=True):
     """The command was carried out."""
 
     done: bool = True
+    """False where there was nothing to do."""
 
 
 class LastRun(msgspec.Struct, frozen=True, kw_only=True):
@@ -177,6 +178,14 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     last_run: LastRun | None
     recordings: str
     """Directory of the recordings."""
+    calibration: str = ""
+    """File and date of the calibration in force; empty where the daemon does not say."""
+    arm_removed: bool = False
+    """Whether the configuration says that the rotating part is taken off."""
+
+
+TRY_AGAIN = ": try again"
+"""How an `error` ends that passes by itself."""
 
 
 class Refused(msgspec.Struct, frozen=True, kw_only=True):

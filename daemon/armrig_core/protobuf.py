@@ -74,6 +74,17 @@ SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (
     f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "Clock", "State", "Trace")
 )
 LOG = "foxglove.Log"
+OF_STREAM = {
+    "sample": SAMPLE,
+    "gap": GAP,
+    "event": LOG,
+    "timing": TIMING,
+    "clock": CLOCK,
+    "state": STATE,
+    "trace": TRACE,
+}
+"""Full name of the message of each stream."""
+
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
 """Number of each level of a `foxglove.Log`."""
 

@@ -16,8 +16,9 @@ from typing import Annotated, Any, NoReturn
 import msgspec
 import typer
 from armrig_core.endpoint import endpoint, socket_directory
+from armrig_core.volts import U_MAX_V
 
-from armrig_daemon.config import Config
+from armrig_daemon.config import Config, Device
 from armrig_daemon.realtime import end_with_parent
 
 _START_S = 5.0
@@ -87,10 +88,20 @@ def emulate(
         given = {"seed": seed, "baud": baud}
         given = {key: value for key, value in given.items() if value is not None}
         chosen = msgspec.structs.replace(chosen, **given)
-        code = run_emulator(port, chosen, trace=trace)
+        started = "" if settings is not None else _started(port, chosen.baud)
+        code = run_emulator(port, chosen, trace=trace, started=started)
     except (ValueError, PortError) as err:
         _refuse(str(err))
     raise typer.Exit(code)
+
+
+def _started(port: Path, baud: int) -> str:
+    """Return what a person is told of an emulated rig."""
+    speed = f"ARMRIG_DEVICE_BAUD={baud} " * (baud != Device().baud)
+    return (
+        f"armrigd: an emulated rig behind {port}, {baud} baud, 0 to {U_MAX_V:g} V; "
+        f"drive it with `{speed}armrigd run --port {port}`, end it with Ctrl-C"
+    )
 
 
 def _socket_directory() -> Path:

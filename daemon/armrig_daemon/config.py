@@ -190,6 +190,16 @@ class Config(Table, frozen=True, kw_only=True):
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
+    def calibration_in_words(self) -> str:
+        """Return which calibration is in force: its file and date, or that none was measured."""
+        made = self.calibration.made
+        if made is not None:
+            return f"{made.file or 'given in the configuration'}, made {made.date}"
+        if self.calibration == Calibration():
+            return "none: the default figures; `armrig calibrate` measures one"
+        return "given in the configuration, not measured"
+
+    @property
     def ts_us(self) -> int:
         """Sampling time in µs."""
         return round(self.timing.Ts * 1e6)

@@ -209,6 +209,9 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
         return state, []  # it is still starting up: the question stands, and is asked again
     if state.boot_id != reply.boot_id:  # its clock has begun anew
         state = replace(state, boot_id=reply.boot_id, clock=ClockMap(), device_us=0, t_us=0)
+        state = replace(state, device=None)
+    if state.device is None:
+        state = replace(state, sampled_ns=0)  # the samples before were another link's, or boot's
     state = replace(
         state,
         asked=None,

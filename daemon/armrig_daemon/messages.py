@@ -9,17 +9,6 @@ from armrig_core import protobuf
 
 from armrig_daemon.records import Clock, Distribution, Gap, Log, State, Timing, Trace
 
-NAMES = {
-    "sample": protobuf.SAMPLE,
-    "gap": protobuf.GAP,
-    "event": protobuf.LOG,
-    "timing": protobuf.TIMING,
-    "clock": protobuf.CLOCK,
-    "state": protobuf.STATE,
-    "trace": protobuf.TRACE,
-}
-"""Full name of the message of each stream."""
-
 _DISTRIBUTIONS = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth")
 
 

@@ -13,6 +13,9 @@ from armrig_daemon.records import Alive, Halt, Hold, Leased, Order, Play, Quit, 
 from armrig_daemon.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.stopping import end_run, stop
 
+NOT_HELD = "not the lease in force: arm first"
+"""What is said to who commands without holding the rig."""
+BY_HAND = "the motor is driven by hand: disarm first"
 _AT_REST = (DeviceState.IDLE, DeviceState.READY)
 
 
@@ -35,6 +38,16 @@ def take(state: State, now_ns: int, order: Order) -> Step:
     return state, refuse(order, "not an order that this daemon knows")
 
 
+def not_newer(n: int, last: int) -> str:
+    """Return what is said of a command whose number does not exceed the last."""
+    return f"n={n} must be greater than the last, {last}"
+
+
+def held_by(owner: str) -> str:
+    """Return what is said to who arms a rig that somebody holds."""
+    return f"held by {owner}: wait, or stop it"
+
+
 def quit_(state: State, now_ns: int) -> Step:
     """Stop and exit; the exit waits until the device is seen stopped, or cannot be."""
     if state.quitting:
@@ -55,7 +68,7 @@ def _halt(state: State, now_ns: int, order: Halt) -> Step:
 
 def _reset(state: State, now_ns: int, order: Reset) -> Step:
     if state.phase is not Phase.FAULT:
-        return state, answer(order, {"done": True})
+        return state, answer(order, {"done": False})  # nothing is latched
     if state.device is None:
         return state, refuse(order, "there is no device: see that it is plugged in, then reset")
     if state.asked is not None:
@@ -70,14 +83,17 @@ def _take(state: State, now_ns: int, order: Take) -> Step:
     if state.phase is Phase.FAULT:
         return state, refuse(order, f"in fault ({state.reason}): mend it, then reset")
     if state.lease is not None:
-        return state, refuse(order, f"held by {state.lease.owner}: wait, or stop it")
+        return state, refuse(order, held_by(state.lease.owner))
     if state.phase is not Phase.SAFE or state.device is None:
         return state, refuse(order, "there is no device yet: see that it is plugged in")
     if state.asked is not None:
         return state, refuse(order, f"busy with {state.asked.want}: try again")
-    age_ns = now_ns - state.fresh_ns
-    if age_ns > state.rules.age_ns(state.ts_us):
+    age_ns, limit_ns = now_ns - state.fresh_ns, state.rules.age_ns(state.ts_us)
+    if age_ns > limit_ns:
         return state, refuse(order, f"no answer from the device for {age_ns / 1e6:.0f} ms")
+    if not state.sampled_ns or now_ns - state.sampled_ns > limit_ns:
+        text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
+        return state, refuse(order, text)
     if state.device_state not in _AT_REST:
         # HELLO finds out what it is at, and leads back to rest.
         error = f"the device is in state {state.device_state}, not at rest: try again"
@@ -90,10 +106,10 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
     lease = state.lease
     held = lease is not None and state.phase in (Phase.ARMED, Phase.ACTIVE)
     if lease is None or not held or order.lease != lease.lease:
-        return state, refuse(order, "not the lease in force: arm first")
+        return state, refuse(order, NOT_HELD)
     if order.n <= lease.n:
-        return state, refuse(order, f"n={order.n} must be greater than the last, {lease.n}")
-    if state.asked is not None:
+        return state, refuse(order, not_newer(order.n, lease.n))
+    if state.asked is not None and not isinstance(order, Release):
         return state, refuse(order, f"busy with {state.asked.want}: try again")
     error = _error(state, order)
     if error:
@@ -120,7 +136,7 @@ def _error(state: State, order: Leased) -> str:
             return _out_of_range(state.code, order.code, state.rules)
         case Play():
             if state.phase is not Phase.ARMED:
-                return "the motor is driven by hand: disarm first"
+                return BY_HAND
             if state.run is not None:
                 return f"the experiment {state.run.run_id} is about to start: stop it first"
             error = _cannot_pace(state, order)

@@ -2,22 +2,45 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import queue
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from enum import Enum
 from typing import Any, Self
 
 import msgspec
 import zenoh
 from armrig_core import protobuf
-from armrig_core.commands import REQUESTS, Refused, Stop, json_schema
+from armrig_core.commands import REQUESTS, Refused, Renew, Status, Stop, json_schema
 from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
 
-from armrig_daemon.messages import NAMES
+from armrig_daemon import door
 
-MOST_WAITING = 64  # commands that nobody has looked at yet; more are refused
+MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
 MOST_BYTES = 32 << 20  # an experiment of a million samples as JSON takes 20 MB
+_URGENT = (Stop.name, Renew.name)
+"""Commands with a thread of zenoh's for themselves: none of the others stands before them."""
+
+
+class Kind(Enum):
+    """Commands that wait for each other; those of another kind do not stand before them."""
+
+    STOP = Stop.name
+    SIGN = Renew.name
+    STATUS = Status.name
+    LEASED = "leased"
+    """Of the holder, a sign of whom is a kind of its own."""
+    OTHER = "other"
+
+
+def kind_of(name: str) -> Kind:
+    """Return the kind of a command, whether there is such a one or not."""
+    if name in (Stop.name, Renew.name, Status.name):
+        return Kind(name)
+    return Kind.LEASED if name in door.LEASED else Kind.OTHER
 
 
 def session_config(endpoint: str) -> zenoh.Config:
@@ -48,6 +71,7 @@ class Command:
         self.name = name
         self._key = str(query.key_expr)
         self._query: zenoh.Query | None = query
+        self.came_s = time.monotonic()
         self.payload = query.payload.to_bytes() if query.payload is not None else b""
 
     def answer(self, body: Any) -> None:
@@ -77,23 +101,27 @@ class Session:
         zenoh.ZError
             The endpoint is taken or cannot be made.
         """
-        self._commands: queue.Queue[Command] = queue.Queue(MOST_WAITING)
-        self._stops: queue.Queue[Command] = queue.Queue(MOST_WAITING)
+        self.lease = b""  # the one in force; without it no command of a holder is let in
+        self._waiting = {kind: queue.Queue[Command](MOST_WAITING) for kind in Kind}
         self._wake = wake
         self._session = zenoh.open(session_config(endpoint))
         self._publishers = {
             stream: self._session.declare_publisher(
                 stream_key(rig, stream),
-                encoding=f"application/protobuf;{NAMES[stream]}",
+                encoding=f"application/protobuf;{protobuf.OF_STREAM[stream]}",
                 congestion_control=zenoh.CongestionControl.DROP,
             )
             for stream in STREAMS
         }
-        self._served = {schema_key(rig, n): protobuf.descriptor_set(n) for n in NAMES.values()}
+        self._served = {
+            schema_key(rig, n): protobuf.descriptor_set(n) for n in protobuf.OF_STREAM.values()
+        }
         for name in REQUESTS:
             self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)
         self._session.declare_queryable(schema_key(rig, "**"), self._serve)
         self._session.declare_queryable(command_key(rig, "*"), self._take)
+        for name in _URGENT:
+            self._session.declare_queryable(command_key(rig, name), self._let_in)
         self._alive = self._session.liveliness().declare_token(alive_key(rig))
 
     def __enter__(self) -> Self:
@@ -108,14 +136,16 @@ class Session:
         """Publish; dropped by zenoh where a subscriber does not keep up."""
         self._publishers[stream].put(data)
 
-    def next_command(self) -> Command | None:
-        """Return the next command that waits, a stop before all others, or None."""
-        for waiting in (self._stops, self._commands):
-            try:
-                return waiting.get_nowait()
-            except queue.Empty:
-                continue
-        return None
+    def waiting(self, kind: Kind, most: int = MOST_WAITING) -> Iterator[Command]:
+        """Iterate over the commands of a kind that wait, at most so many."""
+        with contextlib.suppress(queue.Empty):
+            for _ in range(most):
+                yield self._waiting[kind].get_nowait()
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a command waits."""
+        return not all(waiting.empty() for waiting in self._waiting.values())
 
     def _serve(self, query: zenoh.Query) -> None:
         with query:
@@ -124,10 +154,23 @@ class Session:
                     query.reply(key, data)
 
     def _take(self, query: zenoh.Query) -> None:
-        command = Command(str(query.key_expr).rsplit("/", 1)[-1], query)
-        waiting = self._stops if command.name == Stop.name else self._commands
+        if _name(query) in _URGENT:
+            query.drop()  # it comes on its own way, too
+        else:
+            self._let_in(query)
+
+    def _let_in(self, query: zenoh.Query) -> None:
+        command = Command(_name(query), query)
+        error = door.refusal(command.name, command.payload, self.lease)
+        if error:
+            command.refuse(error)
+            return
         try:
-            waiting.put_nowait(command)
+            self._waiting[kind_of(command.name)].put_nowait(command)
         except queue.Full:
             command.refuse("too many commands are waiting: try again")
         self._wake()
+
+
+def _name(query: zenoh.Query) -> str:
+    return str(query.key_expr).rsplit("/", 1)[-1]

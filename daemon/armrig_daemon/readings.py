@@ -74,7 +74,7 @@ def objection(readings: Readings, *, turns_per_volt_s: float, alpha_is_read: boo
     """
     newest = readings.newest
     if newest is None:
-        return ""
+        return "no sample has come from the rig yet: try again"
     railed_ns = newest.t_host_ns - readings.alpha_free_ns
     if alpha_is_read and railed_ns >= RAIL_NS:
         return (

@@ -22,7 +22,7 @@ from armrig_core.topics import RECORDED, topic
 from mcap.writer import CompressionType, Writer
 
 from armrig_daemon.compact import compact
-from armrig_daemon.messages import NAMES, Outgoing
+from armrig_daemon.messages import Outgoing
 
 CHUNK = 128 * 1024
 FLUSH_S = 0.1
@@ -127,7 +127,7 @@ class Recording:
         writer, channels = self._writer, {}
         writer.start(profile="", library=f"armrig {manifest.armrig}")
         for stream in RECORDED:
-            name = NAMES[stream]
+            name = protobuf.OF_STREAM[stream]
             schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))
             channels[stream] = writer.register_channel(
                 topic(manifest.rig, stream), "protobuf", schema

@@ -24,7 +24,7 @@ from armrig_daemon import comparing, gaps, handshake, scheduling
 from armrig_daemon.asking import Step, ask, log, say_state, send
 from armrig_daemon.conversion import converted, extended
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.state import Action, Phase, Publish, RoundTrip, State, Want
+from armrig_daemon.state import Action, Phase, Publish, RoundTrip, Sent, State, Want
 from armrig_daemon.stopping import end_run, trip
 
 _RUN = int(Flag.RUN)  # an enum's `&` makes an enum: 0.5 µs each time
@@ -104,13 +104,20 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
     return handshake.seen(state, now_ns, event.state, ended=event.cause == Cause.END)
 
 
+def _place(sent: tuple[Sent, ...], k: int) -> int | None:
+    """Return which EXCHANGE asked for sample `k`, a number that wraps; None where none did."""
+    for at, one in enumerate(sent):
+        if one.k & 0xFFFFFFFF == k:
+            return at
+    return None
+
+
 def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     if _is_other_boot(state, m.boot):
         return _rebooted(state, now_ns)
     if state.scheduled and m.flags & _RUN:
         return _self_paced(state, now_ns, m)
-    at = next((i for i, s in enumerate(state.sent) if s.k & 0xFFFFFFFF == m.k), None)
-    device = state.device
+    at, device = _place(state.sent, m.k), state.device
     if at is None or device is None:
         return state, []  # nothing of ours: an old burst, or an echo of another host
     sent = state.sent[at]
@@ -129,6 +136,7 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
         state,
         sent=state.sent[at + 1 :],
         fresh_ns=sent.sent_ns,
+        sampled_ns=sent.sent_ns,
         t_us=t_us,
         applied=m.u_k,
         told=sent.k,

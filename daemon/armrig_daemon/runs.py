@@ -71,6 +71,11 @@ class Runs:
             return self._last
         return msgspec.structs.replace(self._last, samples=recording.samples)
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no run is in hand."""
+        return self._planned is None and self._recording is None and self._finishing is None
+
     def no_room(self) -> str:
         """Return why nothing could be recorded, or nothing."""
         return check_directory(self._directory, _ROOM)
@@ -95,7 +100,7 @@ class Runs:
             Another run is in hand, there is no room for the recording, or a voltage or the
             rehearsal is outside the limits.
         """
-        if self._planned is not None or self._recording is not None or self._finishing is not None:
+        if not self.is_idle:
             msg = "an experiment is running: stop it first, or wait for its end"
             raise ValueError(msg)
         error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + _ROOM)

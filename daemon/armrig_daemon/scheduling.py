@@ -24,6 +24,7 @@ from armrig_daemon.state import Absent, Action, Phase, Publish, Queue, Run, Stat
 from armrig_daemon.stopping import stop, trip
 
 _RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
+_ARMED, _FAULT = Phase.ARMED, Phase.FAULT
 
 RESEND_NS = 30_000_000
 """Setpoints that the device does not show after so long are sent again, in ns."""
@@ -80,7 +81,7 @@ def counted(state: State, now_ns: int, base: int, queued: int) -> Step:
     # A sample may be older than what was sent since; a start again from `held` may be behind it.
     queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
     state = replace(state, queue=queue)
-    if state.phase is Phase.ARMED and state.asked is None:
+    if state.phase is _ARMED and state.asked is None:
         if _is_filled(state):
             return ask(state, now_ns, Want.START, queue.order)
         if now_ns - queue.asked_ns > FILL_NS:
@@ -114,7 +115,7 @@ def is_ahead(state: State, echo: int) -> bool:
 def is_stopping(state: State) -> bool:
     """Return whether the device is to stop: then it gets no setpoint and nothing to live on."""
     asked = state.asked
-    return state.phase is Phase.FAULT or (asked is not None and asked.want is Want.STOP)
+    return state.phase is _FAULT or (asked is not None and asked.want is Want.STOP)
 
 
 def tick(state: State, now_ns: int) -> Step:
@@ -142,7 +143,8 @@ def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     code = run.code(m.k)
     published = converted(state.rules.calibration, m, k, sched_ns, now_ns, t_us, code)
     done.append(Publish(published, m.queued))
-    state = replace(state, run=replace(run, due=m.k + 1), t_us=t_us, applied=m.u_k, told=k)
+    run = replace(run, due=m.k + 1)
+    state = replace(state, run=run, t_us=t_us, applied=m.u_k, told=k, sampled_ns=now_ns)
     state, actions = counted(state, now_ns, m.k + 1, m.queued)
     done += actions
     if m.flags & _UNDERRUN:

@@ -1,7 +1,7 @@
 """The service: starts the loop, publishes and records what it says, hands it what is asked.
 
-One thread of ours beside the recording's writer; zenoh's threads only put commands into a queue.
-It may wait for disk and network, for the loop never waits for it.
+One thread of ours beside the recording's writer; zenoh's threads put commands into queues, or turn
+them away at the `door`. It may wait for disk and network, for the loop never waits for it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import select
 import signal
 import sys
 import time
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, assert_never
@@ -23,13 +24,13 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
-from armrig_daemon import loop_child, readings, realtime
+from armrig_daemon import loop_child, orders, readings, realtime
 from armrig_daemon.budget import check
 from armrig_daemon.config import Config
 from armrig_daemon.loop_process import NO_PORT, Settings
 from armrig_daemon.messages import Outgoing, outgoing
 from armrig_daemon.pressure import Pressure
-from armrig_daemon.publish import Command, Session
+from armrig_daemon.publish import Command, Kind, Session
 from armrig_daemon.record import RecordingError, left_over
 from armrig_daemon.records import (
     Alive,
@@ -39,6 +40,7 @@ from armrig_daemon.records import (
     Halt,
     Hold,
     Host,
+    Leased,
     Log,
     Orders,
     Play,
@@ -54,6 +56,8 @@ from armrig_daemon.records import (
     Trace,
 )
 from armrig_daemon.runs import Runs, checked
+from armrig_daemon.state import Phase
+from armrig_daemon.thinning import Thinning
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
@@ -62,6 +66,12 @@ SILENCE_NS = 3_000_000_000
 _FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
 _QUIT_S = 2.0  # a loop that is frozen is not waited for any longer
 _READ = 1 << 16
+_MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
+_MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
+_MOST_UNANSWERED = 64  # and nobody's: what the service has to say itself must not wait behind more
+_BREATH_S = 0.005  # between two looks at a loop that has so many to answer
+_SWITCH_S = 0.0005  # zenoh's threads hold the interpreter for at most so long at a time
+_VERSION = version("armrig")  # read from a file: not at each status
 _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})
 
 
@@ -95,6 +105,10 @@ class Service:
         self._turns_per_volt_s = config.arm.turns_per_volt_s
         self._timing: Timing | None = None
         self._Ts = config.ts_us / 1e6  # of the newest lease
+        self._lease = ""
+        self._n = -1  # number of its newest order
+        self._is_woken = False
+        self._thinning = Thinning()
         self._wake_fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -117,8 +131,10 @@ class Service:
         try:
             # The loop has its priority; whatever starts from here on must not take it.
             realtime.leave_fifo()
+            sys.setswitchinterval(_SWITCH_S)
             with Session(self._endpoint, config.rig.id, self._wake) as self._session:
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
+                self._say("info", _in_words(config))
                 for path in left_over(self._directory, config.rig.id):
                     text = f"{path}: left by a daemon that died; `armrig info` says what it holds"
                     self._say("warning", text)
@@ -140,6 +156,8 @@ class Service:
         while True:
             due = min(state_due, self._kill_at, self._runs.client_gone_s)
             timeout = max(0.0, due - time.monotonic())
+            if self._session.is_asked:
+                timeout = min(timeout, _BREATH_S * (self._room == 0))
             sources = [self._loop.records_fd, self._wake_fd]
             sinks = [self._loop.orders_fd] if self._loop.is_behind else []
             ready, writable, _ = select.select(sources, sinks, [], timeout)
@@ -147,15 +165,17 @@ class Service:
                 self._loop.flush()
             if self._wake_fd in ready:
                 self._woken()
+            # Behind the signs that have come: one that waited for us is a sign, of when it came.
+            self._take_signs()
+            if time.monotonic() >= self._runs.client_gone_s:
+                self._loop.order(Halt(reason=self._runs.client_gone()))
             if self._loop.records_fd in ready:
                 records = self._loop.records()
                 if records is None:
                     self._woken()  # a signal may have ended the loop before we looked
                     return
                 self._take(records)
-            # Behind the commands that have come: a sign that waited for us is a sign.
-            if time.monotonic() >= self._runs.client_gone_s:
-                self._loop.order(Halt(reason=self._runs.client_gone()))
+            self._take_commands()
             if time.monotonic() >= self._kill_at:
                 self._say("error", "the loop does not end: killed; the device stops the motor")
                 self._kill_at = float("inf")
@@ -179,6 +199,7 @@ class Service:
                 case RunStarted():
                     self._begin_run(record)
                 case RunEnded():
+                    batch += self._told(self._thinning.due(realtime.now_ns(), end=True))
                     self._runs.add(batch)
                     batch = []
                     self._runs.end(record.outcome)
@@ -190,15 +211,22 @@ class Service:
                         self._say("warning", f"not granted: {what}; timing is less exact")
                 case Trace():
                     batch.append(outgoing(record, self._offset_ns))
-                case Gap() | Log() | Timing() | Clock() | State():
+                case Log():
+                    batch += self._told([record] * self._thinning.said(record))
+                case Gap() | Timing() | Clock() | State():
                     if isinstance(record, Timing):
                         share, runnable = self._pressure.read()
                         record = replace(record, cpu_pressure_percent=share, run_queue=runnable)
                         self._timing = record
-                    message = self._publish(record)
-                    if self._runs.takes(record):
-                        batch.append(message)
+                    if isinstance(record, State) and not record.owner:
+                        self._hold("")
+                    batch += self._told([record])
         self._runs.add(batch)
+
+    def _told(self, records: Iterable[Gap | Log | Timing | Clock | State]) -> list[Outgoing]:
+        """Publish records; return the messages that belong into the recording."""
+        told = [(record, self._publish(record)) for record in records]
+        return [message for record, message in told if self._runs.takes(record)]
 
     def _publish(self, record: Gap | Log | Timing | Clock | State) -> Outgoing:
         if isinstance(record, State):
@@ -231,12 +259,21 @@ class Service:
         waiting = self._waiting.pop(answer.order, None)
         if waiting is None:
             return  # it came too late: who asked has been told so
-        if isinstance(waiting.order, Take) and not answer.error:
-            self._Ts = answer.body["Ts"]
+        if not answer.error:
+            if isinstance(waiting.order, Take):
+                self._Ts = answer.body["Ts"]
+                self._hold(waiting.order.lease)
+            elif isinstance(waiting.order, Leased) and waiting.order.lease == self._lease:
+                self._n = max(self._n, waiting.order.n)
         if answer.error:
             self._give_up(waiting, answer.error)
         else:
             waiting.command.answer(waiting.body or answer.body)
+
+    def _hold(self, lease: str) -> None:
+        """Take note of the lease in force, or that there is none: others are strangers."""
+        self._lease, self._n = lease, -1
+        self._session.lease = lease.encode()
 
     def _give_up(self, waiting: Waiting, error: str) -> None:
         if isinstance(waiting.order, Play):
@@ -246,7 +283,8 @@ class Service:
     # -- to the loop -----------------------------------------------------------------------
 
     def _woken(self) -> None:
-        """Take what the other threads and the signals left."""
+        """Take what the writer's thread and the signals left."""
+        self._is_woken = False  # before the look: who comes later wakes us again
         with contextlib.suppress(BlockingIOError):
             if any(os.read(self._wake_fd, _READ)):  # a signal's number; a 0 is our own
                 self._quitting = True
@@ -255,14 +293,35 @@ class Service:
         if self._runs.failed():
             self._loop.order(Halt())
         self._say_finished()
-        while (command := self._session.next_command()) is not None:
-            try:
-                self._carry_out(command, commands.parse(command.name, command.payload))
-            except ValueError as err:
-                command.refuse(str(err))
-            except Exception as err:
-                command.refuse(f"{command.name}: {err!r}")
-                self._say("error", f"{command.name}: {err!r}")
+
+    def _take_signs(self) -> None:
+        """Take the signs of the run's client, each as of the time when it came."""
+        for command in self._session.waiting(Kind.SIGN):
+            self._try(command)
+
+    def _take_commands(self) -> None:
+        """Take some of the commands that wait, a stop before all others."""
+        for command in self._session.waiting(Kind.STOP, self._room):
+            self._try(command)
+        for command in self._session.waiting(Kind.LEASED, min(_MOST_AT_ONCE, self._room)):
+            self._try(command)
+        for kind in (Kind.STATUS, Kind.OTHER):
+            for command in self._session.waiting(kind, _MOST_AT_ONCE):
+                self._try(command)
+
+    @property
+    def _room(self) -> int:
+        """How many orders more may wait for the loop's answer."""
+        return max(0, _MOST_UNANSWERED - len(self._waiting))
+
+    def _try(self, command: Command) -> None:
+        try:
+            self._carry_out(command, commands.parse(command.name, command.payload))
+        except ValueError as err:
+            command.refuse(str(err))
+        except Exception as err:
+            command.refuse(f"{command.name}: {err!r}")
+            self._say("error", f"{command.name}: {err!r}")
 
     def _carry_out(self, command: Command, request: commands.Requests) -> None:
         """Hand a request to the loop; raises ValueError where it is not allowed."""
@@ -270,7 +329,8 @@ class Service:
             case commands.Status():
                 command.answer(self._status())
             case commands.Arm():
-                error = self._objection()
+                owner = self._state.owner
+                error = orders.held_by(owner) if owner else self._objection()
                 if error:
                     raise ValueError(error)
                 lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
@@ -282,10 +342,11 @@ class Service:
                 code = code_of(volts)
                 self._ask(command, Hold(lease=request.lease, n=request.n, code=code))
             case commands.Run():
+                self._check_holder(request)
                 start = readings.theta_1_rad(self._readings)
                 self._ask(command, *self._runs.plan(request, self._Ts, start))
             case commands.Renew():
-                self._runs.renew(request, time.monotonic())
+                self._runs.renew(request, command.came_s)
                 command.answer(commands.Done())
             case commands.Stop():
                 self._ask(command, Halt())
@@ -293,6 +354,15 @@ class Service:
                 self._ask(command, Reset())
             case _:
                 assert_never(request)
+
+    def _check_holder(self, request: commands.Run) -> None:
+        """Raise ValueError where the core is sure to refuse a run, before it is rehearsed."""
+        if request.lease != self._lease:
+            raise ValueError(orders.NOT_HELD)
+        if request.n <= self._n:
+            raise ValueError(orders.not_newer(request.n, self._n))
+        if self._state.phase == Phase.ACTIVE and self._runs.is_idle:
+            raise ValueError(orders.BY_HAND)
 
     def _objection(self) -> str:
         """Return why the rig is not to be armed, as far as the loop cannot know it, or nothing."""
@@ -318,6 +388,9 @@ class Service:
         return round(Ts * 1e6)
 
     def _ask(self, command: Command, order: Orders, body: Any = None) -> None:
+        if len(self._waiting) >= _MOST_ASKED and isinstance(order, Take | Reset):
+            msg = "too many commands are waiting: try again"
+            raise ValueError(msg)
         self._numbers += 1
         order = replace(order, order=self._numbers)
         self._waiting[self._numbers] = Waiting(command, time.monotonic() + ANSWER_S, order, body)
@@ -327,7 +400,7 @@ class Service:
         config, state = self._config, self._state
         return commands.StatusReport(
             rig=config.rig.id,
-            version=version("armrig"),
+            version=_VERSION,
             phase=state.phase,
             reason=state.reason,
             fault=state.fault,
@@ -342,6 +415,8 @@ class Service:
             host=self._host,
             last_run=self._runs.last,
             recordings=str(self._directory),
+            calibration=config.calibration_in_words,
+            arm_removed=config.arm.removed,
         )
 
     # -- the service itself ----------------------------------------------------------------
@@ -351,15 +426,28 @@ class Service:
         now = time.monotonic()
         for number in [n for n, w in self._waiting.items() if now > w.until]:
             self._give_up(self._waiting.pop(number), "the loop does not answer: see the log")
+        self._runs.add(self._told(self._thinning.due(realtime.now_ns())))
         if self._state is not _UNKNOWN:
             self._publish(replace(self._state, t_host_ns=realtime.now_ns()))
 
     def _wake(self) -> None:
+        if self._is_woken:
+            return  # a pipe that is full of our zeros would have no room for a signal
+        self._is_woken = True
         with contextlib.suppress(BlockingIOError):
             os.write(self._waker_fd, b"\0")
 
     def _anchor_clock(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+
+def _in_words(config: Config) -> str:
+    """Return what is served, and how it is asked and ended, in a line for a person."""
+    limits, rig = config.limits, f" --rig {config.rig.id}" * (config.rig.id != "1")
+    return (
+        f"port {config.device.port} at {config.device.baud} baud, {limits.u_min_v:g} to "
+        f"{limits.u_max_v:g} V; ask it with `armrig status{rig}`, end it with Ctrl-C"
+    )
 
 
 def _untimely(timing: Timing | None, watchdog_ms: int) -> str:

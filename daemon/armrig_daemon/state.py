@@ -218,6 +218,8 @@ class State(msgspec.Struct, frozen=True, gc=False):
     sent: tuple[Sent, ...] = ()
     fresh_ns: int = 0
     """When the newest EXCHANGE was sent of which the answer has come."""
+    sampled_ns: int = 0
+    """When the newest sample was asked for, or came by itself; 0 where this link has seen none."""
     any_ns: int = 0
     """When the last frame was sent."""
     clock: ClockMap = ClockMap()

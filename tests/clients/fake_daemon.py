@@ -24,7 +24,8 @@ class FakeDaemon:
         self.outcome = "complete"
         self.recording = "/nowhere/run.mcap"
         self.refusals: dict[str, str] = {}
-        self.fault = ""
+        self.fault = self.remedy = ""
+        self.arm_removed = False
         self.rehearsal: Rehearsal | None = None
         self.during_run: Callable[[], object] = lambda: None
         self._run: commands.Run | None = None
@@ -71,6 +72,8 @@ class FakeDaemon:
             version="0.1.0",
             phase="fault" if self.fault else "active" if running else "safe",
             reason=self.fault,
+            remedy=self.remedy,
+            arm_removed=self.arm_removed,
             owner="",
             Ts=0.01,
             u_min=self.limits_v[0],

@@ -8,7 +8,7 @@ import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.records import Answer, Halt, Play, RunEnded, Take
-from armrig_daemon.state import Phase
+from armrig_daemon.state import LinkDown, LinkUp, Phase
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -30,6 +30,10 @@ def _altered(of: type, alter: Callable[[], dict[str, int]]) -> Callable[[bytes],
         )
 
     return other
+
+
+def _is_sample(data: bytes) -> bool:
+    return any(isinstance(message, DeviceSample) for message in feed(b"", data)[1])
 
 
 def _unmet(alter: Callable[[], dict[str, int]]) -> Bench:
@@ -95,6 +99,44 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
 
     rig.run_for(1)
     assert rig.of(Answer)[-1].error == "no answer from the device for 60 ms"
+
+
+def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
+    """HELLO and CONFIG are round trips, too; what the rig reads is known by a sample only."""
+    rig = _unmet(dict)
+    answers = rig.ports.from_device
+    rig.ports.from_device = lambda data: b"" if _is_sample(data) else answers(data)
+    while rig.phase is not Phase.SAFE:
+        rig.run_for(1)
+    asked_ns = rig.ports.now
+
+    rig.order(Take(order=9, owner="a student", lease=LEASE, ts_us=0))
+    rig.run_for(1)
+
+    assert asked_ns < 50_000_000
+    assert rig.of(Answer)[-1].error == "no sample of the device in the last 50 ms: try again"
+    rig.ports.from_device = answers
+    rig.run_for(300)
+    assert rig.take().error == ""
+
+
+def test_samples_of_an_earlier_link_arm_nothing() -> None:
+    """A cable that was out for a moment: the rig at its end may be another one."""
+    rig = Bench()
+    newest_ns = rig.loop.state.sampled_ns
+    rig.ports.send(rig.ports.now, LinkDown("pulled"))
+    rig.ports.send(rig.ports.now, LinkUp())
+    asked_ns = [rig.ports.now + n * 100_000 for n in range(1, 400)]
+    for n, at_ns in enumerate(asked_ns):
+        rig.order(Take(order=n, owner="a student", lease=LEASE, ts_us=0), at_ns)
+
+    rig.run_for(60)
+
+    errors = [a.error for a in rig.of(Answer)]
+    early = errors[: errors.index("")]
+    refusals = [n for n, error in enumerate(early) if "no sample of the device" in error]
+    assert refusals
+    assert asked_ns[refusals[0]] - newest_ns < 50_000_000
 
 
 @pytest.mark.parametrize("scheduled", [False, True])

@@ -566,14 +566,18 @@ def test_a_trace_of_a_kind_that_there_is_not_is_refused() -> None:
 
 
 def test_a_trace_leaves_the_codes_to_the_recording() -> None:
-    """A million of them would not fit into the pipe; with them the state is whole again."""
+    """A million of them would not fit; with them the state is whole again, but for the lease."""
     _, state = _playing([1.0] * 100_000, 1)
     assert state.run is not None
+    assert state.lease is not None
 
     written = trace.written_state(state)
 
     assert len(written) < trace.CHUNK
-    assert trace.restored(written, state.run.codes) == state
+    restored = trace.restored(written, state.run.codes)
+    assert restored.lease is not None
+    assert restored.lease.lease != state.lease.lease
+    assert replace(restored, lease=state.lease) == state
     assert trace.restored(trace.written_state(replace(state, run=None)), b"x").run is None
 
 

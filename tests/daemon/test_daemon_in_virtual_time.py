@@ -235,6 +235,20 @@ def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
     assert bench.phase is Phase.SAFE
 
 
+def test_a_release_is_never_too_early(bench: Bench) -> None:
+    """S6: who gives the rig back while the device is being started does not find it driven."""
+    bench.take()
+    bench.order(Hold(order=7, lease=LEASE, n=1, code=code_of(2.0)))
+    bench.order(Release(order=8, lease=LEASE, n=2))
+    bench.run_for(60)
+
+    answers = {a.order: a for a in bench.of(Answer)}
+    assert "overtaken by STOP" in answers[7].error
+    assert answers[8].body == {"done": True}
+    assert bench.phase is Phase.SAFE
+    assert all(s.u_applied_v == 0.0 for s in bench.samples)
+
+
 # -- what goes wrong -----------------------------------------------------------------------------
 
 

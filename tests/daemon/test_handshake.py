@@ -356,7 +356,7 @@ def test_a_device_is_met_at_the_time_of_the_question() -> None:
 
 
 def test_another_boot_has_another_clock() -> None:
-    """The map of the clocks begins anew; in the same boot it stays."""
+    """The map of the clocks begins anew, and its samples are another's; in the same boot not."""
     bench = rested()
     bench.run_for(1000)
     greeting = awaiting(bench.loop.state, Want.HELLO)
@@ -368,6 +368,8 @@ def test_another_boot_has_another_clock() -> None:
     assert same.t_us == bench.loop.state.t_us != 0
     assert (other.clock.weight, other.t_us, other.device_us) == (0, 0, 0)
     assert other.boot_id == boot_id + 1
+    assert same.sampled_ns == bench.loop.state.sampled_ns != 0
+    assert other.sampled_ns == 0
 
 
 @pytest.mark.parametrize(

@@ -99,6 +99,19 @@ def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
     assert "no answer" in _refusal(bench, TAKE, replace(old, fresh_ns=old.fresh_ns - 1))
 
 
+def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
+    """None at all, as on a new link, and none for longer than the round trip may take."""
+    bench = rested()
+    none = replace(bench.loop.state, sampled_ns=0)
+    oldest = replace(none, sampled_ns=bench.ports.now - 50 * MS)
+    older = replace(none, sampled_ns=oldest.sampled_ns - 1)
+
+    text = "no sample of the device in the last 50 ms: try again"
+    assert _refusal(bench, TAKE, none) == text
+    assert _refusal(bench, TAKE, older) == text
+    assert ordered(bench, TAKE, oldest).told(Answer) == []
+
+
 @pytest.mark.parametrize("state", [s for s in DeviceState if s not in (2, 3)])
 def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> None:
     """Refused, and led back by HELLO."""
@@ -118,12 +131,12 @@ def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> Sta
     return replace(bench.loop.state, phase=Phase.FAULT, device_state=int(device_state))
 
 
-def test_a_reset_where_nothing_is_latched_is_done_at_once() -> None:
-    """Nothing is asked of the device, whoever holds it."""
+def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
+    """As such; nothing is asked of the device, whoever holds it."""
     bench = armed()
     decided = ordered(bench, Reset(order=8))
 
-    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert [a.body for a in decided.told(Answer)] == [{"done": False}]
     assert decided.state.phase is Phase.ARMED
     assert decided.sent == []
 

@@ -45,9 +45,14 @@ def _objection(readings: Readings, *, alpha_is_read: bool = True) -> str:
 
 def test_a_rig_at_rest_may_be_armed() -> None:
     """A reading that does not move is what a still shaft gives; so is a dead band's."""
-    assert _objection(Readings()) == ""
     assert _objection(_after(1000)) == ""
     assert _objection(_after(1000, y0=0, flags=Flag.ADC0_RAIL)) == ""
+
+
+def test_a_rig_of_which_nothing_was_read_yet_is_not_armed() -> None:
+    """One sample is enough to know that there is something to be read."""
+    assert _objection(Readings()) == "no sample has come from the rig yet: try again"
+    assert _objection(_after(1)) == ""
 
 
 def test_alpha_at_the_end_of_its_range_is_named() -> None:

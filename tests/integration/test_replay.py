@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import armrig
 import pytest
@@ -34,6 +35,35 @@ def test_a_real_run_is_decided_once_more_to_the_last_bit(
     if pacing == "scheduled":
         monkeypatch.setattr(scheduling, "PING_US", 10_000_000)
         assert "now decides nothing" in replay(path).difference
+
+
+def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
+    bench: Bench, tmp_path: Path
+) -> None:
+    """Wherever it was cut; and where no step is left, it is told to be cut off."""
+    bench.emulate()
+    bench.serve()
+    growing = tmp_path / "growing.mcap.active"
+
+    def copy(done: int, total: int) -> None:
+        if done > 300 and not growing.exists():
+            (active,) = bench.recordings.glob("*.active")
+            growing.write_bytes(active.read_bytes())
+
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.005)
+        u = armrig.telegraph(600, 0.1, low=0.0, high=5.0, seed=1)
+        path = rig.run(u, progress=copy)
+    whole, half = path.read_bytes(), tmp_path / "half.mcap"
+    half.write_bytes(whole[: len(whole) // 4])
+
+    partly, all_of_it = replay(growing), replay(path)
+
+    assert "the file is cut off" in partly.until
+    assert partly.difference == all_of_it.difference == all_of_it.until == ""
+    assert 100 < partly.samples < all_of_it.samples
+    with pytest.raises(RecordingError, match="core: the file is cut off"):
+        replay(half)
 
 
 def test_the_command_says_what_it_replayed(bench: Bench) -> None:

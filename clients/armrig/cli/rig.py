@@ -35,6 +35,8 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         ("owner", report.owner or "nobody"),
         ("Ts", f"{report.Ts:g} s"),
         ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
+        ("calibration", report.calibration or "not said by this daemon"),
+        ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
         ("device", ", ".join(f"{k} {v}" for k, v in device.items()) or "has not answered yet"),
         ("host", "; ".join(scheduling(report.host))),
         (
@@ -79,8 +81,11 @@ def stop(rig: RigId = "1", connect: Connect = None) -> None:
 def reset(rig: RigId = "1", connect: Connect = None) -> None:
     """Leave a latched fault; the rig is then at 0 V and nobody's."""
     with _opened(rig, connect) as opened:
-        opened.reset()
-    typer.echo(f"rig {rig} was reset; `armrig status` says how it is")
+        was_latched = opened.reset()
+    if was_latched:
+        typer.echo(f"rig {rig} was reset; `armrig status` says how it is")
+    else:
+        typer.echo(f"rig {rig}: nothing is latched, so there is nothing to reset")
 
 
 @contextmanager

@@ -30,7 +30,9 @@ PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
 
 
-def emulate(port: Path, settings: EmulatorSettings, *, trace: Path | None = None) -> int:
+def emulate(
+    port: Path, settings: EmulatorSettings, *, trace: Path | None = None, started: str = ""
+) -> int:
     """Run a rig behind `port` until SIGTERM or SIGINT; return the exit code.
 
     Parameters
@@ -40,6 +42,8 @@ def emulate(port: Path, settings: EmulatorSettings, *, trace: Path | None = None
     trace : Path, optional
         File for the witness: one line `t_monotonic_ns,volts,state,cause` for each change of the
         terminal voltage, the first for the start.
+    started : str, default ""
+        What to say once the port is there.
 
     Raises
     ------
@@ -66,6 +70,8 @@ def emulate(port: Path, settings: EmulatorSettings, *, trace: Path | None = None
         # Last, so that who finds the link finds the device awake.
         with _naming(port):
             _link(port, line.slave, stack)
+        if started:
+            print(started, file=sys.stderr, flush=True)
         _run(line, device, settings, wake)
         lost = line.backlog
         if lost.dropped_frames:

@@ -1,0 +1,36 @@
+"""Who is turned away at the door: commands that cannot be the holder's, before anybody reads them.
+
+Cheap, on zenoh's thread: a stranger must not keep the service from those who hold the rig. What
+is let in is judged anew, by the service and by the core; the core alone decides.
+"""
+
+from __future__ import annotations
+
+from armrig_core.commands import REQUESTS, Leased, Run
+
+from armrig_daemon.orders import NOT_HELD
+
+LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, Leased))
+"""Names of the commands that carry a lease."""
+MOST_BYTES = 4096
+"""Longest payload of any command but `run`."""
+
+
+def refusal(name: str, payload: bytes, lease: bytes) -> str:
+    """Return why a command is turned away, or nothing.
+
+    Parameters
+    ----------
+    name : str
+        Of the command; one that there is not is let in, and told so inside.
+    payload : bytes
+        As it came. A lease is of hexadecimal digits: what does not hold it as it is granted cannot
+        be of its holder.
+    lease : bytes
+        The one in force, as far as the service knows; empty where there is none.
+    """
+    if name in LEASED and not (lease and lease in payload):
+        return NOT_HELD
+    if name != Run.name and len(payload) > MOST_BYTES:
+        return f"{name}: {len(payload)} B, at most {MOST_BYTES} B are allowed"
+    return ""

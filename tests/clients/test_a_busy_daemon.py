@@ -1,0 +1,83 @@
+"""A daemon that refuses for the moment only: the client asks again, and gives up in time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig.rig import BusyError, RefusedError, Rig
+from armrig_core import commands
+from fake_daemon import FakeDaemon
+
+BUSY = "too many commands are waiting: try again"
+
+
+class BusyDaemon(FakeDaemon):
+    """Refuses the first commands of some names."""
+
+    def __init__(self, endpoint: str) -> None:
+        super().__init__(endpoint)
+        self.busy: dict[str, int] = {}
+        self.refused: Counter[str] = Counter()
+
+    def _carry_out(self, request: commands.Request) -> Any:
+        if self.refused[request.name] < self.busy.get(request.name, 0):
+            self.refused[request.name] += 1
+            raise ValueError(BUSY)
+        return super()._carry_out(request)
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[BusyDaemon]:
+    """Give a daemon that may be busy."""
+    with BusyDaemon(f"unixsock-stream/{tmp_path}/1.sock") as daemon:
+        yield daemon
+
+
+def test_a_run_goes_on_while_the_daemon_has_no_time_for_its_client(daemon: BusyDaemon) -> None:
+    """Each look that is refused is followed by another; signs are given all the while."""
+    daemon.busy = {"status": 4, "renew": 1}
+
+    with Rig(connect=daemon.endpoint) as rig:
+        rig.arm("a test")
+        path = rig.run([1.0, 2.0], dead_man=1.0)
+
+    assert str(path) == daemon.recording
+    assert daemon.refused == {"status": 4, "renew": 1}
+    assert daemon.names().count("renew") >= 4
+    assert "stop" not in daemon.names()
+
+
+def test_arming_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
+    """A rig that was plugged in a moment ago has its first sample soon."""
+    daemon.busy = {"arm": 3}
+
+    with Rig(connect=daemon.endpoint) as rig:
+        rig.arm("a test")
+
+    assert daemon.refused == {"arm": 3}
+
+
+def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
+    """The reason is the daemon's; what does not pass by itself is told at once."""
+    daemon.busy = {"arm": 1_000_000}
+
+    with Rig(connect=daemon.endpoint) as rig:
+        with pytest.raises(BusyError, match="too many commands"):
+            rig.arm("a test")
+        daemon.busy, tries = {}, daemon.refused["arm"]
+        daemon.refusals["arm"] = "held by a student: wait, or stop it"
+        with pytest.raises(RefusedError, match="held by a student"):
+            rig.arm("a test")
+
+    assert tries > 5
+    assert daemon.names() == ["arm"]
+
+
+def test_a_reset_says_whether_something_was_latched(daemon: BusyDaemon) -> None:
+    """As the daemon answers."""
+    with Rig(connect=daemon.endpoint) as rig:
+        assert rig.reset() is True

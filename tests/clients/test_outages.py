@@ -1,0 +1,26 @@
+"""Gaps as lines: a line a second at most, and every sample counted."""
+
+from __future__ import annotations
+
+from armrig.happenings import Gap
+from armrig.outages import in_lines
+
+
+def _gap(t: float, count: int = 1, reason: str = "a frame was lost") -> Gap:
+    return Gap(k_first=round(t * 100), count=count, t=t, u_held_v=1.0, reason=reason)
+
+
+def test_a_gap_alone_is_told_as_it_is() -> None:
+    """Where, how many, why."""
+    assert in_lines([_gap(3.25, 7)]) == ["7 samples at 3.250 s, a frame was lost"]
+    assert in_lines([]) == []
+
+
+def test_the_gaps_of_a_second_share_a_line() -> None:
+    """With their number, the samples that are missing, and each reason once."""
+    gaps = [_gap(0.5), *(_gap(2 + i / 100) for i in range(50)), _gap(2.9, 3, "the host was late")]
+
+    assert in_lines(gaps) == [
+        "1 sample at 0.500 s, a frame was lost",
+        "53 samples in 51 gaps from 2.000 s to 2.900 s, a frame was lost, the host was late",
+    ]

@@ -1,0 +1,50 @@
+"""Who is let in to the service, and who is turned away before anybody reads what he wants."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from armrig_core.commands import REQUESTS, Renew, Run, Set
+from armrig_daemon.door import LEASED, MOST_BYTES, refusal
+
+LEASE = "0123456789abcdef" * 2
+OTHER = "f" * 32
+
+
+@pytest.mark.parametrize("name", sorted(LEASED))
+@pytest.mark.parametrize("lease", [LEASE, ""])
+def test_a_command_without_the_lease_in_force_is_turned_away(name: str, lease: str) -> None:
+    """Another one, none at all, no JSON; and all of them while nobody holds the rig."""
+    for payload in (b'{"lease": "%s", "n": 1}' % OTHER.encode(), b"", b"\xff" * 10_000):
+        assert refusal(name, payload, lease.encode()) == "not the lease in force: arm first"
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        Run(lease=LEASE, n=1, u=[1.0] * 10_000),
+        Set(lease=LEASE, n=1, u=1.0),
+        Renew(lease=LEASE, n=1),
+    ],
+)
+def test_the_holder_is_let_in(request_: Run | Set | Renew) -> None:
+    """Long runs, too."""
+    assert refusal(request_.name, msgspec.json.encode(request_), LEASE.encode()) == ""
+
+
+@pytest.mark.parametrize("name", sorted({*REQUESTS, "explode"} - {"run"}))
+def test_no_command_but_a_run_is_long(name: str) -> None:
+    """What waits takes memory; the longest sensible command has a hundred bytes."""
+    payload = LEASE.encode().ljust(MOST_BYTES)
+
+    assert refusal(name, payload, LEASE.encode()) == ""
+    assert refusal(name, payload + b" ", LEASE.encode()) == (
+        f"{name}: {MOST_BYTES + 1} B, at most {MOST_BYTES} B are allowed"
+    )
+
+
+@pytest.mark.parametrize("name", ["arm", "status", "stop", "reset", "explode"])
+def test_what_needs_no_lease_is_let_in(name: str) -> None:
+    """A stop above all; and a command that there is not, which is told so inside."""
+    assert refusal(name, b"", b"") == ""
+    assert refusal(name, b"{}", LEASE.encode()) == ""

@@ -1,0 +1,169 @@
+"""Strangers who ask without end: who holds the rig is served, and his run ends when he does."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from armrig.rig import RefusedError, Rig
+from armrig_core import commands
+from processes import Bench, wait_for
+from test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
+
+NOT_HELD = "not the lease in force: arm first"
+STRANGER = """
+import sys, time, zenoh
+endpoint, name, payload = sys.argv[1:4]
+config = zenoh.Config.from_json5('{mode: "client", connect: {endpoints: ["%s"]}}' % endpoint)
+config.insert_json5("scouting/multicast/enabled", "false")
+session = zenoh.open(config)
+back, sent = [0], 0
+def answered(reply):
+    back[0] += 1
+print("there", flush=True)
+while True:
+    while sent - back[0] < 30:
+        session.get("rig/1/cmd/" + name, answered, payload=payload, timeout=5)
+        sent += 1
+    time.sleep(0.002)
+"""
+
+
+@contextmanager
+def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
+    """Have a stranger ask for something as often as it is answered."""
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    stranger = subprocess.Popen(
+        ["nice", sys.executable, "-c", STRANGER, endpoint, name, json.dumps(fields)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert stranger.stdout is not None
+        assert stranger.stdout.readline() == "there\n"
+        yield
+    finally:
+        stranger.kill()
+        stranger.communicate()
+
+
+def _served(bench: Bench, more: str = "") -> None:
+    # The longest watchdog: under such a load a pseudo-terminal may hold bytes back for long.
+    bench.configure(more=more, watchdog_ms=250)
+    bench.emulate()
+    bench.serve()
+
+
+def _said_to(rig: Rig, name: str, **fields: object) -> str:
+    """Return what a command of anybody is answered with."""
+    payload = json.dumps(fields)
+    (reply,) = rig._connected().get(f"rig/1/cmd/{name}", payload=payload, timeout=5)
+    return "" if reply.err is None else json.loads(reply.err.payload.to_bytes())["error"]
+
+
+def test_a_run_that_is_not_the_holder_s_next_is_not_rehearsed(bench: Bench) -> None:
+    """A stranger's, an old one, one by who drives by hand: none gets as far as the model."""
+    _served(bench, "[limits]\nrevolutions = 1.0")
+    far = {"u": [5.0] * 1000}
+
+    with bench.rig() as rig:
+        before = _said_to(rig, "run", lease="0" * 32, n=1, **far)
+        lease = rig.arm("a test", Ts=0.01).lease
+        stranger = _said_to(rig, "run", lease="0" * 32, n=1, **far)
+        holder = _said_to(rig, "run", lease=lease, n=5, **far)
+        assert _said_to(rig, "set", lease=lease, n=6, u=1.0) == ""
+        old = _said_to(rig, "run", lease=lease, n=6, **far)
+        by_hand = _said_to(rig, "run", lease=lease, n=7, **far)
+
+    assert (before, stranger) == (NOT_HELD, NOT_HELD)
+    assert "the rehearsal turns the chassis" in holder
+    assert old == "n=6 must be greater than the last, 6"
+    assert by_hand == "the motor is driven by hand: disarm first"
+
+
+def test_a_lease_that_is_over_lets_nobody_in(bench: Bench) -> None:
+    """After a stop its holder is a stranger, to each of his commands."""
+    _served(bench)
+
+    with bench.rig() as rig:
+        lease = rig.arm("a test").lease
+        rig.stop()
+        wait_for(lambda: rig.status().phase == "safe")
+        fields = {"lease": lease, "n": 3}
+
+        assert _said_to(rig, "set", u=1.0, **fields) == NOT_HELD
+        assert _said_to(rig, "run", u=[1.0], **fields) == NOT_HELD
+        assert _said_to(rig, "renew", **fields) == NOT_HELD
+        assert _said_to(rig, "disarm", **fields) == NOT_HELD
+        assert _said_to(rig, "status", x=" " * 5000).endswith("at most 4096 B are allowed")
+        rig.arm("another")
+
+
+def test_strangers_who_ask_for_runs_do_not_keep_the_holder_from_his(bench: Bench) -> None:
+    """Neither from the run nor from a stop."""
+    _served(bench)
+
+    with (
+        _flooded(bench, "run", lease="0" * 32, n=1, u=[1.0, 2.0] * 10_000),
+        bench.rig() as rig,
+    ):
+        rig.arm("a test", Ts=0.01)
+        rig._ask(commands.Run(**rig._stamp(), u=[1.0] * 500), commands.RunAccepted)
+        wait_for(lambda: bench.volts() > 0)
+        rig.stop()
+        wait_for(lambda: bench.volts() == 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields"),
+    [
+        ("status", {}),
+        ("set", {"lease": "0" * 32, "n": 1, "u": 5.0}),
+        ("renew", {"lease": "0" * 32, "n": 1}),
+        ("arm", {"owner": "a stranger"}),
+    ],
+)
+def test_a_flood_hides_neither_the_client_nor_its_end(
+    bench: Bench, name: str, fields: dict[str, object]
+) -> None:
+    """Its run goes on while it lives, and stops a period after its last sign."""
+    _served(bench)
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    client = subprocess.Popen(
+        [sys.executable, "-c", RUNNER, endpoint, "1000", "scheduled", str(DEAD_MAN_S)],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        wait_for(lambda: len(bench.voltage_changes()) > 50)
+        with _flooded(bench, name, **fields):
+            time.sleep(2 * DEAD_MAN_S)
+            driven = client.poll() is None
+            client.send_signal(signal.SIGKILL)
+            took_s = bench.went_to_0_v_after(time.monotonic_ns())
+    finally:
+        client.kill()
+        client.wait()
+
+    assert driven
+    assert 0.2 < took_s < DEAD_MAN_S + LATE_S
+    with bench.rig() as rig:
+        wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
+        last = rig.status().last_run
+        assert last is not None
+        assert last.outcome == "its client went away: no sign of it for 0.6 s"
+
+
+def test_a_rig_that_somebody_holds_is_not_looked_at_for_another(bench: Bench) -> None:
+    """The refusal names the holder, as the core's does."""
+    _served(bench)
+
+    with bench.rig() as rig, bench.rig() as other:
+        rig.arm("a student")
+        with pytest.raises(RefusedError, match="held by a student: wait, or stop it"):
+            other.arm("another")

@@ -1,0 +1,95 @@
+"""What a person is told of a rig that is served, and of one that needs nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from processes import Bench, wait_for
+
+
+def _armrig(bench: Bench, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a command of `armrig` on the bench's rig."""
+    return subprocess.run(
+        [sys.executable, "-m", "armrig", *arguments],
+        env={**os.environ, "XDG_RUNTIME_DIR": str(bench.folder)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_both_programs_say_what_they_serve(bench: Bench) -> None:
+    """Port, socket, name and limits, how to ask and how to end: in a line or two."""
+    bench.configure(more="[limits]\nu_max_v = 4.5")
+    emulator = bench.emulate()
+    daemon = bench.serve()
+
+    wait_for(lambda: emulator.said and "armrig status" in daemon.said)
+    assert emulator.said == (
+        f"armrigd: an emulated rig behind {bench.port}, 1000000 baud, 0 to 5 V; drive it with "
+        f"`ARMRIG_DEVICE_BAUD=1000000 armrigd run --port {bench.port}`, end it with Ctrl-C\n"
+    )
+    said = [line for line in daemon.said.splitlines() if "warning" not in line]
+    assert said == [
+        f"armrigd: info: rig 1 at unixsock-stream/{bench.folder}/armrig/1.sock",
+        f"armrigd: info: port {bench.port} at 1000000 baud, 0 to 4.5 V; ask it with "
+        "`armrig status`, end it with Ctrl-C",
+    ]
+
+
+def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
+    """No failure: the rig is as it was wanted. With a fault latched it says that, too."""
+    bench.emulate()
+    daemon = bench.serve()
+
+    idle = _armrig(bench, "reset")
+    with bench.rig() as rig:
+        rig.arm("a test")
+        pid = bench.loop_pid(daemon)
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.3)  # the device's watchdog has 0.1 s
+        os.kill(pid, signal.SIGCONT)
+        wait_for(lambda: rig.status().phase == "fault")
+    latched = _armrig(bench, "reset")
+
+    assert (idle.returncode, idle.stderr) == (0, "")
+    assert idle.stdout == "rig 1: nothing is latched, so there is nothing to reset\n"
+    assert latched.returncode == 0, latched.stderr
+    assert "rig 1 was reset" in latched.stdout
+    assert bench.phase() == "safe"
+
+
+@pytest.mark.parametrize(
+    ("more", "calibration", "arm"),
+    [
+        ("", "none: the default figures; `armrig calibrate` measures one", "mounted"),
+        (
+            "[calibration.alpha]\nzero_counts = 5.0\n[arm]\nremoved = true",
+            "given in the configuration, not measured",
+            "taken off, says [arm] removed",
+        ),
+        ('[calibration]\nfile = "c.toml"', "{folder}/c.toml, made 2026-11-20", "mounted"),
+    ],
+)
+def test_status_names_the_calibration_and_the_arm(
+    bench: Bench, more: str, calibration: str, arm: str
+) -> None:
+    """What angles are made with, and whether the rotating part is there."""
+    made = 'date = "2026-11-20"\nrig = "1"\ndevice_uid = "1"\narmrig = "0.1.0"\n'
+    Path(bench.folder / "c.toml").write_text(f"[made]\n{made}")
+    bench.configure(more=more)
+    bench.emulate()
+    bench.serve()
+
+    lines = _armrig(bench, "status").stdout.splitlines()
+
+    rows = {name: text.strip() for name, _, text in (line.partition(" ") for line in lines)}
+    assert rows["calibration"] == calibration.format(folder=bench.folder)
+    assert rows["arm"] == arm
