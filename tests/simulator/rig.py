@@ -125,7 +125,7 @@ class Rig:
         self._late: list[Episode] = []
         self._kill_ns = NEVER
         self._hung_until = self._slow_until = self.full_until = 0
-        self._unplugged = False
+        self._unplugged = self._write_fails = False
         self._log = bytearray()
         self._orders: dict[int, int] = {}
         self._rules = _rules(options)
@@ -191,6 +191,9 @@ class Rig:
         self._log += _MARK.pack(now, b">") + data
         if self.story:
             self.story(now, "host sends", data)
+        if self._write_fails:
+            self._write_fails = False
+            return LinkDown("unplugged")
         if self._unplugged:
             return None  # the kernel takes it, and nobody reads it
         for t_ns, piece in self._to_device.carry(now, data):
@@ -446,11 +449,16 @@ class Rig:
             return
         self._told("unplug", e)
         self._unplugged = True
-        self.event(self.now, LinkDown("unplugged"))
+        self._write_fails = e.size % 0.5 < 0.25  # or the reader finds out
+        if not self._write_fails:
+            self.event(self.now, LinkDown("unplugged"))
         self.at(self.now + e.for_ns, self._plug, e)
 
     def _plug(self, e: Episode) -> None:
         self._unplugged = False
+        if self._write_fails:
+            self._write_fails = False
+            self.event(self.now, LinkDown("unplugged"))
         if e.size < 0.5:
             self.device.reset(self.now)
         if self.loop is not None:
