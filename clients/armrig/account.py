@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import isnan
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,11 @@ from armrig.subspace_fit import SubspaceFit
 from armrig.validation import Comparison, ResidualTest
 from armrig.whiteness import WHITE_LEVEL
 
+if TYPE_CHECKING:
+    from armrig.model_search import SearchResult
+
 _MOST_DECIMALS = 9
+_TRUST_ROBUST = "trust σ robust, not σ, or raise the orders"
 
 
 def of_model(fit: Fit) -> list[str]:
@@ -37,7 +41,20 @@ def of_model(fit: Fit) -> list[str]:
         lines.append(f"  starts {how}: {ends}{squared}" + ("" if fit.converged else _UNFINISHED))
     if isinstance(fit, SubspaceFit):
         lines += [f"  {line}" for line in fit.explain().splitlines()]
-    return [*lines, *(f"  warning: {w.replace('std_robust', 'σ robust')}" for w in fit.warnings)]
+    # What the line on white residuals says is not said twice.
+    told = (w for w in fit.warnings if not (_COLOURED in w and fit.whiteness < WHITE_LEVEL))
+    return [*lines, *(f"  warning: {in_symbols(w)}" for w in told)]
+
+
+def of_search(found: SearchResult) -> list[str]:
+    """Return the table and the reasons of a search, without the warnings of the model chosen."""
+    lines = repr(found).splitlines()
+    return [in_symbols(line) for line in lines if line.removeprefix("- ") not in found.fit.warnings]
+
+
+def in_symbols(text: str) -> str:
+    """Return a sentence with the name that the table's column has."""
+    return text.replace("std_robust", "σ robust")
 
 
 def heading(fit: Fit) -> str:
@@ -49,6 +66,7 @@ def heading(fit: Fit) -> str:
     )
 
 
+_COLOURED = "trust std_robust"
 _UNFINISHED = " (NOT CONVERGED)"
 
 
@@ -101,6 +119,7 @@ def facts_of_model(fit: Fit) -> dict[str, Any]:
         "converged": fit.converged,
         "warnings": list(fit.warnings),
         "N": fit.N,
+        "answers": fit.summary().facts(),
     }
     if isinstance(fit, SubspaceFit):
         facts["canonical_correlations"] = fit.canonical_correlations.tolist()
@@ -132,7 +151,7 @@ def hint(fit: Fit) -> str:
 
 
 def _whiteness(fit: Fit) -> str:
-    return f"white residuals: {_p(fit.whiteness, 'trust σ robust, not σ', 'trust σ')}"
+    return f"white residuals: {_p(fit.whiteness, _TRUST_ROBUST, 'trust σ')}"
 
 
 def _p(p: float, otherwise: str, good: str = "") -> str:

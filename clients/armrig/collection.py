@@ -10,11 +10,11 @@ from math import floor, isclose, isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from armrig_core.commands import LastRun, RunAccepted
+from armrig_core.commands import LastRun, RunAccepted, StatusReport
 from armrig_core.rehearsal import Rehearsal, in_words
 from numpy.typing import NDArray
 
-from armrig.progress import TimingNote, bar
+from armrig.progress import bar, timing_note
 from armrig.recording import load
 from armrig.rig import Rig, RunEndedError
 from armrig.session import NoReplyError, RigError
@@ -69,6 +69,8 @@ class Plan:
     """Who takes the rig."""
     dead_man: float | None = None
     """Silence of this process after which the daemon stops the run, in s; None plays on."""
+    without_arm: bool = False
+    """It is for the chassis alone."""
 
     def __post_init__(self) -> None:
         """Refuse what no sampling time makes possible, before a rig is asked for."""
@@ -131,14 +133,17 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
             tell(in_words(run.rehearsal))
 
     with Rig(rig, connect=connect) as opened:
-        before = opened.status().last_run
+        status = opened.status()
+        if plan.without_arm:
+            _require_arm_off(status)
+        before = status.last_run
         granted = None
         try:
             granted = opened.arm(plan.owner, plan.Ts)
             u = _input(plan, granted.Ts, tell)
             with (
-                opened.arrivals("timing") as come,
-                bar(plan.experiment, note=TimingNote(come)) as progress,
+                timing_note(opened) as note,
+                bar(plan.experiment, note=note) as progress,
             ):
                 path = opened.run(
                     u,
@@ -160,6 +165,20 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
     rehearsal = rehearsals[0] if rehearsals else None
     verdict = data_verdict(load(path)) if path.is_file() else None
     return Collected(path, u.size, granted.Ts, verdict, rehearsal)
+
+
+ARM_OFF = (
+    "take the rotating part off (handout, figure 6), set [arm] removed = true in armrigd's "
+    "configuration (of an emulated rig [emulator] arm_removed = true, too), and start it anew"
+)
+"""What a person does before an experiment on the chassis alone."""
+
+
+def _require_arm_off(status: StatusReport) -> None:
+    """Refuse a rig whose daemon was not told that the arm is off."""
+    if not status.arm_removed:
+        msg = f"this is for the chassis alone, and rig {status.rig} has its arm on: {ARM_OFF}"
+        raise RigError(msg)
 
 
 def _input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
@@ -196,7 +215,7 @@ def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
         return str(err)
     if status.phase != "fault":
         return with_commands(str(err), rig.rig, connect)
-    way_out = f"mend it, then {reset_command(rig.rig, connect)}"
+    way_out = f"{status.remedy or 'mend it'}; then {reset_command(rig.rig, connect)}"
     if isinstance(err, RunEndedError):
         return f"{err}; {way_out}"
     return f"rig {rig.rig} is in fault: {status.reason}; {way_out}"

@@ -61,17 +61,15 @@ _UNPACKED = "B in its chunks, unpacked"
 _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 1, 10  # measured, roughly
 # Bytes that a message costs us beyond its payload once it is told as what it is; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
-_KINDS = {
-    "sample": protobuf.SAMPLE,
-    "gap": protobuf.GAP,
-    "event": protobuf.LOG,
-    "timing": protobuf.TIMING,
-    "clock": protobuf.CLOCK,
-    "state": protobuf.STATE,
-    "trace": protobuf.TRACE,
-}
 READ = STREAMS
 """What most readers want; the core's steps are for who decides a run once more."""
+
+
+class CutOffError(DamageError):
+    """The file ends too early; says how."""
+
+    def __init__(self, how: str) -> None:
+        super().__init__(f"the file is cut off: it ends {how}")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -84,6 +82,8 @@ class Content:
     """Of the file, in B."""
     damage: str = ""
     """Why reading ended early; "" for a whole file."""
+    cut_off: bool = False
+    """That is because the file ends too early; nothing before its end is wrong."""
     read: int = 0
     """Bytes that were read when it ended."""
     samples: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, SAMPLE_DTYPE))
@@ -127,7 +127,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
         try:
             _read_records(source, reader)
         except DamageError as damage:
-            content.damage = str(damage)
+            content.damage, content.cut_off = str(damage), isinstance(damage, CutOffError)
         # What the libraries raise on damaged bytes; the CRCs make it rare.
         except (McapError, struct.error, DecodeError, ValueError, OverflowError) as err:
             content.damage = f"a record cannot be read ({err or type(err).__name__})"
@@ -195,15 +195,13 @@ def _read_records(source: _Source, reader: _Reader) -> None:
         source.whole = source.at
         head = source.take(RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
-            msg = "the file ends without its footer"
-            raise DamageError(msg)
+            raise CutOffError("without its footer")
         opcode, length = RECORD_HEAD.unpack(head)
         if not ended and opcode not in _DATA:
             msg = f"a record of opcode {opcode} stands among the data"
             raise DamageError(msg)
         if length > source.left:
-            msg = f"the file ends {length - source.left} B before the end of its last record"
-            raise DamageError(msg)
+            raise CutOffError(f"{length - source.left} B before the end of its last record")
         reader.spend(_WORK, 1)
         if opcode == Opcode.MESSAGE_INDEX:
             _pass_index(source, length)
@@ -217,8 +215,7 @@ def _read_records(source: _Source, reader: _Reader) -> None:
         body = source.take(length)
         if opcode == Opcode.FOOTER:
             if source.take(len(MAGIC)) != MAGIC:
-                msg = "the file ends without its closing magic"
-                raise DamageError(msg)
+                raise CutOffError("without its closing magic")
             source.whole = source.at
             return
         if opcode == Opcode.DATA_END:
@@ -265,11 +262,11 @@ class _Reader:
                 self._message(body)
             case Opcode.SCHEMA:
                 name = _text(body, 2)
-                if name in _KINDS.values():
+                if name in protobuf.OF_STREAM.values():
                     self.schemas[_IDS.unpack_from(body)[0]] = name
             case Opcode.CHANNEL:
                 (channel, schema), stream = _IDS.unpack_from(body), stream_of(_text(body, 4))
-                if stream in self.kept and self.schemas.get(schema) == _KINDS[stream]:
+                if stream in self.kept and self.schemas.get(schema) == protobuf.OF_STREAM[stream]:
                     self.streams[channel] = stream
             case Opcode.METADATA:
                 name = _text(body, 0)
@@ -349,7 +346,7 @@ class _Reader:
         if stream is None:
             return
         data = body[_MESSAGE_HEAD:]
-        parsed = protobuf.message_class(_KINDS[stream]).FromString(data)
+        parsed = protobuf.message_class(protobuf.OF_STREAM[stream]).FromString(data)
         if stream == "sample":
             self.spend(_WORK, _SAMPLE_WORK)
             self.rows.take(parsed)
@@ -369,7 +366,7 @@ class _Reader:
 def stream_of(topic: str) -> str:
     """Return the stream of a topic such as /rig/1/sample, "" where it is none of ours."""
     found = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]{1,20})", topic)
-    return found[1] if found and found[1] in _KINDS else ""
+    return found[1] if found and found[1] in protobuf.OF_STREAM else ""
 
 
 def _text(body: bytes, at: int) -> str:

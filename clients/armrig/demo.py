@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from armrig.excitation import step, telegraph
-from armrig.progress import TimingNote, bar
+from armrig.progress import bar, timing_note
 from armrig.recording import Recording, load
 from armrig.report import report
 from armrig.report_figures import write_figures
@@ -103,8 +103,8 @@ def _recorded(
         rig.arm("armrig demo", Ts)
         try:
             with (
-                rig.arrivals("timing") as come,
-                bar(name, console, note=TimingNote(come)) as progress,
+                timing_note(rig) as note,
+                bar(name, console, note=note) as progress,
             ):
                 return rig.run(u, progress=progress, **request)
         except RunEndedError as err:

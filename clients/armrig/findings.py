@@ -54,7 +54,10 @@ def _unusable(about: str, text: str) -> Finding:
 
 def of_run(r: Recording) -> Iterator[Finding]:
     """Look at how the run ended, and at whether the file is whole."""
-    if r.truncated:
+    if r.cut_off:
+        text = f"the file is cut off: it holds {r.N * r.Ts:g} s of {r.asked_s:g} s"
+        yield _warning("run", text)
+    elif r.truncated:
         yield _warning("run", f"the file is not whole: {r.damage}")
     elif r.outcome is None or r.outcome.outcome != "complete":
         why = r.outcome.outcome if r.outcome else "nobody wrote down why"

@@ -6,11 +6,18 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+from armrig_protocol.messages import Flag
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from armrig.quantities import number
 from armrig.rig import Progress as Callback
+from armrig.rig import Rig
+
+_Come = Callable[[], list[Any]]
+_WINDOW_NS = 1_000_000_000
 
 
 @contextmanager
@@ -34,19 +41,41 @@ def bar(
 
 
 class TimingNote:
-    """What the rig's timing stream says, in a few words, of the run so far."""
+    """What a rig's streams say of the timing of the run so far, in the words of `armrig info`."""
 
-    def __init__(self, come: Callable[[], list[Any]]) -> None:
-        """Take the function that returns the stream's new messages."""
-        self._come = come
-        self._missed = 0
-        self._text = ""
+    def __init__(self, samples: _Come, gaps: _Come, reports: _Come) -> None:
+        """Take the functions that return what has come of each stream."""
+        self._samples, self._gaps, self._reports = samples, gaps, reports
+        self._late: NDArray[np.int64] = np.zeros((0, 2), np.int64)
+        self._k_first: int | None = None
+        self._missing = 0
+        self._queue = ""
 
     def __call__(self) -> str:
-        """Return the last second's lateness, all ticks missed, and the setpoints held ahead."""
-        for message in self._come():
-            late, queue = message.wake_lateness_us, message.queue_depth
-            self._missed += late.missed
-            self._text = f"late {number(late.p99)} µs (p99), missed {self._missed}"
-            self._text += f", queue {queue.p50:.0f}" if queue.n else ""
-        return self._text
+        """Return the last second's lateness, all samples missing, and the setpoints held ahead."""
+        came = [s for s in self._samples() if s.flags & Flag.RUN]
+        if came and self._k_first is None:
+            self._k_first = came[0].k
+        if self._k_first is None:
+            return ""
+        late = [(s.t_sched_ns, s.t_host_ns - s.t_sched_ns) for s in came]
+        self._late = np.concatenate([self._late, np.array(late, np.int64).reshape(-1, 2)])
+        self._late = self._late[self._late[:, 0] > self._late[-1, 0] - _WINDOW_NS]
+        # What was missing before the run is not missing from its recording.
+        self._missing += sum(g.count for g in self._gaps() if g.k_first >= self._k_first)
+        for report in self._reports():
+            queue = report.queue_depth
+            self._queue = f", queue {queue.p50:.0f}" if queue.n else ""
+        p99_us = float(np.percentile(self._late[:, 1], 99)) / 1e3
+        return f"lateness p99 {number(p99_us)} µs, missing {self._missing}{self._queue}"
+
+
+@contextmanager
+def timing_note(rig: Rig) -> Iterator[TimingNote]:
+    """Give the note of a rig for as long as it is listened to."""
+    with (
+        rig.arrivals("sample") as samples,
+        rig.arrivals("gap") as gaps,
+        rig.arrivals("timing") as reports,
+    ):
+        yield TimingNote(samples, gaps, reports)

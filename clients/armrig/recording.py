@@ -63,7 +63,7 @@ class Recording:
     manifest: Manifest
     """How the run was made."""
     outcome: Outcome | None
-    """How it ended; None where the file was cut off before."""
+    """How the run ended, which a file may tell before its own end; None where it does not."""
     calibration: Calibration | None
     """Counts to angles, codes to volts; None where it is missing: the daemon's are used then.
 
@@ -106,6 +106,8 @@ class Recording:
     """The device's clock against the host's, once a second."""
     truncated: bool
     """The file is not whole: see `damage`."""
+    cut_off: bool
+    """It ends too early, and nothing before its end is wrong."""
     damage: str
     """What is wrong with the file and how much was saved; "" for a whole one."""
 
@@ -120,8 +122,13 @@ class Recording:
         return self.manifest.Ts
 
     @property
+    def asked_s(self) -> float:
+        """Length of the input that was asked for, in s."""
+        return max(self.manifest.samples, 0) * self.Ts
+
+    @property
     def missing(self) -> int:
-        """Number of samples that did not come."""
+        """Number of samples that did not come, as far as the file goes."""
         return self.N - int(self.samples.size)
 
     @property
@@ -271,13 +278,15 @@ def _assembled(
     samples, messages = content.samples, content.messages
     try:
         spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
-        rows = grid(samples["k"], manifest, outcome, spots)
+        # Of a file that is not whole the rest is not missing: it may have come, and is not here.
+        rows = grid(samples["k"], manifest, None if content.damage else outcome, spots)
     except ValueError as err:
         msg = f"{path}: {err}"
         raise RecordingError(msg) from err
     clock = _clock(content, manifest, rows.k_first)
     gaps = tuple(gap_of(message, clock) for message in messages.get("gap", []))
-    saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B"
+    saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B, "
+    saved += f"{rows.N * manifest.Ts:g} s of {max(manifest.samples, 0) * manifest.Ts:g} s"
     recording = Recording(
         path=path,
         sha256=content.sha256,
@@ -295,6 +304,7 @@ def _assembled(
         timing=tuple(timing_of(message, clock) for message in messages.get("timing", [])),
         clock=tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
         truncated=bool(content.damage),
+        cut_off=content.cut_off,
         damage=content.damage and content.damage + saved,
     )
     for array in (*(getattr(recording, name) for name in _ARRAYS), samples):

@@ -51,6 +51,8 @@ class Replay:
     """From the first step to the last, in s."""
     difference: str
     """Where the replay first parts from the recording; "" where it nowhere does."""
+    until: str
+    """Why it ends before the run does: what is wrong with the file; "" for a whole one."""
     said: tuple[Said, ...]
     """Warnings and errors of the core on the way, trips among them."""
 
@@ -76,7 +78,10 @@ def replay(path: str | Path) -> Replay:
         raise RecordingError(msg)
     chunks = content.messages.get("trace", [])
     if not chunks or not chunks[0].state:
-        msg = f"{path}: holds no steps of the daemon's core; recorded before replay was built?"
+        why = "recorded before replay was built?"
+        if content.damage:
+            why = f"{content.damage}, and they would stand behind it"
+        msg = f"{path}: holds no steps of the daemon's core: {why}"
         raise RecordingError(msg)
     try:
         return _replayed(content, chunks)
@@ -107,9 +112,12 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
     ours = np.array([tuple(s) for s in published], dtype=SAMPLE_DTYPE)
     end = manifest.k_first + manifest.samples
     ours = ours[(ours["k"] >= manifest.k_first) & (ours["k"] < end)]
-    same = _same_rows(ours, content.samples)
-    if not difference and not (same == ours.size == content.samples.size):
-        difference = f"the file has {content.samples.size} samples, the replay {ours.size}; "
+    theirs = content.samples
+    same = _same_rows(ours, theirs)
+    # In a file that is cut off, samples or steps may reach further than the others.
+    reached = same == (min if content.cut_off else max)(ours.size, theirs.size)
+    if not difference and not reached:
+        difference = f"the file has {theirs.size} samples, the replay {ours.size}; "
         difference += f"{same} are the same"
     if not difference and _holes(chunks):
         difference = f"{_holes(chunks)} chunks of steps are missing from the file"
@@ -119,6 +127,7 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
         samples=same,
         seconds=0.0 if first is None or now_ns is None else (now_ns - first) / 1e9,
         difference=difference,
+        until=content.damage,
         said=tuple(said),
     )
 

@@ -38,6 +38,8 @@ from armrig.study import STAIRCASE, STEP, Judged, Study, kind_of
 from armrig.verdict import summary, verdict
 from armrig.whiteness import WHITE_LEVEL
 
+_SCALE = "theta_1_rad_per_count"
+
 
 class ReportError(RuntimeError):
     """The report cannot be typeset."""
@@ -106,7 +108,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "data": _data_text(study),
         "treatment": treatment(study),
         "step": _step_caption(study),
-        "orders": f"na = nb = {arx.orders['na']}, nk = {arx.nk}"
+        "orders": f"na = nb = nf = {arx.orders['na']}, nk = {arx.nk}"
         if arx.orders["na"] == arx.orders["nb"] == oe.orders["nf"]
         else f"na = {arx.orders['na']}, nb = {arx.orders['nb']}, nf = {oe.orders['nf']}, "
         f"nk = {arx.nk}",
@@ -160,8 +162,16 @@ def _facts(study: Study) -> list[list[str]]:
     row("calibrated", lambda r: calibrated(r.calibration))
     row("missing samples", lambda r: str(r.missing))
     row("in the dead band, or just after", lambda r: str(r.hidden))
-    row("outcome", lambda r: r.outcome.outcome if r.outcome else "cut off")
+    row("outcome", _outcome)
     return rows
+
+
+def _outcome(recording: Recording) -> str:
+    ended = recording.outcome.outcome if recording.outcome else ""
+    if recording.truncated:
+        what = "file cut off" if recording.cut_off else "file damaged"
+        return f"{ended}, but the {what}" if ended else what
+    return ended or "not known"
 
 
 def _input_range(recording: Recording) -> str:
@@ -214,7 +224,9 @@ def _causes_rows(found: Sequence[Causes]) -> list[list[str]]:
         row(
             "device's clock slow by",
             lambda c: (
-                "–" if isnan(c.drift_ppm) else f"({c.drift_ppm:.1f} ± {c.drift_std_ppm:.1f}) · 10⁻⁶"
+                "–"
+                if isnan(c.drift_ppm)
+                else f"({fixed(c.drift_ppm, 1)} ± {c.drift_std_ppm:.1f}) · 10⁻⁶"
             ),
         ),
     ]
@@ -320,8 +332,33 @@ def _data_text(study: Study) -> str:
         "The voltage is the one that the device says it applied, the angle is unwrapped from the "
         "raw counts. It grows without end, because the voltage is never negative"
         f"{': nothing is removed from it, no mean and no trend' * untouched}. {hidden:.1f}{NBSP}% "
-        "of the estimation data have no angle."
+        f"of the estimation data have no angle. {_units(study)}"
     )
+
+
+def _units(study: Study) -> str:
+    """Return what the rad and the volt of the models rest on."""
+    calibrations = {
+        calibrated(r.calibration): r.calibration
+        for r in (study.recording_of(d.source) for d in (study.estimation, study.validation))
+    }
+    made = [c.made for c in calibrations.values() if c and c.made]
+    if len(made) < len(calibrations):
+        return (
+            "The rad and the volt rest on configured values that nobody has measured: what is in "
+            "these units, the gain of a model too, is as good as they are."
+        )
+    scales = [m.figures[_SCALE] for m in made if _SCALE in m.figures]
+    known = max((s.std / abs(s.value) for s in scales if s.value), default=None)
+    angle = f"The rad is that of the calibration of {' and of '.join(calibrations)}"
+    if known is not None:
+        angle += f", known to {percent(100 * known)} (one standard deviation)"
+    volt = (
+        "the volt that of a meter at the motor's terminals"
+        if all("driver_gain" in m.figures for m in made)
+        else "the volt that of the codes: no meter was read at the motor's terminals"
+    )
+    return f"{angle}; {volt}."
 
 
 def treatment(study: Study) -> list[str]:
@@ -383,10 +420,13 @@ def _captions(study: Study) -> dict[str, str]:
         "and the errors, on a scale that is linear in the middle and logarithmic beyond.",
         "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
         f"{validation}). The models are simulated from the beginning of the data, as above.",
-        "bode": "Frequency response from voltage to angle, with bands of ±3 standard deviations; "
-        f"models from recording {estimation}. Phase modulo 360°.",
-        "step_poles": "Left: answer to a unit step, bands ±3 standard deviations. Right: poles (×) "
-        f"and zeros (○) with their 99 % regions. Models from recording {estimation}.",
+        "bode": "Frequency response from voltage to angle, with 95 % bands, linearised or, where "
+        "that is poor, sampled from the covariance of the parameters; dots: spectral analysis of "
+        f"the estimation data, 95 % bars. Recording {estimation}. Phase modulo 360°.",
+        "step_poles": "Left: answer to a unit step with 95 % bands. Right: poles (×) and zeros "
+        "(○) with 95 % regions (bars for real roots, ellipses, dotted where sampled); a square "
+        "holds a pole and a zero that cannot be told apart (1 %). "
+        f"Models from recording {estimation}.",
         "tests": f"Tests of the one-step residuals on the validation data (recording {validation}),"
         " with the uncertainty of the estimated models allowed for.",
         "residuals": "Correlation of the residuals with themselves (above) and with the input "

@@ -48,9 +48,20 @@ def verdict(study: Study) -> list[str]:
 
 
 def calibration_remarks(study: Study) -> list[str]:
-    """Return what speaks against the calibration of any recording, each sentence once."""
-    said = [s for r in study.recordings for s in remarks(r.calibration, r.manifest)]
-    return list(dict.fromkeys(said))
+    """Return what speaks against the calibration of any recording, each sentence once.
+
+    What is not said of all names the files that it is said of.
+    """
+    of: dict[str, list[str]] = {}
+    for r in study.recordings:
+        for sentence in remarks(r.calibration, r.manifest):
+            of.setdefault(sentence, []).append(r.path.name)
+    return [
+        sentence
+        if len(names) == len(study.recordings)
+        else f"{', '.join(names)}: {sentence[0].lower()}{sentence[1:]}"
+        for sentence, names in of.items()
+    ]
 
 
 def _jitter_verdict(study: Study) -> str:

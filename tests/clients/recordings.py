@@ -98,8 +98,12 @@ def recorded(
     chunk_size: int = 128 << 10,
     compression: CompressionType = CompressionType.ZSTD,
     flush_every: int = 0,
+    outcome_first: bool = False,
 ) -> bytes:
-    """Return a recording of these messages: samples, protobuf messages, or bytes as samples."""
+    """Return a recording of these messages: samples, protobuf messages, or bytes as samples.
+
+    The outcome stands behind them, or before them as in a file that was written anew.
+    """
     manifest = manifest or globals()["manifest"]()
     out = BytesIO()
     writer = Writer(out, chunk_size=chunk_size, compression=compression, enable_data_crcs=True)
@@ -118,6 +122,8 @@ def recorded(
     }.items():
         schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))
         channels[name] = writer.register_channel(topic(manifest.rig, stream), "protobuf", schema)
+    if outcome and outcome_first:
+        writer.add_metadata(OUTCOME, outcome.metadata())
     for i, message in enumerate(messages):
         if isinstance(message, telemetry.Sample):
             log_time = message.t_host_ns + OFFSET_NS
@@ -135,7 +141,7 @@ def recorded(
         writer.add_message(channel, log_time, data, publish_time, k & 0xFFFFFFFF)
         if flush_every and (i + 1) % flush_every == 0:
             writer.flush()
-    if outcome:
+    if outcome and not outcome_first:
         writer.add_metadata(OUTCOME, outcome.metadata())
     writer.finish()
     return out.getvalue()

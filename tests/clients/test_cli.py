@@ -17,13 +17,14 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.cli.options import folded
 from armrig.collection import MOST_SAMPLES
 from armrig.estimating import estimating, waiting
 from armrig.scheduling import scheduling
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
-from recordings import of_the_arm, recorded, sample, timing, written
+from recordings import gap, manifest, of_the_arm, recorded, sample, timing, written
 from rich.console import Console
 
 READERS = (["info"], ["identify", "--structure", "arx"], ["compare"], ["report"])
@@ -307,16 +308,28 @@ def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str)
     assert run.u == [0.5] * 20 + [4.5] * 30
 
 
-def test_collect_greybox_says_what_to_do_to_the_rig(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Before it plays; the input is a black box's."""
+def test_collect_greybox_plays_what_a_black_box_does(daemon: FakeDaemon, where: str) -> None:
+    """To a rig whose daemon was told that the rotating part is off."""
+    daemon.arm_removed = True
+
     assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 0
 
     [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
     assert run.experiment == "greybox"
     assert run.details["input"] == "telegraph"
-    assert "Take the rotating part off (handout, figure 6)" in capsys.readouterr().err
+
+
+def test_collect_greybox_refuses_a_rig_with_its_arm_on(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is armed or played; it says what to do. A black box is for the whole rig."""
+    assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 1
+    asked, said = daemon.names(), told(capsys)
+    assert main(["collect", "blackbox", "--seconds", "2", "--connect", where]) == 0
+
+    assert asked == []
+    assert "rig 1 has its arm on: take the rotating part off (handout, figure 6)" in said
+    assert "[arm] removed = true" in said
 
 
 def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str) -> None:
@@ -346,6 +359,23 @@ def test_collect_bla_plays_periods_with_other_phases(
     assert np.std(one) == pytest.approx(np.std(two), rel=1e-12)
     assert np.abs(one - two).max() > 0.5
     assert [r.details["realisation"] for r in played] == [0, 1]
+
+
+def test_collect_bla_takes_the_length_of_a_recording(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the other kinds do, in place of a period's; not both."""
+    arguments = ["collect", "bla", "--seconds", "1.5", "--periods", "3", "--realisations", "1"]
+    arguments += ["--connect", where]
+
+    assert main(arguments) == 0
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    capsys.readouterr()
+    assert main([*arguments, "--period", "0.5"]) == 1
+
+    u = np.array(run.u).reshape(3, 50)
+    np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
+    assert "--seconds 1.5 with --period 0.5: a recording is 3 periods long" in told(capsys)
 
 
 @pytest.mark.parametrize("name", ["telegraph", "prbs", "white", "multisine"])
@@ -448,19 +478,45 @@ def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
 def test_the_bar_says_how_the_timing_is(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From the rig's own stream: lateness of the last second, all that was missed, the queue."""
+    """Of the run alone, and in the words of `info`: lateness, missing samples; and the queue."""
     report = timing(0)
-    report.wake_lateness_us.p99, report.wake_lateness_us.missed = 123.0, 2
+    report.wake_lateness_us.p99 = 123.0  # of the loop, which is not what `info` calls lateness
     report.queue_depth.p50, report.queue_depth.n = 17, 100
-    daemon.during_run = lambda: daemon.session.put("rig/1/timing", report.SerializeToString())
+    late = {"t_host_ns": sample(2).t_sched_ns + 456_000}
+    messages = [
+        ("sample", telemetry.encode_sample(sample(0, flags=0, t_host_ns=sample(9).t_host_ns))),
+        ("gap", gap(1, 50, 0.0).SerializeToString()),
+        ("sample", telemetry.encode_sample(sample(2, **late))),
+        ("gap", gap(3, 2, 1.0).SerializeToString()),
+        ("timing", report.SerializeToString()),
+    ]
+
+    def publish() -> None:
+        while messages:
+            stream, data = messages.pop(0)
+            daemon.session.put(f"rig/1/{stream}", data)
+
+    daemon.during_run = publish
     daemon.polls_per_run = 5
 
     assert main(["collect", "step", "--connect", where]) == 0
 
-    said = capsys.readouterr().err
-    missed = re.search(r"late 123 µs \(p99\), missed (\d+), queue 17", " ".join(said.split()))
-    assert missed is not None
-    assert int(missed[1]) in range(4, 13, 2)
+    said = " ".join(capsys.readouterr().err.split())
+    assert "lateness p99 456 µs, missing 2, queue 17" in said
+
+
+def test_info_says_lateness_as_the_bar_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And what it is of: an arrival where the device paced, a request where the host did."""
+    for pacing, of in (("scheduled", "samples' arrival"), ("exchange", "request for each sample")):
+        data = recorded([sample(k) for k in range(10)], manifest=manifest(pacing=pacing))
+
+        assert main(["info", str(written(tmp_path, data))]) == 0
+
+        [line] = [x for x in capsys.readouterr().out.splitlines() if x.startswith("lateness")]
+        assert "p50 3.0, p99 3.0, max 3 µs" in line
+        assert of in line
 
 
 def test_collect_says_what_the_rehearsal_was(
@@ -714,13 +770,15 @@ def test_a_trip_is_told_with_its_reason(
     refused: str, daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Not as the lease that went with it."""
-    daemon.fault = "the link is silent"
+    daemon.fault, daemon.remedy = "the link is silent", "see to the cable"
     daemon.refusals = {refused: "not the lease in force: arm first"}
 
     assert main(["collect", "step", "--connect", where]) == 1
 
     said = capsys.readouterr().err
-    assert "rig 1 is in fault: the link is silent; mend it, then `armrig reset --connect" in said
+    assert (
+        "rig 1 is in fault: the link is silent; see to the cable; then `armrig reset --conn" in said
+    )
     assert "lease" not in said
 
 
@@ -948,8 +1006,54 @@ def test_info_of_a_recording_cut_off_at_once_says_what_is_not_known(
     of_short = capsys.readouterr().out
 
     assert "not known: the file is cut off before it says" in of_cut
+    assert re.search(r"; up to 0(\.\d+)? s of 0\.1 s\n", of_cut)
     assert "too few samples" in of_short
     assert "nan" not in of_cut + of_short
+
+
+def test_info_of_a_cut_file_does_not_call_the_run_cut_short(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The run was complete, the file is not; one that the daemon left may still be growing."""
+    run = {"manifest": manifest(samples=40, k_first=0), "flush_every": 10}
+    whole = recorded([sample(k) for k in range(40)], **run, outcome_first=True)
+    left = recorded([sample(k) for k in range(40)], **run, outcome=None)
+
+    assert main(["info", str(written(tmp_path, whole[:-200]))]) == 0
+    of_whole = capsys.readouterr().out
+    assert main(["info", str(written(tmp_path, left[:-400], "run.mcap.active"))]) == 0
+    of_left = capsys.readouterr().out
+
+    assert "of the run: complete; but the file is cut off" in of_whole
+    assert re.search(r"samples +\d+ at 0.01 s, 0 missing", of_whole)
+    assert "s of 0.4 s" in of_whole
+    assert "the file is cut off before it says, or is still being written" in of_left
+
+
+def test_what_is_missing_is_told_with_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    """And where it comes from."""
+    assert main(["validate", "F.mcap"]) == 2
+    option = told(capsys)
+    assert main(["validate"]) == 2
+    argument = told(capsys)
+    assert main(["compare", "F.mcap"]) == 2
+    either = told(capsys)
+
+    assert "--model JSON is missing: model that identify --save has written" in option
+    assert "F is missing: recording (*.mcap)" in argument
+    assert "--model FILE (from `armrig identify --save FILE`)" in either
+
+
+def test_long_lines_are_broken_between_words_on_a_terminal_only() -> None:
+    """A path or a command in one piece can be taken from there; a program gets the line."""
+    text = "- one two three /a/long/path/that-is-longer-than-the-line four\n\n  five"
+
+    assert folded(text, 0) == text
+    assert folded(text, 16).splitlines() == [
+        *("- one two three", "  /a/long/path/that-is-longer-than-the-line", "  four"),
+        *("", "  five"),
+    ]
+    assert folded("name  one two three four", 16, indent=6) == "name  one two\n      three four"
 
 
 def test_a_demonstration_into_a_file_is_told_what_to_do(

@@ -195,6 +195,33 @@ def test_a_run_that_was_stopped_is_as_long_as_it_was(tmp_path: Path) -> None:
     assert np.isnan(no_gap.u[20:]).all()
 
 
+def test_what_a_cut_takes_away_is_not_missing(tmp_path: Path) -> None:
+    """It may have come: a file written anew says the outcome first, and ends before it is true."""
+    messages = [sample(k) for k in range(40, 60)]
+    ended = Outcome(outcome="complete", samples=300, missing=0)
+    whole = recorded(messages, manifest=a_run(), outcome=ended, outcome_first=True, flush_every=5)
+
+    sizes = range(whole.index(b"armrig.outcome") + 200, len(whole) - 1, 97)
+    cuts = [load(written(tmp_path, whole[:size])) for size in sizes]
+
+    assert {5, 10, 15} <= {cut.N for cut in cuts}
+    for cut in cuts:
+        assert cut.outcome == ended
+        assert cut.cut_off
+        assert cut.missing == 0
+        assert f"{cut.N * cut.Ts:g} s of {cut.asked_s:g} s" in cut.damage
+
+
+def test_a_file_that_was_changed_is_not_called_cut_off(tmp_path: Path) -> None:
+    """Its end is there."""
+    whole = bytearray(recorded([sample(k) for k in range(10)]))
+    whole[whole.index(b"armrig.run") + 20] ^= 1
+
+    rec, _ = tried(written(tmp_path, bytes(whole)))
+
+    assert rec is None or (rec.truncated and not rec.cut_off)
+
+
 def test_a_run_that_was_cut_off_is_as_long_as_is_known(tmp_path: Path) -> None:
     """Up to the last sample that is told of, as come or as missing."""
     messages = [*(sample(k) for k in range(42, 60)), gap(60, 4, 1.0)]

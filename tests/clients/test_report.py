@@ -17,7 +17,7 @@ from armrig.study import Orders, Study, physical_model, study
 from armrig.trend import Trend
 from armrig.verdict import verdict
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
-from armrig_core.calibration import Calibration, Made
+from armrig_core.calibration import Calibration, Figure, Made
 from recordings import of_the_arm, recorded, sample, written
 
 
@@ -220,6 +220,17 @@ def test_a_truncated_recording_is_named_in_the_report(
     assert "cut.mcap is not whole" in " ".join(content(done, ())["remarks"])
 
 
+def test_a_file_cut_off_behind_its_outcome_is_told_in_the_table(done: Study) -> None:
+    """The run was complete, the file is not."""
+    step, *others = done.recordings
+    cut = replace(step, truncated=True, cut_off=True, damage="the file is cut off")
+
+    told = content(replace(done, recordings=(cut, *others)), ())
+    rows = {name: values for name, *values in told["facts"]}
+
+    assert rows["outcome"] == ["complete, but the file cut off", "complete", "complete"]
+
+
 def study_data() -> Dataset:
     """Return two samples at 100 Hz."""
     return Dataset(u=np.zeros(2), y=np.zeros(2), Ts=0.01, output="theta_1", unit="rad")
@@ -237,3 +248,40 @@ def test_a_rig_that_was_not_calibrated_is_told_once(done: Study) -> None:
         judged = replace(done, recordings=recordings)
         assert " ".join(verdict(judged)).count("was not calibrated") == told
         assert ["calibrated", *[when] * len(recordings)] in content(judged, [])["facts"]
+
+
+def test_one_that_was_not_calibrated_among_others_is_named(done: Study) -> None:
+    """What is said of one file is not said of the rig."""
+    made = Made(date="2026-11-20T04:00:00+01:00", rig="1", device_uid="0001", armrig="0.1.0")
+    step, *others = done.recordings
+    good = (replace(r, calibration=Calibration(made=made)) for r in others)
+
+    said = verdict(replace(done, recordings=(step, *good)))
+
+    [remark] = [s for s in said if "calibrated" in s]
+    assert remark.startswith(f"{step.path.name}: the rig was not calibrated")
+
+
+def test_the_units_of_the_data_are_told_with_what_they_rest_on(done: Study) -> None:
+    """Configured values, a calibration with its deviation, and a meter's reading, if any."""
+    scale = {"theta_1_rad_per_count": Figure(value=1e-4, std=2e-7)}
+    meter = {"driver_gain": Figure(value=1.01, std=1e-3)}
+
+    def said(figures: dict[str, Figure] | None) -> str:
+        if figures is None:
+            return str(content(done, [])["data"])
+        made = Made(
+            date="2026-11-20T04:00:00+01:00",
+            rig="1",
+            device_uid="0001",
+            armrig="0.1.0",
+            figures=figures,
+        )
+        calibration = Calibration(made=made)
+        good = tuple(replace(r, calibration=calibration) for r in done.recordings)
+        return str(content(replace(done, recordings=good), [])["data"])
+
+    assert "configured values that nobody has measured" in said(None)
+    assert "calibration of 2026-11-20 04:00, known to 0.2\xa0%" in said(scale)
+    assert "no meter was read" in said(scale)
+    assert "that of a meter at the motor's terminals" in said(scale | meter)

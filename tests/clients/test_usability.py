@@ -182,7 +182,7 @@ def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
     cut = data_verdict(load(written(tmp_path, data[: len(data) - 400])))
 
     assert "the run ended early: stopped" in early.in_a_line
-    assert "the file is not whole" in cut.in_a_line
+    assert "the file is cut off: it holds 3 s of 6 s" in cut.in_a_line
 
 
 @pytest.mark.parametrize(

@@ -130,7 +130,8 @@ def _run(arguments: Sequence[str] | None) -> int:
         return int(err.exit_code) if given else 2  # nothing was asked for: help, as armrigd does
     except _UsageError as err:
         where = err.ctx.command_path if err.ctx else "armrig"
-        return _failed(f"{_plainly(err.format_message())}; see `{where} --help`", 2)
+        what = _missing(err) or _plainly(err.format_message())
+        return _failed(f"{what}; see `{where} --help`", 2)
     except (typer.Abort, KeyboardInterrupt) as err:
         return _failed(str(err) or "interrupted", 130)
     except BrokenPipeError:  # `armrig info F | head`
@@ -149,6 +150,18 @@ def _run(arguments: Sequence[str] | None) -> int:
 def _failed(message: str, code: int) -> int:
     tell(message)
     return code
+
+
+def _missing(err: Any) -> str:
+    """Return what is missing and what it is, where that is the error, or nothing."""
+    parameter = getattr(err, "param", None)
+    if parameter is None or type(err).__name__ != "MissingParameter":
+        return ""
+    name = parameter.metavar
+    if parameter.param_type_name == "option":
+        name = f"{max(parameter.opts, key=len)} {name}"
+    what = (parameter.help or "").rstrip(".")
+    return f"{name} is missing" + (f": {what[:1].lower()}{what[1:]}" if what else "")
 
 
 def _plainly(message: str) -> str:

@@ -306,7 +306,10 @@ def _print(path: Path, found: Estimate, *, json: bool) -> None:
     rows = [(name, f"{_in_words(f.value, f.std)}") for name, f in figures.items()]
     sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
     print_table(*rows, ("alpha", sign[found.alpha_sign]), ("calibration", str(path)))
-    tell(f'to use it: [calibration] file = "{path.absolute()}" in armrigd\'s configuration')
+    tell(
+        f'to use it: [calibration] file = "{path.absolute()}" in armrigd\'s configuration, and '
+        "start armrigd anew"
+    )
 
 
 def _in_words(value: float, std: float) -> str:

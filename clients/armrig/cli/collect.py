@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from armrig.cli.options import Connect, Json, RigId, tell
+from armrig.cli.options import Connect, Json, RigId
 from armrig.cli.playing import SECONDS, Played, Run, chosen, collect_each
 
 app = typer.Typer(
@@ -61,12 +61,9 @@ DeadMan = Annotated[
         "0 plays on.",
     ),
 ]
+PERIOD_S = 5.0
 DEAD_MAN_S = 1.0
 """Who closes the terminal, or loses the connection, expects that the motor stops."""
-ARM_OFF = (
-    "greybox: this is for the chassis alone. Take the rotating part off (handout, figure 6) and "
-    "tell the daemon, [arm] removed = true; of an emulated rig [emulator] arm_removed = true, too"
-)
 
 
 @app.command()
@@ -115,8 +112,7 @@ def greybox(
     """Play a random input, or one of your own, to the chassis: the rotating part is taken off."""
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
     plan = chosen("greybox", input, file, seconds, a, low, high, seed, validation, Ts)
-    tell(ARM_OFF)
-    collect_each(plan, run)
+    collect_each(plan, run, without_arm=True)
 
 
 @app.command()
@@ -182,7 +178,14 @@ def staircase(
 
 @app.command()
 def bla(
-    period: Annotated[float, typer.Option("--period", help="Length of a period in s.")] = 5.0,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", help="Length of each recording, in place of --period."),
+    ] = None,
+    period: Annotated[
+        float | None,
+        typer.Option("--period", help="Length of a period in s.", show_default="5"),
+    ] = None,
     periods: Annotated[int, typer.Option("--periods", min=2, help="Periods in a row.")] = 5,
     count: Annotated[
         int, typer.Option("--realisations", min=1, help="Recordings, each with other phases.")
@@ -203,9 +206,15 @@ def bla(
     from armrig.excitation.by_name import realisations
 
     realisations(3, 1, low, high, seed, periods=1)
-    if not period > 0:  # NaN neither
+    if seconds is not None and period is not None:
+        msg = f"--seconds {seconds:g} with --period {period:g}: a recording is {periods} periods "
+        msg += "long (--periods); give one of the two"
+        raise ValueError(msg)
+    if period is not None and not period > 0:  # NaN neither
         msg = f"--period {period:g}: must be a number of seconds, more than 0"
         raise ValueError(msg)
+    if seconds is None:
+        seconds = periods * (PERIOD_S if period is None else period)
     details = {"input": "multisine", "low": low, "high": high, "periods": periods}
     details |= {"realisations": count, "seed": seed}
 
@@ -215,7 +224,7 @@ def bla(
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
     collect_each(
         (
-            Played("bla", partial(make, r), details | {"realisation": r}, period * periods)
+            Played("bla", partial(make, r), details | {"realisation": r}, seconds)
             for r in range(count)
         ),
         run,

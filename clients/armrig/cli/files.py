@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,6 +23,9 @@ from armrig.cli.options import (
     warned,
 )
 
+if TYPE_CHECKING:
+    from armrig.recording import Recording
+
 _MCAP = b"\x89MCAP0\r\n"
 
 
@@ -38,6 +41,7 @@ def info(
     from armrig.calibration.staleness import calibrated, remarks
     from armrig.causes import causes, in_words
     from armrig.jitter import sampling_statistics
+    from armrig.outages import in_lines
     from armrig.recording import load
     from armrig.usability import data_verdict
 
@@ -67,22 +71,18 @@ def info(
         (
             "samples",
             f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
-            "an angle (dead band, and the sample after)",
+            "an angle (dead band, and the sample after)"
+            + f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
+            * rec.truncated,
         ),
         ("paced by", "the device" if manifest.pacing == "scheduled" else "the host"),
-        (
-            "outcome",
-            rec.outcome.outcome
-            if rec.outcome
-            else f"not known: the file {'is cut off before it' if rec.truncated else 'does not'} "
-            + ("says" if rec.truncated else "say"),
-        ),
+        ("outcome", _outcome(rec)),
         ("calibrated", calibrated(rec.calibration)),
         *(("remark", text) for text in remarks(rec.calibration, rec.manifest)),
         ("jitter", _microseconds(jitter, 0)),
-        ("lateness", _microseconds(lateness, 1)),
+        ("lateness", _lateness(lateness, manifest.pacing)),
         *in_words(causes(rec)),
-        *(("gap", f"{g.count} samples at {g.t:.3f} s, {g.reason}") for g in rec.gaps),
+        *(("gap", text) for text in in_lines(rec.gaps)),
         *(("damage", rec.damage) for _ in range(rec.truncated)),
         ("verdict", data_verdict(rec).in_a_line),
     )
@@ -97,6 +97,8 @@ def replay(file: File, json: Json = False) -> None:
         print_json(found)
     else:
         same = found.difference or "decided the same, to the last bit"
+        if found.until and not found.difference:
+            same += f", as far as both go: {found.until}"
         print_table(
             ("replayed", f"{found.steps} steps of the core over {found.seconds:.3f} s"),
             ("frames", f"{found.frames} to the device, as recorded"),
@@ -164,11 +166,29 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
         raise ValueError(msg)
 
 
+def _outcome(rec: Recording) -> str:
+    """Return how the run ended, and whether the file ended before it."""
+    if not rec.truncated:
+        return rec.outcome.outcome if rec.outcome else "not known: the file does not say"
+    what = "is cut off" if rec.cut_off else "is damaged"
+    writing = ", or is still being written" if rec.path.suffix == ".active" else ""
+    if rec.outcome:
+        return f"of the run: {rec.outcome.outcome}; but the file {what}"
+    return f"not known: the file {what} before it says{writing}"
+
+
 def _microseconds(spread: Any, decimals: int) -> str:
     if spread.n == 0:
         return "too few samples"
     parts = (("p50", spread.p50, decimals), ("p99", spread.p99, decimals), ("max", spread.max, 0))
     return ", ".join(f"{name} {value:.{places}f}" for name, value, places in parts) + " µs"
+
+
+def _lateness(spread: Any, pacing: str) -> str:
+    of = "the host's request for each sample"
+    if pacing == "scheduled":
+        of = "the samples' arrival at the host, which changes nothing in them"
+    return _microseconds(spread, 1) + (f"; of {of}" if spread.n else "")
 
 
 def _plot_timing(recording: Any, path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.drawing import Plot, check_plot, write_plot
-from armrig.cli.options import Json, print_json
+from armrig.cli.options import Json, print_json, say
 
 if TYPE_CHECKING:
     from armrig.integration.accuracy import Sinusoid
@@ -91,19 +91,19 @@ def integrate(
         facts = {"omega": omega, "amplitude": amplitude, "span": problem.span}
         print_json(facts | {"rows": [_finite(row) for row in rows]})
         return
-    typer.echo(
+    say(
         f"x' = A x + B u, the handout's arm, u = {amplitude:g} sin({omega:g} t) V, "
         f"{problem.span:.4g} s from rest; error: largest, each state against its own largest value"
     )
-    typer.echo(f"{'method':14} {'h [s]':>10} {'limit [s]':>10} {'':8} {'error':>10}")
+    say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10} {'':8} {'error':>10}")
     for row in rows:
         limit = f"{row['limit']:10.5g}" if isfinite(row["limit"]) else f"{'none':>10}"
         error = f"{row['error']:10.3g}" if isfinite(row["error"]) else f"{'overflow':>10}"
         stable = "stable" if row["stable"] else "UNSTABLE"
-        typer.echo(f"{row['method']:14} {row['h']:10.4g} {limit} {stable:8} {error}")
+        say(f"{row['method']:14} {row['h']:10.4g} {limit} {stable:8} {error}")
     if advised is not None:
-        typer.echo(advised.explain())
-    typer.echo(
+        say(advised.explain())
+    say(
         "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
         "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
     )

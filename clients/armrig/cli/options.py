@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import textwrap
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import typer
 
@@ -37,7 +39,47 @@ SAME_DATA = (
 def tell(message: str) -> None:
     """Print a line for the person, beside what was asked for."""
     with suppress(OSError):  # the terminal may be closed
-        print(f"armrig: {' '.join(message.split())}", file=sys.stderr)
+        line = f"armrig: {' '.join(message.split())}"
+        print(folded(line, _columns(sys.stderr)), file=sys.stderr)
+
+
+def say(text: str) -> None:
+    """Print what was asked for; on a terminal its long lines are broken between words."""
+    typer.echo(folded(text, _columns(sys.stdout)))
+
+
+def folded(text: str, columns: int, indent: int | None = None) -> str:
+    """Return the text with no line longer than `columns` where there are blanks to break it at.
+
+    Parameters
+    ----------
+    columns : int
+        Of the terminal; 0 leaves the text as it is.
+    indent : int, optional
+        Of all lines but the first of each; two more than the line's own by default.
+    """
+    if not columns:
+        return text
+    lines = []
+    for line in text.splitlines():
+        own = len(line) - len(line.lstrip())
+        rest = min(own + 2 if indent is None else indent, columns // 2)
+        lines += textwrap.wrap(
+            line,
+            columns,
+            subsequent_indent=" " * rest,
+            break_long_words=False,
+            break_on_hyphens=False,
+        ) or [""]
+    return "\n".join(lines)
+
+
+def _columns(stream: TextIO) -> int:
+    """Return the width of the terminal, 0 for what is none."""
+    try:
+        return os.get_terminal_size(stream.fileno()).columns if stream.isatty() else 0
+    except (OSError, ValueError):
+        return 0
 
 
 def print_json(value: Any) -> None:
@@ -50,8 +92,9 @@ def print_json(value: Any) -> None:
 def print_table(*rows: tuple[str, str]) -> None:
     """Print the values one below the other, their names before them."""
     width = max(len(name) for name, _ in rows)
+    columns = _columns(sys.stdout)
     for name, value in rows:
-        typer.echo(f"{name:{width}}  {value}")
+        typer.echo(folded(f"{name:{width}}  {value}", columns, indent=width + 2))
 
 
 def warned(recording: Any) -> Any:

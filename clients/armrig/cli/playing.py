@@ -96,8 +96,11 @@ def _named(experiment: str, name: str) -> str:
     return whole
 
 
-def collect_each(played: Iterable[Played], run: Run) -> None:
-    """Record one after the other, and tell each; data that cannot be used end it."""
+def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = False) -> None:
+    """Record one after the other, and tell each; data that cannot be used end it.
+
+    `without_arm` is for the chassis alone: a daemon that was told otherwise is not asked to play.
+    """
     from armrig.collection import Plan, collect
 
     plans = [
@@ -110,6 +113,7 @@ def collect_each(played: Iterable[Played], run: Run) -> None:
             pacing=run.pacing,
             owner=run.owner,
             dead_man=run.dead_man or None,
+            without_arm=without_arm,
         )
         for p in played
     ]
