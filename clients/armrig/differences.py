@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.quantities import minus, places
-from armrig.traits import SCALARS, Traits
+from armrig.traits import DRAWS, SCALARS, Traits
 
 if TYPE_CHECKING:
     from armrig.validation import Comparison
@@ -39,14 +39,17 @@ _BECAUSE = {
 
 
 def table(rows: Sequence[Comparison]) -> list[str]:
-    """Return the figures of all models side by side, those of a claim without deviations."""
+    """Return the figures of all models side by side, those of a claim without deviations.
+
+    Where the linearisation is poor a 95 % range of draws stands in place of the deviation.
+    """
     unit = "rate, " if any(row.traits.integrating for row in rows) else ""
     columns = [[f"{unit}±: one σ", *_NAMES.values(), "poles [1/s]"]]
-    most = max(row.traits.poles.size for row in rows)
+    most = max(1, *(row.traits.poles.size for row in rows))
     columns[0] += [""] * (most - 1)
     for row in rows:
         t = row.traits
-        cells = [_with_std(getattr(t, name), t.std[name]) for name in SCALARS]
+        cells = [_cell(t, name) for name in SCALARS]
         poles = [_pole(t, i) for i in range(t.poles.size)]
         columns.append([row.name, *cells, *poles, *[""] * (most - len(poles))])
     widths = [max(map(len, column)) for column in columns]
@@ -55,7 +58,42 @@ def table(rows: Sequence[Comparison]) -> list[str]:
         first = f"{name:{widths[0]}}"
         rest = "  ".join(f"{c:>{w}}" for c, w in zip(figures, widths[1:], strict=True))
         lines.append(f"  {first}  {rest}".rstrip())
+    return lines + _notes(rows)
+
+
+def _notes(rows: Sequence[Comparison]) -> list[str]:
+    """Say what the star means, if there is one, and what was left out for it."""
+    marked = [row for row in rows if row.traits.draws is not None and _poor(row.traits)]
+    if not marked:
+        return []
+    of = " and ".join(row.name for row in marked)
+    lines = [f"  * linearisation poor ({of}): 95 % of {DRAWS} draws of the parameters"]
+    if any((row.traits.poles_sampled & (row.traits.poles_std > 0)).any() for row in marked):
+        lines.append("    of a pole the σ is not to be trusted: fit.summary() has its range")
+    lines += [
+        f"    {row.name}: {row.traits.draws.left_out}, left out"
+        for row in marked
+        if row.traits.draws is not None and row.traits.draws.left_out
+    ]
     return lines
+
+
+def _poor(t: Traits) -> bool:
+    figures = any(_by_draws(t, name) for name in SCALARS)
+    return figures or bool((t.poles_sampled & (t.poles_std > 0)).any())
+
+
+def _by_draws(t: Traits, name: str) -> bool:
+    return t.ranges[name].method == "sampled" and bool(np.isfinite(t.ranges[name].low))
+
+
+def _cell(t: Traits, name: str) -> str:
+    value, known = getattr(t, name), t.ranges[name]
+    if not _by_draws(t, name):
+        return _with_std(value, t.std[name])
+    low, high = float(known.low), float(known.high)
+    decimals = min(places((high - low) / 4), _MOST_DECIMALS)
+    return minus(f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})*")
 
 
 def explanation(rows: Sequence[Comparison]) -> list[str]:
@@ -148,4 +186,5 @@ def _pole(t: Traits, i: int) -> str:
     decimals = places(std) if std > 0 else 2
     imaginary = f" {'+' if s.imag > 0 else '-'} {abs(s.imag):.{decimals}f}i" if s.imag else ""
     real = "0" if s == 0 else f"{s.real:.{decimals}f}"
-    return minus(real + imaginary) + (f" (±{std:.{decimals}f})" if std > 0 else "")
+    mark = "*" if t.poles_sampled[i] else ""
+    return minus(real + imaginary) + (f" (±{std:.{decimals}f}){mark}" if std > 0 else "")

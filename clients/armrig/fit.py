@@ -14,12 +14,15 @@ from armrig.dataset import Dataset
 from armrig.free_response import FreeResponse
 from armrig.polynomial import evaluate, filtered, roots, without_integrator
 from armrig.sensitivity import by_denominator, by_numerator
+from armrig.whiteness import WHITE_LEVEL
 
 if TYPE_CHECKING:
     from os import PathLike
 
     import control
     from matplotlib.figure import Figure
+
+    from armrig.summary import Summary
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -152,6 +155,14 @@ class Fit:
         return np.sqrt(np.diag(self.covariance_robust))
 
     @property
+    def trusted_covariance(self) -> Matrix:
+        """The covariance that the verdict says to trust: robust where residuals are not white.
+
+        It is the one that poles, zeros, frequency and step response carry on.
+        """
+        return self.covariance_robust if self.whiteness < WHITE_LEVEL else self.covariance
+
+    @property
     def parameters(self) -> int:
         """Number of parameters that were free, nuisance parameters not counted."""
         return int(self.theta.size) - int(self.integrator)
@@ -239,7 +250,7 @@ class Fit:
             dz[fixed] = 0.0
         both = np.stack([dz.real, dz.imag], axis=1)
         part = self.slice_of(letter)
-        covariance = both @ self.covariance[part, part] @ both.transpose(0, 2, 1)
+        covariance = both @ self.trusted_covariance[part, part] @ both.transpose(0, 2, 1)
         return Roots(values=z, covariance=covariance)
 
     def frequency_response(self, omega: ArrayLike) -> FrequencyResponse:
@@ -256,7 +267,7 @@ class Fit:
         omega_ = self._frequencies(omega)
         G, dlnG = self._ratio(omega_, "b", "af")
         with np.errstate(invalid="ignore"):
-            relative, phase = (_std(d, self.covariance) for d in (dlnG.real, dlnG.imag))
+            relative, phase = (_std(d, self.trusted_covariance) for d in (dlnG.real, dlnG.imag))
             magnitude = np.abs(G) * relative
         return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
 
@@ -275,7 +286,7 @@ class Fit:
         H, dlnH = self._ratio(omega_, "c", "ad")
         Phi = self.noise_variance * self.Ts * np.abs(H) ** 2
         with np.errstate(invalid="ignore"):
-            relative = np.hypot(2 * _std(dlnH.real, self.covariance), np.sqrt(2 / self.N))
+            relative = np.hypot(2 * _std(dlnH.real, self.trusted_covariance), np.sqrt(2 / self.N))
             std = Phi * relative
         return NoiseSpectrum(omega=omega_, Phi=Phi, std=std)
 
@@ -314,7 +325,7 @@ class Fit:
         return StepResponse(
             t=self.Ts * np.arange(n, dtype=np.float64),
             y=self.simulate(u),
-            std=_std(self._sensitivity(u), self.covariance),
+            std=_std(self._sensitivity(u), self.trusted_covariance),
         )
 
     def _sensitivity(self, u: Vector) -> Matrix:
@@ -351,12 +362,22 @@ class Fit:
 
         return predicted(self, data, horizon)
 
+    def summary(self) -> Summary:
+        """Return poles, zeros, gain, bandwidth and the like with 95 % ranges; print it.
+
+        They are linearised, or by draws of the parameters where that is poor: see
+        `armrig.regions`.
+        """
+        from armrig.summary import summary
+
+        return summary(self)
+
     def plot(self) -> Figure:
-        """Return a figure of frequency and step response with ±3 σ, and of poles and zeros.
+        """Return a figure of frequency and step response, poles and zeros, with 95 % regions.
 
         For one of them, for several models and for axes of your own see `armrig.plots`.
         """
-        from armrig.plots.models import plot_fit
+        from armrig.plots.answers import plot_fit
 
         return plot_fit(self)
 
@@ -374,6 +395,12 @@ class Fit:
         from armrig.typeset import latex
 
         return latex(self)
+
+    def typst(self) -> str:
+        """Return the equation with standard deviations as a block of Typst's mathematics."""
+        from armrig.typeset import typst
+
+        return typst(self)
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook."""

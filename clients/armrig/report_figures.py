@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
+from armrig.spectral_reference import spectral_reference
 from armrig.study import STEP, Study, kind_of
 
 _STYLE: Any = {
@@ -112,13 +113,14 @@ def _velocity_figure(study: Study) -> Figure:
 
 def _bode_figure(study: Study) -> Figure:
     figure, (ax,) = _canvas(3.6, (0.55, 0.45, 6.35, 3.4))
-    names = [m.name for m in study.models]
-    plots.plot_bode(*(m.fit for m in study.models), labels=names, ax=ax)
+    names = [*(m.name for m in study.models), "spectral analysis, 95 %"]
+    data = spectral_reference(study.estimation)
+    plots.plot_bode(*(m.fit for m in study.models), data, labels=names, ax=ax)
     return figure
 
 
 def _step_poles_figure(study: Study) -> Figure:
-    figure, axes = _canvas(2.75, (0.5, 0.65, 3.3, 2.55), (4.1, 0.65, 6.3, 2.55))
+    figure, axes = _canvas(3.25, (0.5, 1.15, 3.3, 3.05), (4.1, 1.15, 6.3, 3.05))
     fits, names = [m.fit for m in study.models], [m.name for m in study.models]
     plots.plot_step(*fits, labels=names, ax=axes[0])
     plots.plot_poles_zeros(*fits, labels=names, ax=axes[1])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from cmath import exp
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.draws import Draws, directions, drawn
 from armrig.polynomial import evaluate, filtered, roots, without_integrator
+from armrig.regions import FEWEST, Band, band, linearised_band, sampled_band
+from armrig.uncertainty import pole_regions
 
 if TYPE_CHECKING:
     from armrig.fit import Fit
@@ -18,7 +23,12 @@ Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 SCALARS = ("gain", "resonance", "antiresonance", "bandwidth", "rise_time", "overshoot")
-_STEP = 1e-3  # of a standard deviation
+DRAWS = 400
+"""Draws of the parameters that the figures are sampled with."""
+GONE = 0.05
+"""Share of draws without a figure (a resonance, say) from which its range is not known."""
+_ROUNDING = 1e-9  # spread of draws that is no spread
+_STEP = 1e-2  # of a standard deviation
 _POINTS = 600
 _LOWEST = 1 / 3000  # of Nyquist
 _LONGEST = 2000  # samples of a step response
@@ -50,15 +60,25 @@ class Traits:
     std: dict[str, float]
     """Standard deviations by name, linearised; NaN where not known, 0 for a physics that claims to
     be exact."""
+    ranges: dict[str, Band]
+    """95 % ranges by name, linearised or, where that is poor, of draws of the parameters; NaN where
+    not known."""
+    poles_sampled: NDArray[np.bool_]
+    """Poles whose `poles_std` is a poor one, in their order."""
+    draws: Draws | None
+    """What was drawn; None where nothing was estimated, or its covariance is not known."""
 
 
+@lru_cache(maxsize=32)
 def traits(fit: Fit) -> Traits:
     """Return the figures of a model and their standard deviations.
 
     Frequencies are read off |G|, on a grid of 600 points up to Nyquist and then between them, and
-    times off the step response. The standard deviations are g^T P g's roots, P the robust
-    covariance and g the derivatives by each coefficient, by central differences of a thousandth
-    of its own deviation. They are NaN where the figure comes or goes within that.
+    times off the step response. The standard deviations are g^T P g's roots, P the covariance that
+    the verdict trusts and g the derivatives by theta, by central differences of a hundredth of a
+    deviation. They are NaN where the figure comes or goes within that.
+    Ranges are value ± 1.96 std, unless 400 draws of the parameters show that to be poor (see
+    `armrig.regions`).
     """
     integrating = _integrates(fit)
     own = _scalars(fit, fit.theta, integrating=integrating)
@@ -66,36 +86,64 @@ def traits(fit: Fit) -> Traits:
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = fit.poles().std / (np.abs(fit.poles().values) * fit.Ts)  # ds = dz / (z Ts)
     order = np.argsort(np.abs(s))
+    std = _deviations(fit, integrating=integrating)
+    draws = drawn(fit, n=DRAWS)
+    sampled = np.array([r.method == "sampled" for r in pole_regions(fit)], dtype=bool)
     return Traits(
         integrating=integrating,
         poles=s[order],
         poles_std=spread[order],
-        std=_deviations(fit, integrating=integrating),
+        poles_sampled=sampled[order],
+        std=std,
+        ranges=_ranges(fit, own, std, draws, integrating=integrating),
+        draws=draws,
         **own,
     )
 
 
+def _ranges(
+    fit: Fit,
+    own: dict[str, float],
+    std: dict[str, float],
+    draws: Draws | None,
+    *,
+    integrating: bool,
+) -> dict[str, Band]:
+    if draws is None:
+        return {name: band(own[name], std[name], None) for name in SCALARS}
+    with np.errstate(all="ignore"):
+        rows = [_scalars(fit, theta, integrating=integrating) for theta in draws.theta]
+    return {name: _range(own[name], std[name], np.array([r[name] for r in rows])) for name in own}
+
+
+def _range(value: float, std: float, samples: Vector) -> Band:
+    there = samples[np.isfinite(samples)]
+    if np.isnan(value) or there.size < max((1 - GONE) * samples.size, FEWEST):
+        unknown = np.array(np.nan)
+        return Band(low=unknown, high=unknown, method="sampled")
+    if np.ptp(there) <= _ROUNDING * max(1.0, abs(value)):
+        return linearised_band(value, std)
+    return band(value, std, there) if np.isfinite(std) else sampled_band(there)
+
+
 def _deviations(fit: Fit, *, integrating: bool) -> dict[str, float]:
-    covariance = np.asarray(fit.covariance_robust)
+    covariance = np.asarray(fit.trusted_covariance)
     if not np.isfinite(covariance).all():
         return dict.fromkeys(SCALARS, float("nan"))
     if not covariance.any():
         return dict.fromkeys(SCALARS, 0.0)
-    # By each coefficient, not along the covariance's axes: its condition number is that of
-    # rounding (a root is fixed at 1), and the short axes, on which the gain depends, are noise.
-    gradient = np.zeros((len(SCALARS), fit.theta.size))
-    for j, std in enumerate(np.sqrt(np.maximum(np.diag(covariance), 0.0))):
-        if std == 0:
+    # Along the columns of W, W W^T = P, each a step of one deviation: by single coefficients the
+    # derivatives are large, and cancel in g^T P g down to their rounding.
+    variance = np.zeros(len(SCALARS))
+    for column in directions(fit).T:
+        if not column.any():
             continue
-        step = np.zeros(fit.theta.size)
-        step[j] = _STEP * std
         above, below = (
             np.array(list(_scalars(fit, fit.theta + d, integrating=integrating).values()))
-            for d in (step, -step)
+            for d in (_STEP * column, -_STEP * column)
         )
-        gradient[:, j] = (above - below) / (2 * _STEP * std)
-    variance = np.einsum("ij,jk,ik->i", gradient, covariance, gradient)
-    return dict(zip(SCALARS, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
+        variance += ((above - below) / (2 * _STEP)) ** 2
+    return dict(zip(SCALARS, np.sqrt(variance).tolist(), strict=True))
 
 
 def _continuous(fit: Fit, *, integrating: bool) -> Complex:
@@ -121,11 +169,14 @@ def _scalars(fit: Fit, theta: Vector, *, integrating: bool) -> dict[str, float]:
     nyquist = np.pi / fit.Ts
     omega = np.geomspace(_LOWEST * nyquist, nyquist, _POINTS)
 
-    def power(w: Vector) -> Vector:
-        x = np.exp(-1j * w * fit.Ts)
-        return np.asarray(np.abs(evaluate(B, x) / evaluate(F, x)) ** 2)
+    x = np.exp(-1j * omega * fit.Ts)
+    of_grid = np.asarray(np.abs(evaluate(B, x) / evaluate(F, x)) ** 2)
+    b, f = B[::-1].tolist(), F[::-1].tolist()
 
-    of_grid = power(omega)
+    def power(w: float) -> float:
+        at = exp(-1j * w * fit.Ts)
+        return abs(_horner(b, at)) ** 2 / max(abs(_horner(f, at)) ** 2, 1e-300)
+
     y = filtered(B, F, np.ones(_length(F)))
     return {
         "gain": gain,
@@ -161,7 +212,7 @@ def _length(F: Vector) -> int:
 
 
 def _extreme(
-    omega: Vector, of_grid: Vector, power: Callable[[Vector], Vector], *, sign: int
+    omega: Vector, of_grid: Vector, power: Callable[[float], float], *, sign: int
 ) -> float:
     """Return the frequency of the most prominent peak (or dip, sign -1) inside, 1 dB at least.
 
@@ -178,12 +229,20 @@ def _extreme(
     i = int(at[np.argmax(of["prominences"])])
     scale = sign * of_grid[i]
     found = minimize_scalar(
-        lambda w: -float(power(np.array([w]))[0]) / scale if scale else 0.0,
+        lambda w: -power(float(w)) / scale if scale else 0.0,
         bounds=(omega[i - 1], omega[i + 1]),
         method="bounded",
         options={"xatol": 1e-7 * omega[i]},
     )
     return float(found.x)
+
+
+def _horner(p: list[float], x: complex) -> complex:
+    """Return a polynomial, highest power first, at one point; numpy takes 50 times as long."""
+    value = 0j
+    for coefficient in p:
+        value = value * x + coefficient
+    return value
 
 
 def _crossing(x: Vector, y: Vector, level: float, *, falling: bool) -> float:

@@ -1,8 +1,10 @@
-"""A fit as LaTeX, for a report, and as HTML, for a notebook."""
+"""A fit as LaTeX or Typst, for a report, and as HTML, for a notebook."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from html import escape
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from armrig.equation import form, verdict
@@ -18,29 +20,69 @@ def latex(fit: Fit) -> str:
         equation = equation.replace(ratio, rf"\frac{{{ratio[:4]}}}{{{ratio[5:]}}}")
     equation = equation.replace(") y(t)", r")\,y(t)").replace(" u(t)", r"\,u(t)")
     rows = [equation.replace(" = ", " &= ")]
-    rows += [
-        rf"{letter}(q) &= {_polynomial(fit, letter)}"
-        for letter in "ABCDF"
-        if letter == "B" or getattr(fit, letter).size > 1
-    ]
+    rows += [rf"{letter}(q) &= {_polynomial(fit, letter, _LATEX)}" for letter in _letters(fit)]
     body = " \\\\\n".join(rows)
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
 
-def _polynomial(fit: Fit, letter: str) -> str:
+def typst(fit: Fit) -> str:
+    """Return the model as a block of Typst's mathematics, as `latex` does."""
+    equation = form(fit).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
+    rows = [equation.replace(" = ", " &= ")]
+    rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in _letters(fit)]
+    return "$ " + " \\\n  ".join(rows) + " $"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Notation:
+    """How a language of formulas writes a coefficient."""
+
+    term: str
+    """Of value, deviation and power."""
+    power: str
+    """Of q."""
+    times_ten: str
+    """Of mantissa and exponent."""
+
+
+_LATEX = _Notation(
+    term=r"({value} \pm {std}){power}",
+    power=r"\,q^{{-{lag}}}",
+    times_ten=r"{mantissa} \cdot 10^{{{exponent}}}",
+)
+_TYPST = _Notation(
+    term="({value} plus.minus {std}){power}",
+    power=" thin q^(-{lag})",
+    times_ten="{mantissa} dot 10^({exponent})",
+)
+
+
+def _letters(fit: Fit) -> list[str]:
+    return [letter for letter in "ABCDF" if letter == "B" or getattr(fit, letter).size > 1]
+
+
+def _polynomial(fit: Fit, letter: str, notation: _Notation) -> str:
     part = fit.slice_of(letter.lower())
     first = fit.nk if letter == "B" else 1
     text = "" if letter == "B" else "1"
     for k, (value, std) in enumerate(zip(fit.theta[part], fit.std[part], strict=True)):
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
-        power = rf"\,q^{{-{first + k}}}" if first + k else ""
-        text += rf"{sign}({_number(abs(value), 5)} \pm {_number(std, 2)}){power}"
+        term = notation.term.format(
+            value=_number(abs(value), 5, notation),
+            std=_number(std, 2, notation),
+            power=notation.power.format(lag=first + k) if first + k else "",
+        )
+        text += f"{sign}{term}"
     return text
 
 
-def _number(x: float, digits: int) -> str:
+def _number(x: float, digits: int, notation: _Notation) -> str:
+    if not isfinite(x):
+        return "?"
     mantissa, _, exponent = f"{x:.{digits}g}".partition("e")
-    return rf"{mantissa} \cdot 10^{{{int(exponent)}}}" if exponent else mantissa
+    if not exponent:
+        return mantissa
+    return notation.times_ten.format(mantissa=mantissa, exponent=int(exponent))
 
 
 def html(fit: Fit) -> str:

@@ -8,13 +8,33 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-from armrig import plots
+from armrig import Dataset, Fit, oe, plots
+from armrig.draws import drawn
+from armrig.polynomial import filtered
 from armrig.recording import Recording, load
+from armrig.spectral_reference import spectral_reference
 from armrig.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+
+
+def said(ax: Axes) -> list[str]:
+    """Return the lines of the legend."""
+    legend = ax.get_legend()
+    assert legend is not None
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def hardly_a_pair() -> Fit:
+    """Return an OE fit whose poles are as near to each other as they are uncertain."""
+    rng = np.random.default_rng(0)
+    F = np.real(np.poly([0.985 + 0.008j, 0.985 - 0.008j]))
+    u = rng.standard_normal(500)
+    y = filtered([0, 0.1, 0.05], F, u)
+    return oe(Dataset(u=u, y=y + np.std(y) * rng.standard_normal(500), Ts=1.0), nb=2, nf=2)
+
 
 Plot = Callable[[Study, Recording, Axes | None], Axes]
 
@@ -137,17 +157,59 @@ def test_every_sample_is_in_the_histogram(recording: Recording) -> None:
     assert counted == recording.samples.size
 
 
-def test_the_bode_band_is_three_standard_deviations(done: Study) -> None:
-    """Of the magnitude, above the curve."""
+def test_the_bode_band_holds_95_percent(done: Study) -> None:
+    """Of the magnitude, 1.96 standard deviations above the curve where it is linearised."""
     fit = done.models[1].fit
-    omega = np.geomspace(1.0, 100.0, 20)
+    omega = np.geomspace(30.0, 100.0, 20)  # away from the notch at 16 rad/s
     ax = plots.plot_bode(fit, omega=omega, ax=Figure().add_subplot())
 
     answer = fit.frequency_response(omega)
-    upper = np.abs(answer.G) + 3 * answer.std_magnitude
+    upper = np.abs(answer.G) + 1.96 * answer.std_magnitude
     edge = ax.collections[0].get_paths()[0].vertices
-    heights = {round(float(np.log10(y)), 9) for y in np.asarray(edge)[:, 1]}
-    assert all(round(float(np.log10(v)), 9) in heights for v in upper)
+    heights = np.asarray(edge)[:, 1]
+    assert all(np.min(np.abs(heights / v - 1)) < 1e-5 for v in upper)
+    assert said(ax) == ["OE[4 4 1], 95 % linearised"]
+
+
+def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
+    """Of a pair of poles that is hardly a pair no ellipse is drawn."""
+    fit = hardly_a_pair()
+    ax = plots.plot_poles_zeros(fit, ax=Figure().add_subplot())
+
+    assert said(ax)[0] == "OE[2 2 1], 95 % sampled"
+    assert len(ax.collections) >= 2  # a shade and its border
+    draws = drawn(fit)
+    assert draws is not None
+    assert draws.unstable > 0
+    legend = ax.get_legend()
+    assert legend is not None
+    assert legend.get_title().get_text() == f"draws left out: {draws.unstable} of 1000 unstable"
+
+
+def test_a_pole_and_a_zero_that_cancel_are_framed() -> None:
+    """By a square, told of in the legend; a pair that can be told apart is not."""
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(1000)
+    y = filtered([0, 1.0], [1, -0.8], u) + 0.5 * rng.standard_normal(1000)
+    data = Dataset(u=u, y=y, Ts=1.0)
+    right, high = (oe(data, nb=n, nf=n) for n in (1, 2))
+
+    assert "cannot be told apart" in said(plots.plot_poles_zeros(high, ax=Figure().add_subplot()))
+    assert len(said(plots.plot_poles_zeros(right, ax=Figure().add_subplot()))) == 1
+
+
+def test_spectral_analysis_stands_beside_a_model_as_dots(done: Study) -> None:
+    """With bars, on the model's frequencies, where both know the truth they agree."""
+    fit, estimate = done.models[1].fit, spectral_reference(done.estimation)
+    ax = plots.plot_bode(fit, estimate, ax=Figure().add_subplot())
+
+    [dots] = [line for line in ax.lines if line.get_marker() == "o"]
+    omega, magnitude = (np.asarray(x, dtype=np.float64) for x in dots.get_data())
+    near = (omega > 20) & (omega < 60)
+    assert np.count_nonzero(near) > 5
+    modelled = np.abs(fit.frequency_response(omega[near]).G)
+    assert np.median(np.abs(magnitude[near] / modelled - 1)) < 0.1
+    assert said(ax)[-1] == "Blackman-Tukey, 95 %"
 
 
 def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
@@ -185,7 +247,8 @@ def test_a_fit_shows_itself(done: Study) -> None:
     bands = [ax for ax in figure.axes if ax.collections]
     assert len(bands) == 3  # magnitude, phase, step
     [roots] = [ax for ax in figure.axes if ax.get_xlabel() == "Re $z$"]
-    regions = len(fit.poles()) + len(fit.zeros())
+    fixed = 1  # the pole at 1 has no region
+    regions = len(fit.poles()) + len(fit.zeros()) - fixed
     assert len(roots.lines) == 3 + 2 + regions  # circle and axes, poles and zeros
     signed = [ax.get_title(loc="right") for ax in figure.axes]
     assert signed.count(f"recording {fit.source[:12]}") == 3

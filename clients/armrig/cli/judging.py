@@ -24,7 +24,9 @@ from armrig.cli.options import (
 from armrig.cli.rows import row_facts
 
 if TYPE_CHECKING:
+    from armrig.dataset import Dataset
     from armrig.fit import Fit
+    from armrig.nonparametric.frequency import SpectralEstimate
     from armrig.recording import Recording
     from armrig.validation import Comparison
 
@@ -72,12 +74,15 @@ def validate(
     if tables[0][0].on_estimation_data:
         tell(SAME_DATA)
     if plot is not None:
-        from armrig.plots import plot_compare, plot_residuals
+        from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_residuals
 
+        beside = _spectral(data)
         write_plot(
             plot,
             lambda ax: plot_compare(data, fit, table=tables[0], ax=ax),
             lambda ax: plot_residuals(fit, data, lags=lags, ax=ax),
+            lambda ax: plot_bode(fit, *beside, ax=ax),
+            lambda ax: plot_poles_zeros(fit, ax=ax),
         )
     if json:
         facts = account.facts_of_tests(data, tables[0][0], tests)
@@ -124,7 +129,8 @@ def compare(
     from armrig.validation import compare as compared
 
     if other is None and not model:
-        msg = "give a second recording to validate with, or models to compare with --model"
+        msg = "give a second recording to validate with, or the models to compare, --model FILE "
+        msg += "(from `armrig identify --save FILE`)"
         raise typer.BadParameter(msg)
     files = [file] if other is None else [file, other]
     check_plot(plot, [*files, *(model or [])])
@@ -142,11 +148,18 @@ def compare(
     if any(row.on_estimation_data for row in table.rows):
         tell(SAME_DATA)
     if plot is not None:
-        from armrig.plots import plot_compare
+        from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
 
         fits = [fit for _, fit in named]
+        beside = _spectral(data)
+        words = [*names, *("spectral analysis, 95 %" for _ in beside)]
         write_plot(
-            plot, lambda ax: plot_compare(data, *fits, labels=names, table=table, ax=ax), height=5.0
+            plot,
+            lambda ax: plot_compare(data, *fits, labels=names, table=table, ax=ax),
+            lambda ax: plot_bode(*fits, *beside, labels=words, ax=ax),
+            lambda ax: plot_step(*fits, labels=names, ax=ax),
+            lambda ax: plot_poles_zeros(*fits, labels=names, ax=ax),
+            height=4.2,
         )
     if json:
         print_json({"validation": data.source, "models": [row_facts(row) for row in table.rows]})
@@ -169,6 +182,17 @@ def _studied(recordings: list[Recording], *, na: int, nb: int, nf: int, nk: int)
     where = str(done.recording_of(done.validation.source).path)
     where += ", its second half, the first one estimates" if done.halves else ""
     return done, where
+
+
+def _spectral(data: Dataset) -> list[SpectralEstimate]:
+    """Return what the data themselves say of the frequency response, if they say anything."""
+    from armrig.spectral_reference import spectral_reference
+
+    try:
+        return [spectral_reference(data)]
+    except ValueError as err:
+        tell(f"no spectral analysis beside the model: {err}")
+        return []
 
 
 def _dataset(recording: Recording, fit: Fit) -> Any:

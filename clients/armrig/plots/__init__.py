@@ -4,6 +4,7 @@ Colours are Okabe and Ito's, told apart by the colour-blind; line styles tell th
 white. A second panel, where a figure has one, takes its place from the lower part of `ax`.
 """
 
+from armrig.plots.answers import plot_bode, plot_fit, plot_step
 from armrig.plots.canvas import (
     BLUE,
     GREEN,
@@ -26,14 +27,7 @@ from armrig.plots.integration import (
     plot_stability_edge,
     plot_stability_regions,
 )
-from armrig.plots.models import (
-    plot_bode,
-    plot_compare,
-    plot_fit,
-    plot_poles_zeros,
-    plot_residuals,
-    plot_step,
-)
+from armrig.plots.models import plot_compare, plot_residuals
 from armrig.plots.nonparametric import (
     plot_correlation,
     plot_impulse,
@@ -44,6 +38,7 @@ from armrig.plots.nonparametric import (
 )
 from armrig.plots.orders import plot_orders
 from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
+from armrig.plots.poles_zeros import plot_poles_zeros
 
 __all__ = [
     "BLUE",

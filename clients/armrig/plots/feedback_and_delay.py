@@ -62,7 +62,7 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
     _response(ax, result.response, 0, last)
     for panel in (ax, below):
         panel.axvline(result.nk, color=GREY, lw=0.8, ls="--")
-    ax.legend(loc="upper right", title=f"nk = {result.nk}", fontsize="small")
+    ax.legend(loc="upper right", title=result.lag_in_words, fontsize="small")
     for loss, name, colour, marker in (
         (result.oe_loss, "OE", BLUE, "o"),
         (result.arx_loss, "ARX", VERMILION, "s"),

@@ -33,7 +33,7 @@ def plot_orders(
     ax.plot(d[best], share[best], "o-", color=BLUE, ms=4, lw=1.0, label="best of so many")
     chosen: dict[int, list[str]] = {}
     for name in table.criteria:
-        chosen.setdefault(int(np.nanargmin(table.values(name))), []).append(name)
+        chosen.setdefault(table.chosen(name), []).append(name)
     for k, (i, names) in enumerate(sorted(chosen.items(), key=lambda x: int(d[x[0]]))):
         o = table.orders(i)
         said = ", ".join(x.upper() if x != "validation" else x for x in names)

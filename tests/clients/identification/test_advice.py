@@ -8,7 +8,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.advising.advice import Advice
-from armrig.advising.of_model import overlapping
+from armrig.cancellation import overlapping
 from armrig.dataset import Dataset
 
 if TYPE_CHECKING:

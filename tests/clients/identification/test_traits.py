@@ -63,6 +63,21 @@ def test_errors_are_as_large_as_the_deviations_reported(plant: HandoutPlant) -> 
         assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.35, name
 
 
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> None:
+    """Of every figure, where the linearisation is good; 200 draws tell it to 5 %."""
+    fit = armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True)
+    t = traits(fit)
+    assert t.draws is not None
+    drawn = [traits(_moved(fit, theta)) for theta in t.draws.theta[:200]]
+
+    for name in SCALARS:
+        x = np.array([getattr(d, name) for d in drawn])
+        scatter = np.sqrt(np.mean((x - getattr(t, name)) ** 2))
+        assert t.ranges[name].method == "linearised"
+        assert t.std[name] == pytest.approx(scatter, rel=0.2), name
+
+
 def test_a_wrong_inertia_of_the_arm_is_told_with_what_depends_on_it(plant: HandoutPlant) -> None:
     """The gain, in which J_2 has no part, is not."""
     data = plant.dataset(1)
@@ -107,7 +122,8 @@ def test_the_table_has_a_column_for_each_model(plant: HandoutPlant) -> None:
     lines = table.table().splitlines()
 
     assert lines[0].split()[-2:] == ["mine", "theirs"]
-    assert len(lines) == 1 + 6 + 4
+    noted = [line for line in lines if "linearisation" in line or "summary()" in line]
+    assert len(lines) - len(noted) == 1 + 6 + 4
 
 
 def test_labels_are_one_a_model(plant: HandoutPlant) -> None:
@@ -116,6 +132,13 @@ def test_labels_are_one_a_model(plant: HandoutPlant) -> None:
 
     with pytest.raises(ValueError, match="2 labels for 1 models"):
         armrig.compare(data, physical_model(HANDOUT, data), labels=("a", "b"))
+
+
+def _moved(fit: armrig.Fit, theta: np.ndarray) -> armrig.Fit:
+    """Return a claim with other coefficients, b1 … b4 f1 … f4."""
+    none = np.zeros((8, 8))
+    B, F = np.append(0, theta[:4]), np.append(1, theta[4:])
+    return replace(fit, B=B, F=F, covariance=none, covariance_robust=none)
 
 
 def _any_fit() -> armrig.Fit:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
+from armrig.estimation.covariance import correlated_score
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.fit import Fit
@@ -110,3 +111,17 @@ def test_few_lags_allow_for_the_parameters_too(ahead: int) -> None:
         p.append([white, residuals(estimate_oe(seed), fresh, lags=4).missing_dynamics])
 
     np.testing.assert_allclose(np.mean(p, axis=0), 0.5, atol=0.08)
+
+
+def test_correlated_scores_are_weighted_by_bartlett() -> None:
+    """Sums over pairs of one experiment, 1 - k/(L + 1) for k samples between them, L = 4."""
+    rng = np.random.default_rng(1)
+    scores = [rng.standard_normal((N, 3)) for N in (70, 27, 3)]
+
+    M = correlated_score(scores)
+
+    expected = np.zeros((3, 3))
+    for s in scores:
+        lag = np.abs(np.subtract.outer(np.arange(len(s)), np.arange(len(s))))
+        expected += s.T @ np.maximum(1 - lag / 5, 0) @ s
+    np.testing.assert_allclose(M, expected, atol=1e-12 * np.abs(expected).max())

@@ -1,0 +1,227 @@
+"""Figures of what models answer: frequency and step response."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.draws import Draws, drawn
+from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.plots.canvas import GREY, INK, NAMES, axes, finish, panels, pens, sign
+from armrig.plots.labels import Labels, gain_unit, labels_of, sources_of, tell_left_out, with_method
+from armrig.plots.poles_zeros import plot_poles_zeros
+from armrig.regions import HALF_WIDTH, Band
+from armrig.uncertainty import frequency_bands, step_band
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from armrig.fit import Fit
+
+_DOTS = 40  # at which an estimate without a structure is shown
+
+
+def plot_bode(
+    *models: Any,
+    omega: ArrayLike | None = None,
+    labels: Labels = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Show magnitude and, below, phase, with 95 % bands where there are any.
+
+    A band is that of the linearisation, or of draws of the parameters where that is poor; the
+    legend says which. Each frequency stands for itself: of all of them together the band holds
+    fewer than 95 %.
+
+    Parameters
+    ----------
+    *models
+        `Fit`, an estimate of `spa`, `etfe` or `bla` (dots with 95 % bars, the band's smoothing not
+        counted), or a python-control system with one input and one output.
+    omega : array_like, optional
+        Frequencies in rad/s; by default two and a half decades up to the highest Nyquist frequency.
+    """
+    highest = max((np.pi / m.Ts for m in models if hasattr(m, "Ts")), default=1e3)
+    w = (
+        np.geomspace(highest / 600, highest, 500)
+        if omega is None
+        else np.asarray(omega, np.float64)
+    )
+    ax, below = panels(ax, 0.42)
+    least, most = np.inf, 0.0
+    pen = pens()
+    sampled: dict[str, Draws | None] = {}
+    for model, name in zip(models, labels_of(models, labels), strict=True):
+        if isinstance(model, SpectralEstimate):
+            magnitude = _dots(ax, below, model, name if labels else _method(model), w)
+        else:
+            magnitude, sampled[name] = _curve(ax, below, model, name, w, next(pen))
+        least = min(least, float(np.nanmin(magnitude, initial=np.inf)))
+        most = max(most, float(np.nanmax(magnitude, initial=0.0)))
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    below.set_xscale("log")
+    if most > 0:
+        _decades(ax, least / 3, most * 3)
+    below.set_ylim(-365, 5)
+    below.set_yticks([-360, -270, -180, -90, 0])
+    ax.set_ylabel(f"$|G|$ [{gain_unit(models)}]")
+    below.set_ylabel("arg $G$ [°]")
+    below.set_xlabel(r"$\omega$ [rad/s]")
+    ax.legend(loc="lower left")
+    finish(ax, below, xlim=(float(w[0]), float(w[-1])))
+    tell_left_out(ax, sampled, models=len(models))
+    return sign(ax, *sources_of(models))
+
+
+def plot_step(
+    *fits: Fit, n: int | None = None, labels: Labels = None, ax: Axes | None = None
+) -> Axes:
+    """Show the answer to a unit step, with 95 % bands, linearised or, where that is poor, by draws.
+
+    Parameters
+    ----------
+    n : int, optional
+        Samples; by default 1 s or 50 samples, whichever is more.
+    """
+    ax = axes(ax)
+    curves: list[NDArray[np.float64]] = []
+    sampled: dict[str, Draws | None] = {}
+    for fit, name, (colour, dash) in zip(fits, labels_of(fits, labels), pens(), strict=False):
+        answer = fit.step_response(n or max(50, round(1 / fit.Ts)))
+        curves.append(answer.y)
+        if np.nan_to_num(answer.std).any():
+            draws = drawn(fit)
+            band = step_band(fit, answer, draws)
+            sampled |= {name: draws} if band.method == "sampled" else {}
+            name = with_method(name, band)
+            ax.fill_between(answer.t, band.low, band.high, color=colour, alpha=0.25, lw=0)
+        ax.plot(answer.t, answer.y, color=colour, ls=dash, label=name)
+    ax.set_xlabel("$t$ [s]")
+    ax.set_ylabel(f"{NAMES.get(fits[0].output, fits[0].output)} [{gain_unit(fits)}]")
+    ax.legend(loc="best")
+    ax.margins(x=0)
+    _limited(ax, np.concatenate(curves))
+    finish(ax)
+    tell_left_out(ax, sampled, models=len(fits))
+    return sign(ax, *sources_of(fits))
+
+
+def plot_fit(fit: Fit) -> Figure:
+    """Return a figure of one model: frequency and step response, poles and zeros."""
+    from matplotlib import pyplot as plt
+
+    figure = plt.figure(figsize=(9.0, 6.0))
+    grid = figure.add_gridspec(
+        nrows=2,
+        ncols=2,
+        width_ratios=(1.35, 1),
+        height_ratios=(1, 1.35),
+        left=0.09,
+        right=0.97,
+        bottom=0.2,
+        top=0.93,
+        hspace=0.5,
+        wspace=0.3,
+    )
+    plot_bode(fit, ax=figure.add_subplot(grid[:, 0]))
+    plot_step(fit, ax=figure.add_subplot(grid[0, 1]))
+    plot_poles_zeros(fit, ax=figure.add_subplot(grid[1, 1]))
+    return figure
+
+
+def _curve(
+    ax: Axes, below: Axes, model: Any, name: str, omega: NDArray[np.float64], pen: Any
+) -> tuple[NDArray[np.float64], Draws | None]:
+    """Draw one model, and return its magnitude, and the draws that its bands are of."""
+    colour, dash = pen
+    x, G, bands, draws = _response(model, omega)
+    magnitude, phase = np.abs(G), _phase(G)
+    if bands is not None:
+        # A logarithmic axis has no place for 0.
+        low = np.maximum(bands[0].low, magnitude * 1e-3)
+        ax.fill_between(x, low, bands[0].high, color=colour, alpha=0.25, lw=0)
+        reach = [np.clip(np.degrees(edge), -180, 180) for edge in (bands[1].low, bands[1].high)]
+        below.fill_between(x, phase + reach[0], phase + reach[1], color=colour, alpha=0.25, lw=0)
+        name = with_method(name, bands[0])
+    ax.plot(x, magnitude, color=colour, ls=dash, label=name)
+    below.plot(x, phase, color=colour, ls=dash)
+    by_draws = bands is not None and "sampled" in (bands[0].method, bands[1].method)
+    return np.asarray(magnitude), draws if by_draws else None
+
+
+def _dots(
+    ax: Axes, below: Axes, estimate: SpectralEstimate, name: str, omega: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Draw an estimate without a structure as dots with bars, and return its magnitude."""
+    w = estimate.omega
+    known = np.isfinite(estimate.G) & (w >= omega[0]) & (w <= omega[-1]) & (np.abs(estimate.G) > 0)
+    at = _spread(w, np.flatnonzero(known))
+    w, G = w[at], estimate.G[at]
+    magnitude, phase = np.abs(G), _phase(G)
+    std = np.nan_to_num(estimate.std_magnitude[at]), np.nan_to_num(estimate.std_phase[at])
+    down = np.minimum(HALF_WIDTH * std[0], magnitude * (1 - 1e-3))
+    across = np.degrees(np.minimum(HALF_WIDTH * std[1], np.pi))
+    style: dict[str, Any] = {"color": INK, "ecolor": GREY, "elinewidth": 0.7, "zorder": 1.5}
+    style |= {"fmt": "o", "ms": 2.5}
+    ax.errorbar(w, magnitude, yerr=[down, HALF_WIDTH * std[0]], label=name, **style)
+    below.errorbar(w, phase, yerr=across, **style)
+    return np.asarray(magnitude)
+
+
+def _spread(w: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return which of the known frequencies to show: as even on the logarithmic axis as may be."""
+    if known.size <= _DOTS:
+        return known
+    wanted = np.geomspace(max(w[known[0]], w[-1] * 1e-6), w[known[-1]], _DOTS)
+    return np.unique(known[np.argmin(np.abs(wanted[:, None] - w[known][None, :]), axis=1)])
+
+
+def _method(estimate: SpectralEstimate) -> str:
+    return f"{estimate.method.split(',')[0]}, 95 %"
+
+
+def _response(
+    model: Any, omega: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
+    """Return frequencies up to the model's Nyquist, G there, and its bands if it has any."""
+    if hasattr(model, "structure"):
+        w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
+        answer = model.frequency_response(w)
+        if not np.nan_to_num(answer.std_magnitude).any():
+            return w, answer.G, None, None
+        draws = drawn(model)
+        return w, answer.G, frequency_bands(model, answer, draws), draws
+    w = omega[omega <= np.pi / model.dt * (1 + 1e-9)] if model.dt else omega
+    return w, np.asarray(model(np.exp(1j * w * model.dt) if model.dt else 1j * w)), None, None
+
+
+def _phase(G: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the phase as a lag, -360° to 0°, with NaN where it passes from one end to the other.
+
+    Not without jumps: at an undamped zero it jumps by 180°, and whether up or down is chance.
+    """
+    phase = np.degrees(np.angle(G)) % 360 - 360
+    phase[1:][np.abs(np.diff(phase)) > 300] = np.nan
+    return np.asarray(phase)
+
+
+def _decades(ax: Axes, low: float, high: float) -> None:
+    """Limit a logarithmic axis; a short one to whole decades, or it would have none to label."""
+    from matplotlib.ticker import NullFormatter
+
+    if high < 100 * low:
+        low, high = (float(10.0 ** f(np.log10(x))) for f, x in ((np.floor, low), (np.ceil, high)))
+    ax.set_ylim(low, high)
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _limited(ax: Axes, y: NDArray[np.float64]) -> None:
+    """Keep a band that is far wider than the curves from flattening them."""
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    span = high - low or 1.0
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(max(bottom, low - span), min(top, high + span))

@@ -1,0 +1,60 @@
+"""What figures of models write: names, units, and how a band or region was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from armrig.regions import Band
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.draws import Draws
+
+Labels = Sequence[str] | None
+
+
+def labels_of(models: Sequence[Any], labels: Labels) -> list[str]:
+    """Return the labels given, or structure and orders of each model."""
+    if labels is not None:
+        return list(labels)
+    names = []
+    for model in models:
+        orders = getattr(model, "orders", None)
+        named = (
+            f"{model.structure.upper()}[{' '.join(map(str, orders.values()))}]" if orders else ""
+        )
+        names.append(named or str(getattr(model, "name", "model")))
+    return names
+
+
+def sources_of(models: Sequence[Any]) -> list[str]:
+    """Return the hashes of the recordings that the models are of."""
+    return [getattr(model, "source", "") for model in models]
+
+
+def gain_unit(models: Sequence[Any]) -> str:
+    """Return the unit of y's per u's, of the first model that has both."""
+    for model in models:
+        if getattr(model, "unit", "") and getattr(model, "input_unit", ""):
+            return f"{model.unit}/{model.input_unit}"
+    return "–"
+
+
+def with_method(name: str, band: Band) -> str:
+    """Return a model's name with what its band is: 95 %, linearised or by draws."""
+    return f"{name}, 95 % {band.method}"
+
+
+def tell_left_out(ax: Axes, of: Mapping[str, Draws | None], *, models: int) -> None:
+    """Write above the legend which draws were left out, if any, and of which model."""
+    said = [
+        f"{name}: {d.left_out}" if models > 1 else d.left_out
+        for name, d in of.items()
+        if d is not None and d.left_out
+    ]
+    legend = ax.get_legend()
+    if said and legend is not None:
+        legend.set_title(f"draws left out: {'; '.join(said)}")
+        legend.get_title().set_fontsize("x-small")

@@ -1,0 +1,173 @@
+"""Figure of poles and zeros, how sure they are, and which of them cancel."""
+
+from __future__ import annotations
+
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armrig.cancellation import overlapping
+from armrig.clouds import Cloud
+from armrig.draws import Draws, drawn
+from armrig.plots.canvas import GREY, INK, axes, finish, pens, sign
+from armrig.plots.labels import Labels, labels_of, sources_of, tell_left_out
+from armrig.regions import Region
+from armrig.uncertainty import pole_regions, zero_regions
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.fit import Fit
+
+_SIZES = (9.0, 6.5, 4.0, 4.0)  # the first is the largest: models that agree show around each other
+_FARTHEST = 2.0  # what lies further out is off the figure
+_ROOM = 1.3  # to which a region widens the figure
+_RASTER = 120
+_WIDER = 6  # times that the raster of a region is widened until all of it is on it
+
+
+def plot_poles_zeros(*fits: Fit, labels: Labels = None, ax: Axes | None = None) -> Axes:
+    """Show poles (×) and zeros (○) in the z plane with their 95 % regions, and the unit circle.
+
+    A real root has an interval (a bar), the others an ellipse, full lines; where draws of the
+    parameters show that the linearisation is poor, the densest 95 % of the draws, dotted, and
+    shaded. A square holds a pole and a zero that cannot be told apart (1 %).
+    """
+    ax = axes(ax)
+    angle = np.linspace(0, 2 * np.pi, 721)
+    ax.plot(np.cos(angle), np.sin(angle), color=GREY, lw=0.8)
+    ax.axhline(0, color=GREY, lw=0.5)
+    ax.axvline(0, color=GREY, lw=0.5)
+    shown: list[Region] = []
+    by_draws: dict[str, Draws | None] = {}
+    for fit, name, (colour, _), size in zip(
+        fits, labels_of(fits, labels), pens(), cycle(_SIZES), strict=False
+    ):
+        draws = drawn(fit)
+        poles, zeros = pole_regions(fit, draws), zero_regions(fit, draws)
+        if any(r.method == "sampled" for r in (*poles, *zeros)):
+            by_draws[name] = draws
+        shown += [*poles, *zeros]
+        for found, marker in ((poles, "x"), (zeros, "o")):
+            z = np.array([r.centre for r in found], dtype=np.complex128)
+            style = {"color": colour, "mfc": "none", "ms": size, "mew": 1.2, "ls": "none"}
+            label = _label(name, [*poles, *zeros], draws) if marker == "x" else None
+            ax.plot(z.real, z.imag, marker, label=label, zorder=3, **style)
+            for region in found:
+                _draw(ax, region, colour)
+        if draws is not None:
+            _mark_cancelling(ax, fit)
+    _frame(ax, shown)
+    ax.set(xlabel="Re $z$", ylabel="Im $z$")
+    ax.set_aspect("equal")
+    ax.legend(
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.2),
+        frameon=False,
+        fontsize="small",
+        markerscale=0.7,
+    )
+    finish(ax)
+    tell_left_out(ax, by_draws, models=len(fits))
+    return sign(ax, *sources_of(fits))
+
+
+def _label(name: str, found: list[Region], draws: Draws | None) -> str:
+    if draws is None:
+        return name
+    by_draws = sum(r.method == "sampled" for r in found)
+    if not by_draws:
+        return f"{name}, 95 % linearised"
+    part = "" if by_draws == len(found) else f" in {by_draws} of {len(found)}"
+    return f"{name}, 95 % sampled{part}"
+
+
+def _draw(ax: Axes, region: Region, colour: str) -> None:
+    """Draw one region."""
+    dotted: dict[str, Any] = {
+        "color": colour,
+        "lw": 1.0,
+        "ls": ":" if region.method == "sampled" else "-",
+    }
+    border = region.border()
+    if region.interval is not None:
+        low, high = np.clip(region.interval, -_FARTHEST - 1, _FARTHEST + 1)
+        if high > low:
+            ends = {"marker": "|", "ms": 6.0, "mew": 1.0, "solid_capstyle": "butt", "zorder": 2.5}
+            ax.plot([low, high], [0.0, 0.0], **(dotted | {"lw": 1.8} | ends))
+    if region.cloud is not None and region.centre.imag >= 0:
+        _draw_cloud(ax, region.cloud, colour)
+    if border is not None and np.isfinite(border).all() and np.ptp(border) > 0:
+        ax.plot(*border, **dotted)
+
+
+def _draw_cloud(ax: Axes, cloud: Cloud, colour: str) -> None:
+    """Draw the region of the densest draws, and its mirror image below the real axis."""
+    inside = cloud.inside()
+    inside = inside[np.abs(inside) < _FARTHEST + 1]
+    if inside.size == 0:
+        return
+    room = 0.1 * max(np.ptp(inside.real), np.ptp(inside.imag)) + 1e-4
+    for _ in range(_WIDER):
+        x = np.linspace(inside.real.min() - room, inside.real.max() + room, _RASTER)
+        top = inside.imag.max() + room
+        y = np.linspace(-top, top, 2 * _RASTER)
+        z = x[None, :] + 1j * y[:, None]
+        excess = cloud.excess(z.ravel()).reshape(z.shape)
+        edge = np.concatenate([excess[0], excess[:, 0], excess[:, -1]])
+        if (edge > 1).all() or room > _FARTHEST:
+            break
+        room *= 2
+    ax.contourf(x, y, excess, levels=[0.0, 1.0], colors=[colour], alpha=0.15)
+    ax.contour(x, y, excess, levels=[1.0], colors=[colour], linestyles=":", linewidths=1.0)
+
+
+def _mark_cancelling(ax: Axes, fit: Fit) -> None:
+    """Frame each pole and zero that cannot be told apart, and its conjugates."""
+    for pole, zero, _ in overlapping(fit):
+        middle = (pole + zero) / 2
+        said = "cannot be told apart"
+        known = said in ax.get_legend_handles_labels()[1]
+        heights = {middle.imag, -middle.imag}
+        style: dict[str, Any] = {"color": INK, "mfc": "none", "ms": 15, "mew": 0.9, "ls": "none"}
+        ax.plot(
+            [middle.real] * len(heights),
+            list(heights),
+            "s",
+            zorder=2.8,
+            alpha=0.6,
+            label=None if known else said,
+            **style,
+        )
+
+
+def _frame(ax: Axes, shown: list[Region]) -> None:
+    """Show all roots near the unit circle, and of regions and circle what has room beside them."""
+    points: list[complex] = [1.0 + 0.0j]
+    near = [r for r in shown if abs(r.centre) < _FARTHEST]
+    if len(near) < len(shown):
+        text = f"{len(shown) - len(near)} beyond |z| = {_FARTHEST:g}"
+        ax.text(0.03, 0.03, text, transform=ax.transAxes, fontsize="x-small", color=INK)
+    if not near:
+        ax.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
+        return
+    for r in near:
+        points += [r.centre, r.centre.conjugate()]
+        points += [z for z in _extent(r) if abs(z) < _ROOM]
+    z = np.array(points)
+    low, high = float(z.real.min()), float(z.real.max())
+    half = max(0.5 * (high - low), float(np.abs(z.imag).max()), 0.3) * 1.12
+    middle = 0.5 * (low + high)
+    ax.set(xlim=(middle - half, middle + half), ylim=(-half, half))
+
+
+def _extent(region: Region) -> list[complex]:
+    """Return points that a region reaches to."""
+    points: list[complex] = []
+    if region.interval is not None:
+        points += [complex(np.clip(x, -_ROOM, _ROOM) * 0.999) for x in region.interval]
+    if region.cloud is not None:
+        points += region.cloud.inside().tolist()
+    border = region.border()
+    return points if border is None else [*points, *(border[0] + 1j * border[1]).tolist()]

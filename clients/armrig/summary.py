@@ -1,0 +1,189 @@
+"""What a model comes to: poles, zeros and figures with their 95 % ranges, each by its method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from armrig.cancellation import overlapping
+from armrig.draws import Draws, drawn
+from armrig.quantities import minus, places
+from armrig.regions import HALF_WIDTH, Region
+from armrig.traits import SCALARS, Traits, traits
+from armrig.uncertainty import pole_regions, zero_regions
+
+if TYPE_CHECKING:
+    from armrig.fit import Fit
+
+_UNITS = {
+    "gain": "",
+    "resonance": "rad/s",
+    "antiresonance": "rad/s",
+    "bandwidth": "rad/s",
+    "rise_time": "s",
+    "overshoot": "%",
+}
+_NAMES = {"rise_time": "time to 63 %", "antiresonance": "anti-resonance"}
+_MOST_DECIMALS = 6
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Summary:
+    """Poles, zeros and figures of a model with 95 % ranges; print it."""
+
+    poles: tuple[Region, ...]
+    """Of the z plane, in the order of `Fit.poles()`."""
+    zeros: tuple[Region, ...]
+    """Of the z plane, in the order of `Fit.zeros()`."""
+    figures: Traits
+    """Gain, resonances, bandwidth, step; and the poles in 1/s."""
+    cancelling: tuple[tuple[complex, complex, float], ...]
+    """Pole, zero and p value of pairs that cannot be told apart (1 %)."""
+    draws: Draws | None
+    """What the regions were sampled with; None where no covariance is known."""
+    robust: bool
+    """The covariance is the sandwich form, since the residuals are not white."""
+    gain_unit: str
+    """y's unit per u's, or ""."""
+
+    def facts(self) -> dict[str, Any]:
+        """Return it for a program: numbers, and None for what is not known."""
+        return {
+            "covariance": "robust" if self.robust else "classic",
+            "poles": [_root_facts(r) for r in self.poles],
+            "zeros": [_root_facts(r) for r in self.zeros],
+            "figures": {name: self._figure_facts(name) for name in SCALARS},
+            "of_the_rate": self.figures.integrating,
+            "cancelling": [
+                {"pole": [a.real, a.imag], "zero": [b.real, b.imag], "p": p}
+                for a, b, p in self.cancelling
+            ],
+            "draws": None
+            if self.draws is None
+            else {
+                "made": self.draws.asked,
+                "unstable": self.draws.unstable,
+                "degenerate": self.draws.degenerate,
+            },
+        }
+
+    def _figure_facts(self, name: str) -> dict[str, Any]:
+        known = self.figures.ranges[name]
+        return {
+            "value": _finite(getattr(self.figures, name)),
+            "low": _finite(float(known.low)),
+            "high": _finite(float(known.high)),
+            "method": known.method,
+        }
+
+    def __repr__(self) -> str:
+        """Say it in a table."""
+        form = "robust" if self.robust else "classic"
+        lines = [f"95 % ranges, {form} covariance; * by draws, the linearisation is poor"]
+        for what, found in (("pole", self.poles), ("zero", self.zeros)):
+            shown = [r for r in found if r.centre.imag >= 0]
+            lines += [f"  {what:15} {_root(r)}" for r in shown]
+        for name in SCALARS:
+            of_rate = " (rate)" if self.figures.integrating and name == "gain" else ""
+            lines.append(f"  {_NAMES.get(name, name) + of_rate:15} {self._figure(name)}")
+        lines += [
+            f"  cancel: pole {_complex(a, 3)} and zero {_complex(b, 3)} cannot be told apart"
+            for a, b, _ in self.cancelling
+        ]
+        if self.draws is not None:
+            left_out = f"; left out: {self.draws.left_out}" if self.draws.left_out else ""
+            n = self.draws.theta.shape[0]
+            lines.append(f"  checked by {n} draws of the parameters{left_out}")
+        return "\n".join(lines)
+
+    def _figure(self, name: str) -> str:
+        value, known = getattr(self.figures, name), self.figures.ranges[name]
+        if np.isnan(value):
+            return "none"
+        unit = _UNITS[name] or self.gain_unit
+        unit += "/s" if name == "gain" and self.figures.integrating and unit else ""
+        return f"{_range(value, float(known.low), float(known.high), known.method)} {unit}".rstrip()
+
+
+def summary(fit: Fit) -> Summary:
+    """Return poles, zeros and figures of a model with their 95 % ranges.
+
+    Each is linearised, or by 1000 draws (the figures by 400) of N(theta, P) where those show the
+    linearisation to be poor; P is the covariance that the verdict on whiteness trusts. A range by
+    draws allows for a curved relation of theta to the answer, not for an estimate of theta that is
+    itself far from normal: of an almost cancelling pole it is still too narrow.
+    """
+    draws = drawn(fit)
+    return Summary(
+        poles=tuple(pole_regions(fit, draws)),
+        zeros=tuple(zero_regions(fit, draws)),
+        figures=traits(fit),
+        cancelling=() if draws is None else tuple(overlapping(fit)),
+        draws=draws,
+        robust=fit.trusted_covariance is fit.covariance_robust,
+        gain_unit=f"{fit.unit}/{fit.input_unit}" if fit.unit and fit.input_unit else "",
+    )
+
+
+def bounds(region: Region) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the 95 % ranges of real and imaginary part, each for itself.
+
+    Of a root that may be real or not (a cloud) both are quantiles of the draws, the imaginary part
+    that of the root above the real axis.
+    """
+    z = region.centre
+    if region.cloud is not None and region.draws is not None:
+        points = region.draws.upper
+        edges = [np.quantile(x, [0.025, 0.975]).tolist() for x in (points.real, points.imag)]
+        return (edges[0][0], edges[0][1]), (edges[1][0], edges[1][1])
+    if region.interval is not None:
+        return region.interval, (0.0, 0.0)
+    widths = HALF_WIDTH * np.sqrt(np.maximum(np.diag(region.covariance), 0.0))
+    height = abs(z.imag)
+    return (
+        (z.real - widths[0], z.real + widths[0]),
+        (height - widths[1], height + widths[1]),
+    )
+
+
+def _root(region: Region) -> str:
+    z, (real, imaginary) = region.centre, bounds(region)
+    mark = region.method
+    if real[0] == real[1]:
+        return f"{minus(f'{z.real:.4f}')}, fixed"
+    text = _range(z.real, *real, mark)
+    if imaginary == (0.0, 0.0):
+        return text
+    return f"{text}  ± {_range(abs(z.imag), *imaginary, mark)} i"
+
+
+def _root_facts(region: Region) -> dict[str, Any]:
+    real, imaginary = bounds(region)
+    return {
+        "value": [region.centre.real, region.centre.imag],
+        "real": [_finite(x) for x in real],
+        "imaginary_magnitude": [_finite(x) for x in imaginary],
+        "method": region.method,
+    }
+
+
+def _range(value: float, low: float, high: float, method: str) -> str:
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return minus(f"{value:.5g}") + " (range not known)"
+    if high - low <= _ROUNDING * max(1.0, abs(value)):
+        return minus(f"{0.0 if abs(value) < _ROUNDING else value:.5g}")
+    decimals = min(places((high - low) / 4), _MOST_DECIMALS)
+    star = "*" if method == "sampled" else ""
+    return minus(f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f}){star}")
+
+
+def _complex(z: complex, decimals: int) -> str:
+    imaginary = f" ± {abs(z.imag):.{decimals}f}i" if abs(z.imag) > 1e-9 else ""
+    return minus(f"{z.real:.{decimals}f}") + imaginary
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None

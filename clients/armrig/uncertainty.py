@@ -1,0 +1,105 @@
+"""What a model answers, with 95 % regions that hold where the linearisation does not.
+
+References
+----------
+.. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 9.6 (from theta to the transfer
+   function), and chapter 16 on what the regions are worth in validation.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.draws import Draws, drawn, polynomial_of, roots_of
+from armrig.regions import Band, Region, band, regions
+
+if TYPE_CHECKING:
+    from armrig.answers import FrequencyResponse, StepResponse
+    from armrig.fit import Fit
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def pole_regions(fit: Fit, draws: Draws | None = None) -> list[Region]:
+    """Return the 95 % region of each pole, in the order of `fit.poles()`.
+
+    Those of A and those of F are drawn together and told apart by their polynomials.
+    """
+    draws = drawn(fit) if draws is None else draws
+    poles = fit.poles()
+    n = fit.A.size - 1
+    found = []
+    for letter, part in (("a", slice(None, n)), ("f", slice(n, None))):
+        samples = None if draws is None else roots_of(fit, draws.theta, letter)
+        found += regions(poles.values[part], poles.covariance[part], samples)
+    return found
+
+
+def zero_regions(fit: Fit, draws: Draws | None = None) -> list[Region]:
+    """Return the 95 % region of each zero, in the order of `fit.zeros()`."""
+    draws = drawn(fit) if draws is None else draws
+    zeros = fit.zeros()
+    samples = None if draws is None else roots_of(fit, draws.theta, "b")
+    if samples is not None and samples.shape[1] != zeros.values.size:  # the first b is 0: a delay
+        samples = None
+    return regions(zeros.values, zeros.covariance, samples)
+
+
+def frequency_bands(
+    fit: Fit, answer: FrequencyResponse, draws: Draws | None = None
+) -> tuple[Band, Band]:
+    """Return the 95 % bands of |G| and of arg G, the latter in rad about that of the answer."""
+    draws = drawn(fit) if draws is None else draws
+    G = answer.G
+    magnitudes = phases = None
+    if draws is not None:
+        of_draws = frequency_responses(fit, draws.theta, answer.omega)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            magnitudes, phases = np.abs(of_draws), np.angle(of_draws / G)
+    return (
+        band(np.abs(G), answer.std_magnitude, magnitudes, least=0.0),
+        band(np.zeros(G.size), answer.std_phase, phases),
+    )
+
+
+def step_band(fit: Fit, answer: StepResponse, draws: Draws | None = None) -> Band:
+    """Return the 95 % band of a step response."""
+    draws = drawn(fit) if draws is None else draws
+    samples = None if draws is None else step_responses(fit, draws.theta, answer.y.size)
+    return band(answer.y, answer.std, samples)
+
+
+def frequency_responses(fit: Fit, theta: Matrix, omega: ArrayLike) -> Complex:
+    """Return G of each draw (m, d) at omega (n,) in rad/s, (m, n)."""
+    x = np.exp(-1j * np.atleast_1d(np.asarray(omega, np.float64)) * fit.Ts)
+    G = polynomial_of(fit, theta, "b") @ _powers(x, fit.B.size)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for letter in "af":
+            p = polynomial_of(fit, theta, letter)
+            if letter == fit.integrating:  # exact at 0, as in `Fit.frequency_response`
+                p = np.cumsum(p, axis=1)[:, :-1]
+                G = G / (1 - x)
+            G = G / (p @ _powers(x, p.shape[1]))
+    return np.asarray(G)
+
+
+def step_responses(fit: Fit, theta: Matrix, n: int) -> Matrix:
+    """Return the first n samples of the unit step response of each draw (m, d), (m, n)."""
+    B = polynomial_of(fit, theta, "b")
+    y = np.cumsum(np.pad(B, ((0, 0), (0, max(0, n - B.shape[1]))))[:, :n], axis=1)
+    for letter in "af":
+        p = polynomial_of(fit, theta, letter)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for t in range(n):
+                for k in range(1, min(p.shape[1] - 1, t) + 1):
+                    y[:, t] -= p[:, k] * y[:, t - k]
+    return np.asarray(y)
+
+
+def _powers(x: Complex, n: int) -> Complex:
+    return np.asarray(x[None, :] ** np.arange(n)[:, None])

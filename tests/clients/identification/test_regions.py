@@ -1,0 +1,265 @@
+"""Regions hold the truth, by draws where the linearisation does not, and say which they are."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import armrig
+import numpy as np
+import pytest
+from armrig.clouds import RootDraws
+from armrig.dataset import Dataset
+from armrig.draws import drawn, roots_of
+from armrig.estimation.oe import oe
+from armrig.fit import Fit
+from armrig.polynomial import filtered
+from armrig.regions import (
+    band,
+    chosen_region,
+    linearised_band,
+    linearised_region,
+    sampled_region,
+)
+from armrig.study import physical_model
+from armrig.uncertainty import (
+    frequency_bands,
+    frequency_responses,
+    pole_regions,
+    step_band,
+    step_responses,
+    zero_regions,
+)
+from armrig_core.arm import ArmParameters
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from conftest import HandoutPlant
+
+NEAR = (0.85 + 0.02j, 0.85 - 0.02j, 0.5)
+PLAIN = (0.83 + 0.35j, 0.83 - 0.35j, 0.7)
+
+
+def data(seed: int, poles: tuple[complex, ...], noise: float, N: int = 1000) -> Dataset:
+    """Return y = B/F u + e, e of a share of y's deviation."""
+    rng = np.random.default_rng([seed, N])
+    u = rng.choice([-1.0, 1.0], N).repeat(2)[:N]
+    y = filtered([0.0, 0.1, 0.08, 0.02], np.real(np.poly(poles)), u)
+    return Dataset(u=u, y=y + noise * np.std(y) * rng.standard_normal(N), Ts=1.0)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Fit:
+    """Return a fit of a system whose roots are far from each other."""
+    return oe(data(1, PLAIN, 0.1), nb=3, nf=3)
+
+
+@pytest.fixture(scope="module")
+def near() -> Fit:
+    """Return a fit of a system whose pair of poles is hardly a pair."""
+    return oe(data(1, NEAR, 0.3), nb=3, nf=3)
+
+
+def test_draws_have_mean_and_covariance_exactly(plain: Fit) -> None:
+    """So an answer that is linear in theta gets the deviation that its derivative gives."""
+    draws = drawn(plain)
+
+    assert draws is not None
+    np.testing.assert_allclose(draws.theta.mean(axis=0), plain.theta, atol=1e-12)
+    np.testing.assert_allclose(
+        np.cov(draws.theta.T, ddof=0), plain.covariance, rtol=1e-6, atol=1e-12
+    )
+    assert (draws.unstable, draws.degenerate, draws.left_out) == (0, 0, "")
+
+
+def test_draws_keep_the_integrator(plant: HandoutPlant) -> None:
+    """Each has a pole at 1, and responses as the model with those coefficients has."""
+    fit = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
+    draws = drawn(fit, n=100)
+    assert draws is not None
+    omega = np.array([1e-3, 1.0, 30.0])
+
+    G = frequency_responses(fit, draws.theta, omega)
+    steps = step_responses(fit, draws.theta, 50)
+
+    assert (roots_of(fit, draws.theta, "f")[:, 0] == 1).all()
+    for i in (0, 57):
+        b, f = draws.theta[i, :4], draws.theta[i, 4:]
+        moved = replace(fit, B=np.append(0, b), F=np.append(1, f))
+        np.testing.assert_allclose(moved.F.sum(), 0, atol=1e-12)
+        np.testing.assert_allclose(G[i], moved.frequency_response(omega).G, rtol=1e-6)
+        np.testing.assert_allclose(steps[i], moved.step_response(50).y, rtol=1e-9, atol=1e-12)
+
+
+def test_a_draw_that_no_estimator_returns_is_left_out_and_counted() -> None:
+    """Its pole is outside the unit circle, where the model is stable; more are drawn then."""
+    wide = replace(oe(data(1, PLAIN, 0.1), nb=3, nf=3), whiteness=0.5)
+    wide = replace(wide, covariance=1e5 * wide.covariance)
+
+    draws = drawn(wide)
+
+    assert draws is not None
+    assert draws.unstable > draws.asked / 2
+    assert draws.asked > 1000
+    assert draws.theta.shape[0] == draws.asked - draws.unstable
+    assert draws.left_out == f"{draws.unstable} of {draws.asked} unstable"
+    assert (np.abs(roots_of(wide, draws.theta, "f")) < 1).all()
+
+
+def test_what_hardly_any_draw_says_is_not_known() -> None:
+    """Rather than a range that a derivative makes up."""
+    few = RootDraws(pairs=np.full(5, 0.5 + 0.1j), reals=np.zeros(0))
+
+    answer = band(np.ones(2), np.ones(2), np.ones((5, 2)))
+    region = chosen_region(0.5 + 0.1j, np.eye(2), few)
+
+    assert np.isnan([answer.low, answer.high]).all()
+    assert not region.contains(0.5 + 0.1j)
+
+
+def test_far_from_each_other_roots_have_ellipses_and_intervals(plain: Fit) -> None:
+    """The complex pole an ellipse of 5.99, the real one ± 1.96 deviations."""
+    regions = pole_regions(plain)
+    pair = next(r for r in regions if r.centre.imag > 0)
+    real = next(r for r in regions if r.centre.imag == 0)
+
+    assert {r.method for r in regions} == {"linearised"}
+    assert real.interval is not None
+    std = float(np.sqrt(real.covariance[0, 0]))
+    assert real.interval == pytest.approx(
+        (real.centre.real - 1.96 * std, real.centre.real + 1.96 * std), abs=1e-4 * std
+    )
+    border = pair.border()
+    assert border is not None
+    d = border - np.array([[pair.centre.real], [pair.centre.imag]])
+    distance = np.einsum("in,in->n", d, np.linalg.solve(pair.covariance, d))
+    np.testing.assert_allclose(distance, 5.991, rtol=1e-3)
+
+
+def test_a_region_of_draws_holds_the_next_draw_with_95_percent() -> None:
+    """Of any shape: here a bow, part of which is two real roots; each kind by itself."""
+
+    def bow(n: int, seed: int) -> RootDraws:
+        x, y = np.random.default_rng(seed).standard_normal((2, n))
+        delta = 4e-4 - 0.01 * x**2 + 2e-3 * y
+        mean, half = 0.5 + 0.1 * x, np.sqrt(np.abs(delta))
+        two = np.concatenate([mean - half, mean + half])[np.tile(delta > 0, 2)]
+        return RootDraws(pairs=(mean + 1j * half)[delta <= 0], reals=two)
+
+    region = sampled_region(0.5 + 0.02j, 0.01 * np.eye(2), bow(1000, 1))
+    fresh = bow(4000, 2)
+
+    for some in (fresh.pairs, fresh.reals):
+        assert some.size > 500
+        held = np.mean([region.contains(complex(z)) for z in some])
+        assert abs(held - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 500)
+    assert not region.contains(0.5 + 0.2j)
+    z = complex(fresh.pairs[0])
+    assert region.contains(z) == region.contains(z.conjugate())
+
+
+def test_a_pair_that_is_hardly_a_pair_is_sampled(near: Fit) -> None:
+    """And so is whatever else is curved over what the parameters may be."""
+    assert {r.method for r in pole_regions(near)} == {"sampled"}
+    assert all(r.method == "sampled" for r in zero_regions(near))
+
+
+def test_the_chosen_region_holds_a_pair_that_the_ellipse_loses() -> None:
+    """Coverage of the pole over 60 experiments; 95 % has a standard deviation of 2.8 %."""
+    truth = NEAR[0]
+    held = []
+    for seed in range(60):
+        fit = oe(data(seed, NEAR[:2], 0.3), nb=3, nf=2)
+        poles = fit.poles()
+        i = int(np.argmin(np.abs(poles.values - truth)))
+        ellipse = linearised_region(complex(poles[i]), poles.covariance[i])
+        held.append([ellipse.contains(truth), pole_regions(fit)[i].contains(truth)])
+
+    linearised, chosen = np.mean(held, axis=0)
+
+    assert linearised < 0.75
+    assert chosen > 0.95 - 3 * 0.028
+
+
+def test_where_it_is_good_the_linearisation_stays_and_holds() -> None:
+    """Pole, |G| and step response over 100 experiments: 95 % within three deviations."""
+    omega, at = np.array([0.1, 0.5]), 20
+    F = np.real(np.poly(PLAIN))
+    x = np.exp(-1j * omega)
+    G = np.abs(np.polyval([0.02, 0.08, 0.1, 0.0], x) / np.polyval(F[::-1], x))
+    y = filtered([0.0, 0.1, 0.08, 0.02], F, np.ones(at + 1))
+    held, sampled = [], []
+    for seed in range(100):
+        fit = oe(data(seed, PLAIN, 0.1), nb=3, nf=3)
+        draws = drawn(fit)
+        pole = next(r for r in pole_regions(fit, draws) if r.centre.imag > 0)
+        magnitude, _ = frequency_bands(fit, fit.frequency_response(omega), draws)
+        step = step_band(fit, fit.step_response(at + 1), draws)
+        held.append([pole.contains(PLAIN[0]), *magnitude.contains(G), step.contains(y)[at]])
+        sampled.append([r.method == "sampled" for r in (pole, magnitude, step)])
+
+    assert (np.mean(held, axis=0) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / 100)).all()
+    assert np.mean(sampled) < 0.05
+
+
+def test_a_band_is_sampled_where_an_edge_is_a_quarter_elsewhere() -> None:
+    """A square of a normal number near 0 is nothing like normal; far from 0 it is."""
+    x = np.random.default_rng(0).standard_normal(1000)
+
+    far, close = (band(m**2, 2 * abs(m), (m + x)[:, None] ** 2) for m in (30.0, 0.5))
+
+    assert (far.method, close.method) == ("linearised", "sampled")
+    assert close.low >= 0 > linearised_band(0.25, 1.0).low
+
+
+def test_coloured_residuals_carry_the_robust_covariance_on(plain: Fit) -> None:
+    """The verdict decides how sure poles and responses are."""
+    wide = replace(plain, covariance_robust=4 * plain.covariance)
+    white, coloured = replace(wide, whiteness=0.5), replace(wide, whiteness=1e-6)
+
+    def deviations(fit: Fit) -> NDArray[np.float64]:
+        magnitude = fit.frequency_response([0.3]).std_magnitude
+        return np.concatenate([fit.poles().std, magnitude, fit.step_response(9).std])
+
+    np.testing.assert_allclose(deviations(coloured), 2 * deviations(white))
+
+
+def test_the_summary_marks_what_was_sampled(plain: Fit, near: Fit) -> None:
+    """By a star, and for a program by name."""
+    facts = json.loads(json.dumps(near.summary().facts(), allow_nan=False))
+
+    assert "pole            0.8" in repr(plain.summary())
+    assert not any("*" in line for line in repr(plain.summary()).splitlines() if " pole " in line)
+    assert all(")*" in line for line in repr(near.summary()).splitlines() if " pole " in line)
+    assert {pole["method"] for pole in facts["poles"]} == {"sampled"}
+    assert facts["covariance"] == "classic"
+    low, high = (facts["figures"]["gain"][edge] for edge in ("low", "high"))
+    assert low < facts["figures"]["gain"]["value"] < high
+    assert facts["draws"]["made"] >= 1000
+
+
+def test_a_claim_has_no_ranges(plant: HandoutPlant) -> None:
+    """Nothing of the physics was estimated."""
+    summary = physical_model(ArmParameters(), plant.dataset(1)).summary()
+
+    assert summary.draws is None
+    assert "pole            1.0000, fixed" in repr(summary)
+    assert "…" not in repr(summary)
+
+
+def test_an_unknown_covariance_is_told(plain: Fit) -> None:
+    """No number stands for it, and for a program none at all."""
+    nothing = np.full((6, 6), np.nan)
+    summary = replace(plain, covariance=nothing, covariance_robust=nothing).summary()
+
+    assert repr(summary).count("range not known") >= 5
+    assert summary.facts()["figures"]["gain"]["low"] is None
+
+
+def test_a_table_of_figures_stars_what_was_sampled(plain: Fit, near: Fit) -> None:
+    """And says what the star means."""
+    table = armrig.compare(data(9, NEAR, 0.3), near, plain, labels=("near", "plain")).table()
+
+    assert "* linearisation poor (near" in table
+    assert ")*" in table

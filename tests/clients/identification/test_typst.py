@@ -1,0 +1,46 @@
+"""A model's equation for Typst."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typst
+from armrig.dataset import Dataset
+from armrig.estimation.arx import arx
+from armrig.estimation.bj import bj
+from armrig.fit import Fit
+from armrig.polynomial import filtered
+
+
+@pytest.fixture(scope="module")
+def fits() -> tuple[Fit, ...]:
+    """Return models of several forms, one with tiny and one with unknown deviations."""
+    u, e = np.random.default_rng(0).standard_normal((2, 300))
+    y = filtered([0, 1.0, 0.5], [1, -1.2, 0.6], u) + filtered([1], [1, -0.7], 0.3 * e)
+    data = Dataset(u=u, y=y, Ts=1.0)
+    whole = bj(data, nb=2, nc=1, nd=1, nf=2)
+    tiny, unknown = (replace(whole, covariance=x * np.eye(6)) for x in (1e-20, np.nan))
+    return whole, arx(data, na=2, nb=1), bj(data, nb=2, nc=0, nd=1, nf=2), tiny, unknown
+
+
+def test_typst_takes_the_equation(fits: tuple[Fit, ...], tmp_path: Path) -> None:
+    """Every form of it, tiny and unknown deviations too."""
+    source = tmp_path / "equations.typ"
+    source.write_text("\n\n".join(fit.typst() for fit in fits), encoding="utf-8")
+
+    assert typst.compile(str(source)).startswith(b"%PDF")
+
+
+def test_every_coefficient_is_in_it(fits: tuple[Fit, ...]) -> None:
+    """With its deviation and its power of q, as in LaTeX."""
+    whole, structure, *_ = fits
+    text = whole.typst()
+
+    assert "y(t) &= B(q)/F(q) thin u(t) + C(q)/D(q) thin e(t)" in text
+    assert text.count("plus.minus") == whole.theta.size
+    expected = f"F(q) &= 1 - ({-whole.F[1]:.5g} plus.minus {whole.std[4]:.2g}) thin q^(-1)"
+    assert expected in text
+    assert "A(q) thin y(t) &= B(q) thin u(t) + e(t)" in structure.typst()
