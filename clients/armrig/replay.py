@@ -93,6 +93,7 @@ def replay(path: str | Path) -> Replay:
 
 def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
     state = trace.restored(chunks[0].state, _codes(content.attachments[INPUT]))
+    told = state.told
     manifest = manifest_of(content.metadata[RUN])
     difference, frames, published, said = "", 0, [], []
     first = now_ns = None
@@ -112,7 +113,8 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
     ours = np.array([tuple(s) for s in published], dtype=SAMPLE_DTYPE)
     end = manifest.k_first + manifest.samples
     ours = ours[(ours["k"] >= manifest.k_first) & (ours["k"] < end)]
-    theirs = content.samples
+    # Samples that came in one read with the answer to START are of the step before the first.
+    theirs = content.samples[content.samples["k"] > told]
     same = _same_rows(ours, theirs)
     # In a file that is cut off, samples or steps may reach further than the others.
     reached = same == (min if content.cut_off else max)(ours.size, theirs.size)

@@ -187,14 +187,15 @@ class Rig:
             details=dict(details or {}),
             dead_man=dead_man,
         )
+        run = None
         try:
             run = self._ask(request, commands.RunAccepted)
             if accepted is not None:
                 accepted(run)
             last = self._finished(request, run, progress or (lambda done, total: None))
-        except RefusedError:
-            raise  # nothing began
-        except BaseException:
+        except BaseException as err:
+            if run is None and isinstance(err, RefusedError):
+                raise  # nothing began
             self._lease = ""
             with suppress(RigError):
                 self.stop()

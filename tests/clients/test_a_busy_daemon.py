@@ -81,3 +81,15 @@ def test_a_reset_says_whether_something_was_latched(daemon: BusyDaemon) -> None:
     """As the daemon answers."""
     with Rig(connect=daemon.endpoint) as rig:
         assert rig.reset() is True
+
+
+def test_a_run_whose_client_is_refused_for_good_is_stopped(daemon: BusyDaemon) -> None:
+    """The run has begun by then: whatever ends the wait stops the rig."""
+    daemon.refusals["status"] = "not for you"
+
+    with Rig(connect=daemon.endpoint) as rig:
+        rig.arm("a test")
+        with pytest.raises(RefusedError, match="not for you"):
+            rig.run([1.0, 2.0])
+
+    assert "stop" in daemon.names()

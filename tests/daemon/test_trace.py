@@ -13,6 +13,7 @@ from armrig_daemon.state import (
     LinkDown,
     LinkUp,
     Ordered,
+    Publish,
     Received,
     Send,
     ServiceGone,
@@ -140,6 +141,26 @@ def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None
     numbers = [c.number for c in taken]
     assert numbers[:-1] == list(range(len(numbers) - 1))
     assert numbers[-1] > numbers[-2] + 1
+
+
+def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
+    """A host that woke up late found the start and the first samples at once, in one step."""
+    bench = Bench()
+    assert not bench.take(2_000).error
+    bench.lateness_ns = 9_000_000
+    play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=True)
+    bench.order(play)
+    bench.run_for(1_000)
+
+    chunks = bench.of(Trace)
+    first = bench.of(RunStarted)[0].k_first
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    told, published = state.told, []
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core.step(state, step.now_ns, step.events)
+        published += [a.sample for a in actions if isinstance(a, Publish)]
+    assert told >= first  # else nothing was tried
+    assert [s.k for s in published] == list(range(told + 1, first + len(VOLTS)))
 
 
 def test_the_trace_begins_behind_the_start_and_ends_before_the_end() -> None:
