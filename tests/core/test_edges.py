@@ -9,44 +9,40 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 EDGES = {
-    "armrig": set(
-        [
-            "bench",
-            "cli",
-            "collection",
-            "container",
-            "demo",
-            "doctor",
-            "estimating",
-            "listening",
-            "model_file",
-            "plots",
-            "progress",
-            "recording",
-            "replay",
-            "report",
-            "report_figures",
-            "rig",
-            "sample_rows",
-            "session",
-        ]
-    ),
-    "armrig_daemon": set(
-        [
-            "compact",
-            "config",
-            "emulator",
-            "link",
-            "loop_child",
-            "loop_process",
-            "pressure",
-            "publish",
-            "realtime",
-            "record",
-            "runs",
-            "service",
-        ]
-    ),
+    "armrig": {
+        "bench",
+        "cli",
+        "collection",
+        "container",
+        "demo",
+        "doctor",
+        "estimating",
+        "listening",
+        "model_file",
+        "plots",
+        "progress",
+        "recording",
+        "replay",
+        "report",
+        "report_figures",
+        "rig",
+        "sample_rows",
+        "session",
+    },
+    "armrig_daemon": {
+        "compact",
+        "config",
+        "emulator",
+        "link",
+        "loop_child",
+        "loop_process",
+        "pressure",
+        "publish",
+        "realtime",
+        "record",
+        "runs",
+        "service",
+    },
 }
 """What touches the world: disk, network, clock, terminal, processes."""
 

@@ -87,7 +87,21 @@ def blackbox(
 ) -> None:
     """Play a random input, or one of your own, to the whole rig."""
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
-    collect_each(chosen("blackbox", input, file, seconds, a, low, high, seed, validation, Ts), run)
+    collect_each(
+        chosen(
+            "blackbox",
+            input=input,
+            file=file,
+            seconds=seconds,
+            a=a,
+            low=low,
+            high=high,
+            seed=seed,
+            validation=validation,
+            Ts=Ts,
+        ),
+        run,
+    )
 
 
 @app.command()
@@ -111,7 +125,18 @@ def greybox(
 ) -> None:
     """Play a random input, or one of your own, to the chassis: the rotating part is taken off."""
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
-    plan = chosen("greybox", input, file, seconds, a, low, high, seed, validation, Ts)
+    plan = chosen(
+        "greybox",
+        input=input,
+        file=file,
+        seconds=seconds,
+        a=a,
+        low=low,
+        high=high,
+        seed=seed,
+        validation=validation,
+        Ts=Ts,
+    )
     collect_each(plan, run, without_arm=True)
 
 

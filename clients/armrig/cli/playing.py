@@ -40,6 +40,7 @@ class Played(NamedTuple):
 
 def chosen(
     experiment: str,
+    *,
     input: str | None,
     file: Path | None,
     seconds: float | None,

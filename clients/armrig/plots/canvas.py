@@ -9,6 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
     from armrig.dataset import Dataset
 
@@ -75,6 +76,13 @@ def shade(ax: Axes, data: Dataset) -> None:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~data.valid, [False]]).astype(int)))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         ax.axvspan((begin - 0.5) * data.Ts, (end - 0.5) * data.Ts, color=MISSING, alpha=0.5, lw=0)
+
+
+def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
+    """Draw values over lags, each as a stem from zero."""
+    ax.vlines(x, 0, y, color=colour, lw=1.0)
+    ax.plot(x, y, "o", color=colour, ms=2.6)
+    ax.axhline(0, color=INK, lw=0.6)
 
 
 def pens() -> Any:

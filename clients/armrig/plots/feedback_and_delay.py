@@ -18,6 +18,7 @@ from armrig.plots.canvas import (
     sign,
 )
 from armrig.quantities import p_relation
+from armrig.validation import BAND_99_PERCENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from armrig.feedback_and_delay.open_loop import OpenLoop
     from armrig.nonparametric.impulse import ImpulseResponse
 
-BAND_99_PERCENT = 2.58
 CHI2_95_PERCENT = 3.84  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side
 _BEYOND = 6  # lags shown past nk

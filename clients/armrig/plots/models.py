@@ -19,6 +19,7 @@ from armrig.plots.canvas import (
     shade,
     short,
     sign,
+    stems,
 )
 from armrig.plots.labels import Labels
 from armrig.validation import BAND_99_PERCENT, ComparisonTable, compare, residuals
@@ -92,13 +93,13 @@ def plot_residuals(
     test = residuals(fit, data, lags)
     ax, below = panels(ax, 0.5, sharex=False)
     ax.axhspan(-test.autocorrelation_band, test.autocorrelation_band, color=GREY, alpha=0.25, lw=0)
-    _stems(ax, test.lags[1:], test.autocorrelation[1:], BLUE)
+    stems(ax, test.lags[1:], test.autocorrelation[1:], BLUE)
     ax.set_ylabel("$r_e$(lag)")
     band = BAND_99_PERCENT * test.cross_std
     below.fill_between(
         test.cross_lags, -band, band, step="mid", color=GREY, alpha=0.25, lw=0, label="99 %"
     )
-    _stems(below, test.cross_lags, test.cross_correlation, VERMILION)
+    stems(below, test.cross_lags, test.cross_correlation, VERMILION)
     below.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     below.set_ylabel("$r_{eu}$(lag)")
     below.set_xlabel("lag [samples]")
@@ -116,12 +117,6 @@ def plot_residuals(
     finish(ax)
     finish(below)
     return sign(ax, data.source)
-
-
-def _stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
-    ax.vlines(x, 0, y, color=colour, lw=1.0)
-    ax.plot(x, y, "o", color=colour, ms=2.6)
-    ax.axhline(0, color=INK, lw=0.6)
 
 
 def _range(x: NDArray[np.float64]) -> tuple[float, float]:

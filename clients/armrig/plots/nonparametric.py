@@ -19,6 +19,7 @@ from armrig.plots.canvas import (
     finish,
     panels,
     sign,
+    stems,
 )
 from armrig.quantities import minus
 
@@ -60,7 +61,7 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
     ax.fill_between(
         response.lags, -band, band, step="mid", color=GREY, alpha=0.25, lw=0, label=name
     )
-    _stems(ax, response.lags, g, VERMILION)
+    stems(ax, response.lags, g, VERMILION)
     if response.lags[0] < 0:
         ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     rate = f"rate of {_name(response.output)}" if response.integrator else _name(response.output)
@@ -76,7 +77,7 @@ def plot_correlation(result: Correlation, *, level: float = 0.99, ax: Axes | Non
     ax = axes(ax)
     band = result.band(level)
     ax.axhspan(-band, band, color=GREY, alpha=0.25, lw=0, label=f"{100 * level:g} %, no relation")
-    _stems(ax, result.lags, result.g, VERMILION)
+    stems(ax, result.lags, result.g, VERMILION)
     ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     ax.set_xlabel("lag [samples], negative: y came first")
     ax.set_ylabel(f"$R_{{yu}}/R_u(0)$, whitened [{_gain(result)}]")
@@ -265,12 +266,6 @@ def _plain_minor(*shown: Axes) -> None:
 def _within(ax: Axes, text: str) -> None:
     """Write the label of an x axis inside, where another panel stands below."""
     ax.text(0.995, 0.02, text, transform=ax.transAxes, ha="right", va="bottom", fontsize="small")
-
-
-def _stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
-    ax.vlines(x, 0, y, color=colour, lw=1.0)
-    ax.plot(x, y, "o", color=colour, ms=2.6)
-    ax.axhline(0, color=INK, lw=0.6)
 
 
 def _name(output: str) -> str:
