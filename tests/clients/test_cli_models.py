@@ -148,6 +148,21 @@ def test_a_search_says_what_it_chose_and_why(
     assert facts["orders"] == {"nb": 4, "nf": 4, "nk": 1}
 
 
+def test_what_speaks_against_a_model_is_said_once_and_with_one_name(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The column is called σ robust, and so it is in every sentence."""
+    two, three = (str(path) for path in three_recordings[1:])
+    arguments = ["identify", two, "--search", "--structure", "oe", "--max-order", "2"]
+
+    assert main([*arguments, "--validate", three]) == 0
+    text = capsys.readouterr().out
+
+    assert "std_robust" not in text
+    assert text.count("the residuals are coloured") == 0
+    assert text.count("trust σ robust, not σ, or raise the orders") == 1
+
+
 def test_a_file_that_is_no_model_is_told_in_a_line(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

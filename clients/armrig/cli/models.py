@@ -16,6 +16,7 @@ from armrig.cli.options import (
     Json,
     Nk,
     print_json,
+    say,
     tell,
     warned,
 )
@@ -189,11 +190,11 @@ def _told(
             tell(SAME_DATA)
     if not json:
         if found is not None:
-            typer.echo(repr(found))
-        typer.echo("\n".join(account.of_model(fit)))
+            say("\n".join(account.of_search(found)))
+        say("\n".join(account.of_model(fit)))
         if judged is not None:
-            typer.echo(f"validation on {where}\n{judged[0]!r}")
-            typer.echo("\n".join(account.of_tests(judged[1])))
+            say(f"validation on {where}\n{judged[0]!r}")
+            say("\n".join(account.of_tests(judged[1])))
         if hint := account.hint(fit):
             tell(hint)
         return

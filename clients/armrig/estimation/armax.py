@@ -36,9 +36,10 @@ def armax(
         integrate, such as a sensor's, is `oe` or `bj` with an integrator.
     offset : bool, default False
         Estimate the input's offset of each experiment along; with an integrator it always is.
-    initial : {"estimate", "zero", "auto"}
+    initial : {"estimate", "backcast", "zero", "auto"}
         Estimate what the predictor remembers of before each experiment, or take it as zero, or
         estimate it where an F-test says that it matters.
+        "backcast" is another name for "estimate": the state of least squares.
 
     Returns
     -------

@@ -36,9 +36,10 @@ def bj(
         input offset of each experiment are estimated along.
     offset : bool, default False
         Estimate the input's offset of each experiment along; with an integrator it always is.
-    initial : {"estimate", "zero", "auto"}
+    initial : {"estimate", "backcast", "zero", "auto"}
         Estimate what is not known of before each experiment, or take it as zero, or estimate it
         where an F-test says that it matters.
+        "backcast" is another name for "estimate": the state of least squares.
 
     Returns
     -------

@@ -46,7 +46,8 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
 def correlated_score(scores: Sequence[Array]) -> Array:
     """Return M for scores psi(t) e(t) that may depend on the noise (ARX): Newey-West.
 
-    Bartlett weights 1 - k/(L + 1) up to L = floor(4 (N/100)^(2/9)).
+    Bartlett weights 1 - k/(L + 1) up to L = floor(4 (N/100)^(2/9)), which is the mean square of
+    all sums of L + 1 successive scores, those over the ends included.
 
     References
     ----------
@@ -56,8 +57,8 @@ def correlated_score(scores: Sequence[Array]) -> Array:
     L = int(4 * (N / 100) ** (2 / 9))
     total = np.zeros((scores[0].shape[1],) * 2)
     for s in scores:
-        total += s.T @ s
-        for k in range(1, min(L, s.shape[0] - 1) + 1):
-            lag = s[k:].T @ s[:-k]
-            total += (1 - k / (L + 1)) * (lag + lag.T)
+        none = np.zeros((L + 1, s.shape[1]))
+        upto = np.cumsum(np.vstack([none, s, none[1:]]), axis=0)
+        sums = upto[L + 1 :] - upto[: -L - 1]
+        total += sums.T @ sums / (L + 1)
     return total

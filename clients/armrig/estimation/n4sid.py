@@ -82,7 +82,7 @@ def n4sid(
     Raises
     ------
     ValueError
-        There are too few samples, or the data do not show so many states.
+        There are too few samples, y is constant, or the data do not show so many states.
 
     References
     ----------
@@ -102,6 +102,9 @@ def n4sid(
     w = windows(signals, past=i, future=i)
     asked = f"horizon={i}, with windows of {2 * i} samples without a gap,"
     require_samples(asked, needed=4 * i + 2 + 2 * i, got=w.N + 2 * i - 1)
+    if not w.R[:, w.columns("yf")].any():
+        msg = f"{data.output} is constant and shows no state; record an experiment that moves it"
+        raise ValueError(msg)
     found = projection(w, weights)
     canonical = found if weights == "cva" else projection(w, "cva")
     suggested = suggested_order(w, canonical, min(_MOST, i - 1))
@@ -209,27 +212,51 @@ def _figures(
     scores = [P * p.e[:, None] for P, p in zip(blocks, parts, strict=True)]
     robust = bread @ (correlated_score(scores) * M / degrees) @ bread
     to_full = with_integrator(n)
-    white = portmanteau(residuals, blocks, [g.unknown.span for g in given], default_lags(M))
+    spans = [g.unknown.span for g in given]
+    covariance = to_full @ (sse / degrees * bread) @ to_full.T
+    white = portmanteau(residuals, blocks, spans, default_lags(M), Q=bread_basis.Q)
     y = data.y[np.concatenate(rows)]
     return {
-        "covariance": to_full @ (sse / degrees * bread) @ to_full.T,
+        "covariance": covariance,
         "covariance_robust": to_full @ robust @ to_full.T,
         "noise_variance": sse / degrees,
         "loss": sse / M,
         "N": M,
         "fit_percent": fit_percent(y, sse),
         "whiteness": white,
-        "warnings": (*said, *_warnings(data, n, A, white)),
+        "warnings": (*said, *_warnings(data, n, A, covariance, white)),
     }
 
 
-def _warnings(data: Dataset, n: Structure, A: Array, white: float) -> Iterator[str]:
+def _warnings(
+    data: Dataset, n: Structure, A: Array, covariance: Array, white: float
+) -> Iterator[str]:
     yield "the deviations are the bound that a search attains; those of a subspace are larger"
     z = np.roots(A)
-    if np.any(np.abs(z) > 1 + 1e-9):
-        yield f"a pole is unstable, |z| = {np.abs(z).max():.4f}"
-    near = np.min(np.abs(z - 1), initial=np.inf)
-    if not n.integrator and data.output in INTEGRATING_OUTPUTS and near < _NEAR_ONE:
-        yield f"{data.output} integrates and a pole is {near:.1g} from 1: try integrator=True"
+    nearest = int(np.argmin(np.abs(z - 1)))
+    off, std = float(np.abs(z[nearest] - 1)), _pole_std(A, z[nearest], covariance)
+    integrates = not n.integrator and z[nearest].imag == 0 and off < min(3 * std + 1e-9, _NEAR_ONE)
+    if integrates:
+        known = data.output in INTEGRATING_OUTPUTS
+        then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
+        yield (
+            f"a pole is 1 within its accuracy, off by {off:.1g} with a deviation of {std:.1g}: "
+            f"{then} ask for integrator=True"
+        )
+    elif not n.integrator and data.output in INTEGRATING_OUTPUTS and off < _NEAR_ONE:
+        yield f"{data.output} integrates and a pole is {off:.1g} from 1: try integrator=True"
+    others = np.abs(np.delete(z, nearest) if integrates else z)
+    if np.any(others > 1 + 1e-9):
+        yield f"a pole is unstable, |z| = {others.max():.4f}"
     if white < WHITE_LEVEL:
         yield "the residuals are coloured: trust std_robust, or raise the order"
+
+
+def _pole_std(A: Array, z: complex, covariance: Array) -> float:
+    """Return the deviation of a real root z of A(q): dz is -sum of da_k z^(n-k) over A'(z)."""
+    n = A.size - 1
+    slope = np.polyval(np.polyder(A), z)
+    if slope == 0:
+        return float("inf")
+    by_a = np.real(-(z ** np.arange(n - 1, -1, -1)) / slope)
+    return float(np.sqrt(max(by_a @ covariance[:n, :n] @ by_a, 0.0)))

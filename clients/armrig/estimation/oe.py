@@ -34,9 +34,10 @@ def oe(
         input offset u0 of each experiment are estimated along (the offset as the ramp it makes).
     offset : bool, default False
         Estimate the input's offset of each experiment along; with an integrator it always is.
-    initial : {"estimate", "zero", "auto"}
+    initial : {"estimate", "backcast", "zero", "auto"}
         Estimate each experiment's initial state, or take the rig at rest at y = 0 (then an
         integrator has no offset either), or estimate it where an F-test says that it matters.
+        "backcast" is another name for "estimate": the state of least squares.
 
     Returns
     -------

@@ -34,9 +34,10 @@ def pem(
         Samples before u reaches y; 0 is a direct term.
     offset : bool, default False
         Estimate the input's offset of each experiment along.
-    initial : {"estimate", "zero", "auto"}
+    initial : {"estimate", "backcast", "zero", "auto"}
         Estimate what is not known of before each experiment, or take it as zero, or estimate it
         where an F-test says that it matters.
+        "backcast" is another name for "estimate": the state of least squares.
 
     Returns
     -------

@@ -23,7 +23,7 @@ from armrig.polynomial import Array
 from armrig.structure import Structure
 from armrig.whiteness import WHITE_LEVEL, default_lags, portmanteau
 
-Initial = Literal["estimate", "zero", "auto"]
+Initial = Literal["estimate", "backcast", "zero", "auto"]
 
 PART = 3000  # samples that the starts are searched from on, where there are more than twice these
 MANY_PULSES = 0.01  # share of the errors from which unknown pasts are worth a word
@@ -43,8 +43,10 @@ def searched(
         Of the structure, for the `Fit`.
     orders : str
         As the caller gave them, for messages.
-    initial : {"estimate", "zero", "auto"}
-        What is assumed of the state at the start of each experiment.
+    initial : {"estimate", "backcast", "zero", "auto"}
+        What is assumed of the state at the start of each experiment. "backcast", the toolbox's
+        name for the state of least squares given the polynomials, is "estimate": the search
+        projects the state out, and so has that one at every step.
 
     Raises
     ------
@@ -55,6 +57,8 @@ def searched(
         allowed = ", ".join(f'"{x}"' for x in get_args(Initial))
         msg = f"initial={initial!r} must be one of {allowed}"
         raise ValueError(msg)
+    if initial == "backcast":
+        initial = "estimate"
     if structure.offset and initial != "estimate":
         msg = f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
         raise ValueError(msg)
@@ -136,6 +140,10 @@ def _fit(
     blocks = np.split(Psi, edges)
     unknown = [g.unknown for g in solution.given]
     degrees = M - Psi.shape[1] - sum(x.rank for x in unknown)
+    if degrees < 1:
+        msg = f"{name}: {M} samples leave nothing to tell the noise by; lower the orders, or "
+        msg += "record longer"
+        raise ValueError(msg)
     sse = float(solution.e @ solution.e)
     noise_variance = sse / degrees
     basis = orthonormal(Psi)
@@ -150,7 +158,8 @@ def _fit(
     y = data.y[np.concatenate(rows)]
     white = float("nan")
     if sse > rounding_floor(problem):
-        white = portmanteau(residuals, blocks, [x.span for x in unknown], default_lags(M))
+        spans = [x.span for x in unknown]
+        white = portmanteau(residuals, blocks, spans, default_lags(M), Q=basis.Q)
     agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
     starts = tuple(
         Start(name=start, loss=o.cost / M, iterations=o.iterations, converged=o.converged)

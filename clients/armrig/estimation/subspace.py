@@ -19,16 +19,17 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dgeqrf
 
+from armrig.estimation.gram import cholesky_factor, gram_of_windows
 from armrig.least_squares import orthonormal
 from armrig.polynomial import Array
+from armrig.triangular import triangle
 
 Weights = Literal["cva", "moesp", "n4sid"]
 Integers = NDArray[np.int_]
@@ -63,41 +64,67 @@ def windows(
 
     A mean of u and one of y are projected out, which an offset leaves in the data. Of more than
     `most` windows the first ones are taken.
+
+    R is the Cholesky factor of the windows' Gram matrix, which `gram_of_windows` has from N times
+    their length multiplications. Where that has squared away too many digits, R is from a QR
+    decomposition of the windows themselves.
     """
     length = past + future
-    R, N = np.zeros((0, 1 + 2 * length)), 0
+    parts = list(_stretches(signals, length, most))
+    N = sum(y.size - length + 1 for _, y in parts)
+    shifts = np.array([*range(past, length), *range(past)])
+    order = np.concatenate([shifts, length + np.arange(length)])
+    R = cholesky_factor(gram_of_windows(parts, length)[np.ix_(order, order)])
+    if R is None:
+        R = _by_decomposition(parts, order, length)
+    return Windows(R=R, past=past, future=future, N=N)
+
+
+def _stretches(
+    signals: Sequence[tuple[Array, Array]], length: int, most: int | None
+) -> Iterator[tuple[Array, Array]]:
+    """Yield (u, y) of the stretches without a hole that hold a window, about the means of all."""
+    runs, left = [], np.inf if most is None else most
     for u, y in signals:
-        count = u.size - length + 1
+        edges = np.flatnonzero(np.diff(np.isfinite(y), prepend=False, append=False))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - begin >= length and left > 0:
+                stop = int(min(end, begin + length - 1 + left))
+                runs.append((u[begin:stop], y[begin:stop]))
+                left -= stop - begin - length + 1
+    if runs:
+        # The means are projected out anyway; without them fewer digits are lost.
+        mean_u, mean_y = (float(np.mean(np.concatenate(x))) for x in zip(*runs, strict=True))
+        yield from ((u - mean_u, y - mean_y) for u, y in runs)
+
+
+def _by_decomposition(parts: list[tuple[Array, Array]], order: Integers, length: int) -> Array:
+    """Return the triangle of the windows of all parts, block of rows by block."""
+    return np.triu(triangle(_blocks(parts, order, length), 1 + 2 * length))[1:, 1:]
+
+
+def _blocks(parts: list[tuple[Array, Array]], order: Integers, length: int) -> Iterator[Array]:
+    """Yield blocks of windows, those of short parts together."""
+    waiting: list[Array] = []
+    for u, y in parts:
+        count = y.size - length + 1
         for begin in range(0, count, _BLOCK):
-            if most is not None and most <= N:
-                break
-            end = min(begin + _BLOCK, count)
-            block = _block(u, y, range(begin, end), past=past, length=length)
-            N += block.shape[0]
-            R = _triangle(R, block)
-    whole = np.zeros((1 + 2 * length,) * 2)
-    whole[: R.shape[0]] = R
-    return Windows(R=whole[1:, 1:], past=past, future=future, N=N)
+            waiting.append(_block(u, y, order, range(begin, min(begin + _BLOCK, count))))
+            if sum(block.shape[0] for block in waiting) >= _BLOCK:
+                yield np.vstack(waiting)
+                waiting = []
+    if waiting:
+        yield np.vstack(waiting)
 
 
-def _block(u: Array, y: Array, rows: range, *, past: int, length: int) -> Array:
-    """Return [1 U_f U_p Y_p Y_f] for the windows that begin at `rows`, those without a hole."""
-    M = np.ones((len(rows), 1 + 2 * length), order="F")
-    shifts = [*range(past, length), *range(past)]
-    for j, k in enumerate(shifts, 1):
-        M[:, j] = u[rows.start + k : rows.stop + k]
-    for k in range(length):
-        M[:, 1 + length + k] = y[rows.start + k : rows.stop + k]
-    known = np.isfinite(M[:, 1 + length :]).all(axis=1)
-    return M if known.all() else M[known]
-
-
-def _triangle(R: Array, block: Array) -> Array:
-    """Return the triangle of R with more rows below it."""
-    M = np.empty((R.shape[0] + block.shape[0], block.shape[1]), order="F")
-    M[: R.shape[0]], M[R.shape[0] :] = R, block
-    packed, *_ = dgeqrf(M, overwrite_a=True)
-    return np.asarray(np.triu(packed[: min(M.shape)]))
+def _block(u: Array, y: Array, order: Integers, rows: range) -> Array:
+    """Return [1 U Y] for the windows that begin at `rows`, columns in `order`."""
+    length = order.size // 2
+    M = np.ones((len(rows), 1 + order.size), order="F")
+    for j, k in enumerate(order, 1):
+        x, shift = (u, k) if k < length else (y, k - length)
+        M[:, j] = x[rows.start + shift : rows.stop + shift]
+    return M
 
 
 def autoregressive_order(w: Windows) -> int:
@@ -135,7 +162,7 @@ def projection(w: Windows, weights: Weights) -> Projection:
     R12, R22 = w.R[:f, past], w.R[f : f + past.size, past]
     R23, R33 = w.R[f : f + past.size, -f:], w.R[f + past.size :, -f:]
     # The past may be dependent on itself: without noise it is.
-    H = np.column_stack([orthonormal(R22).coefficients(x) for x in R23.T]).T
+    H = orthonormal(R22).coefficients(R23).T
     if weights == "cva":
         _, values, V = np.linalg.svd(np.vstack([R23, R33]), full_matrices=False)
         # S^(1/2) of the future's covariance; what is not there cannot be divided by.
@@ -152,14 +179,14 @@ def projection(w: Windows, weights: Weights) -> Projection:
 
 
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
-    """Return the mean squared error of y(t) from 1 … `most` states and u(t), (most,)."""
+    """Return the mean squared error of y(t) from 1 … `most` states and u(t), (most,).
+
+    n states span what the first n singular vectors pick from H W_p: one decomposition does.
+    """
     y, now = w.R[:, w.columns("yf")[0]], w.R[:, w.columns("uf")[:1]]
-    losses = np.empty(most)
-    for n in range(1, most + 1):
-        known = np.column_stack([now, _states(w, found, n), y])
-        T = np.asarray(np.linalg.qr(known, mode="r"))
-        losses[n - 1] = float(T[-1, -1] ** 2) / w.N
-    return losses
+    states = w.R[:, w.columns("up", "yp")] @ (found.H.T @ found.U[:, :most])
+    rest = np.asarray(np.linalg.qr(np.column_stack([now, states, y]), mode="r"))[:, -1]
+    return np.cumsum(rest[::-1] ** 2)[::-1][2 : 2 + most] / w.N
 
 
 def suggested_order(w: Windows, found: Projection, most: int) -> int:
@@ -209,7 +236,7 @@ def realised(w: Windows, found: Projection, n: int) -> StateSpace:
     uf = w.columns("uf")
     later = np.concatenate([w.columns("up"), uf[:1], w.columns("yp"), y[:1]])
     known = w.R[:, np.concatenate([uf[1:], later])]
-    coefficients = np.linalg.lstsq(known, w.R[:, y[1:]], rcond=1e-10)[0]
+    coefficients = orthonormal(known).coefficients(w.R[:, y[1:]])
     ahead = w.R[:, later] @ coefficients[f - 1 :]
     X_next = np.linalg.lstsq(Gamma[:-1], ahead.T, rcond=None)[0].T
     left = np.column_stack([X_next, w.R[:, y[0]]])

@@ -63,6 +63,22 @@ def test_the_arm_gets_its_integrator_and_the_reasons(plant: HandoutPlant) -> Non
     assert "fewer parameters are not enough: OE[3 3 1]" in text
 
 
+@pytest.mark.parametrize(("highest", "said"), [(2, True), (3, False)])
+def test_the_highest_order_that_was_tried_is_no_answer(highest: int, said: bool) -> None:
+    """It may be too low: the search says how to go on."""
+    found = search(
+        _data(1, [1.0], [1.0]),
+        _data(2, [1.0], [1.0]),
+        families=("oe",),
+        orders=range(1, highest + 1),
+    )
+
+    assert found.chosen.candidate.order == 2
+    expected = "order 2 is the highest that was tried, so a higher one may be better"
+    assert (expected in found.explain()) == said
+    assert ("--max-order 4, orders=range(1, 5) in Python" in found.explain()) == said
+
+
 def test_other_processes_find_the_same() -> None:
     """To the last digit, whatever the executor."""
     data = _data(1, [1.0], [1.0], 400)
@@ -83,6 +99,27 @@ def test_what_fails_is_told_and_does_not_stop_the_search() -> None:
 
     assert [j.candidate.name for j in found.failed] == ["ARX[30 30 1]"]
     assert "without a usable model: 1, such as ARX[30 30 1]: na=30, nb=30" in found.explain()
+
+
+def test_a_model_that_runs_away_is_never_within_chance() -> None:
+    """Where an error grows to the end, its mean is as large as the standard error of that."""
+    estimation, validation = (
+        _of_one_pole(pole, N, seed) for pole, N, seed in ((1.3, 100, 1), (0.9, 700, 2))
+    )
+
+    found = search(estimation, validation, families=("arx", "bj"), orders=range(1, 2))
+
+    assert {j.candidate.name: j.reason for j in found.failed} == {
+        "ARX[1 1 1]": "its output has no bound"
+    }
+    assert found.chosen.candidate.name == "BJ[1 1 1 1 1]"
+
+
+def _of_one_pole(pole: float, N: int, seed: int) -> Dataset:
+    rng = np.random.default_rng(seed)
+    u = rng.choice([0.0, 1.0], N)
+    y = filtered(np.array([0.0, 1.0]), np.array([1.0, -pole]), u)
+    return Dataset(u=u, y=y + 1e-3 * rng.standard_normal(N), Ts=1.0)
 
 
 def test_what_cannot_be_searched_is_refused() -> None:

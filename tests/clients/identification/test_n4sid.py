@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset, merge
 from armrig.estimation.armax import armax
-from armrig.estimation.n4sid import n4sid
+from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.subspace import Weights
 from armrig.excitation import telegraph
 from armrig.model_file import load_fit
@@ -88,10 +88,47 @@ def test_an_input_offset_does_not_matter_to_an_integrating_output(plant: Handout
 
 
 def test_an_integrating_angle_without_an_integrator_is_warned_of(plant: HandoutPlant) -> None:
-    """Its pole is near 1 and not there."""
-    warnings = n4sid(plant.dataset(1), 4).warnings
+    """Its pole cannot be told from 1, on either side: it is an integrator, and not unstable."""
+    sides = set()
+    for seed in (1, 2):
+        fit = n4sid(plant.dataset(seed), 4)
+        sides.add(bool(np.abs(np.roots(fit.A)).max() > 1 + 1e-9))
 
-    assert any("try integrator=True" in w for w in warnings)
+        said = [w for w in fit.warnings if "a pole is 1 within its accuracy" in w]
+        assert len(said) == 1
+        assert said[0].endswith("theta_1 integrates, so ask for integrator=True")
+        assert not any("unstable" in w for w in fit.warnings)
+    assert sides == {True, False}
+    assert not any("integrator" in w for w in n4sid(plant.dataset(1), 4, integrator=True).warnings)
+
+
+def test_a_pole_that_is_surely_outside_is_called_unstable() -> None:
+    """By more than its accuracy, and so no integrator."""
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(400)
+    y = filtered([0.0, 1.0], [1.0, -1.01], u) + 0.1 * rng.standard_normal(400)
+
+    warnings = n4sid(Dataset(u=u, y=y, Ts=1.0), 1).warnings
+
+    assert "a pole is unstable, |z| = 1.0100" in warnings
+    assert not any("integrator" in w for w in warnings)
+
+
+def test_the_deviation_of_a_pole_is_that_of_its_coefficients() -> None:
+    """First order: the pole is -a1. Second order: of a sum and a product of two."""
+    roots = np.roots([1.0, -1.7, 0.72])  # 0.9 and 0.8
+    covariance = np.diag([1e-6, 4e-6])
+
+    by_step = [
+        (np.roots([1.0, -1.7 + da, 0.72 + db])[0] - roots[0]) / 1e-7
+        for da, db in ((1e-7, 0.0), (0.0, 1e-7))
+    ]
+
+    expected = float(np.hypot(by_step[0] * 1e-3, by_step[1] * 2e-3))
+    assert _pole_std(np.array([1.0, -1.7, 0.72]), roots[0], covariance) == pytest.approx(
+        expected, rel=1e-4
+    )
+    assert _pole_std(np.array([1.0, -0.5]), 0.5, np.array([[0.04]])) == pytest.approx(0.2)
 
 
 def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
@@ -167,6 +204,8 @@ def test_what_cannot_be_estimated_is_refused() -> None:
 
     with pytest.raises(ValueError, match="the data show 2 states; lower the order"):
         n4sid(clean, 4)
+    with pytest.raises(ValueError, match="y is constant and shows no state; record an experiment"):
+        n4sid(Dataset(u=u, y=np.full(300, 3.0), Ts=1.0), 1)
     with pytest.raises(ValueError, match="weights='svd' must be one of"):
         n4sid(clean, 2, "svd")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="horizon=2 must be an integer >= 3"):

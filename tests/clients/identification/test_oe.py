@@ -9,9 +9,10 @@ import pytest
 from armrig.dataset import Dataset, merge
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
-from armrig.polynomial import filtered
+from armrig.polynomial import Array, filtered, impulse
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 if TYPE_CHECKING:
     from conftest import HandoutPlant
@@ -175,6 +176,34 @@ def test_a_rig_at_rest_may_be_taken_at_its_word() -> None:
     assert (at_rest.std < estimated.std).all()
 
 
+def test_backcast_is_the_state_that_is_estimated() -> None:
+    """Least squares given B and F, and B and F the best for that state: nothing moves any more."""
+    rng = np.random.default_rng(7)
+    u = np.append(np.full(40, 2.0), rng.standard_normal(120))
+    y = filtered([0, 1, 0.5], [1, -1.7, 0.8], u) + 0.3 * rng.standard_normal(160)
+    data = Dataset(u=u[40:], y=y[40:], Ts=1)
+
+    fit = oe(data, nb=2, nf=2, initial="backcast")
+
+    def columns(f: Array) -> Array:
+        pulses = [impulse([1.0, *f], data.N), np.append(0.0, impulse([1.0, *f], data.N - 1))]
+        return np.column_stack(pulses)
+
+    def forced(theta: Array) -> Array:
+        return filtered([0.0, *theta[:2]], [1.0, *theta[2:]], data.u)
+
+    state = np.linalg.lstsq(columns(fit.F[1:]), data.y - forced(fit.theta), rcond=None)[0]
+    again = least_squares(
+        lambda theta: data.y - forced(theta) - columns(theta[2:]) @ state, fit.theta, xtol=1e-12
+    )
+    np.testing.assert_allclose(fit.free[0].transients, state, rtol=1e-8)
+    np.testing.assert_allclose(again.x, fit.theta, atol=1e-6)
+    at_rest = oe(data, nb=2, nf=2, initial="zero")
+    assert np.abs(state).max() > 1
+    assert fit.loss < 0.9 * at_rest.loss
+    np.testing.assert_array_equal(fit.theta, oe(data, nb=2, nf=2).theta)
+
+
 def test_the_starts_are_reported() -> None:
     """Where they lead to the same minimum the result says so."""
     rng = np.random.default_rng(8)
@@ -232,6 +261,6 @@ def test_impossible_orders_are_refused() -> None:
     with pytest.raises(ValueError, match="nf=0 must be an integer >= 1"):
         oe(data, nb=1, nf=0, integrator=True)
     with pytest.raises(
-        ValueError, match='initial=\'rest\' must be one of "estimate", "zero", "auto"'
+        ValueError, match='initial=\'rest\' must be one of "estimate", "backcast", "zero"'
     ):
         oe(data, nb=1, nf=1, initial="rest")  # type: ignore[arg-type]

@@ -65,6 +65,9 @@ def test_each_loss_is_that_of_the_structure_s_own_least_squares(
     assert table.validation_loss is not None
     expected = np.mean((y_v - Phi_v @ theta) ** 2)
     assert table.validation_loss[i] == pytest.approx(expected, rel=1e-9)
+    assert table.batch_losses is not None
+    batches = np.array_split((y_v - Phi_v @ theta) ** 2, 30)
+    np.testing.assert_allclose(table.batch_losses[i], [x.mean() for x in batches], rtol=1e-8)
 
 
 def test_the_true_orders_are_found() -> None:
@@ -79,14 +82,55 @@ def test_the_true_orders_are_found() -> None:
 
 
 def test_validation_data_decide_where_there_are_some() -> None:
-    """The least loss on them; an order too low is far from it."""
+    """The fewest parameters that are no worse than chance makes; one fewer is."""
     table = select_orders(_data(1, 3000), validation=_data(2, 3000))
 
-    assert table.validation_loss is not None
-    best = table.orders(int(np.nanargmin(table.validation_loss)))
-    assert table.best() == table.best("validation") == best
+    best, i = table.best(), table.chosen()
+
+    assert best == table.best("validation") == table.orders(i)
     assert best.na >= 2
     assert best.nk <= 2
+    assert table.validation_loss is not None
+    assert table.batch_losses is not None
+    lowest = int(np.nanargmin(table.validation_loss))
+    assert table.parameters[i] < table.parameters[lowest]
+    off = table.batch_losses - table.batch_losses[lowest]
+    excess, std = off.mean(axis=1), off.std(axis=1, ddof=1) / np.sqrt(30)
+    assert excess[i] <= std[i]
+    fewer = table.parameters < table.parameters[i]
+    assert (excess[fewer] > std[fewer]).all()
+
+
+def test_the_true_orders_are_chosen_more_often_than_the_lowest_loss_is_theirs() -> None:
+    """N = 1000 twice, 30 runs: the lowest of 600 losses is mostly that of a larger structure."""
+    lowest, chosen = 0, 0
+    for seed in range(30):
+        table = select_orders(_data(seed, 1000), validation=_data(seed + 100, 1000))
+        assert table.validation_loss is not None
+        true = {"na": 2, "nb": 2, "nk": 2}
+        lowest += dict(table.orders(int(np.nanargmin(table.validation_loss)))) == true
+        chosen += dict(table.best()) == true
+
+    assert lowest < 12
+    assert chosen > 15
+
+
+def test_the_choice_is_explained_in_words() -> None:
+    """On other data, without any, and where the range of orders ended too soon."""
+    validated = select_orders(_data(1, 1000), validation=_data(2, 1000))
+    alone = select_orders(_data(1, 3000))
+    short = select_orders(_data(1, 1000), na=[1, 2], nb=[1, 2, 3], validation=_data(2, 1000))
+
+    text = validated.explain()
+    assert "lowest loss on the validation data: na=" in text
+    assert "no more than chance makes" in text
+    assert "fewer parameters are not enough" in text
+    assert "try higher" not in text
+    assert "chosen: na=2, nb=2, nk=2, of lowest MDL" in alone.explain()
+    assert "give select_orders validation" in alone.explain()
+    assert "na=2 is the highest that was tried: try higher ones" in short.explain()
+    assert "nb=" not in short.explain().split("standard errors off")[1]
+    assert validated.explain().splitlines()[0] in repr(validated)
 
 
 def test_the_criteria_are_those_of_a_fit() -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.whiteness import portmanteau_p_value
+from armrig.least_squares import orthonormal
+from armrig.polynomial import lagged
+from armrig.whiteness import portmanteau, portmanteau_p_value
 from scipy.special import chdtrc
 
 
@@ -29,3 +31,36 @@ def test_many_samples_make_it_chi_squared() -> None:
     assert portmanteau_p_value(37.65, 25, 10**7) == pytest.approx(chdtrc(25, 37.65), rel=1e-4)
     assert portmanteau_p_value(3.0, 2, 100) == pytest.approx(chdtrc(2, 3.0))
     assert np.isnan(portmanteau_p_value(0.0, 0, 100))
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None:
+    """Two experiments, one with holes; the basis of what was fitted given, or made."""
+    rng = np.random.default_rng(1)
+    lags, sizes = 5, (80, 60)
+    Psi = [rng.standard_normal((n, 3)).cumsum(axis=0) for n in sizes]
+    spans = [np.linalg.qr(rng.standard_normal((n, 2)))[0] for n in sizes]
+    e = [rng.standard_normal(n) for n in sizes]
+    holes = np.array([7, 8, 30])
+    e[1][holes], Psi[1][holes], spans[1][holes] = np.nan, 0.0, 0.0
+    Q = orthonormal(np.vstack(Psi)).Q
+
+    p = portmanteau(e, Psi, spans, lags, Q=Q if known else None)
+
+    x = [np.nan_to_num(part) for part in e]
+    Z = [lagged(part, range(1, lags + 1)) for part in x]
+    s = np.array([sum(a @ b[:, k] for a, b in zip(x, Z, strict=True)) for k in range(lags)])
+    there = [np.isfinite(part) for part in e]
+    pairs = np.array([sum(np.sum(t[k:] & t[:-k]) for t in there) for k in range(1, lags + 1)])
+    N = sum(int(t.sum()) for t in there)
+    R0 = sum(float(part @ part) for part in x) / N
+    m, M = np.zeros(lags), np.diag(pairs) * R0**2 * N / (N + 2)
+    through = np.zeros((lags, Q.shape[1]))
+    for z, span, q in zip(Z, spans, (Q[:80], Q[80:]), strict=True):
+        both = np.hstack([span, q])
+        m -= [R0 * np.trace(both[k:] @ both[:-k].T) for k in range(1, lags + 1)]
+        M -= R0 * z.T @ span @ span.T @ z
+        through += z.T @ q
+    M -= R0 * through @ through.T
+    statistic = float((s - m) @ np.linalg.solve(M, s - m))
+    assert p == pytest.approx(portmanteau_p_value(statistic, lags, N), rel=1e-9)

@@ -1,0 +1,86 @@
+"""The Gram matrix of all windows of a signal, from correlations and the signal's two ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf
+
+from armrig.polynomial import Array
+
+# Share of a column that those before it leave. Rounding is 1e-16 of the squares, so a variance
+# made of so small a rest keeps some five digits, and its estimate has two.
+_LEAST_REST = 1e-5
+_LONG = 8  # times a window's length: from so many windows on, displacement is the faster way
+
+
+def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
+    """Return the Gram matrix of U and Y about their means, (2 length, 2 length).
+
+    Row t of [U Y] is the window u(t) … u(t + length - 1), y(t) … of a part. With x and z either
+    signal, entry (i, j) is the sum of x(t + i) z(t + j) over the n windows, and so ::
+
+        G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
+
+    where the first row and column are correlations: 4 n length multiplications, not
+    (2 length)² n.
+
+    Parameters
+    ----------
+    parts : sequence of (ndarray, ndarray)
+        u and y, each of at least `length` samples.
+
+    References
+    ----------
+    .. [1] T. Kailath, S.-Y. Kung, M. Morf, J. Math. Anal. Appl. 68 (1979) 395-407 (displacement
+       rank).
+    """
+    G, total, N = np.zeros((2, length, 2, length)), np.zeros((2, length)), 0
+    for part in parts:
+        x = np.stack(part)
+        n = x.shape[1] - length + 1
+        if n < _LONG * length:
+            M = np.lib.stride_tricks.sliding_window_view(x, n, axis=1).reshape(2 * length, n)
+            G += (M @ M.T).reshape(G.shape)
+            total += M.sum(axis=1).reshape(total.shape)
+        else:
+            G += _by_displacement(x, length)
+            inner = x[:, length - 1 : n].sum(axis=1)
+            total += inner[:, None] + _ends(x, length)
+        N += n
+    whole, s = G.reshape(2 * length, 2 * length), total.ravel()
+    return np.asarray(whole - np.outer(s, s) / max(N, 1))
+
+
+def _ends(x: Array, length: int) -> Array:
+    """Return what the sum over each shift's n samples has beside those common to all."""
+    before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
+    after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)
+    none = np.zeros((2, 1))
+    return np.asarray(np.hstack([before, none]) + np.hstack([none, after]))
+
+
+def _by_displacement(x: Array, length: int) -> Array:
+    """Return the Gram matrix of one part's windows, (2, length, 2, length)."""
+    n = x.shape[1] - length + 1
+    first = np.array([[np.correlate(z, v[:n]) for z in x] for v in x])
+    G = np.empty((2, length, 2, length))
+    G[:, 0] = first
+    G[:, :, :, 0] = first.transpose(1, 2, 0)
+    late, early = x[:, n : n + length - 1], x[:, : length - 1]
+    change = np.einsum("ai,bj->aibj", late, late) - np.einsum("ai,bj->aibj", early, early)
+    for i in range(length - 1):
+        G[:, i + 1, :, 1:] = G[:, i, :, :-1] + change[:, i]
+    return G
+
+
+def cholesky_factor(G: Array) -> Array | None:
+    """Return the upper R of R^T R = G, or None where G has too few digits for it."""
+    scale = np.sqrt(np.diag(G))
+    if not (scale > 0).all():
+        return None
+    R, failed = dpotrf(G / np.outer(scale, scale), clean=True)
+    if failed or np.diag(R).min() < _LEAST_REST:
+        return None
+    return np.asarray(R * scale)
