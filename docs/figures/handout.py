@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,22 @@ def record_all(folder: Path) -> None:
 def main() -> None:
     """Draw all of them."""
     from armrig.plots import plot_bode, plot_compare
+    from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 
+    p = ArmParameters()
+    cases = {
+        "handout": p,
+        "$J_1$ doubled": replace(p, J_1=2 * p.J_1),
+        "$K_{lin}$ doubled": replace(p, K_lin=2 * p.K_lin),
+    }
+    draw = experiments().draw
+    draw("handout-structure.svg", (11, 2.4), lambda ax: plot_rig(ax=ax))
+    draw(
+        "handout-step.svg",
+        (11, 3.6),
+        lambda ax: plot_physical_step(cases, ax=ax),
+        lambda ax: plot_sensitivities(p, ax=ax),
+    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         record_all(folder)
@@ -48,7 +64,6 @@ def main() -> None:
         )
     fit = armrig.oe(estimation, nb=4, nf=4, integrator=True)
     physics = armrig.physical_model(ArmParameters(), validation)
-    draw = experiments().draw
     names = ("OE", "physics")
     draw(
         "handout-compare.svg",

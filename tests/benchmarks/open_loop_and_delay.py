@@ -1,6 +1,6 @@
 """Monte Carlo of the tests for feedback and for delay on the handout's arm.
 
-Sections: `level`, `power`, `extra`, `sampling`; all of them without an argument.
+Sections: `level`, `power`, `delays`, `read`; all of them without an argument.
 """
 
 from __future__ import annotations
@@ -130,39 +130,41 @@ def power() -> None:
             )
 
 
-def extra() -> None:
-    """Print how often the right delay is found where there is one."""
-    print(f"delay, Ts 10 ms, {SEEDS} seeds each")
-    for samples in (0, 1, 2, 5):
-        _tell(
-            f"{samples} extra samples", samples, 0.01, (_delayed(s, samples) for s in range(SEEDS))
-        )
-
-
-def sampling() -> None:
-    """Print what is found on the handout's arm, which has no delay."""
-    print(f"no delay, 30 s, {SEEDS} seeds each")
+def delays() -> None:
+    """Print what is found on the handout's arm with 0, 1, 2 and 5 samples of delay."""
+    print(f"delay, 30 s, level 1 %, {SEEDS} seeds each")
     for Ts in (0.002, 0.005, 0.01, 0.02):
-        data = (driven(np.random.default_rng([17, s]), Ts=Ts) for s in range(SEEDS))
-        _tell(f"Ts {1e3 * Ts:g} ms", 0, Ts, data)
-    data = (_read(np.random.default_rng([19, s])) for s in range(SEEDS))
-    _tell("Ts 10 ms, 10 bits, dead band", 0, 0.01, data)
+        for samples in (0, 1, 2, 5):
+            _tell(f"Ts {1e3 * Ts:g} ms, {samples} extra", samples, _delayed(Ts, samples))
 
 
-def _delayed(seed: int, extra: int) -> Dataset:
-    return driven(np.random.default_rng([13, seed, extra]), extra=extra)
+def read() -> None:
+    """Print the same through the potentiometer, without a delay and with two samples."""
+    print(f"delay, 10 bits, dead band, 2 % lost, 30 s, level 1 %, {SEEDS} seeds each")
+    for Ts in (0.002, 0.01):
+        for samples in (0, 2):
+            data = (
+                through_potentiometer(d, np.random.default_rng([19, s]))
+                for s, d in enumerate(_delayed(Ts, samples))
+            )
+            _tell(f"Ts {1e3 * Ts:g} ms, {samples} extra", samples, data)
 
 
-def _tell(name: str, truth: int, Ts: float, data: Iterable[Dataset]) -> None:
+def _delayed(Ts: float, extra: int) -> Iterable[Dataset]:
+    return (driven(np.random.default_rng([17, s]), Ts=Ts, extra=extra) for s in range(SEEDS))
+
+
+def _tell(name: str, truth: int, data: Iterable[Dataset]) -> None:
     begin = perf_counter()
-    found = [armrig.delay(d) for d in data]
+    found = [armrig.delay(d).interval for d in data]
     each = (perf_counter() - begin) / len(found)
-    right = sum(d.delay == truth for d in found)
-    late = sum(d.delay > truth for d in found)
-    covered = sum(d.interval[0] <= truth + 1 <= d.interval[1] for d in found)
+    nk = truth + 1
+    right = sum(low == high == nk for low, high in found)
+    late, early = sum(low > nk for low, _ in found), sum(high < nk for _, high in found)
     print(
-        f"  {name}: right {right} of {len(found)}, too late {late}, too early "
-        f"{len(found) - right - late}; interval holds it {covered}; {each:.2f} s each",
+        f"  {name}: right {right} of {len(found)}, cannot be told "
+        f"{len(found) - right - late - early}, too late {late}, too early {early}; "
+        f"{each:.2f} s each",
         flush=True,
     )
 
@@ -176,6 +178,6 @@ def _angle(u: Vector, Ts: float) -> Vector:
 
 
 if __name__ == "__main__":
-    sections = {"level": level, "power": power, "extra": extra, "sampling": sampling}
+    sections = {"level": level, "power": power, "delays": delays, "read": read}
     for section in sys.argv[1:] or sections:
         sections[section]()

@@ -16,14 +16,19 @@ _HASH = re.compile(r"\b[0-9a-f]{12}\b")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
 
-def record_all(script: str, folder: Path) -> None:
-    """Make the recordings that a page speaks of, by the script of its figures."""
-    found = importlib.util.spec_from_file_location(f"figures_{script}", DOCS / "figures" / script)
+def script(name: str) -> Any:
+    """Return a script of docs/figures as a module."""
+    found = importlib.util.spec_from_file_location(f"figures_{name}", DOCS / "figures" / name)
     assert found is not None
     assert found.loader is not None
     module: Any = importlib.util.module_from_spec(found)
     found.loader.exec_module(module)
-    module.record_all(folder)
+    return module
+
+
+def record_all(name: str, folder: Path) -> None:
+    """Make the recordings that a page speaks of, by the script of its figures."""
+    script(name).record_all(folder)
 
 
 def run(page: Path, capsys: pytest.CaptureFixture[str], *, atol: float) -> int:

@@ -77,8 +77,12 @@ def check(
                 "delay": {
                     "nk": late.nk,
                     "delay": late.delay,
+                    "told": late.told,
                     "interval": late.interval,
+                    "level": late.level,
                     "p_values": late.p_values,
+                    "before": late.before,
+                    "misfit": late.misfit,
                     "t_q": late.t_q,
                     "remarks": late.remarks,
                 },
@@ -112,6 +116,7 @@ def greybox(
         fit = armrig.greybox(
             data, _model(model), tuple(free or ("J_1",)), fixed, output, friction=friction
         )
+    fit.require_result()
     write_plot(plot, lambda ax: fit.plot(data, ax=ax), height=4.5)
     if json:
         parameters = {

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from math import log, sqrt
+from math import ceil, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,11 +12,20 @@ from numpy.typing import NDArray
 from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
-from armrig.estimation.oe import oe
+from armrig.feedback_and_delay.onset import (
+    LEVEL,
+    SECOND_ORDER,
+    SURPRISING,
+    Before,
+    Candidates,
+    Onset,
+    onset,
+)
 from armrig.fit import Fit
 from armrig.grey_box.quantisation import quantum
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.nonparametric.integration import settled
+from armrig.nonparametric.quantile import two_sided
 from armrig.quantities import p_relation
 from armrig.whiteness import WHITE_LEVEL
 
@@ -27,12 +34,10 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-LEVEL = 0.01
 _MOST_LAGS = 30
-_LIKELY = 3.841  # 95 % point of chi-squared, one degree of freedom
+_PER_PARAMETER = 10  # samples
 _FAR = 3  # lags past nk to which losses are shown
-_SECOND_ORDER = frozenset({"theta_1", "alpha"})
-"""Outputs whose second derivative is what a step of the voltage changes first."""
+_FEW_CHANGES = 10  # of u, up to which an error of quantisation does not average out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -40,11 +45,17 @@ class Delay:
     """The first lag at which u acts."""
 
     nk: int
-    """First lag at which u acts; 1 is a rig without delay under a zero-order hold."""
+    """First lag at which u acts, the least one that is not ruled out; 1 is a rig without delay
+    under a zero-order hold."""
     interval: tuple[int, int]
-    """Every nk whose OE loss, orders kept, is no worse than the best by chi-squared's 95 %."""
+    """Least and greatest nk that the data do not rule out, at a level of 1 %."""
     p_values: dict[int, float]
     """By lag k that was tested: of the hypothesis that u does not act at k, nor before."""
+    before: Before | None
+    """Of the lag before the first that was shown: would u be seen there? None at lag 0."""
+    misfit: dict[int, float]
+    """By first lag of a smooth onset: chi-squared, two degrees of freedom; empty where the
+    coefficients are far above the noise, or the output is no angle."""
     oe_loss: dict[int, float]
     """OE loss by nk, nb and nf kept, in y's unit squared."""
     arx_loss: dict[int, float]
@@ -78,8 +89,21 @@ class Delay:
     """Hash of the recording, or ""."""
 
     @property
+    def level(self) -> float:
+        """Of each test, 1 %."""
+        return LEVEL
+
+    @property
+    def told(self) -> bool:
+        """Only one nk is possible."""
+        return self.interval[0] == self.interval[1]
+
+    @property
     def delay(self) -> int:
-        """Samples of delay beyond the hold's own one, nk - 1; -1 is a direct term."""
+        """Samples of delay beyond the hold's own one, nk - 1; -1 is a direct term.
+
+        No more of them than the data show: where several are possible, the least.
+        """
         return self.nk - 1
 
     def explain(self) -> str:
@@ -87,12 +111,11 @@ class Delay:
         g, std = self.response.decaying
         lines = [
             "Asked: at which lag does u act first? A rig without delay acts at lag 1 under a "
-            "zero-order hold: what is applied from one instant on shows at the next.",
-            *(f"  {_tested(k, p, self.output)}" for k, p in sorted(self.p_values.items())),
-            f"So nk = {self.nk}: "
-            + _in_words(self.delay, self.Ts)
-            + f"; by the loss alone, orders "
-            f"kept, nk from {self.interval[0]} to {self.interval[1]} is possible (95 %).",
+            "zero-order hold: what is applied from one instant on shows at the next. Each test "
+            f"has a level of {100 * self.level:g} %.",
+            *(f"  {line}" for line in self._tests()),
+            f"So {self._answer()}.",
+            *([] if self.told else [self._way_out()]),
             "Beside it: the impulse response "
             + (f"of {self.output}'s rate " if self.response.integrator else "")
             + "at lags "
@@ -112,6 +135,31 @@ class Delay:
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
+    def _tests(self) -> list[str]:
+        lines = [_tested(k, p, self.output) for k, p in self.p_values.items()]
+        if self.before is not None and (self.misfit or not self.told):
+            lines.append(_overlooked(self.before))
+        return [*lines, *([_shape(self.misfit)] if self.misfit else [])]
+
+    @property
+    def lag_in_words(self) -> str:
+        """Say which nk, or between which."""
+        low, high = self.interval
+        return f"nk = {low}" if self.told else f"nk between {low} and {high}"
+
+    def _answer(self) -> str:
+        if self.told:
+            return f"{self.lag_in_words}: {_in_words(self.delay, self.Ts)}"
+        return f"{self.lag_in_words}: cannot be told at this Ts and noise"
+
+    def _way_out(self) -> str:
+        return (
+            f"No delay is claimed that is not shown: take nk = {self.nk}, for a coefficient too "
+            "many costs little. To tell, record longer, with more and larger changes of u "
+            f"(telegraph, PRBS), or at a Ts above {1e3 * self.Ts:.3g} ms, where the first "
+            "coefficient is larger."
+        )
+
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show impulse response and losses: see `armrig.plots.plot_delay`."""
         from armrig.plots.feedback_and_delay import plot_delay
@@ -120,9 +168,8 @@ class Delay:
 
     def __repr__(self) -> str:
         """Say it in a few lines."""
-        low, high = self.interval
-        lines = [f"nk = {self.nk}: {_in_words(self.delay, self.Ts)} (95 %: {low} to {high})"]
-        lines += [f"  {_tested(k, p, self.output)}" for k, p in sorted(self.p_values.items())]
+        lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
+        lines += [f"  {line}" for line in self._tests()]
         if self.t_q is not None:
             lines.append(f"  t_q = {1e3 * self.t_q:.2g} ms is hidden by quantisation: no delay")
         return "\n".join([*lines, *(f"  note: {r}" for r in self.remarks)])
@@ -137,9 +184,11 @@ def delay(data: Dataset, *, nb: int = 4, nf: int = 4, integrator: bool | None = 
 
     where V is the mean squared error and both reach to the same last lag, so that the smaller
     model is right if u acts at k + 1 or later. The search begins at the first lag that leaves its
-    band in the plain impulse response (Bonferroni, 1 %), and goes down as long as lag k - 1 is
-    significant, or else up until lag k is. On an angle the first coefficient can be far below its
-    own σ in the impulse response (at Ts 2 ms) and be certain here.
+    band in the plain impulse response (Bonferroni, 1 %).
+
+    A coefficient that is not significant may only be too small to see. The lag before the first
+    significant one is ruled out by what a rig that begins there would show, see `onset`; where it
+    is not, nk lies between the two, and no delay is claimed.
 
     Parameters
     ----------
@@ -153,7 +202,7 @@ def delay(data: Dataset, *, nb: int = 4, nf: int = 4, integrator: bool | None = 
     Returns
     -------
     Delay
-        .nk, .delay = nk - 1, .interval, .p_values, .explain(), .plot().
+        .nk, .delay = nk - 1, .told, .interval, .p_values, .explain(), .plot().
 
     Raises
     ------
@@ -168,91 +217,68 @@ def delay(data: Dataset, *, nb: int = 4, nf: int = 4, integrator: bool | None = 
     """
     integrates = settled(data, integrator, "delay")
     require_integers(nb=(nb, 1), nf=(nf, int(integrates)))
-    n = min(_MOST_LAGS, (data.N - data.missing) // 10)
+    samples, needed = data.N - data.missing, _PER_PARAMETER * (nb + nf + 1)
+    if samples < needed:
+        msg = f"{samples} samples came, the test for a delay needs at least {needed} with "
+        msg += f"nb={nb} and nf={nf}: record longer"
+        raise ValueError(msg)
+    n = min(_MOST_LAGS, samples // 10)
     response = impulse_response(data, n, kernel=None, integrator=integrates)
 
-    @cache
-    def model(k: int, more: int) -> Fit:
-        return oe(data, nb=nb + more, nf=nf, nk=k, integrator=integrates)
-
-    k = _first(response)
-    p_values: dict[int, float] = {}
-
-    def acts(at: int) -> bool:
-        p_values[at] = _nested(model(at + 1, 0), model(at, 1))
-        return p_values[at] < LEVEL
-
-    came_down = False
-    while k > 0 and acts(k - 1):
-        k, came_down = k - 1, True
-    while not came_down and not acts(k):
-        k += 1
-        if k >= n:
-            msg = f"u acts at no lag up to {n - 1} that can be told from nothing; record longer, "
-            msg += "or with a larger input"
-            raise ValueError(msg)
-    loss, interval = _likely(lambda nk: model(nk, 0), k, n)
+    candidates = Candidates(data, nb=nb, nf=nf, integrator=integrates)
+    found = onset(candidates, _first(response), n)
     step = quantum(data)
-    change = float(np.max(np.abs(np.diff(data.u)), initial=0.0))
-    # From rest y = b u t²/2, so the first coefficient is b Ts²/2.
-    acceleration = 2 * abs(float(model(k, 0).B[k])) / data.Ts**2
+    moves = np.abs(np.diff(data.u))
+    change = float(np.max(moves, initial=0.0))
+    acceleration = _acceleration(candidates, found) / data.Ts**2
+    t_q = _hidden(step, acceleration, change) if data.output in SECOND_ORDER else None
+    first, remarks = found.first, _remarks(candidates.model(found.last, 1))
+    changes = int(np.count_nonzero(moves))
+    if t_q is not None and changes < _FEW_CHANGES and found.last > 1:
+        first = min(first, max(found.last - ceil(t_q / data.Ts), 1))
+        remarks.append(
+            f"u changes {changes} time{'s' * (changes != 1)} only, which does not excite enough to "
+            f"tell a delay from the first {ceil(t_q / data.Ts)} samples that quantisation hides"
+        )
     return Delay(
-        nk=k,
-        interval=interval,
-        p_values=p_values,
-        oe_loss=loss,
-        arx_loss={j: arx(data, na=nf, nb=nb, nk=j).loss for j in range(k + _FAR + 1)},
+        nk=first,
+        interval=(first, found.last),
+        p_values=found.p_values,
+        before=found.before,
+        misfit=found.misfit,
+        oe_loss={j: candidates.model(j).loss for j in range(max(first - 1, 0), found.last + 2)},
+        arx_loss={j: arx(data, na=nf, nb=nb, nk=j).loss for j in range(found.last + _FAR + 1)},
         response=response,
         nb=nb,
         nf=nf,
         quantum=step,
-        remarks=tuple(_remarks(model(k, 1))),
+        remarks=tuple(remarks),
         output=data.output,
         Ts=data.Ts,
         unit=data.unit,
         input_unit=data.input_unit,
         source=data.source,
-        t_q=_hidden(step, acceleration, change) if data.output in _SECOND_ORDER else None,
+        t_q=t_q,
         largest_step=change,
         acceleration=acceleration,
     )
 
 
+def _acceleration(candidates: Candidates, found: Onset) -> float:
+    """Return b Ts²: from rest y = b u t²/2, so the first coefficient is b Ts²/2."""
+    k = found.first
+    return 2 * abs(float((candidates.smooth(k) if found.misfit else candidates.model(k)).B[k]))
+
+
 def _first(response: ImpulseResponse) -> int:
-    """Return the first lag outside its band, all lags together at 1 %."""
-    first = response.first_lag(1 - LEVEL / response.g.size)
-    if first is None:
-        g, std = response.decaying
-        first = int(np.argmax(np.abs(g) / np.where(std > 0, std, np.inf)))
-    return first
+    """Return the first lag outside its band, all lags together at 1 %, or the one farthest out.
 
-
-def _nested(small: Fit, large: Fit) -> float:
-    """Return the p value of the one coefficient that the larger model has more."""
-    from scipy.special import fdtrc
-
-    degrees = large.N - large.parameters
-    gained = max(small.loss / large.loss - 1, 0.0) if large.loss > 0 else 0.0
-    return float(fdtrc(1, degrees, degrees * gained))
-
-
-def _likely(
-    model: Callable[[int], Fit], k: int, most: int
-) -> tuple[dict[int, float], tuple[int, int]]:
-    """Return losses about k, and the least and largest nk that the best does not rule out."""
-    loss = {j: model(j).loss for j in range(max(k - 1, 0), k + 2)}
-
-    def likely(j: int) -> bool:
-        if j not in loss:
-            loss[j] = model(j).loss
-        return model(j).N * log(loss[j] / min(loss.values())) < _LIKELY
-
-    low = high = k
-    while low > 0 and likely(low - 1):
-        low -= 1
-    while high < most and likely(high + 1):
-        high += 1
-    return dict(sorted(loss.items())), (low, high)
+    Of an integrating output the response itself is asked: its rate's jumps with the noise.
+    """
+    std = np.where(response.std > 0, response.std, np.inf)
+    z = np.abs(response.g) / std
+    outside = np.flatnonzero(z > two_sided(1 - LEVEL / z.size))
+    return int(outside[0] if outside.size else np.argmax(z))
 
 
 def _hidden(step: float, acceleration: float, change: float) -> float | None:
@@ -277,6 +303,21 @@ def _tested(k: int, p: float, output: str) -> str:
     said = "u acts there" if p < LEVEL else "nothing is missed without it"
     how = f"OE of {output} with a coefficient there against without"
     return f"lag {k}: {how}, p {p_relation(p)}: {said}"
+
+
+def _overlooked(b: Before) -> str:
+    return (
+        f"lag {b.k} is {b.found:+.1f}σ, and would be {b.predicted:+.1f}σ if u acted there first: "
+        f"p {p_relation(b.p_value)}"
+    )
+
+
+def _shape(misfit: dict[int, float]) -> str:
+    lags, values = ", ".join(map(str, misfit)), ", ".join(f"{x:.3g}" for x in misfit.values())
+    return (
+        f"so near the noise the shape of the onset decides: a smooth one at lag {lags} leaves chi² "
+        f"{values} ({SURPRISING:g} at {100 * LEVEL:g} %)"
+    )
 
 
 def _in_words(samples: int, Ts: float) -> str:

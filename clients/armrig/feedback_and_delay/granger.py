@@ -115,8 +115,9 @@ def _rows(data: Dataset, p: int) -> tuple[Matrix, Vector]:
     rows, target = np.vstack(blocks), np.concatenate(targets)
     needed = _ROWS_PER_PARAMETER * rows.shape[1]
     if target.size < needed:
-        msg = f"{target.size} rows of {data.N} samples have {p} samples without a hole before "
-        msg += f"them, {needed} are needed: record longer, or lose fewer samples"
+        msg = f"{data.N - data.missing} samples came, {target.size} of them with {p} samples "
+        msg += f"without a hole before them; the test for feedback needs {needed} such: record "
+        msg += f"longer (at least {needed + p} samples), or lose fewer"
         raise ValueError(msg)
     return rows, target
 

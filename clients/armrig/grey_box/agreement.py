@@ -7,6 +7,7 @@ from math import erfc, sqrt
 
 from armrig.grey_box.fit import GreyFit
 from armrig.grey_box.quantisation import too_quiet
+from armrig.quantities import p_relation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +28,9 @@ class Agreement:
     def __repr__(self) -> str:
         """Say it in one line."""
         z = self.difference / self.std
-        told = f"{self.name}: {self.difference:+.3g} apart, {z:+.2f} sd, p = {self.p_value:.3f}"
+        told = (
+            f"{self.name}: {self.difference:+.3g} apart, {z:+.2f} sd, p {p_relation(self.p_value)}"
+        )
         return f"{told} ({self.note})" if self.note else told
 
 

@@ -18,6 +18,7 @@ from armrig.grey_box.problem import COULOMB, GreyBox, GreyBoxWithFriction
 from armrig.grey_box.quantisation import quantum, too_quiet
 from armrig.grey_box.uncertainty import by_experiment, named_influence, scales, uncertainty
 from armrig.physics import chassis
+from armrig.quantities import p_relation
 from armrig.whiteness import WHITE_LEVEL, default_lags, portmanteau
 
 Vector = NDArray[np.float64]
@@ -93,8 +94,9 @@ def greybox(
     samples = data.N - data.missing
     needed = len(names) + (n + 1) * len(experiments) + 1
     if samples < needed or min(part.N for part in experiments) < 2:
-        msg = f"free={names} in {len(experiments)} experiments needs at least {needed} samples, "
-        msg += f"and two in each; got {samples}"
+        where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
+        msg = f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
+        msg += f"needed{where}: record longer"
         raise ValueError(msg)
     plain = GreyBox(
         physics=physics, names=tuple(x for x in names if x != COULOMB), experiments=experiments
@@ -159,7 +161,8 @@ def _fit(
         for part in (u.noise, u.noise + carried @ carried.T, u.robust + carried @ carried.T)
     ]
     noise_std, std, robust_std = (
-        dict(zip(names, np.sqrt(np.diag(c)).tolist(), strict=True)) for c in covariances
+        dict(zip(names, np.sqrt(np.maximum(np.diag(c), 0.0)).tolist(), strict=True))
+        for c in covariances
     )
     lags = default_lags(M)
     white = portmanteau(residuals, blocks, spans, lags) if noisy else float("nan")
@@ -168,8 +171,9 @@ def _fit(
     warnings += [w for w in (too_quiet(step, noise_variance),) if w]
     if white < WHITE_LEVEL:
         warnings.append(
-            "the residuals are coloured: something of the rig is not in the model (friction?), or "
-            "the noise is not white; prefer std_robust"
+            f"the residuals are coloured (p {p_relation(white)}, level {100 * WHITE_LEVEL:g} %): "
+            "something of the rig is not in the model (friction?), or the noise is not white; "
+            "prefer std_robust"
         )
     return GreyFit(
         method="output error",

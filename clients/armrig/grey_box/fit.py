@@ -34,6 +34,16 @@ UNITS = {
 }
 
 
+_TOLD = 2.0  # standard deviations that a parameter must be from 0
+_WAY_OUT = (
+    "free fewer parameters, begin nearer to them, or record longer with an input that changes often"
+)
+
+
+class NoResultError(ValueError):
+    """The estimation ended without one."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class GreyFit:
     """Physical parameters from data, with their uncertainty."""
@@ -113,6 +123,37 @@ class GreyFit:
         s = np.sqrt(np.diag(self.covariance))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.covariance / np.outer(s, s))
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Parameters above 0 by definition that two standard deviations of the noise take to 0."""
+        return tuple(
+            name
+            for name in self.names
+            if name not in SIGNED | {COULOMB}
+            and not _TOLD * self.std_noise[name] < abs(self.values[name])
+        )
+
+    def require_result(self) -> None:
+        """Refuse a search that did not end, and parameters that the data do not determine.
+
+        Raises
+        ------
+        NoResultError
+            With what to do.
+        """
+        if lost := self.undetermined:
+            msg = f"{', '.join(map(self._figure, lost))}: not identifiable from these {self.N} "
+            msg += f"samples, 2 standard deviations reach 0; {_WAY_OUT}"
+            raise NoResultError(msg)
+        if not self.converged:
+            msg = f"the search for {', '.join(self.names)} did not converge, so there is no "
+            msg += f"result; {_WAY_OUT}"
+            raise NoResultError(msg)
+
+    def _figure(self, name: str) -> str:
+        unit = f" {UNITS.get(name, '')}".rstrip()
+        return f"{name} = {self.values[name]:.3g} ± {self.std_noise[name]:.2g}{unit}"
 
     @property
     def relative_std(self) -> dict[str, float]:

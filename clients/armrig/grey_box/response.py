@@ -124,10 +124,41 @@ def _walk(
     The friction of a step is what would bring the speed to 0 at its end, at most V either way.
     A V below 0, which a search may try, never sticks.
     """
+    alone = not np.delete(model.Phi[speed], speed).any()
+    frictions, signs = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
+    # With the friction known the model is linear, and all of its states come at once.
+    x = recursion(model.Phi, (u[:-1] - frictions)[:, None] * model.Gamma, x0)
+    x[1:][np.array(signs, dtype=int) == 0, speed] = 0.0
+    return x, list(_stretches(signs))
+
+
+def _braked_alone(
+    model: Sampled, u: Vector, x0: Vector, V: float, speed: int
+) -> tuple[Vector, list[int]]:
+    """Return friction and sign of each step where no other state acts on the speed."""
+    pole, gain, v = float(model.Phi[speed, speed]), float(model.Gamma[speed]), float(x0[speed])
+    frictions, signs = [], []
+    for value in u[:-1].tolist():
+        needed = pole * v / gain + value
+        if abs(needed) <= V:
+            v, friction, sign = 0.0, needed, 0
+        else:
+            sign = 1 if needed > 0 else -1
+            friction = sign * V
+            v = gain * (needed - friction)
+        frictions.append(friction)
+        signs.append(sign)
+    return np.array(frictions), signs
+
+
+def _braked(
+    model: Sampled, u: Vector, x0: Vector, V: float, speed: int
+) -> tuple[Vector, list[int]]:
+    """Return friction and sign of each step."""
     rows = [tuple(map(float, row)) for row in model.Phi]
     gamma = [float(g) for g in model.Gamma]
     x = list(map(float, x0))
-    states, signs = [x], []
+    frictions, signs = [], []
     n = range(len(x))
     for value in u[:-1].tolist():
         x = [sum(row[j] * x[j] for j in n) + g * value for row, g in zip(rows, gamma, strict=True)]
@@ -137,9 +168,9 @@ def _walk(
         x = [a - g * friction for a, g in zip(x, gamma, strict=True)]
         if sign == 0:
             x[speed] = 0.0
-        states.append(x)
+        frictions.append(friction)
         signs.append(sign)
-    return np.array(states), list(_stretches(signs))
+    return np.array(frictions), signs
 
 
 def _stretches(signs: list[int]) -> Iterator[tuple[int, int, int]]:

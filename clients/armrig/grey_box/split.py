@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.grey_box.estimate import greybox
+from armrig.grey_box.fit import GreyFit
+from armrig.quantities import p_relation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,8 +107,9 @@ class SplitStudy:
             if s.k > 1:
                 word = "agree" if s.p_value >= _LEVEL else "DIFFER"
                 lines.append(
-                    f"The {s.k} parts {word} (chi² {s.chi2:.2f} with {s.k - 1} degrees of freedom, "
-                    f"p = {s.p_value:.3f}); they scatter by {s.scatter:.2g}, where "
+                    f"The {s.k} parts {word} at a level of {100 * _LEVEL:g} % (chi² {s.chi2:.2f} "
+                    f"with {s.k - 1} degree{'s' * (s.k > 2)} of freedom, p "
+                    f"{p_relation(s.p_value)}); they scatter by {s.scatter:.2g}, where "
                     f"{sqrt(float(np.mean(s.std**2))):.2g} is reported."
                 )
         whole = next((s for s in self.splits if s.k == 1), None)
@@ -141,7 +144,7 @@ class SplitStudy:
                 value, std = s.pooled
                 lines.append(
                     f"{'':5} {'pooled':>7} {value:12.6g} {std:9.2g} {s.scaled_std:12.4g}  "
-                    f"chi² {s.chi2:.2f}, p = {s.p_value:.3f}"
+                    f"chi² {s.chi2:.2f}, p {p_relation(s.p_value)}"
                 )
         return "\n".join(lines)
 
@@ -182,7 +185,10 @@ def split_study(
     splits = []
     for k in parts:
         pieces = data.split(k)
-        fits = [_numbers(estimator(piece), parameter) for piece in pieces]
+        fits = [
+            _estimated(estimator, piece, parameter, f"part {i} of {k}")
+            for i, piece in enumerate(pieces, 1)
+        ]
         names, values, stds = zip(*fits, strict=True)
         splits.append(
             Split(
@@ -194,6 +200,20 @@ def split_study(
         )
         parameter = names[0]
     return SplitStudy(parameter=str(parameter), splits=tuple(splits), source=data.source)
+
+
+def _estimated(
+    estimator: Callable[[Dataset], Any], data: Dataset, parameter: str | None, part: str
+) -> tuple[str, float, float]:
+    """Return name, estimate and standard deviation from one part, or refuse it by its name."""
+    try:
+        fit = estimator(data)
+        if isinstance(fit, GreyFit):
+            fit.require_result()
+    except ValueError as err:
+        msg = f"{part}: {err}"
+        raise ValueError(msg) from err
+    return _numbers(fit, parameter)
 
 
 def _numbers(fit: Any, parameter: str | None) -> tuple[str, float, float]:

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from armrig.excitation import telegraph
 from armrig.grey_box.model import Physics
-from armrig.grey_box.response import linear_parts, sensitivity, with_friction
+from armrig.grey_box.response import (
+    _braked,
+    _braked_alone,
+    linear_parts,
+    sensitivity,
+    with_friction,
+)
 from armrig.physics import ArmParameters, arm, chassis
 from armrig_core.arm import chassis_matrices, zero_order_hold
 from chassis_data import Ts, rubbing
@@ -107,3 +113,16 @@ def test_without_friction_both_ways_agree() -> None:
     np.testing.assert_allclose(
         with_friction(sampled, U, np.zeros(2), 0.0, 1).y, linear_parts(sampled, U)[0], atol=1e-11
     )
+
+
+def test_a_speed_that_stands_alone_is_braked_as_any_other() -> None:
+    """The short way, for a chassis alone, does what the long one does, stops included."""
+    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
+    x0 = np.array([0.3, -20.0])
+
+    frictions, signs = _braked_alone(sampled, U, x0, 0.1, 1)
+    expected, expected_signs = _braked(sampled, U, x0, 0.1, 1)
+
+    assert signs == expected_signs
+    assert set(signs) == {-1, 0, 1}
+    np.testing.assert_allclose(frictions, expected, atol=1e-12)

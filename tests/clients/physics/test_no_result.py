@@ -1,0 +1,108 @@
+"""Where there is no result none is printed: what came, what is needed, what to do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pages
+import pytest
+from armrig.cli import main
+from armrig.dataset import Dataset
+from armrig.grey_box.fit import NoResultError
+from armrig.grey_box.split import Split, SplitStudy
+from chassis_data import Make
+
+INPUTS = {"three": [1.0, 4.0, 1.0], "ten": [1.0, 4.0] * 5, "zero": [0.0] * 500}
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with recordings that say nothing, of the chassis."""
+    folder = tmp_path_factory.mktemp("bad")
+    record: Any = pages.script("experiments.py").record
+    for name, u in INPUTS.items():
+        record(folder / f"{name}.mcap", np.array(u), 0.01, "greybox", arm_removed=True)
+    return folder
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return the one line that a command ends with; it prints no figure."""
+    assert main(list(arguments)) == 1
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    return printed.err
+
+
+@pytest.mark.parametrize(("command", "needed"), [("greybox", 5), ("split", 5), ("check", 115)])
+def test_three_samples_are_too_few(
+    bad: Path, capsys: pytest.CaptureFixture[str], command: str, needed: int
+) -> None:
+    """How many came, and how many are needed."""
+    said = refused(capsys, command, str(bad / "three.mcap"))
+
+    assert "3 samples came" in said
+    assert f"at least {needed}" in said
+    assert "record longer" in said
+
+
+def test_an_inertia_that_nothing_moved_is_not_identifiable(
+    bad: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half a minute of 0 V: no figure is a result, with --json neither."""
+    for more in ((), ("--json",)):
+        said = refused(capsys, "greybox", str(bad / "zero.mcap"), *more)
+
+        assert "J_1 = " in said
+        assert "not identifiable from these 500 samples" in said
+        assert "record longer with an input that changes often" in said
+
+
+def test_a_part_that_tells_nothing_is_named(make: Make) -> None:
+    """The chassis stands still in the second half."""
+    data = make(N=2000)
+    still = Dataset(
+        u=np.where(np.arange(2000) < 900, data.u, 0.0),
+        y=np.where(np.arange(2000) < 1000, data.y, data.y[1000])
+        + 1e-3 * np.random.default_rng(1).standard_normal(2000),
+        Ts=data.Ts,
+        output="theta_1",
+        unit="rad",
+    )
+
+    with pytest.raises(ValueError, match=r"part 2 of 2: .*J_1"):
+        armrig.split_study(still, (2,))
+
+
+def test_a_search_that_did_not_end_has_no_result(make: Make) -> None:
+    """Good data give one."""
+    fit = armrig.greybox(make(N=1000))
+    fit.require_result()
+
+    with pytest.raises(NoResultError, match="J_1 did not converge, so there is no result"):
+        replace(fit, converged=False).require_result()
+
+
+def test_a_friction_of_nothing_is_a_result(make: Make) -> None:
+    """Zero is a value that it may have."""
+    fit = armrig.greybox(make(N=2000), friction="viscous")
+
+    assert fit.undetermined == ()
+    fit.require_result()
+
+
+def test_a_p_value_is_never_told_as_zero() -> None:
+    """And the level stands beside the verdict."""
+    parts = Split(
+        k=2, N=np.array([9.0, 9.0]), values=np.array([1.0, 2.0]), std=np.array([0.01, 0.01])
+    )
+    study = SplitStudy(parameter="J_1", splits=(parts,))
+
+    assert "p < 0.001" in repr(study)
+    assert "0.000" not in repr(study)
+    assert "DIFFER at a level of 1 %" in study.explain()
+    assert "p < 0.001" in study.explain()
