@@ -176,8 +176,7 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
         run_id=run.run_id, k_first=run.k_first, count=run.samples, t_host_ns=now_ns
     )
     queue = replace(state.queue, order=None)
-    state = replace(state, run=run, queue=queue, fresh_ns=asked.sent_ns)
-    return state, [*done, Emit(started)]
+    return replace(state, run=run, queue=queue), [*done, Emit(started)]
 
 
 def _stopped(state: State, now_ns: int, asked: Asked) -> Step:
@@ -283,7 +282,9 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
     if reply.config_crc != config_crc(wanted):
         return failed(state, now_ns, "the device accepted another configuration than was sent")
     before_us = _pace_us(state.ts_us, scheduled=state.scheduled)
-    # The pace begins anew here: the ticks before it say nothing of the new period.
+    arms = isinstance(asked.order, Take | Play)
+    # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
+    # frames it answers it does not say, so that it proves no round trip to who wants to drive.
     state = replace(
         state,
         asked=None,
@@ -292,12 +293,12 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
         ts_us=asked.ts_us,
         scheduled=asked.scheduled,
         beats=(),
-        fresh_ns=asked.sent_ns,
+        fresh_ns=state.fresh_ns if arms else asked.sent_ns,
         tick_ns=now_ns,
     )
     pace_us = _pace_us(asked.ts_us, scheduled=asked.scheduled)
     done: list[Action] = [] if before_us == pace_us else [Repace(pace_us, state.k + 1)]
-    if isinstance(asked.order, Take | Play):
+    if arms:
         state, actions = ask(state, now_ns, Want.ARM, asked.order)
         return state, done + actions
     state = replace(state, phase=Phase.SAFE, fault=None, lease=None)

@@ -80,7 +80,10 @@ def _rebooted(state: State, now_ns: int) -> Step:
 
 def _ack(state: State, now_ns: int, ack: Ack) -> Step:
     asked = state.asked
-    if asked is None or ack.of_seq != asked.seq or ack.code == Code.OK:
+    if asked is None or ack.of_seq != asked.seq:
+        return handshake.seen(state, now_ns, ack.state)
+    if ack.code == Code.OK:
+        state = replace(state, fresh_ns=max(state.fresh_ns, asked.sent_ns))
         return handshake.seen(state, now_ns, ack.state)
     if ack.code == Code.STALE:
         if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):

@@ -284,12 +284,15 @@ class Service:
 
     def _woken(self) -> None:
         """Take what the writer's thread and the signals left."""
-        self._is_woken = False  # before the look: who comes later wakes us again
+        signals = False
         with contextlib.suppress(BlockingIOError):
-            if any(os.read(self._wake_fd, _READ)):  # a signal's number; a 0 is our own
-                self._quitting = True
-                self._kill_at = min(self._kill_at, time.monotonic() + _QUIT_S)
-                self._loop.order(Quit(reason="the service was told to end"))
+            signals = any(os.read(self._wake_fd, _READ))  # their numbers; a 0 is our own
+        # Behind the read, which may have taken the sign of who has just come, and before the look.
+        self._is_woken = False
+        if signals:
+            self._quitting = True
+            self._kill_at = min(self._kill_at, time.monotonic() + _QUIT_S)
+            self._loop.order(Quit(reason="the service was told to end"))
         if self._runs.failed():
             self._loop.order(Halt())
         self._say_finished()

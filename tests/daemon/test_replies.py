@@ -12,7 +12,19 @@ from armrig_daemon.records import Gap, Log, Play, RunEnded
 from armrig_daemon.records import State as StateRecord
 from armrig_daemon.state import Beat, Exit, LinkDown, Phase, Publish, RoundTrip, Sent, State, Want
 from armrig_daemon.state import Heard as HeardFrame
-from armrig_protocol.messages import Cause, Event, Flag, Hello, Keepalive, Pong, Start, Status, Stop
+from armrig_protocol.messages import (
+    Ack,
+    Cause,
+    Code,
+    Event,
+    Flag,
+    Hello,
+    Keepalive,
+    Pong,
+    Start,
+    Status,
+    Stop,
+)
 from armrig_protocol.messages import State as DeviceState
 from core_states import (
     PLAY,
@@ -42,6 +54,23 @@ def _event(state: State, **fields: int) -> Event:
 def _pong(state: State, **fields: int) -> Pong:
     known = {"state": state.device_state, "seq": 0, "host_ns": state.ping_ns}
     return Pong(**{**known, "rx_us": 100, "tx_us": 150, **fields})
+
+
+def test_an_ack_of_the_very_request_proves_a_round_trip() -> None:
+    """S4: one of another frame, or a refusal, does not; nor does it make younger what was older."""
+    bench = rested()
+    now = bench.ports.now
+    fresh = replace(bench.loop.state, fresh_ns=now - 40 * MS)
+    state = awaiting(fresh, Want.ARM, sent_ns=now - 3 * MS)
+    assert state.asked is not None
+    seq = state.asked.seq
+    ack = Ack(int(DeviceState.READY), 0, 0, int(Code.OK), seq)
+
+    assert heard(bench, ack, state).state.fresh_ns == now - 3 * MS
+    younger = replace(state, fresh_ns=now - 1 * MS)
+    assert heard(bench, ack, younger).state.fresh_ns == now - 1 * MS
+    for other in (ack._replace(of_seq=seq + 1), ack._replace(code=int(Code.STALE))):
+        assert heard(bench, other, state).state.fresh_ns == now - 40 * MS
 
 
 def test_the_answer_to_the_newest_ping_proves_a_round_trip() -> None:

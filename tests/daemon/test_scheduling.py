@@ -473,7 +473,10 @@ def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
     state = replace(state, code=9, outcome="of the run before", beats=(Heard(1, 2),))
     asked = awaiting(state, Want.START, ORDER, sent_ns=NOW)
 
-    decided = Decided(asked, NOW + 2 * MS, _received(Ack(int(DeviceState.RUN), 0, 0, 0, 1)))
+    assert asked.asked is not None
+
+    ack = Ack(int(DeviceState.RUN), 0, 0, 0, asked.asked.seq)
+    decided = Decided(asked, NOW + 2 * MS, _received(ack))
 
     (started,) = decided.told(RunStarted)
     assert (started.k_first, started.count, started.t_host_ns) == (42, 100, NOW + 2 * MS)

@@ -326,6 +326,8 @@ class Checks:
         ours = frame.session == self._session
         if ours:
             self._heard_ns = t_ns
+            if frame.type == STOP:  # it is carried out however old its seq looks
+                self.newest_ns = max(self.newest_ns, frame.t_ns)
         fresh = self._newest < 0 or 1 <= (frame.seq - self._newest) & 0xFFFF < 0x8000
         if fresh or (frame.type == HELLO and not bound):
             self._newest = frame.seq

@@ -104,7 +104,7 @@ def test_an_input_that_follows_from_its_own_past_is_refused(plant: HandoutPlant)
 
 def test_too_few_samples_are_refused(plant: HandoutPlant) -> None:
     """With the number that is needed."""
-    with pytest.raises(ValueError, match=r"105 are needed"):
+    with pytest.raises(ValueError, match=r"needs 105 such"):
         granger(plant.dataset(1, N=100))
 
 
