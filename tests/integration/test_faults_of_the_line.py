@@ -86,7 +86,8 @@ def test_noise_on_the_line_drives_nothing(bench: Bench, line: Relay, noise: str)
         recording = recorded(bench)
     check_volts(bench)
     check_every_k(recording)
-    assert recording.missing > 0
+    # A frame of ours that is cut spoils the next one, too: the third in a row trips.
+    assert recording.missing > 0 or "no answer from the device" in outcome(recording)
     applied = recording.samples["u_applied_v"]
     assert np.abs(applied[:, None] - [0.0, 1.0, 4.0]).min(axis=1).max() <= 5 / 1024
 
