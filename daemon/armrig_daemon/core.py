@@ -135,8 +135,11 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     if skipped > 0 and not self_paced:
         state = _skip(state, tick.k - skipped, skipped, now_ns, "the host was late")
     state = replace(state, k=tick.k, tick_ns=now_ns)
-    if not state.link_up or state.device is None:
+    if not state.link_up:
         return state, done
+    if state.device is None:
+        # A HELLO that a STOP has overtaken must not be the last one (T1).
+        return (state, done) if state.asked is not None else ask(state, now_ns, Want.HELLO)
     rules, driving = state.rules, state.phase in _DRIVING
     fault: Fault | None = None
     if pause_ns > rules.pause_ns(state.ts_us, scheduled=self_paced):

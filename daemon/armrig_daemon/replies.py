@@ -5,14 +5,20 @@ from __future__ import annotations
 from armrig_core.volts import applied_code
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
+    TYPES,
     Ack,
+    Arm,
     Cause,
+    ClearFault,
     Code,
+    Config,
     ConfigReply,
     Flag,
+    Hello,
     HelloReply,
     Message,
     Pong,
+    Start,
     Stop,
 )
 from armrig_protocol.messages import Event as DeviceEvent
@@ -27,6 +33,14 @@ from armrig_daemon.faults import Fault, Id
 from armrig_daemon.state import Action, Phase, Publish, RoundTrip, Sent, State, Want
 from armrig_daemon.stopping import end_run, trip
 
+_TYPES = {
+    Want.HELLO: TYPES[Hello],
+    Want.CONFIGURE: TYPES[Config],
+    Want.ARM: TYPES[Arm],
+    Want.START: TYPES[Start],
+    Want.STOP: TYPES[Stop],
+    Want.CLEAR: TYPES[ClearFault],
+}
 _RUN = int(Flag.RUN)  # an enum's `&` makes an enum: 0.5 µs each time
 
 
@@ -83,7 +97,8 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
     if asked is None or ack.of_seq != asked.seq:
         return handshake.seen(state, now_ns, ack.state)
     if ack.code == Code.OK:
-        state = replace(state, fresh_ns=max(state.fresh_ns, asked.sent_ns))
+        if ack.of_type == _TYPES[asked.want]:
+            state = replace(state, fresh_ns=max(state.fresh_ns, asked.sent_ns))
         return handshake.seen(state, now_ns, ack.state)
     if ack.code == Code.STALE:
         if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
@@ -121,7 +136,7 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     if state.scheduled and m.flags & _RUN:
         return _self_paced(state, now_ns, m)
     at, device = _place(state.sent, m.k), state.device
-    if at is None or device is None:
+    if at is None or device is None or scheduling.is_ahead(state, m.echo):
         return state, []  # nothing of ours: an old burst, or an echo of another host
     sent = state.sent[at]
     if sent.k <= state.told:

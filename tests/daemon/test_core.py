@@ -181,12 +181,16 @@ def test_k_wraps_on_the_wire_and_nowhere_else() -> None:
 
 
 def test_no_tick_sends_anything_without_a_device() -> None:
-    """Time goes on all the same."""
+    """Time goes on all the same; T1: but for the question who is there, should nobody ask it."""
     state = rested().loop.state
-    for gone in (replace(state, link_up=False), replace(state, device=None)):
+    nobody = replace(state, device=None)
+    for gone in (replace(state, link_up=False), awaiting(nobody, Want.HELLO)):
         decided = _tick(gone, state.tick_ns + TS)
         assert decided.actions == []
         assert decided.state.k == state.k + 1
+    decided = _tick(nobody, state.tick_ns + TS)
+    assert [type(m) for m in decided.sent] == [Hello]
+    assert decided.state.asked is not None
 
 
 @pytest.mark.parametrize("ahead", [1, 2, 4])

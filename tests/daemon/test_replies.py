@@ -13,7 +13,9 @@ from armrig_daemon.records import State as StateRecord
 from armrig_daemon.state import Beat, Exit, LinkDown, Phase, Publish, RoundTrip, Sent, State, Want
 from armrig_daemon.state import Heard as HeardFrame
 from armrig_protocol.messages import (
+    TYPES,
     Ack,
+    Arm,
     Cause,
     Code,
     Event,
@@ -64,12 +66,16 @@ def test_an_ack_of_the_very_request_proves_a_round_trip() -> None:
     state = awaiting(fresh, Want.ARM, sent_ns=now - 3 * MS)
     assert state.asked is not None
     seq = state.asked.seq
-    ack = Ack(int(DeviceState.READY), 0, 0, int(Code.OK), seq)
+    ack = Ack(int(DeviceState.READY), 0, TYPES[Arm], int(Code.OK), seq)
 
     assert heard(bench, ack, state).state.fresh_ns == now - 3 * MS
     younger = replace(state, fresh_ns=now - 1 * MS)
     assert heard(bench, ack, younger).state.fresh_ns == now - 1 * MS
-    for other in (ack._replace(of_seq=seq + 1), ack._replace(code=int(Code.STALE))):
+    for other in (
+        ack._replace(of_seq=seq + 1),
+        ack._replace(of_type=TYPES[Stop]),
+        ack._replace(code=int(Code.STALE)),
+    ):
         assert heard(bench, other, state).state.fresh_ns == now - 40 * MS
 
 
@@ -247,6 +253,21 @@ def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
 
     assert decided.actions == []
     assert decided.state == replace(state, pending=decided.state.pending)
+
+
+def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
+    """S4: an old EXCHANGE that was played again asked for it, under the k of ours on its way."""
+    bench = rested()
+    state, now = bench.loop.state, bench.ports.now
+    ours = Sent(state.seq - 1, state.told + 1, now, now, 0)
+    state = replace(state, sent=(ours,), fresh_ns=now - 40 * MS)
+    sample = device_sample(state, k=ours.k, echo=ours.seq)
+
+    assert heard(bench, sample, state).state.fresh_ns == now
+    old = heard(bench, sample._replace(echo=state.seq + 3), state)
+    assert old.state.fresh_ns == now - 40 * MS
+    assert old.state.sent == (ours,)
+    assert old.of(Publish) == []
 
 
 def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:

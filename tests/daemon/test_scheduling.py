@@ -29,6 +29,7 @@ from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     SETPOINTS_PER_FRAME,
+    TYPES,
     Ack,
     Flag,
     Message,
@@ -475,7 +476,7 @@ def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
 
     assert asked.asked is not None
 
-    ack = Ack(int(DeviceState.RUN), 0, 0, 0, asked.asked.seq)
+    ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], 0, asked.asked.seq)
     decided = Decided(asked, NOW + 2 * MS, _received(ack))
 
     (started,) = decided.told(RunStarted)

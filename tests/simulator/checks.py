@@ -46,7 +46,7 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import State as DeviceState
 
-from simulator.frames import Frame, may_exchange, may_fill
+from simulator.frames import Frame, ask_the_same, may_exchange, may_fill
 from simulator.options import MS, Options
 from simulator.violation import Violation
 
@@ -96,6 +96,8 @@ class Checks:
         """The watchdog by an oscillator that is 200 ppm slow, and 1 ms (S3)."""
         self._age_ns = max(50 * MS, 3 * ts_ns)
         self._frames: dict[bytes, Frame] = {}
+        self._led: set[bytes] = set()
+        """Frames that have armed or started the device."""
         self._session = 0
         self._boot()
         self.begin_host(0)
@@ -122,8 +124,8 @@ class Checks:
         """Note that seq begins anew: what was sent before is of an earlier session."""
         self._seq = 0
         self._session += 1
-        self._own: dict[int, int] = {}
-        """When each frame of this session was sent, by seq."""
+        self._own: dict[int, Frame] = {}
+        """Each frame of this session, by seq."""
 
     def ordered(self, now_ns: int, given_ns: int, order: Order) -> None:
         """Note an order that the core is about to take; it was put into the pipe at `given_ns`."""
@@ -239,20 +241,21 @@ class Checks:
             not self.latched,
             text,
         )
-        self._own[self._seq] = now_ns
+        self._own[self._seq] = self._frames[text]
         if self._seq == self._old_echo:
-            self._old_looks_ours(now_ns)
+            self._old_looks_ours(self._taken[self._seq], self._own[self._seq])
         self._seq = (self._seq + 1) & 0xFFFF
 
-    def _old_looks_ours(self, sent_ns: int) -> None:
+    def _old_looks_ours(self, old: Frame, own: Frame) -> None:
         """Let an old frame's echo count: the host has sent one with its seq, and cannot know.
 
-        In a scheduled run only: an EXCHANGE is known by its k, too.
+        An EXCHANGE is known by its k, too.
         """
-        if self.run is None or not self.run.scheduled:
+        scheduled = self.run is not None and self.run.scheduled
+        if not scheduled and not ask_the_same(old, own):
             return
         self.seen[f"{PLAYED}echo not to be told from the host's own"] += 1
-        self.newest_ns = max(self.newest_ns, sent_ns)
+        self.newest_ns = max(self.newest_ns, own.t_ns)
 
     def came_back(self, heard_ns: int) -> None:
         """Note an answer that came whole, made when the device had heard what was sent then."""
@@ -343,23 +346,25 @@ class Checks:
             else:
                 self._old_ns, self._old_echo = t_ns, frame.seq
                 if frame.seq in self._own:
-                    self._old_looks_ours(self._own[frame.seq])
+                    self._old_looks_ours(frame, self._own[frame.seq])
                 self.seen[f"{PLAYED}taken in"] += 1
         return frame
 
     def changed(self, t_ns: int, before: int, after: int, frame: Frame | None) -> None:
         """Judge a transition of the device that a frame made (S6).
 
-        What is played again arms and starts nothing: that takes a frame of this session, sent
-        after the configuration in force had come (PROTOCOL.md, section 7).
+        What is played again arms and starts nothing: that takes a frame that has done so never
+        before, sent after the configuration in force had come (PROTOCOL.md, section 7). It may
+        be of an earlier session, where the line has held it back: it leads to 0 V.
         """
         left = before in (6, 7) and after not in (6, 7)
         if left and (frame is None or frame.type != CLEAR or not frame.reset):
             raise Violation("S6", t_ns, "the device left its fault without a reset")
         leads = _LEADS.get(DeviceState(after))
         if leads is not None:
-            if frame is None or frame.type != leads or frame.session != self._session:
+            if frame is None or frame.type != leads or frame.data in self._led:
                 raise Violation("S6", t_ns, f"in state {after} by a frame that was played again")
+            self._led.add(frame.data)
             if frame.t_ns < self._configured_ns:
                 raise Violation("S6", t_ns, f"in state {after} by a frame from before its CONFIG")
         if after == DeviceState.RUN:

@@ -28,6 +28,12 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     data: bytes
 
 
+def ask_the_same(a: Frame, b: Frame) -> bool:
+    """Return whether two frames are EXCHANGEs for the same sample."""
+    m, n = decode(a.data[:-1]), decode(b.data[:-1])
+    return isinstance(m, Exchange) and isinstance(n, Exchange) and m.k == n.k
+
+
 def may_exchange(frame: Frame, code: int, k: int, *, last_k: int, last_code: int, slew: int) -> str:
     """Return why an EXCHANGE that is played again may not be latched, or nothing.
 
