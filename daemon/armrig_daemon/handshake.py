@@ -258,10 +258,10 @@ def _unfit(device: HelloReply) -> str:
 
 def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
     done = refuse(asked.order, fault.cause)
-    if state.fault == fault:
-        return state, done
-    state = replace(state, phase=Phase.FAULT, fault=fault)
-    return state, [*done, log(now_ns, "error", in_words(fault)), say_state(state, now_ns)]
+    if state.fault != fault:
+        state = replace(state, phase=Phase.FAULT, fault=fault)
+        done.append(log(now_ns, "error", in_words(fault)))
+    return state, [*done, say_state(state, now_ns)]  # in any case: the device is known again
 
 
 def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:

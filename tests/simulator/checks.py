@@ -78,6 +78,8 @@ class Checks:
         self.in_run = False
         self.latches = self.driving_latches = 0
         self.phase, self.reason = "init", ""
+        self.said: StateRecord | None = None
+        """What the core has said of itself last."""
         self.latched = False
         self.grant = 0
         self.taken: Violation | None = None
@@ -198,6 +200,7 @@ class Checks:
 
     def _state(self, now_ns: int, record: StateRecord) -> None:
         before, self.phase, self.reason = self.phase, str(record.phase), record.reason
+        self.said = record
         if self.phase == "fault":
             if before != "fault":
                 self.seen[f"trip: {_cause(record.reason)}"] += 1

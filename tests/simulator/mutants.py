@@ -203,6 +203,13 @@ def _no_retry(state: Any, now_ns: int) -> Any:
     return replace(state, asked=state.asked and state.asked._replace(sent_ns=now_ns)), []
 
 
+def _said_once(state: Any, now_ns: int, asked: Any, fault: Any) -> Any:
+    if state.fault == fault:
+        return state, asking.refuse(asked.order, fault.cause)
+    return _latch(state, now_ns, asked, fault)
+
+
+_latch = handshake._latch
 NO_AGE = _put(Rules, "age_ns", lambda *_, **__: AGES)
 NO_RANGE = _all(
     _put(orders, "_out_of_range", lambda *_: ""), _put(Rules, "allows", lambda *_: True)
@@ -350,6 +357,12 @@ MUTANTS = (
         plant=_put(scheduling, "is_ahead", lambda *_: False),
         breaks=frozenset({"S4"}),
         faults=("old_frames",),
+    ),
+    Mutant(
+        name="a latched device that is known again, and not said to be",
+        plant=_put(handshake, "_latch", _said_once),
+        breaks=frozenset({"T1"}),
+        faults=("delay to_device",),
     ),
     Mutant(
         name="a run that is over goes on",

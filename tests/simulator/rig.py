@@ -12,10 +12,12 @@ from traceback import extract_tb
 from typing import Any, NamedTuple
 
 from armrig_core.calibration import Calibration
+from armrig_daemon.asking import say_state
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop import Loop
 from armrig_daemon.records import Alive, Gap, Order, Quit, Record
 from armrig_daemon.state import (
+    Emit,
     Event,
     LinkDown,
     LinkUp,
@@ -27,6 +29,7 @@ from armrig_daemon.state import (
     Tick,
 )
 from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
 
 from simulator.checks import Checks
 from simulator.commander import Commander
@@ -525,6 +528,7 @@ class Rig:
             raise Violation("T1", self.now, f"the last sample is {age_ns / MS:.0f} ms old")
         if checks.phase == "init":
             raise Violation("T1", self.now, "the device is not known again")
+        self._judge_what_is_said()
         if not options.goes_on and checks.run is None and checks.volts:
             raise Violation("T1", self.now, f"{checks.volts:.2f} V, and nobody commands")
         # Disarmed, but for who has armed since the last stop and trip.
@@ -536,6 +540,16 @@ class Rig:
         if self.device.state in (DeviceState.ARMED, DeviceState.RUN):
             text = f"the device is in {self.device.state.name}, and nobody holds the rig"
             raise Violation("T1", self.now, text)
+
+    def _judge_what_is_said(self) -> None:
+        """Judge whether who asks for the state is told what the core knows (T1)."""
+        state = self.loop.state if self.loop is not None else None
+        if state is None or state.asked is not None:
+            return
+        now, said = say_state(state, self.now), self.checks.said
+        assert isinstance(now, Emit)
+        if said is None or replace(said, t_host_ns=self.now) != now.record:
+            raise Violation("T1", self.now, f"said last was {said}, where {now.record} is")
 
 
 def _rules(options: Options) -> Rules:
