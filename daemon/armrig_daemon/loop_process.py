@@ -232,6 +232,7 @@ def main(arguments: list[str]) -> int:
     except BaseException:
         ports.stop_hard()
         raise
+    realtime.ignore_signals()
     return 0
 
 

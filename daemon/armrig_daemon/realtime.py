@@ -121,3 +121,12 @@ def end_with_parent() -> None:
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:  # it ended before we asked
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def ignore_signals() -> None:
+    """Ignore what ends a process from here on, for one that is at its end.
+
+    Python gives each signal its default back on its way out: a second one would kill us there.
+    """
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)

@@ -146,6 +146,7 @@ class Service:
             return 1
         finally:
             code = self._loop.end()
+            realtime.ignore_signals()
         if not self._quitting and code != NO_PORT:
             _print(f"armrigd: the loop died with code {code}")
         return 0 if self._quitting and code == 0 else 1

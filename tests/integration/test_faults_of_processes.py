@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import signal
@@ -77,18 +78,40 @@ def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
         _ends_in_good_order(bench, daemon, signal.SIGINT)
 
 
-def test_a_second_signal_changes_nothing(bench: Bench) -> None:
-    """Who is impatient gets the same good order."""
+def _killed_again_and_again(daemon: Process, *pids: int) -> int:
+    """Let nobody be told to end only once; return when the first signal came."""
+    told_ns = time.monotonic_ns()
+    while daemon.popen.poll() is None and time.monotonic_ns() < told_ns + WITHIN_S * 1e9:
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGTERM)
+        time.sleep(0.0003)
+    return told_ns
+
+
+@pytest.mark.parametrize("loop_too", [False, True])
+def test_more_signals_change_nothing(bench: Bench, loop_too: bool) -> None:
+    """Who is impatient gets the same good order, to the very end; Ctrl-C goes to both processes."""
     bench.emulate()
     daemon = bench.serve()
+    pids = [daemon.popen.pid] + [bench.loop_pid(daemon)] * loop_too
     with driven(bench):
-        for _ in range(3):
-            told_ns = daemon.kill(signal.SIGTERM)
-            time.sleep(0.002)
-        assert daemon.popen.wait(WITHIN_S) == 0
+        told_ns = _killed_again_and_again(daemon, *pids)
+
+        assert daemon.popen.wait(WITHIN_S) == 0, daemon.said
         assert bench.went_to_0_v_after(told_ns) < STOPPED_S
     (path,) = bench.recordings.glob("*.mcap")
     assert path.suffix == ".mcap"
+
+
+def test_more_signals_to_an_emulator_change_nothing(bench: Bench) -> None:
+    """It takes its link away."""
+    emulator = bench.emulate()
+
+    _killed_again_and_again(emulator, emulator.popen.pid)
+
+    assert emulator.popen.wait(WITHIN_S) == 0, emulator.said
+    assert not bench.port.is_symlink()
 
 
 def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:

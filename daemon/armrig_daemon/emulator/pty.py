@@ -148,13 +148,22 @@ def _link(port: Path, slave: Path, stack: ExitStack) -> None:
 
 
 def _wake_on_signals(stack: ExitStack) -> int:
-    """Return a descriptor that SIGTERM and SIGINT make readable, until `stack` ends."""
+    """Return a descriptor that SIGTERM and SIGINT make readable, until `stack` ends.
+
+    At a good end they are ignored: Python gives them their default back on its way out, and a
+    second one would kill us there.
+    """
     wake, told = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     stack.callback(os.close, wake)
     stack.callback(os.close, told)
     stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(told))
-    for number in (signal.SIGTERM, signal.SIGINT):
-        stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+    before = {n: signal.signal(n, lambda *_: None) for n in (signal.SIGTERM, signal.SIGINT)}
+
+    def leave(failed: type[BaseException] | None, *_: object) -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler if failed else signal.SIG_IGN)
+
+    stack.push(leave)
     return wake
 
 
