@@ -21,7 +21,7 @@ from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.faults import REMEDIES
-from armrig_daemon.records import Answer, Log, Order
+from armrig_daemon.records import Answer, Halt, Log, Order, Release
 from armrig_daemon.records import State as StateRecord
 from armrig_daemon.state import Action, Asked, Emit, Heard, Rules, Send, State, Want
 
@@ -133,7 +133,7 @@ def ask(
     It takes the place of what was asked for before; whoever wished that is told.
     """
     before = state.asked.order if state.asked else None
-    overtaken = refuse(before, f"overtaken by {want}") if before is not order else []
+    overtaken = [] if before is order else _overtaken(before, want)
     boot_id = state.device.boot_id if state.device else 0
     request: Message
     match want:
@@ -154,3 +154,10 @@ def ask(
     lead = b"\0" if want is Want.HELLO else b""
     state, sending = send(replace(state, asked=asked), now_ns, lead + encode(request))
     return state, [*overtaken, *sending]
+
+
+def _overtaken(order: Order | None, want: Want) -> list[Action]:
+    """Return what is said to who had wished for something else; a wish to stop is granted."""
+    if isinstance(order, Halt | Release):
+        return answer(order, {"done": True})
+    return refuse(order, f"overtaken by {want}")

@@ -6,11 +6,22 @@ import pytest
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.records import Answer, Halt, Hold, Order, Play, Quit, Reset, RunEnded, Take
-from armrig_daemon.state import Exit, Phase, Run, State, Want
+from armrig_daemon.records import (
+    Answer,
+    Halt,
+    Hold,
+    Order,
+    Play,
+    Quit,
+    Release,
+    Reset,
+    RunEnded,
+    Take,
+)
+from armrig_daemon.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
 from armrig_protocol.messages import ClearFault, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
-from core_states import HOLD, PLAY, TAKE, armed, awaiting, driven, ordered, rested
+from core_states import HOLD, PLAY, TAKE, Decided, armed, awaiting, driven, ordered, rested
 from msgspec.structs import replace
 from virtual_bench import LEASE, MS, Bench, codes
 
@@ -200,6 +211,26 @@ def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
 
     assert [type(m) for m in decided.sent] == [Stop]
     assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "overtaken by STOP")]
+
+
+@pytest.mark.parametrize(
+    "order", [Halt(order=8), Release(order=8, lease=LEASE, n=51)], ids=["stop", "release"]
+)
+@pytest.mark.parametrize("by", ["a trip", "another stop"])
+def test_a_stop_that_another_overtakes_is_granted(order: Halt | Release, by: str) -> None:
+    """Who wished for 0 V gets it, whatever else asks for it: that is no error."""
+    bench = driven()
+    told = ordered(bench, order)
+    event: Event = Ordered(Halt(order=9))
+    at_ns = bench.ports.now
+    if by == "a trip":
+        event, at_ns = Tick(told.state.k + 1, at_ns), at_ns + 1_000 * MS
+
+    decided = Decided(told.state, at_ns, event)
+
+    assert told.told(Answer) == []
+    assert [(a.order, a.error) for a in decided.told(Answer)] == [(8, "")]
+    assert [type(m) for m in decided.sent] == [Stop]
 
 
 # -- the lease's holder --------------------------------------------------------------------------
