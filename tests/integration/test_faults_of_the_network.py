@@ -83,18 +83,27 @@ def test_subscribers_that_do_not_read_cost_the_run_nothing(bench: Bench) -> None
 
 
 def test_a_flood_of_commands_keeps_no_stop_from_getting_through(bench: Bench) -> None:
-    """They are refused, with a bound on those that wait; a stop gets through."""
+    """They are refused, with a bound on those that wait; a stop gets through.
+
+    Three tries: on a machine that is busy itself the flood also takes the pseudo-terminal's kernel
+    worker its time, and the device's watchdog may end the run before it is told to stop.
+    """
     bench.emulate()
     daemon = bench.serve()
     before = resident_mib(daemon.popen.pid)
-    with driven(bench, samples=2000, Ts=0.005), _client(bench, FLOOD):
-        time.sleep(1.0)
-        with bench.rig() as rig:
+    for _ in range(3):
+        with driven(bench, samples=2000, Ts=0.005), _client(bench, FLOOD), bench.rig() as rig:
+            time.sleep(1.0)
             asked_ns = time.monotonic_ns()
             rig.stop()
             assert bench.went_to_0_v_after(asked_ns) < STOPPED_S
-        grown = resident_mib(daemon.popen.pid) - before
-    assert outcome(recorded(bench)) == "stopped"
+        ended = outcome(recorded(bench))
+        if "stopped by itself: WATCHDOG" not in ended:
+            break
+        with bench.rig() as rig:
+            rig.reset()
+    grown = resident_mib(daemon.popen.pid) - before
+    assert ended == "stopped"
     check_volts(bench)
     assert grown < MORE_MIB
 
