@@ -27,6 +27,7 @@ app = typer.Typer(
     help="Drive a control laboratory's rig at a fixed sampling time.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
@@ -40,7 +41,7 @@ def run(
     port: Annotated[str | None, typer.Option(help="Serial port.")] = None,
     rig: Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.")] = None,
 ) -> None:
-    """Run the daemon until SIGTERM or Ctrl-C; the motor is at 0 V whichever way it ends."""
+    """Run the daemon until SIGTERM or Ctrl-C; the motor ends at 0 V."""
     from armrig_daemon import config as configuration
     from armrig_daemon.service import Service
 
