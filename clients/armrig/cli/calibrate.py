@@ -67,7 +67,10 @@ def calibrate(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Calibrate potentiometers and motor: guided, with the standard deviation of each figure."""
+    """Calibrate potentiometers and motor, guided.
+
+    Each figure comes with its standard deviation.
+    """
     from armrig.calibration import estimate
 
     readings = [_meter(text) for text in meter or []]

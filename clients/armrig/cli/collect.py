@@ -12,8 +12,9 @@ from armrig.cli.options import Connect, Json, RigId
 from armrig.cli.playing import SECONDS, Played, Run, chosen, collect_each
 
 app = typer.Typer(
-    help="Play an input, record what the rig does, print the recording's path, and say what the "
-    "data are good for; exit code 0 where they can be used.",
+    help="Play an input and record what the rig does.\n\n"
+    "Prints the recording's path and what the data are good for; exit code 0 where they can be "
+    "used.",
     rich_markup_mode=None,
 )
 
@@ -123,7 +124,10 @@ def greybox(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play a random input, or one of your own, to the chassis: the rotating part is taken off."""
+    """Play a random input, or your own, to the chassis alone.
+
+    The rotating part is taken off.
+    """
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
     plan = chosen(
         "greybox",
@@ -155,7 +159,10 @@ def step(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play a step from the lower to the upper level: time constant, delay, gain."""
+    """Play a step: time constant, delay, gain.
+
+    From the lower to the upper level.
+    """
     from armrig.excitation import step as stepped
 
     stepped(1, low=low, high=high)
@@ -185,7 +192,7 @@ def staircase(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play levels one after the other, up and down again: static gain and friction."""
+    """Play levels up and down: static gain and friction."""
     import numpy as np
 
     from armrig.excitation import staircase as stairs
@@ -227,7 +234,10 @@ def bla(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play multisines, a recording for each draw of the phases, for `armrig.bla`."""
+    """Play multisines, for `armrig.bla`.
+
+    A recording for each draw of the phases.
+    """
     from armrig.excitation.by_name import realisations
 
     realisations(3, 1, low, high, seed, periods=1)

@@ -89,7 +89,10 @@ def info(
 
 
 def replay(file: File, json: Json = False) -> None:
-    """Have the daemon's core decide a recorded run once more; exit code 1 where it differs."""
+    """Have the daemon's core decide a recorded run once more.
+
+    Exit code 1 where it differs.
+    """
     from armrig.replay import replay as decided_again
 
     found = decided_again(file)
@@ -122,7 +125,10 @@ def report(
     calibration: CalibrationFile = None,
     json: Json = False,
 ) -> None:
-    """Typeset a report: the first recording that is no step estimates, the next validates."""
+    """Typeset a report.
+
+    The first recording that is no step estimates, the next validates.
+    """
     check_output(output, files, suffix=".pdf")
     from armrig.estimating import estimating, waiting
     from armrig.recording import load

@@ -43,7 +43,10 @@ def integrate(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Solve the arm for u = A sin(ωt) with each method, against the exact solution (handout 4)."""
+    """Solve the arm for a sinusoid by each method (handout 4).
+
+    u = A sin(ωt), against the exact solution.
+    """
     from armrig_core.arm import ArmParameters, arm_matrices
 
     from armrig import recommend_step, sinusoid, stability_limit

@@ -57,7 +57,10 @@ def validate(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Test a model on a recording: simulation, prediction, and what its residuals still hold."""
+    """Test a model on a recording.
+
+    Simulation, prediction, and what its residuals still hold.
+    """
     from armrig import account
     from armrig.estimating import estimating
     from armrig.model_file import load_fit

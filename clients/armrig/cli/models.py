@@ -82,7 +82,10 @@ def identify(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Estimate a model from a recording, or search for one, and say how sure it is."""
+    """Estimate a model from a recording, or search for one.
+
+    And say how sure it is.
+    """
     from armrig.preprocess import INTEGRATING_OUTPUTS
     from armrig.recording import load
 

@@ -53,7 +53,7 @@ def check(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Say whether the rig ran in open loop, and whether it has a delay (handout 3.7, 3.8)."""
+    """Test for open loop and for a delay (handout 3.7, 3.8)."""
     from armrig import delay, open_loop
     from armrig.estimating import waiting
 
@@ -104,7 +104,7 @@ def greybox(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Estimate the rig's physical parameters, J_1 by default (handout 3.5)."""
+    """Estimate physical parameters: J_1, or more (handout 3.5)."""
     import armrig
     from armrig.estimating import waiting
     from armrig.grey_box.fit import UNITS
@@ -150,7 +150,10 @@ def split(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Estimate from halves and quarters of a recording, and study the deviations (handout 3.6)."""
+    """Estimate from the parts of a recording (handout 3.6).
+
+    From halves and quarters, and study the deviations.
+    """
     import armrig
     from armrig.estimating import waiting
 
@@ -200,9 +203,10 @@ def simulate(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Simulate the physics, and saved models, with a recording's input (handout 3.4).
+    """Simulate the physics and saved models (handout 3.4).
 
-    Without a recording: what the physics answers to a step of one volt (handout 2.2).
+    With a recording's input; without a recording, what the physics answers to a step of one volt
+    (handout 2.2).
     """
     p = _parameters(given)
     check_plot(plot, [f for f in (file, *(model or ())) if f is not None])

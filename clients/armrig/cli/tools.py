@@ -17,7 +17,10 @@ def demo(
     directory: Annotated[Path, typer.Option(help="Where everything goes.")] = Path("demo"),
     seconds: Annotated[float, typer.Option(min=5, help="Length of each telegraph.")] = 30.0,
 ) -> None:
-    """Emulate a rig, record it, identify it and write a report: two minutes, no hardware."""
+    """Emulate a rig, record it, identify it, write a report.
+
+    Two minutes, no hardware.
+    """
     from armrig.demo import demo as run_demo
 
     if directory.exists() and not directory.is_dir():
@@ -44,7 +47,9 @@ def bench(
         Path | None, typer.Option("--plot", metavar="F", help="Figure to write.")
     ] = None,
 ) -> None:
-    """Measure this host's timing against the limit: daemon, cyclictest, bare loop, bare zenoh.
+    """Measure this host's timing against the limit.
+
+    Daemon, cyclictest, bare loop and bare zenoh, in turn, in one run.
 
     The exit code says that all was measured, not that the targets are met.
     """
@@ -73,7 +78,9 @@ def bench(
 
 
 def doctor(json: Json = False) -> None:
-    """Say what on this host costs timing, and how to mend each; exit code 1 if anything does.
+    """Say what on this host costs timing, and how to mend it.
+
+    Exit code 1 if anything does.
 
     What cannot be told or mended here is a note, and does not count.
     """
