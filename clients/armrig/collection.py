@@ -136,6 +136,8 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
         status = opened.status()
         if plan.without_arm:
             _require_arm_off(status)
+        elif status.arm_removed:
+            tell(f"rig {status.rig} has its arm off, says [arm] removed: this is the chassis alone")
         before = status.last_run
         granted = None
         try:

@@ -332,6 +332,19 @@ def test_collect_greybox_refuses_a_rig_with_its_arm_on(
     assert "[arm] removed = true" in said
 
 
+@pytest.mark.parametrize("arm_removed", [False, True])
+def test_collect_blackbox_says_where_the_arm_is_off(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str], *, arm_removed: bool
+) -> None:
+    """It may be meant; who forgot to put it back on learns it before the hour is over."""
+    daemon.arm_removed = arm_removed
+
+    assert main(["collect", "blackbox", "--seconds", "2", "--connect", where]) == 0
+
+    said = capsys.readouterr().err
+    assert ("rig 1 has its arm off, says [arm] removed" in said) == arm_removed
+
+
 def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str) -> None:
     """Friction shows as the difference."""
     arguments = ["collect", "staircase", "--levels", "3", "--seconds", "1", "--connect", where]
