@@ -232,11 +232,11 @@ def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     if reply.state in _LATCHED:
         cause = f"the device is in {DeviceState(reply.state).name}"
         return _latch(state, now_ns, asked, Fault(Id.DEVICE, cause))
+    if reply.state in _DRIVES:
+        # Left over from another host, or from a fault whose STOPs were lost: stop first.
+        return ask(state, now_ns, Want.STOP, asked.order)
     if state.phase is Phase.FAULT and asked.order is None:
         return state, [say_state(state, now_ns)]
-    if reply.state in _DRIVES:
-        # Left over from another host: stop first.
-        return ask(state, now_ns, Want.STOP, asked.order)
     return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=state.rules.ts_us)
 
 

@@ -229,6 +229,22 @@ def test_a_device_that_has_latched_is_a_fault_of_the_device() -> None:
     assert decided.state.phase is Phase.FAULT
 
 
+@pytest.mark.parametrize("state", [DeviceState.ARMED, DeviceState.RUN])
+@pytest.mark.parametrize("phase", [Phase.INIT, Phase.FAULT])
+def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: DeviceState) -> None:
+    """S3: another host has left it so, or the STOPs of a fault were lost, all of them."""
+    bench = rested()
+    device = bench.loop.state.device
+    assert device is not None
+    fault = Fault(Id.STALE, "no answer") if phase is Phase.FAULT else None
+    lost = replace(bench.loop.state, device=None, phase=phase, fault=fault)
+
+    decided = heard(bench, device._replace(state=int(state)), awaiting(lost, Want.HELLO))
+
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert decided.state.phase is phase
+
+
 def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
     """T1: also where the fault is the one that was told before: it is sampled again."""
     bench = rested()

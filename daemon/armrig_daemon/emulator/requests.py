@@ -63,7 +63,8 @@ def take(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
     resynchronises = kind is Hello and fw.state not in MOTOR_MAY_TURN
     if resynchronises or is_newer(received.seq, fw.newest, U16):
         fw.newest = received.seq
-        fw.feed(now_ns)
+        if kind is not Hello:  # who asks who is there does not command
+            fw.feed(now_ns)
     elif kind is not Stop and kind is not Estop:
         return [fw.answer(TYPES[kind], received.seq, Code.STALE)]
     return handler(fw, now_ns, received)
