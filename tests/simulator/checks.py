@@ -307,11 +307,13 @@ class Checks:
         self._u = 0
         self._part = b""
         self.fed_ns = 0
-        """When a frame was taken in, whosever."""
+        """When a frame that feeds the watchdog was taken in, whosever."""
         self._old_ns = -self._limit
         """When one of an earlier session was."""
         self._heard_ns = 0
         """When one of this session came, taken in or not."""
+        self._held_ns = 0
+        """When it was last driven on by old frames alone."""
         self._configured_ns = 0
 
     def booted(self) -> None:
@@ -338,7 +340,8 @@ class Checks:
         if fresh or (frame.type == HELLO and not bound):
             self._newest = frame.seq
             self._taken[frame.seq] = frame
-            self.fed_ns = t_ns
+            if frame.type != HELLO:
+                self.fed_ns = t_ns
             if frame.type == CONFIG and not bound:
                 self._configured_ns = t_ns
             elif frame.type == HELLO and not bound:
@@ -395,12 +398,14 @@ class Checks:
         line that falls behind at once lets the watchdog bite, which is in the time, and with one
         that falls behind slowly the host sees the age, and its STOP is on the way in time.
         One thing is left out, and counted: where nothing of the host comes through for a whole
-        watchdog, old frames that are played again hold RUN (PROTOCOL.md, section 7).
+        watchdog, old frames that are played again hold RUN (PROTOCOL.md, section 7). The time
+        begins anew when the host is heard again: first come the frames that it sent before STOP.
         """
-        if t_ns - since_ns <= self._s2_ns:
+        if t_ns - max(since_ns, self._held_ns) <= self._s2_ns:
             return False
         if t_ns - self._old_ns <= self._s3_ns and t_ns - self._heard_ns > self._limit:
             self.seen[HELD] += 1
+            self._held_ns = t_ns
             return False
         return True
 
