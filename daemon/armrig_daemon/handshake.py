@@ -162,8 +162,8 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Play | Hold):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
-    lease = replace(state.lease, renewed_ns=now_ns)
-    state = replace(state, phase=Phase.ACTIVE, lease=lease, outcome="", code=0, beats=())
+    # The lease counts from the command, however long its START took.
+    state = replace(state, phase=Phase.ACTIVE, outcome="", code=0, beats=())
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
     if isinstance(order, Hold):
         return replace(state, code=order.code), done

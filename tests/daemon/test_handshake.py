@@ -8,9 +8,10 @@ from armrig_daemon.asking import config
 from armrig_daemon.faults import Fault, Id
 from armrig_daemon.records import Answer, Log, Reset, RunEnded, Take
 from armrig_daemon.records import State as StateRecord
-from armrig_daemon.state import Beat, Exit, Phase, Repace, Run, State, Want
+from armrig_daemon.state import Beat, Exit, Phase, Repace, Run, State, Tick, Want
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import (
+    TYPES,
     Ack,
     Arm,
     ClearFault,
@@ -210,6 +211,25 @@ def test_any_frame_shows_that_a_request_has_worked(code: Code) -> None:
 
     assert decided.state.phase is Phase.ARMED
     assert [a.order for a in decided.told(Answer)] == [TAKE.order]
+
+
+def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None:
+    """S2: a START that was sent again and again makes no old command young."""
+    bench = armed()
+    now, state = bench.ports.now, bench.loop.state
+    assert state.lease is not None
+    given = replace(state, lease=replace(state.lease, renewed_ns=now - 90 * MS), fresh_ns=now)
+    ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], int(Code.OK), OURS)
+
+    started = heard(bench, ack, awaiting(given, Want.START, HOLD, sent_ns=now))
+    fresh = replace(started.state, fresh_ns=now + 10 * MS, tick_ns=now + 10 * MS, service_ns=now)
+    held = Decided(fresh, now + 10 * MS, Tick(state.k + 1, now))
+    over = Decided(fresh, now + 10 * MS + 1, Tick(state.k + 1, now))
+
+    assert started.state.phase is Phase.ACTIVE
+    assert [m.u for m in held.sent] == [HOLD.code]
+    assert [type(m) for m in over.sent][:1] == [Stop]
+    assert over.state.fault == Fault(Id.LEASE, "the lease ran out: no command from its holder")
 
 
 # -- the device's state --------------------------------------------------------------------------
