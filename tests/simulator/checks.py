@@ -87,6 +87,8 @@ class Checks:
         self.run: Play | None = None
         self.offered: Play | None = None
         """An experiment that has not been answered; the device may have begun with it."""
+        self.cut_off: Play | None = None
+        """One that was refused because the link was lost: the device may have heard its START."""
         self.k_first = -1
         self.command_ns = 0
         self.last_sample_ns = 0
@@ -168,6 +170,8 @@ class Checks:
         if given is not None and given[1] is self.offered:
             if not answer.error:
                 self.run, self.k_first = self.offered, -1
+            elif answer.error.startswith("link lost"):
+                self.cut_off = self.offered
             self.offered = None
         if given is None or answer.error:
             return
@@ -179,7 +183,7 @@ class Checks:
                 raise Violation("S6", now_ns, "armed before a reset")
             self._end_grant()
             self.grant += 1
-            self.lease, self.run, self.offered = order.lease, None, None
+            self.lease, self.run, self.offered, self.cut_off = order.lease, None, None, None
             self.command_ns = given_ns
         elif isinstance(order, Hold):
             low, high = self.options.u_min, self.options.u_max
@@ -423,12 +427,12 @@ class Checks:
             self._k, self._u = k, code
 
     def _scheduled(self, t_ns: int, code: int, k: int, seq: int) -> None:
-        run = self.offered or self.run
-        wanted = -1
-        if run is not None and run.scheduled and 2 * k < len(run.codes):
-            wanted = run.codes[2 * k] | run.codes[2 * k + 1] << 8
+        wanted = _of(self.offered or self.run, k)
         if code == wanted:
             self.command_ns = t_ns
+            return
+        if code == _of(self.cut_off, k):
+            self.seen["driven on by a run whose link was lost at its START"] += 1
             return
         frame = self._taken.get(seq)
         if frame is None or frame.session == self._session:
@@ -504,6 +508,13 @@ class Checks:
         kind = f"watchdog {options.watchdog_ms} ms, Ts {options.ts_us // 1000} ms: {kind}"
         self.seen[f"to 0 V, {kind}"] += 1
         self.worst_ns[kind] = max(self.worst_ns.get(kind, 0), ns)
+
+
+def _of(run: Play | None, k: int) -> int:
+    """Return the code of a scheduled run at sample `k`; -1 where there is none."""
+    if run is None or not run.scheduled or 2 * k >= len(run.codes):
+        return -1
+    return run.codes[2 * k] | run.codes[2 * k + 1] << 8
 
 
 def _cause(reason: str) -> str:
