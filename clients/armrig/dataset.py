@@ -201,7 +201,7 @@ class Dataset:
     def split(self, k: int) -> tuple[Dataset, ...]:
         """Return k parts that follow each other, whose lengths differ by one sample at most."""
         if not 1 <= k <= self.N:
-            msg = f"split({k}) needs 1 <= k <= N={self.N}"
+            msg = f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
             raise ValueError(msg)
         edges = [round(i * self.N / k) for i in range(k + 1)]
         return tuple(self[a:b] for a, b in pairwise(edges))

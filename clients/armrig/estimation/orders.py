@@ -18,6 +18,11 @@ def require_sensible(*, samples: int, nk: int, integrator: bool = False, **order
     """Refuse orders that are absurd for so many measured samples."""
     asked = ", ".join(f"{name}={n}" for name, n in orders.items())
     parameters, most = sum(orders.values()) - int(integrator), samples // SAMPLES_PER_PARAMETER
+    if not most:
+        needed = SAMPLES_PER_PARAMETER * max(parameters, nk, 1)
+        msg = f"{samples} samples are too few for a model: record longer, {needed} at least for "
+        msg += f"{asked or f'nk={nk}'}"
+        raise ValueError(msg)
     if parameters > most:
         msg = f"{asked}: {parameters} parameters from {samples} samples; at most {most}, one for "
         msg += f"each {SAMPLES_PER_PARAMETER} samples: lower {' or '.join(orders)}, or record "
