@@ -18,6 +18,11 @@ def extended(last: int, raw: int) -> int:
     return last + ((raw - last) & 0xFFFFFFFF)
 
 
+def is_older(last: int, raw: int) -> bool:
+    """Return whether a 32-bit clock stood so before it stood at `last`; half its range is ahead."""
+    return (raw - last) & 0xFFFFFFFF > 0x7FFFFFFF
+
+
 def converted(
     calibration: Calibration,
     m: DeviceSample,

@@ -28,7 +28,7 @@ from msgspec.structs import replace
 
 from armrig_daemon import comparing, gaps, handshake, scheduling
 from armrig_daemon.asking import Step, ask, log, say_state, send
-from armrig_daemon.conversion import converted, extended
+from armrig_daemon.conversion import converted, extended, is_older
 from armrig_daemon.faults import Fault, Id
 from armrig_daemon.state import Action, Phase, Publish, RoundTrip, Sent, State, Want
 from armrig_daemon.stopping import end_run, trip
@@ -138,6 +138,8 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     at, device = _place(state.sent, m.k), state.device
     if at is None or device is None or scheduling.is_ahead(state, m.echo):
         return state, []  # nothing of ours: an old burst, or an echo of another host
+    if state.sampled_ns and is_older(state.t_us, m.t_us):
+        return state, []  # of an earlier k with this number: the device's clock never goes back
     sent = state.sent[at]
     if sent.k <= state.told:
         return replace(state, sent=state.sent[at + 1 :]), []  # overtaken: told as a gap already

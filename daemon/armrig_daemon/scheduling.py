@@ -17,7 +17,7 @@ from armrig_daemon import gaps
 from armrig_daemon.asking import Step, ask, log, send
 from armrig_daemon.budget import PING_US
 from armrig_daemon.clockmap import extend, host_ns_at
-from armrig_daemon.conversion import converted, extended
+from armrig_daemon.conversion import converted, extended, is_older
 from armrig_daemon.faults import Fault, Id
 from armrig_daemon.records import Play
 from armrig_daemon.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
@@ -136,6 +136,8 @@ def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     run, device = state.run, state.device
     if run is None or run.k_first < 0 or device is None or not run.due <= m.k < run.samples:
         return state, []  # came twice, or belongs to no run of ours
+    if is_older(state.t_us, m.t_us):
+        return state, []  # of an earlier run: within a boot the device's clock never goes back
     k = run.k_first + m.k
     state, done = gaps.account(_without(state, run, m.k, now_ns), k, now_ns, m.u_km1)
     t_us = extended(state.t_us, m.t_us)

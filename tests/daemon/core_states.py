@@ -80,8 +80,12 @@ def heard(bench: Bench, message: Message, state: State | None = None) -> Decided
 
 
 def device_sample(state: State, **fields: int) -> DeviceSample:
-    """Return a SAMPLE of the device that is met, all else 0."""
+    """Return a SAMPLE of the device that is met, of now on its clock, all else 0."""
     assert state.device is not None
     zero = DeviceSample._make([0] * len(DeviceSample._fields))
-    known = {"state": state.device_state, "boot": state.device.boot_id & 0xFFFF}
+    known = {
+        "state": state.device_state,
+        "boot": state.device.boot_id & 0xFFFF,
+        "t_us": state.t_us & 0xFFFFFFFF,
+    }
     return zero._replace(**{**known, **fields})

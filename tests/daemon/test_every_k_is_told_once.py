@@ -14,6 +14,7 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import Exchange, Flag
 from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
+from core_states import device_sample
 from msgspec.structs import replace
 from virtual_bench import LEASE, MS, Bench, codes
 
@@ -99,13 +100,6 @@ def _take(state: State, now_ns: int, message: DeviceSample) -> list[Publish]:
     return [a for a in actions if isinstance(a, Publish)]
 
 
-def _sample(state: State, k: int, flags: int) -> DeviceSample:
-    assert state.device is not None
-    zero = DeviceSample._make([0] * len(DeviceSample._fields))
-    boot = state.device.boot_id & 0xFFFF
-    return zero._replace(state=state.device_state, boot=boot, k=k, flags=flags)
-
-
 def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
     """It comes late, after something newer: its k is taken."""
     bench = Bench()
@@ -113,7 +107,7 @@ def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
     bench.run_for(11)
     state, now = bench.loop.state, bench.ports.now
     (sent, *_) = state.sent
-    late = _sample(state, sent.k, 0)
+    late = device_sample(state, k=sent.k)
 
     assert len(_take(state, now, late)) == 1
     assert _take(replace(state, told=sent.k), now, late) == []
@@ -124,7 +118,7 @@ def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
     bench = playing(600)
     state = bench.loop.state
     assert state.run is not None
-    old = _sample(state, state.run.due, int(Flag.RUN))
+    old = device_sample(state, k=state.run.due, flags=int(Flag.RUN))
 
     assert len(_take(state, bench.ports.now, old)) == 1
     waiting = replace(state, run=replace(state.run, k_first=-1))

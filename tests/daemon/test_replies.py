@@ -226,9 +226,9 @@ def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
     """L2: the first is a gap, with the voltage that was commanded."""
     bench = driven()
     first, second = _lost(bench).sent
-    held = code_of(1.0)
+    held, t_us = code_of(1.0), bench.loop.state.t_us + 5
     sample = device_sample(
-        bench.loop.state, k=second.k, u_k=held, u_km1=held, flags=int(Flag.RUN), t_us=5
+        bench.loop.state, k=second.k, u_k=held, u_km1=held, flags=int(Flag.RUN), t_us=t_us
     )
 
     decided = heard(bench, sample)
@@ -241,7 +241,20 @@ def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
     assert decided.of(RoundTrip) == [RoundTrip(bench.ports.now - second.sent_ns)]
     after = decided.state
     assert (after.sent, after.fresh_ns, after.told) == ((), second.sent_ns, second.k)
-    assert (after.applied, after.t_us & 0xFFFFFFFF) == (held, 5)
+    assert (after.applied, after.t_us) == (held, t_us)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None:
+    """S5: the k began anew, and an old sample is played again; of a new link any stamp is new."""
+    bench = driven()
+    state = _lost(bench)
+    state = state if known else replace(state, sampled_ns=0)
+    sample = device_sample(state, k=state.sent[0].k, t_us=(state.t_us - 1) & 0xFFFFFFFF)
+
+    decided = heard(bench, sample, state)
+
+    assert len(_published(decided)) == (not known)
 
 
 def test_a_sample_of_no_exchange_of_ours_is_none() -> None:

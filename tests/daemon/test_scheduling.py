@@ -328,7 +328,7 @@ def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
 
 def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
     """With what was commanded and what was applied, and how many setpoints are left."""
-    state = _running()
+    state = replace(_running(), t_us=(5 << 32) - 1)
     u = applied_code(CODES[10], 10)
     sample = device_sample(
         state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
@@ -340,12 +340,29 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
     s = published.sample
     assert (s.k, s.t_host_ns, s.theta_1_counts, published.queued) == (210, NOW + 3, 5, 44)
     assert (s.u_cmd_v, s.u_applied_v) == (volts_of(CODES[10]), volts_of(u))
-    assert (after.told, after.applied, after.t_us & 0xFFFFFFFF) == (210, u, 123)
+    assert (after.told, after.applied, after.t_us) == (210, u, (5 << 32) + 123)
     assert after.run is not None
     assert after.run.due == 11
     assert after.queue is not None
     assert (after.queue.base, after.queue.held) == (11, 55)
     assert after.fault is None
+
+
+@pytest.mark.parametrize(
+    ("back_us", "taken"), [(-1, True), (0, True), (1, False), (1 << 30, False)]
+)
+def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: bool) -> None:
+    """S5: played again within one boot it has the number that is due, and an older stamp."""
+    state = replace(_running(), t_us=(5 << 32) + 2_000)
+    sample = device_sample(
+        state, k=10, u_k=applied_code(CODES[10], 10), flags=int(Flag.RUN), t_us=2_000 - back_us
+    )
+    sample = sample._replace(t_us=sample.t_us & 0xFFFFFFFF)
+
+    after, actions = scheduling.sample(state, NOW, sample)
+
+    assert bool(actions) == taken
+    assert (after == state) != taken
 
 
 @pytest.mark.parametrize("k", [9, 100, 99, 10])

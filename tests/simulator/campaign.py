@@ -32,11 +32,13 @@ TRIPS = (
     "the device stopped by itself: ADC_RAIL",
     "the device stopped by itself: REV_LIMIT",
     "the device stopped by itself: SLEW",
-    "the device applied code",
     "the device has heard frame",
     "the service is frozen",
 )
-"""How the causes of trips begin that must be among those of a campaign."""
+"""How the causes of trips begin that must be among those of a campaign.
+
+Not "the device applied code": no fault here makes a device apply another one; a planted bug does.
+"""
 LEAST_TRIPS = 5
 """How often each must have tripped in a thousand schedules or more."""
 DEFAULT = "watchdog 100 ms, Ts 5 ms: "
