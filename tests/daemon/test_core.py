@@ -235,6 +235,27 @@ def test_a_pause_is_one_from_its_limit_on(late_ns: int, fault: Id | None) -> Non
         assert decided.state.reason == "the host paused for 50 ms"
 
 
+@pytest.mark.parametrize(
+    ("ts_us", "age_ms", "pause_ms", "lease_ms"),
+    [
+        (10_000, 50, 50, 100),
+        (16_666, 50, 83.33, 100),
+        (20_000, 60, 100, 100),
+        (50_000, 150, 250, 250),
+    ],
+)
+def test_the_limits_grow_with_the_sampling_time(
+    ts_us: int, age_ms: float, pause_ms: float, lease_ms: float
+) -> None:
+    """3, 5 and 5 Ts where those are longer; a device that paces itself has its watchdog's time."""
+    rules = rested().loop.state.rules
+
+    assert rules.age_ns(ts_us) == age_ms * MS
+    assert rules.pause_ns(ts_us) == pause_ms * MS
+    assert rules.lease_ns(ts_us) == lease_ms * MS
+    assert rules.age_ns(ts_us, scheduled=True) == rules.pause_ns(ts_us, scheduled=True) == 100 * MS
+
+
 @pytest.mark.parametrize(("age_ns", "stale"), [(50 * MS, False), (50 * MS + 1, True)])
 def test_a_round_trip_is_stale_from_its_limit_on(age_ns: int, stale: bool) -> None:
     """S4: STOP in that very tick where the motor may turn; at rest the device is asked for."""
@@ -534,6 +555,21 @@ def test_a_trip_tells_what_the_device_would_have_sampled_by_now(
     assert after.told == 101 + missing
     assert after.k == 101 + missing
     assert [a for a in actions if isinstance(a, Repace)] == [Repace(10_000, 102 + missing)]
+
+
+@pytest.mark.parametrize("phase", [Phase.FAULT, Phase.SAFE])
+def test_a_run_in_exchange_mode_ends_with_what_was_asked_for(phase: Phase) -> None:
+    """L2: the device samples nothing that the host does not ask for; what is behind goes on."""
+    state = replace(rested().loop.state, phase=phase, outcome="why", told=109, absent=())
+    run = Run("r", codes(*[1.0] * 20), 100, due=12)
+    sent = tuple(Sent(k, k, k, k, 0) for k in (110, 111, 112))
+
+    after, actions = end_run(replace(state, run=run, sent=sent, k=112), 9_000 * MS)
+
+    gaps = [a.record for a in actions if isinstance(getattr(a, "record", None), Gap)]  # type: ignore[attr-defined]
+    assert [(g.k_first, g.count) for g in gaps] == [(110, 1), (111, 1)]
+    assert (after.told, after.k, after.sent) == (111, 112, sent[2:])
+    assert after.absent == ()
 
 
 @pytest.mark.parametrize("k_first", [-1, 0, 1])

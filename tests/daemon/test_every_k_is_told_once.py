@@ -110,7 +110,10 @@ def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
     late = device_sample(state, k=sent.k)
 
     assert len(_take(state, now, late)) == 1
-    assert _take(replace(state, told=sent.k), now, late) == []
+    told = replace(state, told=sent.k, sent=(sent, *state.sent))
+    after, actions = core.step(told, now, [Received(b"\0" + encode(late))])
+    assert [a for a in actions if isinstance(a, Publish)] == []
+    assert after.sent == state.sent
 
 
 def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:

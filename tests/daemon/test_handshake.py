@@ -67,7 +67,7 @@ def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Wan
     asked = late.state.asked
     assert asked is not None
     assert (asked.tries, asked.order, asked.sent_ns) == (2, TAKE, due_ns)
-    assert asked.seq == sent.seq
+    assert (asked.seq, sent.state) == (sent.seq, 0)
 
 
 @pytest.mark.parametrize("want", [want for want in Want if want is not Want.HELLO])
@@ -96,6 +96,7 @@ def test_hello_is_asked_for_ever() -> None:
     again = Decided(awaiting(bench.loop.state, Want.HELLO, tries=1000), 100 * MS, Beat())
 
     assert [type(m) for m in again.sent] == [Hello]
+    assert again.told(Log) == []
 
 
 def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
@@ -213,6 +214,20 @@ def test_any_frame_shows_that_a_request_has_worked(code: Code) -> None:
     assert [a.order for a in decided.told(Answer)] == [TAKE.order]
 
 
+@pytest.mark.parametrize("order", [Reset(order=8), None])
+def test_who_resets_a_device_that_was_found_driving_gets_it_configured(order: Reset | None) -> None:
+    """S6: only a reset leads out of the fault, by way of a STOP that has had its effect."""
+    bench = rested()
+    fault = Fault(Id.STALE, "no answer")
+    state = replace(bench.loop.state, phase=Phase.FAULT, fault=fault, device_state=DeviceState.RUN)
+    ack = Ack(int(DeviceState.IDLE), 0, TYPES[Stop], int(Code.OK), OURS)
+
+    decided = heard(bench, ack, awaiting(state, Want.STOP, order))
+
+    assert [type(m) for m in decided.sent] == [Config] * (order is not None)
+    assert decided.state.phase is Phase.FAULT
+
+
 def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None:
     """S2: a START that was sent again and again makes no old command young."""
     bench = armed()
@@ -227,7 +242,7 @@ def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None
     over = Decided(fresh, now + 10 * MS + 1, Tick(state.k + 1, now))
 
     assert started.state.phase is Phase.ACTIVE
-    assert [m.u for m in held.sent] == [HOLD.code]
+    assert [(m.u, m.state) for m in held.sent] == [(HOLD.code, 0)]
     assert [type(m) for m in over.sent][:1] == [Stop]
     assert over.state.fault == Fault(Id.LEASE, "the lease ran out: no command from its holder")
 

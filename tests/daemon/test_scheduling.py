@@ -191,7 +191,7 @@ def test_a_run_begins_by_filling_at_0_v() -> None:
     assert after.run == Run("r", ORDER.codes, -1, scheduled=True)
     assert after.run.due == 0
     assert after.queue == Queue(ORDER, 0, 0, 2, NOW, NOW)
-    assert len(actions) == 1
+    assert [(m.k0, m.n) for a in actions for m in feed(b"", a.data)[1]] == [(0, 2)]
 
 
 # -- what the device says it holds ---------------------------------------------------------------
