@@ -349,7 +349,8 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
 
 
 @pytest.mark.parametrize(
-    ("back_us", "taken"), [(-1, True), (0, True), (1, False), (1 << 30, False)]
+    ("back_us", "taken"),
+    [(-1, True), (0, True), (1, False), (1 << 30, False), (1 - (1 << 31), True), (1 << 31, False)],
 )
 def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: bool) -> None:
     """S5: played again within one boot it has the number that is due, and an older stamp."""
