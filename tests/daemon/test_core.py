@@ -557,6 +557,20 @@ def test_a_trip_tells_what_the_device_would_have_sampled_by_now(
     assert [a for a in actions if isinstance(a, Repace)] == [Repace(10_000, 102 + missing)]
 
 
+def test_a_run_that_leaves_the_limits_is_stopped_in_that_tick() -> None:
+    """S1 and S5: STOP goes out before the EXCHANGE, which carries 0 V."""
+    bench = driven()
+    state = bench.loop.state
+    run = Run("r", codes(1.0, 5.0), state.k, due=1)
+    narrow = replace(state.rules, u_max=state.rules.u_max // 2)
+    bench.ports.now += TS
+
+    decided = _tick(replace(state, rules=narrow, run=run), bench.ports.now)
+
+    assert decided.state.fault == Fault(Id.LIMITS, "u[1] is not within the limits")
+    assert [(type(m), getattr(m, "u", 0)) for m in decided.sent] == [(Stop, 0), (Exchange, 0)]
+
+
 @pytest.mark.parametrize("phase", [Phase.FAULT, Phase.SAFE])
 def test_a_run_in_exchange_mode_ends_with_what_was_asked_for(phase: Phase) -> None:
     """L2: the device samples nothing that the host does not ask for; what is behind goes on."""

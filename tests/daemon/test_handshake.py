@@ -277,7 +277,7 @@ def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: De
     decided = heard(bench, device._replace(state=int(state)), awaiting(lost, Want.HELLO))
 
     assert [type(m) for m in decided.sent] == [Stop]
-    assert decided.state.phase is phase
+    assert (decided.state.phase, decided.state.device_state) == (phase, state)
 
 
 def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
