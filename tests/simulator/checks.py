@@ -88,7 +88,7 @@ class Checks:
         self.offered: Play | None = None
         """An experiment that has not been answered; the device may have begun with it."""
         self.cut_off: Play | None = None
-        """One that was refused because the link was lost: the device may have heard its START."""
+        """One that was refused behind its START, which the device may hear: until it is stopped."""
         self.k_first = -1
         self.command_ns = 0
         self.last_sample_ns = 0
@@ -170,7 +170,7 @@ class Checks:
         if given is not None and given[1] is self.offered:
             if not answer.error:
                 self.run, self.k_first = self.offered, -1
-            elif answer.error.startswith("link lost"):
+            elif answer.error.startswith(("link lost", "overtaken by STOP")):
                 self.cut_off = self.offered
             self.offered = None
         if given is None or answer.error:
@@ -432,7 +432,7 @@ class Checks:
             self.command_ns = t_ns
             return
         if code == _of(self.cut_off, k):
-            self.seen["driven on by a run whose link was lost at its START"] += 1
+            self.seen["driven by a run that was refused behind its START"] += 1
             return
         frame = self._taken.get(seq)
         if frame is None or frame.session == self._session:
