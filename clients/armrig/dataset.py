@@ -199,7 +199,13 @@ class Dataset:
         )
 
     def split(self, k: int) -> tuple[Dataset, ...]:
-        """Return k parts that follow each other, whose lengths differ by one sample at most."""
+        """Return k parts that follow each other, whose lengths differ by one sample at most.
+
+        Raises
+        ------
+        ValueError
+            There are fewer samples than parts, or `k` is less than 1.
+        """
         if not 1 <= k <= self.N:
             msg = f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
             raise ValueError(msg)

@@ -84,7 +84,7 @@ def identify(
 ) -> None:
     """Estimate a model from a recording, or search for one.
 
-    And say how sure it is.
+    Says how sure each parameter is.
     """
     from armrig.preprocess import INTEGRATING_OUTPUTS
     from armrig.recording import load
