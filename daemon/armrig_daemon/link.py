@@ -8,9 +8,10 @@ import termios
 from pathlib import Path
 
 import serial
+from armrig_core.waiting import TERMINAL_BYTES
 
 READ = 2048
-"""Bytes taken at once: with what is sent for them they fit into one record of the pipe."""
+"""Bytes handed on at once: with what is sent for them they fit into one record of the pipe."""
 
 
 class LinkError(OSError):
@@ -18,7 +19,11 @@ class LinkError(OSError):
 
 
 class Link:
-    """An open port. Each failure of it is a `LinkError`."""
+    """An open port. Each failure of it is a `LinkError`.
+
+    Reading takes all that the terminal holds, in one call: another one would find it empty, and on
+    an empty terminal the kernel waits for its worker before it says so.
+    """
 
     def __init__(self, port: str, baud: int) -> None:
         """Open `port` for us alone."""
@@ -31,14 +36,25 @@ class Link:
             raise LinkError(msg) from err
         self.port = port
         self.fd = self._serial.fileno()
+        self._rest = b""
         with contextlib.suppress(OSError, ValueError, termios.error, NotImplementedError):
             # Best effort: a pseudo-terminal has no such mode, and needs none.
             self._serial.set_low_latency_mode(True)
 
+    @property
+    def has_rest(self) -> bool:
+        """Whether bytes were read that `read` has not returned yet."""
+        return bool(self._rest)
+
     def read(self) -> bytes:
-        """Return the bytes that are there."""
+        """Return bytes that are there, at most `READ`, the oldest first."""
+        data = self._rest or self._taken()
+        self._rest = data[READ:]
+        return data[:READ]
+
+    def _taken(self) -> bytes:
         try:
-            data = os.read(self.fd, READ)
+            data = os.read(self.fd, TERMINAL_BYTES)
         except BlockingIOError:
             return b""
         except OSError as err:

@@ -8,12 +8,13 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-import select
 import signal
 import sys
+from select import EPOLLIN
 from types import FrameType
 
 import msgspec
+from armrig_core.waiting import Waiter, sleep_until
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 
@@ -27,7 +28,7 @@ NO_PORT = 2
 """Exit code where the port could not be opened; why has been said."""
 REOPEN_NS = 500_000_000
 _READ = 65536
-# Woken from the long sleep in `select` our caches are cold, after a short second one they are not:
+# Woken from the long sleep in `wait` our caches are cold, after a short second one they are not:
 # what it brings and what it costs is in docs/benchmarks.md.
 _MARGIN_NS = 90_000
 
@@ -59,14 +60,16 @@ class ProcessPorts:
         self._records_fd = records_fd
         self._orders = bytearray()
         self._link: Link | None = Link(settings.port, settings.baud)
+        self._waiter = Waiter()
+        self._waiter.watch(orders_fd)
+        self._waiter.watch_terminal(self._link.fd)
+        self._is_hung_up = False
         self._first = True
         self._reopen_ns = 0
         self._said = ""
-        self._gone = False
         self._unheard = False
         self.quit_reason = ""
         self.spin_ns = 0
-        self._sources = self._readable()
 
     @property
     def margin_ns(self) -> int:
@@ -84,29 +87,22 @@ class ProcessPorts:
 
     def sleep_until(self, deadline_ns: int) -> int:
         """Sleep, then spin, until the deadline."""
-        return realtime.sleep_until(deadline_ns, self.spin_ns)
+        return sleep_until(deadline_ns, self.spin_ns)
 
     def wait(self, until_ns: int) -> list[Event]:
         """Wait for the line, the service or a signal."""
-        events: list[Event] = []
-        now = realtime.now_ns()
         if self._first:
             self._first = False
             return [LinkUp()]
-        if self._link is None and now >= self._reopen_ns:
-            self._reopen_ns = now + REOPEN_NS
-            events += self._open()
-        timeout = 0 if events else max(0, until_ns - now) / 1e9
-        try:
-            ready, _, _ = select.select(self._sources, [], [], timeout)
-        except OSError as err:  # the port's descriptor went bad
-            return [*events, *self._lost(err)]
-        if not ready and not self.quit_reason:
-            return events
-        if self._link is not None and self._link.fd in ready:
-            events += self._read()
-        if self._orders_fd in ready:
-            events += self._take_orders()
+        events = self._open_again() if self._link is None else self._read_again()
+        waiter = self._waiter
+        for fd, flags in waiter.ready() if events else waiter.wait_until(until_ns):
+            if fd == self._orders_fd:
+                events += self._take_orders()
+            elif self._link is not None:
+                # It is told once: of a line that hung up, what it still held is read before.
+                self._is_hung_up = bool(flags & ~EPOLLIN)
+                events += self._read()
         if self.quit_reason:
             events.append(Ordered(Quit(reason=self.quit_reason)))
             self.quit_reason = ""
@@ -148,12 +144,12 @@ class ProcessPorts:
             for seq in range(3):
                 self._link.write(b"\0" + encode(Estop(0, seq)))
 
-    def _readable(self) -> list[int]:
-        """Return the descriptors that `wait` waits for."""
-        orders = [] if self._gone else [self._orders_fd]
-        return orders if self._link is None else [*orders, self._link.fd]
-
-    def _open(self) -> list[Event]:
+    def _open_again(self) -> list[Event]:
+        """Open the line that was lost, where it is time to; say once why it cannot be."""
+        now = realtime.now_ns()
+        if now < self._reopen_ns:
+            return []
+        self._reopen_ns = now + REOPEN_NS
         try:
             self._link = Link(self._settings.port, self._settings.baud)
         except LinkError as err:
@@ -162,17 +158,23 @@ class ProcessPorts:
                 return [LinkDown(self._said)]
             return []
         self._said = ""
-        self._sources = self._readable()
+        self._waiter.watch_terminal(self._link.fd)
         return [LinkUp()]
 
     def _lost(self, err: OSError) -> list[Event]:
         if self._link is not None:
+            self._waiter.forget(self._link.fd)
             self._link.close()
             self._link = None
-            self._sources = self._readable()
+            self._is_hung_up = False
         self._reopen_ns = realtime.now_ns() + REOPEN_NS
         self._said = str(err)
         return [LinkDown(self._said)]
+
+    def _read_again(self) -> list[Event]:
+        """Read on where it was told that there is more, for that is told once."""
+        more = self._is_hung_up or (self._link is not None and self._link.has_rest)
+        return self._read() if more else []
 
     def _read(self) -> list[Event]:
         if self._link is None:
@@ -189,8 +191,7 @@ class ProcessPorts:
         except BlockingIOError:
             return []
         if not data:
-            self._gone = True
-            self._sources = self._readable()
+            self._waiter.forget(self._orders_fd)
             return [ServiceGone()]
         self._orders += data
         return [Ordered(order) for order in take_orders(self._orders)]

@@ -12,36 +12,13 @@ from typing import Any
 _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
-_TIMER_ABSTIME = 1
 
-
-class _Timespec(ctypes.Structure):
-    _fields_ = (("tv_sec", ctypes.c_long), ("tv_nsec", ctypes.c_long))
-
-
-# ctypes gives up the interpreter lock during the call; the standard library has no such sleep.
 _libc = ctypes.CDLL(None, use_errno=True)
-_clock_nanosleep = _libc.clock_nanosleep
-_until = _Timespec()
-_until_at = ctypes.byref(_until)
 
 
 def now_ns() -> int:
     """Return the monotonic time, which no one steps."""
     return time.monotonic_ns()
-
-
-def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
-    """Sleep until shortly before the deadline, spin the rest, and return the time it then is."""
-    now = time.monotonic_ns()
-    wake = deadline_ns - spin_ns
-    if now < wake:
-        _until.tv_sec, _until.tv_nsec = divmod(wake, 1_000_000_000)
-        while _clock_nanosleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, _until_at, None):
-            pass  # interrupted by a signal; the deadline is absolute
-    while (now := time.monotonic_ns()) < deadline_ns:
-        pass
-    return now
 
 
 def prepare(priority: int, cpu: int | None) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import os
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from select import EPOLLIN
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
@@ -32,7 +33,6 @@ WAYS = {
     "open": (errno.EBUSY,),
     "put": (errno.EAGAIN, errno.EPIPE),
     "orders": (errno.EAGAIN, "end of file"),
-    "select": (errno.EBADF,),
 }
 """How each kind of call can fail."""
 
@@ -79,7 +79,7 @@ class World:
 
     @contextmanager
     def _installed(self) -> Iterator[None]:
-        clock = SimpleNamespace(now_ns=lambda: self.now_ns, sleep_until=self._sleep_until)
+        clock = SimpleNamespace(now_ns=lambda: self.now_ns)
         calls = SimpleNamespace(read=self._read, write=self._write)
         serial = SimpleNamespace(Serial=self._open)
         idle = SimpleNamespace(collect=int, freeze=int, get_stats=list)
@@ -89,7 +89,8 @@ class World:
                 realtime=clock,
                 os=calls,
                 gc=idle,
-                select=SimpleNamespace(select=self._select),
+                sleep_until=self._sleep_until,
+                Waiter=lambda: _Waiter(self),
             ),
             mock.patch.multiple(link, os=calls, serial=serial),
         ):
@@ -143,17 +144,14 @@ class World:
         self.written_ns = self.now_ns
         return sent
 
-    def _select(
-        self, sources: list[int], _: list[int], __: list[int], timeout: float
-    ) -> tuple[list[int], list[int], list[int]]:
-        self._fails("select")
-        until_ns = self.now_ns + round(timeout * 1e9)
+    def wait_until(self, sources: set[int], until_ns: int) -> list[tuple[int, int]]:
+        """Let time pass until one of the descriptors can be read, or until a time."""
         while True:
             queues = {_LINE: self._line, _ORDERS: self._orders}
             due = {fd: q[0][0] for fd, q in queues.items() if q and fd in sources}
-            ready = [fd for fd in sources if due.get(fd, until_ns + 1) <= self.now_ns]
+            ready = [fd for fd in sources if due.get(fd, self.now_ns + 1) <= self.now_ns]
             if ready or self.now_ns >= until_ns:
-                return ready, [], []
+                return [(fd, EPOLLIN) for fd in sorted(ready)]
             self._advance(max(self.now_ns, min(until_ns, self.device.next_ns(), *due.values())))
 
     def _sleep_until(self, deadline_ns: int, _: int = 0) -> int:
@@ -163,3 +161,19 @@ class World:
     def _advance(self, to_ns: int) -> None:
         self.now_ns = max(self.now_ns, to_ns)
         self._line.extend(self.device.advance(self.now_ns))
+
+
+class _Waiter:
+    """What the product waits with, in virtual time."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._sources: set[int] = set()
+        self.watch = self.watch_terminal = self._sources.add
+        self.forget = self._sources.remove
+
+    def ready(self) -> list[tuple[int, int]]:
+        return self.wait_until(0)
+
+    def wait_until(self, deadline_ns: int) -> list[tuple[int, int]]:
+        return self._world.wait_until(self._sources, deadline_ns)

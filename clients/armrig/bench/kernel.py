@@ -6,7 +6,6 @@ import ctypes
 import gc
 import os
 import signal
-import time
 from contextlib import suppress
 
 PARENT = "BENCH_PARENT"
@@ -15,28 +14,8 @@ PARENT = "BENCH_PARENT"
 _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
-_TIMER_ABSTIME = 1
-
-
-class _Timespec(ctypes.Structure):
-    _fields_ = (("tv_sec", ctypes.c_long), ("tv_nsec", ctypes.c_long))
-
 
 _libc = ctypes.CDLL(None, use_errno=True)
-_until = _Timespec()
-_until_at = ctypes.byref(_until)
-
-
-def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
-    """Sleep until shortly before the deadline, spin the rest, and return the time it then is."""
-    wake = deadline_ns - spin_ns
-    if time.monotonic_ns() < wake:
-        _until.tv_sec, _until.tv_nsec = divmod(wake, 1_000_000_000)
-        while _libc.clock_nanosleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, _until_at, None):
-            pass  # interrupted by a signal; the deadline is absolute
-    while (now := time.monotonic_ns()) < deadline_ns:
-        pass
-    return now
 
 
 def be_punctual(priority: int, *, lock: bool = False) -> bool:

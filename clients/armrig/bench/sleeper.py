@@ -7,17 +7,19 @@ does beside is nothing, so what the daemon's loop needs more is the daemon's own
 from __future__ import annotations
 
 import os
-import select
 import sys
 import time
 
 import msgspec
+from armrig_core.waiting import TERMINAL_BYTES, Waiter, sleep_until
 
 from armrig.bench.echo import ANSWER_LENGTH, REQUEST_LENGTH
-from armrig.bench.kernel import be_punctual, end_with_parent, sleep_until
+from armrig.bench.kernel import be_punctual, end_with_parent
 
-ANSWER_S = 1.0
-"""How long the answer may take before the program gives up, in s."""
+ANSWER_NS = 1_000_000_000
+"""How long the answer may take before the program gives up, in ns."""
+MARGIN_NS = 90_000
+"""How long before the spin the daemon's loop ends its first wait, in ns."""
 WARM_UP = 2
 """Ticks before those that count: the first call of each function takes longer."""
 WINDOW_NS = 100_000_000
@@ -50,7 +52,7 @@ class Done(msgspec.Struct, frozen=True, kw_only=True):
 
 def play(task: Task, *, fifo: bool) -> Done:
     """Tick as often as asked."""
-    fd = os.open(task.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK) if task.port else -1
+    line = Line(task.port) if task.port else None
     late: list[int] = []
     trips: list[int] = []
     cpu: list[float] = []
@@ -58,14 +60,16 @@ def play(task: Task, *, fifo: bool) -> Done:
     due = time.monotonic_ns() + task.period_ns
     window = due, 0, 0
     for n in range(-WARM_UP, task.count + 1):
+        if line is not None:
+            line.wait_until(due - spin_ns - MARGIN_NS)
         now = sleep_until(due, spin_ns)
         if n > 0:
             late.append(now - due)
-        if fd >= 0:
-            trip = _exchange(fd, now)
+        due += task.period_ns * (1 + max(0, now - due) // task.period_ns)
+        if line is not None:
+            trip = line.exchange(now, due - spin_ns - MARGIN_NS)
             if n > 0:
                 trips.append(trip)
-        due += task.period_ns * (1 + max(0, now - due) // task.period_ns)
         if n == 0:
             window = now, time.thread_time_ns(), 0
         elif n > 0 and (now - window[0] >= WINDOW_NS or n == task.count):
@@ -75,15 +79,31 @@ def play(task: Task, *, fifo: bool) -> Done:
     return Done(fifo=fifo, late_ns=late, trip_ns=trips, cpu_ns=cpu)
 
 
-def _exchange(fd: int, began_ns: int) -> int:
-    os.write(fd, bytes(REQUEST_LENGTH))
-    come = 0
-    while come < ANSWER_LENGTH:
-        if not select.select([fd], [], [], ANSWER_S)[0]:
-            msg = f"no answer within {ANSWER_S:g} s"
-            raise SystemExit(msg)
-        come += len(os.read(fd, 4096))
-    return time.monotonic_ns() - began_ns
+class Line:
+    """A pseudo-terminal that answers, waited for as the daemon's loop waits for its own."""
+
+    def __init__(self, port: str) -> None:
+        self._fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        self._waiter = Waiter()
+        self._waiter.watch_terminal(self._fd)
+
+    def wait_until(self, deadline_ns: int) -> None:
+        """Wait until shortly before a tick."""
+        self._waiter.wait_until(deadline_ns)
+
+    def exchange(self, began_ns: int, until_ns: int) -> int:
+        """Write a request and read the answer; return how long it took, in ns."""
+        os.write(self._fd, bytes(REQUEST_LENGTH))
+        come = 0
+        while come < ANSWER_LENGTH:
+            if self._waiter.wait_until(until_ns):
+                come += len(os.read(self._fd, TERMINAL_BYTES))
+            elif until_ns < began_ns + ANSWER_NS:
+                until_ns = began_ns + ANSWER_NS
+            else:
+                msg = f"no answer within {ANSWER_NS / 1e9:g} s"
+                raise SystemExit(msg)
+        return time.monotonic_ns() - began_ns
 
 
 def main() -> None:

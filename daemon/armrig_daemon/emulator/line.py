@@ -8,6 +8,7 @@ import termios
 import tty
 from contextlib import ExitStack
 from pathlib import Path
+from select import EPOLLHUP, EPOLLOUT
 from struct import Struct
 
 from armrig_daemon.emulator.backlog import Backlog
@@ -37,6 +38,9 @@ class Line:
         os.set_blocking(self.master, False)
         self.connected = False
         """Somebody has it open; the read that fails tells that nobody has any more."""
+        self.has_input = False
+        """Bytes have come that were not all read yet, or the port was closed."""
+        self._is_hung_up = False
         self.backlog = Backlog()
         """What the terminal, whose reader stalls, has no room for yet."""
         self._closed = False
@@ -58,18 +62,28 @@ class Line:
     def flush(self) -> None:
         """Throw away what waits on the line, either way."""
         self.backlog.clear()
+        self.has_input = self._is_hung_up = False
         termios.tcflush(self.master, termios.TCIOFLUSH)
+
+    def told(self, flags: int) -> None:
+        """Take note of what the kernel tells, once, of the master: `EPOLL…` flags."""
+        if flags & EPOLLOUT:
+            self.drain()
+        self._is_hung_up |= bool(flags & EPOLLHUP)
+        self.has_input |= bool(flags & ~EPOLLOUT)
 
     def read(self) -> bytes:
         """Return what has come, at most `READ_BYTES`; nothing where nobody is connected."""
         try:
-            return os.read(self.master, READ_BYTES)
+            data = os.read(self.master, READ_BYTES)
         except BlockingIOError:
-            return b""
+            data = b""
         except OSError:  # EIO: the last one closed the port
-            self.connected = False
+            data, self.connected, self._is_hung_up = b"", False, False
             self.backlog.clear()
-            return b""
+        # A short read took all; what a port that was closed has left is read up to the error.
+        self.has_input = len(data) == READ_BYTES or (bool(data) and self._is_hung_up)
+        return data
 
     def write(self, frame: bytes) -> None:
         """Send, behind what waits already; nothing where nobody is connected."""

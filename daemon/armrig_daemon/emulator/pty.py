@@ -9,15 +9,16 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import select
 import signal
 import sys
 from collections import deque
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from time import monotonic_ns
 from typing import TextIO
+
+from armrig_core.waiting import Waiter
 
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
@@ -85,40 +86,39 @@ def _run(line: Line, device: Device, settings: EmulatorSettings, wake: int) -> N
     full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
     replies: deque[tuple[int, bytes]] = deque()
     opened, master = line.opened.fileno(), line.master
-    while True:
-        now_ns = monotonic_ns()
-        replies.extend(device.advance(now_ns))
-        while replies and replies[0][0] <= now_ns:
-            line.write(replies.popleft()[1])
-        due_ns = device.visible_ns()
-        if replies:
-            due_ns = min(due_ns, replies[0][0])
-        sources, sinks = [opened, wake], []
-        if line.connected:
-            # Read no faster than the wire carries: behind it the kernel holds the host back.
-            room_ns = now_ns + device.rx_backlog_ns(now_ns) - full_ns
-            if room_ns <= now_ns:
-                sources.append(master)
-            else:
-                due_ns = min(due_ns, room_ns)
-            if line.backlog.waiting_bytes:
-                sinks.append(master)
-        timeout_s = max(0, due_ns - monotonic_ns()) * 1e-9
-        ready, room, _ = select.select(sources, sinks, [], timeout_s)
-        if room:
-            line.drain()
-        if not ready:
-            continue
-        if wake in ready:
-            return
-        if opened in ready and line.came():
-            line.flush()
-            device.reset(monotonic_ns())
-            replies.clear()
-        elif master in ready:
-            data = line.read()
-            if data:
-                device.receive(monotonic_ns(), data)
+    waits_for_room = False
+    with closing(Waiter()) as waiter:
+        waiter.watch(wake)
+        waiter.watch(opened)
+        waiter.watch_terminal(master)
+        while True:
+            now_ns = monotonic_ns()
+            replies.extend(device.advance(now_ns))
+            while replies and replies[0][0] <= now_ns:
+                line.write(replies.popleft()[1])
+            due_ns = device.visible_ns()
+            if replies:
+                due_ns = min(due_ns, replies[0][0])
+            if line.connected and line.has_input:
+                # Read no faster than the wire carries: behind it the kernel holds the host back.
+                due_ns = min(due_ns, now_ns + device.rx_backlog_ns(now_ns) - full_ns)
+            if bool(line.backlog.waiting_bytes) != waits_for_room:
+                waits_for_room = not waits_for_room
+                waiter.watch_room(master, wanted=waits_for_room)
+            ready = dict(waiter.wait_until(due_ns) if due_ns > now_ns else waiter.ready())
+            if wake in ready:
+                return
+            if opened in ready and line.came():
+                line.flush()
+                device.reset(monotonic_ns())
+                replies.clear()
+            elif master in ready:
+                line.told(ready[master])
+            now_ns = monotonic_ns()
+            if line.connected and line.has_input and device.rx_backlog_ns(now_ns) <= full_ns:
+                data = line.read()
+                if data:
+                    device.receive(monotonic_ns(), data)
 
 
 @contextmanager
