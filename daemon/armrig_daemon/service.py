@@ -162,6 +162,12 @@ class Service:
             sources = [self._loop.records_fd, self._wake_fd]
             sinks = [self._loop.orders_fd] if self._loop.is_behind else []
             ready, writable, _ = select.select(sources, sinks, [], timeout)
+            if self._loop.records_fd in ready:  # first of all: who listens waits for the sample
+                records = self._loop.records()
+                if records is None:
+                    self._woken()  # a signal may have ended the loop before we looked
+                    return
+                self._take(records)
             if writable:
                 self._loop.flush()
             if self._wake_fd in ready:
@@ -170,12 +176,6 @@ class Service:
             self._take_signs()
             if time.monotonic() >= self._runs.client_gone_s:
                 self._loop.order(Halt(reason=self._runs.client_gone()))
-            if self._loop.records_fd in ready:
-                records = self._loop.records()
-                if records is None:
-                    self._woken()  # a signal may have ended the loop before we looked
-                    return
-                self._take(records)
             self._take_commands()
             if time.monotonic() >= self._kill_at:
                 self._say("error", "the loop does not end: killed; the device stops the motor")

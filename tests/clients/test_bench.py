@@ -208,6 +208,18 @@ def test_the_way_to_a_subscriber_is_judged_against_a_bare_put(way_us: float, met
     assert (verdict.value, verdict.met) == (pytest.approx(way_us / 100), met)
 
 
+def test_what_the_same_load_and_a_pipe_cost_anybody_is_told_beside_the_ratios() -> None:
+    """The targets stay as they are; who reads them learns where the limit lies."""
+    waking = rate(REFERENCE=[10.0] * 10, DAEMON=[30.0] * 10, BESIDE=[60.0] * 10)
+    passing = rate(PUT=[100.0] * 5, SUBSCRIBER=[150.0] * 5, PIPED=[140.0] * 5)
+
+    p99, p999 = verdicts(waking, 20)
+
+    assert (p99.remark, p999.remark) == ("", "0.50 × cyclictest beside the daemon")
+    assert p999.met is False
+    assert "behind a pipe 1.40 ×" in of(verdicts(passing, 20), "sample to subscriber").remark
+
+
 @pytest.mark.parametrize(
     ("rate_hz", "seconds", "lost", "met"),
     [

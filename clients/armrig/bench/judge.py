@@ -21,6 +21,8 @@ DAEMON_CPU = "daemon CPU per tick"
 DELIVERY = "scheduled delivery lateness"
 TICK_ERROR = "scheduled device tick error"
 PUT = "bare put to callback"
+PIPED = "put behind a pipe to callback"
+BESIDE = "cyclictest beside the daemon"
 SUBSCRIBER = "sample to subscriber"
 
 DEFINITIONS = {
@@ -42,6 +44,10 @@ DEFINITIONS = {
     TICK_ERROR: "scheduled mode: |interval - Ts| on the device's clock",
     PUT: "from just before a sample's encoding and put in one process to the callback in "
     "another; same payload, rate, socket and number of subscribers as the daemon's",
+    PIPED: "the same, but another process encodes and writes to a pipe, and one reads it and puts: "
+    "the limit of any daemon whose loop is alone in its process",
+    BESIDE: "scheduled mode: cyclictest's lateness at one priority below the loop's while the "
+    "daemon runs under zenoh, MCAP and the subscribers: what this kernel gives under that load",
     SUBSCRIBER: "scheduled mode: from a sample's arrival at the loop (t_host_ns) to the callback "
     "in another process: decode, core, pipe, service and zenoh; exchange mode cannot be compared, "
     "there t_host_ns is when the sample was asked for",
@@ -198,9 +204,11 @@ def _wake(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
     remark = "" if judged else f"the target is for {WAKE_RATE_HZ} Hz"
     if name == STAND_IN:
         remark = "against the stand-in, not cyclictest"
+    beside = tails.get(BESIDE)
+    of_beside = f"; {daemon.p999 / beside.p999:.2f} × {BESIDE}" if beside else ""
     pairs = (
-        ("p99", daemon.p99, reference.p99, WAKE_P99),
-        ("p99.9", daemon.p999, reference.p999, WAKE_P999),
+        ("p99", daemon.p99, reference.p99, WAKE_P99, remark),
+        ("p99.9", daemon.p999, reference.p999, WAKE_P999, (remark + of_beside).strip("; ")),
     )
     return [
         Verdict(
@@ -210,9 +218,9 @@ def _wake(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
             limit=limit,
             unit="×",
             met=(value <= limit * below) if judged and name == REFERENCE else None,
-            remark=remark,
+            remark=note,
         )
-        for which, value, below, limit in pairs
+        for which, value, below, limit, note in pairs
     ]
 
 
@@ -236,6 +244,9 @@ def _latency(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
     if PUT not in tails or SUBSCRIBER not in tails:
         return []
     ratio = tails[SUBSCRIBER].p50 / tails[PUT].p50
+    remark = f"p99 {tails[SUBSCRIBER].p99 / tails[PUT].p99:.2f} ×"
+    if PIPED in tails:
+        remark += f"; behind a pipe {tails[PIPED].p50 / tails[PUT].p50:.2f} ×"
     return [
         Verdict(
             rate_hz=rate.rate_hz,
@@ -244,7 +255,7 @@ def _latency(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
             limit=LATENCY,
             unit="×",
             met=ratio <= LATENCY,
-            remark=f"p99 {tails[SUBSCRIBER].p99 / tails[PUT].p99:.2f} ×",
+            remark=remark,
         )
     ]
 

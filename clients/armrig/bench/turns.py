@@ -96,10 +96,11 @@ def measure(plan: Plan, host: Machine, say: Say = lambda text: None) -> list[Rat
                 say(f"{turn} alone")
                 _reference(rate, ticks, host)
                 _bare(rate, ticks, host)
-                _put(rate, ticks)
+                _put(rate, ticks, judge.PUT)
+                _put(rate, ticks, judge.PIPED, "piped")
                 say(f"{turn} under full load")
                 with daemon() as running:
-                    _loaded(rate, ticks, running, seed=n)
+                    _loaded(rate, ticks, running, host, seed=n)
     return rates
 
 
@@ -118,19 +119,40 @@ def _within_s(rate: Rate, ticks: int) -> float:
 
 def _reference(rate: Rate, ticks: int, host: Machine) -> None:
     """Take cyclictest's turn, or that of its stand-in."""
-    period_us = 1_000_000 // rate.rate_hz
-    found = cyclictest.find()
-    if found is None or not host.fifo:
-        task = Task(period_ns=period_us * 1000, count=ticks, priority=PRIORITY if host.fifo else 0)
+    command = _cyclictest(rate, ticks, host, PRIORITY)
+    if command is None:
+        period_ns = 1_000_000_000 // rate.rate_hz
+        task = Task(period_ns=period_ns, count=ticks, priority=PRIORITY if host.fifo else 0)
         done = _slept(task, _within_s(rate, ticks))
         rate.add(judge.STAND_IN, np.array(done.late_ns) / 1e3)
         return
-    command = cyclictest.command(
-        found, period_us=period_us, count=ticks, priority=PRIORITY, lock=host.memory_lock
-    )
     with program(*command, module=False) as process:
         said = output(process, _within_s(rate, ticks)).decode(errors="replace")
     rate.add(judge.REFERENCE, cyclictest.lateness_us(said))
+
+
+def _cyclictest(rate: Rate, ticks: int, host: Machine, priority: int) -> list[str] | None:
+    """Return the call of cyclictest, or None where it is not installed or not allowed."""
+    found = cyclictest.find()
+    if found is None or not host.fifo:
+        return None
+    period_us = 1_000_000 // rate.rate_hz
+    return cyclictest.command(
+        found, period_us=period_us, count=ticks, priority=priority, lock=host.memory_lock
+    )
+
+
+@contextmanager
+def _beside(rate: Rate, ticks: int, host: Machine) -> Iterator[None]:
+    """Have cyclictest measure what the kernel gives meanwhile, just below the loop's priority."""
+    command = _cyclictest(rate, ticks, host, PRIORITY - 1)
+    if command is None:
+        yield
+        return
+    with program(*command, module=False) as process:
+        yield
+        said = output(process, _within_s(rate, ticks)).decode(errors="replace")
+    rate.add(judge.BESIDE, cyclictest.lateness_us(said))
 
 
 def _bare(rate: Rate, ticks: int, host: Machine) -> None:
@@ -155,11 +177,11 @@ def _slept(task: Task, within_s: float) -> Done:
         return msgspec.json.decode(output(process, within_s), type=Done)
 
 
-def _put(rate: Rate, ticks: int) -> None:
-    """Take the turn of the bare zenoh put."""
+def _put(rate: Rate, ticks: int, name: str, *way: str) -> None:
+    """Take the turn of the bare zenoh put, by itself or behind a pipe."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
         where = endpoint(RIG, PurePosixPath(directory))
-        with program("armrig.bench.putter", where, RIG) as putter:
+        with program("armrig.bench.putter", where, RIG, *way) as putter:
             line(putter)
             with subscribers(where) as listening:
                 time.sleep(_SETTLE_S)  # until the publisher knows of its subscribers
@@ -167,10 +189,10 @@ def _put(rate: Rate, ticks: int) -> None:
                 line(putter)
                 time.sleep(_SETTLE_S)
                 for heard in listening.heard():
-                    rate.add(judge.PUT, (heard[:, 2] - heard[:, 1]) / 1e3)
+                    rate.add(name, (heard[:, 2] - heard[:, 1]) / 1e3)
 
 
-def _loaded(rate: Rate, ticks: int, running: Daemon, seed: int) -> None:
+def _loaded(rate: Rate, ticks: int, running: Daemon, host: Machine, seed: int) -> None:
     """Take the daemon's turns: exchange mode where the line carries it, and scheduled mode."""
     # Another value at each sample: one that lands on its neighbour's index is seen.
     u = np.random.default_rng(seed).uniform(0.5, 4.5, ticks)
@@ -179,7 +201,7 @@ def _loaded(rate: Rate, ticks: int, running: Daemon, seed: int) -> None:
             with subscribers(running.endpoint):
                 recording, readings = _played(rig, rate, u, "exchange", running.loop_pid())
             _exchanged(rate, recording, readings)
-        with subscribers(running.endpoint) as listening:
+        with subscribers(running.endpoint) as listening, _beside(rate, ticks, host):
             recording, _ = _played(rig, rate, u, "scheduled", None)
             time.sleep(_SETTLE_S)
             heard = listening.heard()
