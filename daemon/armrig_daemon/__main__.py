@@ -17,6 +17,7 @@ import msgspec
 import typer
 from armrig_core.endpoint import endpoint, socket_directory
 from armrig_core.volts import U_MAX_V
+from armrig_protocol.messages import WATCHDOG_MAX_MS
 
 from armrig_daemon.config import Config, Device
 from armrig_daemon.realtime import end_with_parent
@@ -46,13 +47,15 @@ def run(
     from armrig_daemon.service import Service
 
     overrides: dict[str, dict[str, Any]] = {}
+    # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
+    below = {"device": {"watchdog_ms": WATCHDOG_MAX_MS}} if emulate else {}
     if port is not None:
         overrides["device"] = {"port": port}
     if rig is not None:
         overrides["rig"] = {"id": rig}
     paths = [config] if config is not None else configuration.installed()
     try:
-        loaded = configuration.load(paths, os.environ, overrides)
+        loaded = configuration.load(paths, os.environ, overrides, below=below)
         directory = configuration.recordings(loaded)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
     except ValueError as err:

@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from math import tau
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
@@ -65,7 +66,10 @@ class Device(Table, frozen=True, kw_only=True):
     baud: Annotated[int, Meta(ge=9600, le=4_000_000)] = 500_000
     """Speed of the line, in bit/s."""
     watchdog_ms: Annotated[int, Meta(ge=WATCHDOG_MIN_MS, le=WATCHDOG_MAX_MS)] = WATCHDOG_DEFAULT_MS
-    """Silence after which the device stops the motor by itself, in ms."""
+    """Silence after which the device stops the motor by itself, in ms.
+
+    Where nobody says it, an emulated rig of `run --emulate` has the longest.
+    """
 
 
 class Timing(Table, frozen=True, kw_only=True):
@@ -245,7 +249,11 @@ def recordings(config: Config) -> Path:
 
 
 def load(
-    paths: list[Path], environ: Mapping[str, str], overrides: Mapping[str, Mapping[str, Any]]
+    paths: list[Path],
+    environ: Mapping[str, str],
+    overrides: Mapping[str, Mapping[str, Any]],
+    *,
+    below: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Config:
     """Return the configuration of these layers, the later over the earlier.
 
@@ -257,13 +265,15 @@ def load(
         Environment variables; those that begin with `ARMRIG_` count.
     overrides : mapping
         Tables of the command line.
+    below : mapping
+        Tables that hold where no layer says otherwise.
 
     Raises
     ------
     ConfigError
         A file cannot be read, or a key or value is not allowed.
     """
-    tables: dict[str, Any] = {}
+    tables = dict(below)
     for path in paths:
         layer = _calibrated(_read(path), path.absolute().parent, str(path))
         _check(layer, str(path))

@@ -84,6 +84,20 @@ def test_the_later_layer_wins_key_by_key(tmp_path: Path) -> None:
     assert (config.limits.u_max_v, config.device.port) == (3.0, "/dev/y")
 
 
+def test_what_lies_below_gives_way_to_whatever_is_said(tmp_path: Path) -> None:
+    """Files, the environment and the command line each say it over the defaults of a command."""
+    user, below = tmp_path / "user.toml", {"device": {"watchdog_ms": 250}}
+    user.write_text("[device]\nwatchdog_ms = 100\nbaud = 115200")
+
+    assert load([], {}, {}).device.watchdog_ms == 100
+    assert load([], {}, {}, below=below).device.watchdog_ms == 250
+    assert load([user], {}, {}, below=below).device.watchdog_ms == 100
+    environ = {"ARMRIG_DEVICE_WATCHDOG_MS": "60"}
+    assert load([user], environ, {}, below=below).device.watchdog_ms == 60
+    overrides = {"device": {"watchdog_ms": 50}}
+    assert load([user], environ, overrides, below=below).device.watchdog_ms == 50
+
+
 @pytest.mark.parametrize(
     ("name", "text", "complaint"),
     [

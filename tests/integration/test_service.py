@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.rig import RefusedError
-from processes import WITHIN_S, Bench, wait_for
+from armrig_core.manifest import CONFIG
+from mcap.reader import make_reader
+from processes import WITHIN_S, Bench, Process, wait_for
 
 SUBSCRIBER = """
 import sys, zenoh
@@ -200,3 +203,42 @@ def test_two_daemons_of_one_rig_are_one_too_many(bench: Bench) -> None:
     assert "1.sock" in second.said
     assert "Traceback" not in second.said
     assert bench.phase() == "safe"
+
+
+@pytest.mark.parametrize(("said", "watchdog_ms"), [("", 250), ("watchdog_ms = 100", 100)])
+def test_an_emulated_rig_has_the_longest_watchdog_unless_one_is_said(
+    bench: Bench, said: str, watchdog_ms: int
+) -> None:
+    """Of `run --emulate`: it stands beside a machine's load, and nothing breaks when it turns on."""
+    bench.config.write_text(f'[device]\n{said}\n[recording]\ndirectory = "{bench.recordings}"\n')
+
+    daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--emulate")
+
+    assert _watchdog_of_a_run(bench, daemon) == watchdog_ms
+
+
+def test_a_rig_that_is_not_emulated_by_us_has_the_watchdog_of_the_wire(bench: Bench) -> None:
+    """100 ms, where the configuration does not say one."""
+    bench.emulate()
+    bench.config.write_text(
+        f'[device]\nport = "{bench.port}"\nbaud = 1000000\n'
+        f'[recording]\ndirectory = "{bench.recordings}"\n'
+    )
+
+    daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+
+    assert _watchdog_of_a_run(bench, daemon) == 100
+
+
+def _watchdog_of_a_run(bench: Bench, daemon: Process) -> int:
+    """Return the watchdog in the configuration that a recording holds, in ms."""
+    wait_for(lambda: bench.phase() == "safe" or daemon.popen.poll() is not None)
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.01)
+        with rig.run([1.0] * 5).open("rb") as file:
+            (config,) = (
+                attachment.data
+                for attachment in make_reader(file).iter_attachments()
+                if attachment.name == CONFIG
+            )
+    return int(json.loads(config)["device"]["watchdog_ms"])

@@ -30,6 +30,7 @@ id = "{RIG}"
 
 [device]
 baud = {BAUD}
+watchdog_ms = 100
 
 [recording]
 directory = "{{directory}}"
