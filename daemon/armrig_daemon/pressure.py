@@ -1,13 +1,25 @@
-"""What else this machine was doing, read from the kernel once a second beside the timing."""
+"""What else this machine was doing, told beside the timing and where it may have ended a run."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 from math import nan
 from pathlib import Path
 from time import monotonic_ns
 
+from armrig_protocol.messages import Cause
+
+from armrig_daemon.faults import Id
+from armrig_daemon.records import State, Timing
+
 CPU = Path("/proc/pressure/cpu")
+LATENESS_MOST_MS = 100
+"""A host that wakes later than this again and again is not to drive a motor, in ms.
+
+A longer watchdog bears a stall in a run that has begun; it is no leave to begin one on such a host.
+"""
+_OF_LOAD = (Id.STALE, Id.PAUSE, Id.MISSED)
 
 
 class Pressure:
@@ -44,3 +56,37 @@ def _runnable() -> int:
         fields = Path("/proc/loadavg").read_text(encoding="ascii").split()
         return int(fields[3].split("/")[0])
     return -1
+
+
+def load(path: Path = CPU) -> str:
+    """Return how busy the processors are, for a person."""
+    cpus = len(os.sched_getaffinity(0))
+    said = f"load {os.getloadavg()[0]:.1f} on {cpus} processor{'s' * (cpus > 1)}"
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        share = float(path.read_text(encoding="ascii").split()[1].removeprefix("avg10="))
+        said += f", waited for {share:.0f} % of the last 10 s"
+    return said
+
+
+def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> str:
+    """Return why a host whose last second was like this is not to drive a motor, or nothing."""
+    # One late tick among a hundred is no reason: only a pause that comes again and again.
+    late_ms = timing.wake_lateness_us.p99 / 1e3 if timing else 0.0
+    most_ms = min(watchdog_ms, LATENESS_MOST_MS)
+    if late_ms <= most_ms:
+        return ""
+    return (
+        f"the host woke up to {late_ms:.0f} ms late in the last second, at most {most_ms} ms are "
+        f"allowed ({load}; see `armrig doctor`): try again"
+    )
+
+
+def outcome(ended: str, state: State, load: str) -> str:
+    """Return how a run ended, with the load behind a fault that it may have caused."""
+    is_late = state.fault in _OF_LOAD or (
+        state.fault == Id.DEVICE and Cause.WATCHDOG.name in state.reason
+    )
+    # A run that was over before the fault was not ended by it.
+    if not is_late or ended != state.reason:
+        return ended
+    return f"{ended} ({load}; see `armrig doctor`)"

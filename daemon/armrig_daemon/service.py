@@ -24,12 +24,11 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
-from armrig_daemon import loop_child, orders, readings, realtime
+from armrig_daemon import loop_child, orders, pressure, readings, realtime
 from armrig_daemon.budget import check
 from armrig_daemon.config import Config
 from armrig_daemon.loop_process import NO_PORT, Settings
 from armrig_daemon.messages import Outgoing, outgoing
-from armrig_daemon.pressure import Pressure
 from armrig_daemon.publish import Command, Kind, Session
 from armrig_daemon.record import RecordingError, left_over
 from armrig_daemon.records import (
@@ -100,7 +99,7 @@ class Service:
         self._numbers = 0
         self._quitting = False
         self._kill_at = float("inf")
-        self._pressure = Pressure()
+        self._pressure = pressure.Pressure()
         self._readings = readings.Readings()
         self._turns_per_volt_s = config.arm.turns_per_volt_s
         self._timing: Timing | None = None
@@ -203,7 +202,7 @@ class Service:
                     batch += self._told(self._thinning.due(realtime.now_ns(), end=True))
                     self._runs.add(batch)
                     batch = []
-                    self._runs.end(record.outcome)
+                    self._runs.end(pressure.outcome(record.outcome, self._state, pressure.load()))
                 case Answer():
                     self._answered(record)
                 case Host():
@@ -378,7 +377,7 @@ class Service:
                 turns_per_volt_s=self._turns_per_volt_s,
                 alpha_is_read=not (config.arm.removed or config.calibration.alpha.wraps),
             )
-            or _untimely(self._timing, config.device.watchdog_ms)
+            or pressure.untimely(self._timing, config.device.watchdog_ms, pressure.load())
         )
 
     def _ts_us(self, Ts: float | None) -> int:
@@ -451,18 +450,6 @@ def _in_words(config: Config) -> str:
     return (
         f"port {config.device.port} at {config.device.baud} baud, {limits.u_min_v:g} to "
         f"{limits.u_max_v:g} V; ask it with `armrig status{rig}`, end it with Ctrl-C"
-    )
-
-
-def _untimely(timing: Timing | None, watchdog_ms: int) -> str:
-    """Return why a host whose last second was like this is not to drive a motor, or nothing."""
-    # One late tick among a hundred is no reason: only a pause that comes again and again.
-    late_ms = timing.wake_lateness_us.p99 / 1e3 if timing else 0.0
-    if late_ms <= watchdog_ms:
-        return ""
-    return (
-        f"the host woke up to {late_ms:.0f} ms late in the last second, and {watchdog_ms} ms stop "
-        "the motor: end what keeps the machine busy, then try again"
     )
 
 

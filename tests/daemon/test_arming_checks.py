@@ -98,7 +98,7 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
     rig.loop._step(rig.ports.now, rig.ports.wait(rig.ports.now))
 
     rig.run_for(1)
-    assert rig.of(Answer)[-1].error == "no answer from the device for 60 ms"
+    assert rig.of(Answer)[-1].error == "no answer from the device for 60 ms: try again"
 
 
 def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:

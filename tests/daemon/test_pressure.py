@@ -1,4 +1,4 @@
-"""Pressure stall information, as a share of the time between two looks."""
+"""Pressure stall information, and what a host that was too busy is told."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ from math import isnan
 from pathlib import Path
 
 import pytest
+from armrig_core.commands import TRY_AGAIN
 from armrig_daemon import pressure
+from armrig_daemon.records import Distribution, State, Timing
+from msgspec.structs import replace
+
+QUIET = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=100, missed=0)
 
 
 def _written(path: Path, total_us: int) -> Path:
@@ -38,3 +43,97 @@ def test_a_kernel_that_does_not_tell_is_no_error(tmp_path: Path, text: str | Non
         path.write_text(text)
 
     assert isnan(pressure.Pressure(path).read()[0])
+
+
+@pytest.mark.parametrize(
+    ("p99_us", "watchdog_ms", "refused"),
+    [
+        (99_000.0, 100, False),
+        (101_000.0, 100, True),
+        (49_000.0, 50, False),
+        (51_000.0, 50, True),
+        (99_000.0, 250, False),
+        (101_000.0, 250, True),
+    ],
+)
+def test_a_host_that_pauses_again_and_again_is_not_armed(
+    p99_us: float, watchdog_ms: int, *, refused: bool
+) -> None:
+    """More than 1 % of its ticks beyond the watchdog, or 100 ms; once alone is no reason."""
+    timing = _timing(replace(QUIET, p99=p99_us, p999=150_000.0, max=150_000.0))
+
+    assert bool(pressure.untimely(timing, watchdog_ms, "load 3 on 2 processors")) is refused
+    assert pressure.untimely(None, watchdog_ms, "load 3 on 2 processors") == ""
+
+
+def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
+    """The client asks again by itself; what is told names lateness, what is allowed, and load."""
+    timing = _timing(replace(QUIET, p99=264e3, p999=264e3, max=264e3, missed=26))
+
+    error = pressure.untimely(timing, 250, "load 3 on 2 processors")
+
+    assert "264 ms late in the last second, at most 100 ms" in error
+    assert "load 3 on 2 processors" in error
+    assert "`armrig doctor`" in error
+    assert error.endswith(TRY_AGAIN)
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause", "named"),
+    [
+        ("pause", "the host paused for 264 ms", True),
+        ("stale", "no answer for 120 ms", True),
+        ("missed", "9 ticks missed", True),
+        ("device", "the device stopped by itself: WATCHDOG", True),
+        ("device", "the device stopped by itself: TURNS", False),
+        ("link", "the port is gone", False),
+    ],
+)
+def test_a_run_that_load_may_have_ended_says_the_load(fault: str, cause: str, named: bool) -> None:
+    """Behind what ended it, with where to look; nothing where load ends no run."""
+    said = pressure.outcome(cause, _state(fault, cause), "load 3 on 2 processors")
+
+    load = " (load 3 on 2 processors; see `armrig doctor`)" if named else ""
+    assert said == cause + load
+
+
+def test_a_run_that_something_else_ended_says_nothing_of_load() -> None:
+    """A stop before the fault; no fault at all."""
+    late = _state("pause", "the host paused for 264 ms")
+
+    assert pressure.outcome("stopped", late, "load 3") == "stopped"
+    assert pressure.outcome("complete", _state("", ""), "load 3") == "complete"
+
+
+@pytest.mark.parametrize(
+    ("text", "share"),
+    [("some avg10=97.30 avg60=0.50", ", waited for 97 % of the last 10 s"), ("", ""), (None, "")],
+)
+def test_the_load_is_told_in_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | None, share: str
+) -> None:
+    """Mean of the last minute, processors, and the kernel's own share where it tells one."""
+    path = tmp_path / "cpu"
+    if text is not None:
+        path.write_text(text)
+    monkeypatch.setattr(pressure.os, "getloadavg", lambda: (3.42, 1.0, 0.5))
+    monkeypatch.setattr(pressure.os, "sched_getaffinity", lambda pid: {0, 1})
+
+    assert pressure.load(path) == f"load 3.4 on 2 processors{share}"
+
+
+def _timing(lateness_us: Distribution) -> Timing:
+    return Timing(
+        t_host_ns=0,
+        wake_lateness_us=lateness_us,
+        device_tick_error_us=QUIET,
+        link_round_trip_us=QUIET,
+        queue_depth=QUIET,
+    )
+
+
+def _state(fault: str, cause: str) -> State:
+    phase = "fault" if fault else "safe"
+    return State(
+        t_host_ns=0, phase=phase, reason=cause, owner="", ts_us=10_000, device={}, fault=fault
+    )

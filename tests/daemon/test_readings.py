@@ -7,10 +7,7 @@ from math import nan
 import pytest
 from armrig_core.telemetry import Sample
 from armrig_daemon.readings import Readings, objection, seen, theta_1_rad
-from armrig_daemon.records import Distribution, Timing
-from armrig_daemon.service import _untimely
 from armrig_protocol.messages import Flag
-from msgspec.structs import replace
 
 MS = 1_000_000
 
@@ -98,23 +95,6 @@ def test_the_newest_angle_is_the_start_of_a_rehearsal() -> None:
     assert theta_1_rad(_after(1)) == 0.5
     assert theta_1_rad(_after(1, flags=Flag.ADC0_RAIL)) is None
     assert theta_1_rad(Readings()) is None
-
-
-@pytest.mark.parametrize(("p99_us", "refused"), [(99_000.0, False), (101_000.0, True)])
-def test_a_host_that_pauses_again_and_again_is_not_armed(p99_us: float, *, refused: bool) -> None:
-    """Longer than the watchdog in more than 1 % of its ticks; once alone is no reason."""
-    quiet = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=100, missed=0)
-    late = replace(quiet, p99=p99_us, p999=150_000.0, max=150_000.0)
-    timing = Timing(
-        t_host_ns=0,
-        wake_lateness_us=late,
-        device_tick_error_us=quiet,
-        link_round_trip_us=quiet,
-        queue_depth=quiet,
-    )
-
-    assert bool(_untimely(timing, 100)) is refused
-    assert _untimely(None, 100) == ""
 
 
 def _sample(t_ms: float, *, y0: int = 20_000, u: float = 0.0, flags: int = 0) -> Sample:

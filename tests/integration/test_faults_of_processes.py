@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pty
+import re
 import signal
 import threading
 import time
@@ -131,6 +132,7 @@ def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
         recording = recorded(bench)
     ended = outcome(recording)
     assert "the host paused for" in ended or "WATCHDOG" in ended
+    assert re.search(r" \(load \d+\.\d on \d+ processors?.*; see `armrig doctor`\)$", ended)
     check_every_k(recording)
     check_volts(bench)
     assert bench.voltage_changes()[-1][0] < thawed_ns, "driven on by the frames of before"
