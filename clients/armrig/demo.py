@@ -22,7 +22,7 @@ from armrig.progress import bar, timing_note
 from armrig.recording import Recording, load
 from armrig.report import report
 from armrig.report_figures import write_figures
-from armrig.rig import Rig, RunEndedError
+from armrig.rig import BusyError, RefusedError, Rig, RunEndedError
 from armrig.scheduling import scheduling
 from armrig.session import NoReplyError, RigError
 from armrig.study import Study, study
@@ -42,6 +42,9 @@ _CONFIG = """\
 # The demonstration's: an emulated rig, sampled at 100 Hz.
 [rig]
 id = "{rig}"
+
+[device]
+watchdog_ms = 250  # the longest: a busy machine stalls the emulator, too
 
 [timing]
 Ts = {Ts}
@@ -97,24 +100,29 @@ def _recorded(
     console: Console,
     retry_until: float,
 ) -> Path:
-    """Run `u`; once more, and said so, where a busy machine has held up the emulator."""
+    """Arm and run `u`; once more, and said so, where a busy machine has held up the emulator."""
     while True:
         wait_for_phase(rig, "safe")
-        rig.arm("armrig demo", Ts)
         try:
+            rig.arm("armrig demo", Ts)
             with (
                 timing_note(rig) as note,
                 bar(name, console, note=note) as progress,
             ):
                 return rig.run(u, progress=progress, **request)
-        except RunEndedError as err:
+        except (RunEndedError, RefusedError) as err:
+            has_tripped = rig.status().phase == "fault"
+            if not (has_tripped or isinstance(err, RunEndedError | BusyError)):
+                raise
             if time.monotonic() > retry_until:
-                msg = f"{err}; this machine is too busy for an emulated rig: end other programs, "
-                msg += "then try again"
+                msg = f"{err}; this machine is too busy for an emulated rig: end other programs "
+                msg += "(`armrig doctor` says what costs), then try again"
                 raise RigError(msg) from err
             console.print(f"  {err}; once more", highlight=False, soft_wrap=True)
-            if rig.status().phase == "fault":
+            if has_tripped:
                 rig.reset()
+            else:
+                rig.stop()  # a rig that is armed still is given back
 
 
 def wait_for_phase(rig: Rig, phase: str) -> StatusReport:

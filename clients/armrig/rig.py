@@ -24,7 +24,9 @@ Progress = Callable[[int, int], None]
 REPLY_S = 5.0
 """How long a reply may take, in s."""
 _POLL_S = 0.1
-_SETTLE_S = 1.0  # for what the daemon refuses only until it, or the device, is ready
+# For what the daemon refuses only until it, or the device, is ready. It reports its timing once a
+# second, and a stall may spoil two reports: the next one is clean.
+_SETTLE_S = 2.5
 _R = TypeVar("_R")
 
 
@@ -93,7 +95,7 @@ class Rig:
         return self._ask(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
-        """Take the rig, at 0 V; asks again, for up to a second, where it is only not ready yet.
+        """Take the rig, at 0 V; asks again, for up to 2.5 s, what is refused for the moment only.
 
         Parameters
         ----------
@@ -110,19 +112,12 @@ class Rig:
         Raises
         ------
         RefusedError
-            Somebody else has the rig, it is in a fault, or `Ts` is not possible.
+            Somebody else has the rig, it is in a fault, or `Ts` is not possible; a `BusyError`
+            where the rig, or its host, was not ready in all that time.
         NoReplyError
             The daemon does not answer.
         """
-        request, until = commands.Arm(owner=owner, Ts=Ts), time.monotonic() + _SETTLE_S
-        while True:
-            try:
-                granted = self._ask(request, commands.LeaseGranted)
-                break
-            except BusyError:
-                if time.monotonic() > until:
-                    raise
-            time.sleep(_POLL_S / 5)
+        granted = self._ask_again(commands.Arm(owner=owner, Ts=Ts), commands.LeaseGranted)
         self._lease, self._n = granted.lease, 0
         self._limits_v = (granted.u_min, granted.u_max)
         return granted
@@ -261,7 +256,7 @@ class Rig:
 
     def reset(self) -> bool:
         """Leave a latched fault, disarmed; return whether there was one."""
-        return self._ask(commands.Reset(), commands.Done).done
+        return self._ask_again(commands.Reset(), commands.Done).done
 
     def disarm(self) -> None:
         """Give the rig back, at 0 V."""
@@ -304,6 +299,17 @@ class Rig:
             msg = 'a Rig is used in a with block: with armrig.Rig("1") as rig: …'
             raise RigError(msg)
         return self._session
+
+    def _ask_again(self, request: commands.Request, answer: type[_R]) -> _R:
+        """Ask until it is not refused for the moment only, or that has lasted too long."""
+        until = time.monotonic() + _SETTLE_S
+        while True:
+            try:
+                return self._ask(request, answer)
+            except BusyError:
+                if time.monotonic() > until:
+                    raise
+            time.sleep(_POLL_S / 5)
 
     def _ask(self, request: commands.Request, answer: type[_R]) -> _R:
         key = topics.command_key(self.rig, request.name)

@@ -90,9 +90,8 @@ def _take(state: State, now_ns: int, order: Take) -> Step:
         return state, refuse(order, f"busy with {state.asked.want}: try again")
     age_ns, limit_ns = now_ns - state.fresh_ns, state.rules.age_ns(state.ts_us)
     if age_ns > limit_ns:
-        return state, refuse(
-            order, f"no answer from the device for {age_ns / 1e6:.0f} ms: try again"
-        )
+        text = f"no answer from the device for {age_ns / 1e6:.0f} ms: try again"
+        return state, refuse(order, text)
     if not state.sampled_ns or now_ns - state.sampled_ns > limit_ns:
         text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text)

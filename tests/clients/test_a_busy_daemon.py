@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from armrig import rig as rig_module
 from armrig.rig import BusyError, RefusedError, Rig
 from armrig_core import commands
 from fake_daemon import FakeDaemon
@@ -22,12 +23,28 @@ class BusyDaemon(FakeDaemon):
         super().__init__(endpoint)
         self.busy: dict[str, int] = {}
         self.refused: Counter[str] = Counter()
+        self.is_busy: Callable[[], bool] = lambda: False
 
     def _carry_out(self, request: commands.Request) -> Any:
+        if self.is_busy():
+            raise ValueError(BUSY)
         if self.refused[request.name] < self.busy.get(request.name, 0):
             self.refused[request.name] += 1
             raise ValueError(BUSY)
         return super()._carry_out(request)
+
+
+class Clock:
+    """Passes only while somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
 
 
 @pytest.fixture
@@ -59,6 +76,33 @@ def test_arming_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
         rig.arm("a test")
 
     assert daemon.refused == {"arm": 3}
+
+
+def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(
+    daemon: BusyDaemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stall between two reports of the timing spoils both: the next is two seconds away."""
+    clock = Clock()
+    monkeypatch.setattr(rig_module, "time", clock)
+    daemon.is_busy = lambda: clock.now_s < 2.4
+
+    with Rig(connect=daemon.endpoint) as rig:
+        rig.arm("a test")
+        daemon.is_busy = lambda: True
+        with pytest.raises(BusyError):
+            rig.arm("a test")
+
+    assert clock.now_s < 6.0
+
+
+def test_a_reset_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
+    """The stop that a trip asked for may not be confirmed yet."""
+    daemon.busy = {"reset": 3}
+
+    with Rig(connect=daemon.endpoint) as rig:
+        assert rig.reset() is True
+
+    assert daemon.refused == {"reset": 3}
 
 
 def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from armrig import demo
-from armrig.rig import Rig
+from armrig import rig as rig_module
+from armrig.rig import RefusedError, Rig
 from armrig.session import NoReplyError, RigError
+from armrig_core import commands
+from fake_daemon import FakeDaemon
 from rich.console import Console
+
+LATE = "the host woke up to 264 ms late in the last second: try again"
 
 
 @pytest.fixture(autouse=True)
@@ -66,6 +73,102 @@ def test_a_daemon_that_refuses_to_start_is_quoted(
         demo.running(tmp_path, Console(file=StringIO())),
     ):
         pass
+
+
+class StallingDaemon(FakeDaemon):
+    """Refuses to arm, then ends a run by a fault, so many times each."""
+
+    def __init__(self, endpoint: str, *, refusals: list[str], ends: list[str]) -> None:
+        super().__init__(endpoint, demo.RIG)
+        self._refusals, self._ends = refusals, ends
+
+    def _carry_out(self, request: commands.Request) -> Any:
+        if isinstance(request, commands.Arm) and self._refusals:
+            raise ValueError(self._refusals.pop(0))
+        if isinstance(request, commands.Run):
+            self.outcome = self._ends.pop(0) if self._ends else "complete"
+            self.fault = "" if self.outcome == "complete" else self.outcome
+        if isinstance(request, commands.Reset):
+            self.fault = ""
+        return super()._carry_out(request)
+
+
+def test_what_a_stalling_machine_costs_is_done_once_more(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that it ended, and a refusal to arm that would pass a second later."""
+    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
+    out = StringIO()
+    daemon = StallingDaemon(where, refusals=[LATE, LATE], ends=["WATCHDOG (load 3)"])
+
+    with daemon, Rig(demo.RIG, connect=where) as rig:
+        path = _recorded(rig, out, retry_until=time.monotonic() + 60)
+
+    assert str(path) == daemon.recording
+    said = [line for line in out.getvalue().splitlines() if line.endswith("; once more")]
+    assert [LATE in line for line in said] == [True, True, False]
+    assert "WATCHDOG (load 3)" in said[2]
+
+
+def test_a_machine_that_stalls_for_good_is_given_up(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In time, with the reason and what to do."""
+    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
+    daemon = StallingDaemon(where, refusals=[LATE], ends=[])
+
+    with (
+        daemon,
+        Rig(demo.RIG, connect=where) as rig,
+        pytest.raises(RigError, match=r"264 ms late.*this machine is too busy.*`armrig doctor`"),
+    ):
+        _recorded(rig, StringIO(), retry_until=time.monotonic() - 1)
+
+
+def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
+    """Once more would not help."""
+    out, held = StringIO(), "held by a student: wait, or stop it"
+    daemon = StallingDaemon(where, refusals=[held], ends=[])
+
+    with (
+        daemon,
+        Rig(demo.RIG, connect=where) as rig,
+        pytest.raises(RefusedError, match=f"^{held}$"),
+    ):
+        _recorded(rig, out, retry_until=time.monotonic() + 60)
+
+    assert out.getvalue() == ""
+
+
+def test_a_rig_that_tripped_before_its_run_is_armed_once_more(where: str) -> None:
+    """The watchdog runs from arming on: what is refused then is refused for the fault."""
+    out = StringIO()
+    daemon = TrippingDaemon(where, demo.RIG)
+
+    with daemon, Rig(demo.RIG, connect=where) as rig:
+        path = _recorded(rig, out, retry_until=time.monotonic() + 60)
+
+    assert str(path) == daemon.recording
+    assert daemon.names() == ["arm", "run", "reset", "arm", "run"]
+    assert "once more" in out.getvalue()
+
+
+class TrippingDaemon(FakeDaemon):
+    """Trips between the first arming and its run."""
+
+    def _carry_out(self, request: commands.Request) -> Any:
+        if isinstance(request, commands.Run) and self.names() == ["arm"]:
+            self.asked.append(request)
+            self.fault = "the device stopped by itself: WATCHDOG"
+            raise ValueError("not the lease in force: arm first")
+        if isinstance(request, commands.Reset):
+            self.fault = ""
+        return super()._carry_out(request)
+
+
+def _recorded(rig: Rig, out: StringIO, *, retry_until: float) -> Path:
+    console = Console(file=out, width=400)
+    return demo._recorded(rig, np.full(3, 1.0), {}, "step", console, retry_until)
 
 
 def _interrupted_when_safe(rig: Rig) -> None:

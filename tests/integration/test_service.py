@@ -209,7 +209,7 @@ def test_two_daemons_of_one_rig_are_one_too_many(bench: Bench) -> None:
 def test_an_emulated_rig_has_the_longest_watchdog_unless_one_is_said(
     bench: Bench, said: str, watchdog_ms: int
 ) -> None:
-    """Of `run --emulate`: it stands beside a machine's load, and nothing breaks when it turns on."""
+    """Of `run --emulate`: it bears a busy machine, and nothing breaks when it turns on."""
     bench.config.write_text(f'[device]\n{said}\n[recording]\ndirectory = "{bench.recordings}"\n')
 
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--emulate")
