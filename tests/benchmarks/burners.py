@@ -5,7 +5,6 @@ What the device's timer gives, what the host's pacing gives, and which delay a m
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -13,11 +12,10 @@ from pathlib import Path
 import armrig
 import matplotlib as mpl
 import numpy as np
-from processes import Bench
+from processes import Bench, burning
 
 mpl.use("Agg")
 Ts, SECONDS = 0.002, 20
-BURNER = "while True: pass"
 
 
 def record(bench: Bench, pacing: str) -> armrig.Recording:
@@ -64,15 +62,12 @@ def main() -> None:
 
     bench = Bench(Path(tempfile.mkdtemp(prefix="armrig-bench-")))
     bench.configure(baud=500_000, watchdog_ms=250)
-    burners = []
     try:
         bench.emulate()
         bench.serve()
-        burners = [subprocess.Popen([sys.executable, "-c", BURNER]) for _ in range(2)]
-        recordings = [record(bench, pacing) for pacing in ("scheduled", "exchange")]
+        with burning(2):
+            recordings = [record(bench, pacing) for pacing in ("scheduled", "exchange")]
     finally:
-        for burner in burners:
-            burner.kill()
         for process in reversed(bench.processes):
             process.end()
     figure, axes = plt.subplots(

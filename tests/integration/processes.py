@@ -8,12 +8,20 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from armrig.rig import Rig
 
 WITHIN_S = 10.0
+_BURNER = """
+import os
+parent = os.getppid()
+while os.getppid() == parent:
+    for _ in range(1_000_000):
+        pass
+"""
 
 
 def wait_for(what: Callable[[], object], within_s: float = WITHIN_S) -> None:
@@ -22,6 +30,18 @@ def wait_for(what: Callable[[], object], within_s: float = WITHIN_S) -> None:
     while not what():
         assert time.monotonic() < until, "it did not happen in time"
         threading.Event().wait(0.005)
+
+
+@contextmanager
+def burning(n: int) -> Iterator[None]:
+    """Keep processors busy with so many programs at ordinary priority; they do not outlive us."""
+    programs = [subprocess.Popen([sys.executable, "-c", _BURNER]) for _ in range(n)]
+    try:
+        yield
+    finally:
+        for program in programs:
+            program.kill()
+            program.wait()
 
 
 class Process:
