@@ -32,16 +32,42 @@ def wait_for(what: Callable[[], object], within_s: float = WITHIN_S) -> None:
         threading.Event().wait(0.005)
 
 
-@contextmanager
-def burning(n: int) -> Iterator[None]:
-    """Keep processors busy with so many programs at ordinary priority; they do not outlive us."""
-    programs = [subprocess.Popen([sys.executable, "-c", _BURNER]) for _ in range(n)]
-    try:
-        yield
-    finally:
-        for program in programs:
+class Burners:
+    """Programs that keep processors busy at ordinary priority, in a `with` block, however often.
+
+    They are stopped outside of it, and do not outlive us.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._programs = [subprocess.Popen([sys.executable, "-c", _BURNER]) for _ in range(n)]
+        self._signal(signal.SIGSTOP)
+
+    def __enter__(self) -> None:
+        self._signal(signal.SIGCONT)
+
+    def __exit__(self, *_: object) -> None:
+        self._signal(signal.SIGSTOP)
+
+    def end(self) -> None:
+        """End them."""
+        for program in self._programs:
             program.kill()
             program.wait()
+
+    def _signal(self, number: signal.Signals) -> None:
+        for program in self._programs:
+            program.send_signal(number)
+
+
+@contextmanager
+def burning(n: int) -> Iterator[None]:
+    """Keep processors busy with so many programs."""
+    burners = Burners(n)
+    try:
+        with burners:
+            yield
+    finally:
+        burners.end()
 
 
 class Process:
