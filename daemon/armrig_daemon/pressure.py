@@ -60,12 +60,15 @@ def _runnable() -> int:
 
 def load(path: Path = CPU) -> str:
     """Return how busy the processors are, for a person."""
-    cpus = len(os.sched_getaffinity(0))
-    said = f"load {os.getloadavg()[0]:.1f} on {cpus} processor{'s' * (cpus > 1)}"
+    try:
+        mean, cpus = os.getloadavg()[0], len(os.sched_getaffinity(0))
+    except OSError:
+        return "load not told by this kernel"
+    told = f"load {mean:.1f} on {cpus} processor{'s' * (cpus > 1)}"
     with contextlib.suppress(OSError, ValueError, IndexError):
         share = float(path.read_text(encoding="ascii").split()[1].removeprefix("avg10="))
-        said += f", waited for {share:.0f} % of the last 10 s"
-    return said
+        told += f", some task waited for one {share:.0f} % of the last 10 s"
+    return told
 
 
 def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> str:

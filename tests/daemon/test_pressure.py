@@ -107,7 +107,11 @@ def test_a_run_that_something_else_ended_says_nothing_of_load() -> None:
 
 @pytest.mark.parametrize(
     ("text", "share"),
-    [("some avg10=97.30 avg60=0.50", ", waited for 97 % of the last 10 s"), ("", ""), (None, "")],
+    [
+        ("some avg10=97.30 avg60=0.50", ", some task waited for one 97 % of the last 10 s"),
+        ("", ""),
+        (None, ""),
+    ],
 )
 def test_the_load_is_told_in_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | None, share: str
@@ -120,6 +124,19 @@ def test_the_load_is_told_in_words(
     monkeypatch.setattr(pressure.os, "sched_getaffinity", lambda pid: {0, 1})
 
     assert pressure.load(path) == f"load 3.4 on 2 processors{share}"
+
+
+def test_a_load_that_is_not_told_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run ends all the same."""
+
+    def untold() -> tuple[float, float, float]:
+        raise OSError
+
+    monkeypatch.setattr(pressure.os, "getloadavg", untold)
+
+    assert pressure.load(tmp_path / "cpu") == "load not told by this kernel"
 
 
 def _timing(lateness_us: Distribution) -> Timing:
