@@ -1,8 +1,10 @@
 """What the machine itself costs: a process just above the loop's priority that wakes each 1 ms.
 
 What is late here was late by the kernel, or by the host below a virtual machine, and not by armrig.
-`python control.py` answers each line on its standard input with the greatest lateness, in ns, since
-the last one, and how often it woke.
+It writes to a pseudo-terminal of its own each time, too, and sees when the byte has come: a kernel
+worker of ordinary priority carries it, as it carries the rig's (docs/timing.md).
+`python control.py` answers each line on its standard input with the greatest lateness and the
+greatest delivery time since the last one, in ns, and how often it woke.
 """
 
 from __future__ import annotations
@@ -10,12 +12,14 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-import select
 import subprocess
 import sys
 import time
+import tty
 from pathlib import Path
 from typing import NamedTuple
+
+from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 PRIORITY = 81  # the loop has 80, as configured by default
 _PERIOD_NS = 1_000_000
@@ -25,6 +29,8 @@ class Lateness(NamedTuple):
     """What the control saw since it was last asked."""
 
     worst_ms: float
+    delivery_ms: float
+    """From writing a byte to a pseudo-terminal to being told of it at the other end, at worst."""
     wakes: int
 
 
@@ -45,8 +51,8 @@ class Control:
         assert self._popen.stdin is not None
         self._popen.stdin.write("\n")
         self._popen.stdin.flush()
-        worst_ns, wakes = self._line().split()
-        return Lateness(int(worst_ns) / 1e6, int(wakes))
+        worst_ns, delivery_ns, wakes = map(int, self._line().split())
+        return Lateness(worst_ns / 1e6, delivery_ns / 1e6, wakes)
 
     def end(self) -> None:
         """End it."""
@@ -64,21 +70,34 @@ def main() -> None:
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         policy = f"SCHED_FIFO {PRIORITY}"
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    waiter = Waiter()
+    waiter.watch(0)
+    waiter.watch_terminal(slave)
     print(policy, flush=True)
     gc.disable()
-    worst_ns = wakes = 0
+    worst_ns = delivery_ns = wakes = written_ns = 0
     due_ns = time.monotonic_ns() + _PERIOD_NS
     while True:
-        left_s = max(0, due_ns - time.monotonic_ns()) / 1e9
-        if select.select([0], [], [], left_s)[0]:
+        ready = {fd for fd, _ in waiter.wait_until(due_ns)}
+        now_ns = time.monotonic_ns()
+        if slave in ready:
+            os.read(slave, TERMINAL_BYTES)
+            delivery_ns, written_ns = max(delivery_ns, now_ns - written_ns), 0
+        if 0 in ready:
             if not os.read(0, 4096):
                 return
-            print(worst_ns, wakes, flush=True)
-            worst_ns = wakes = 0
-        late_ns = time.monotonic_ns() - due_ns
-        if late_ns >= 0:
-            worst_ns, wakes = max(worst_ns, late_ns), wakes + 1
-            due_ns += (late_ns // _PERIOD_NS + 1) * _PERIOD_NS
+            if written_ns:  # one that is still on its way has taken so long at least
+                delivery_ns = max(delivery_ns, now_ns - written_ns)
+            print(worst_ns, delivery_ns, wakes, flush=True)
+            worst_ns = delivery_ns = wakes = 0
+        if now_ns >= due_ns:
+            worst_ns, wakes = max(worst_ns, now_ns - due_ns), wakes + 1
+            due_ns += ((now_ns - due_ns) // _PERIOD_NS + 1) * _PERIOD_NS
+            if not written_ns:
+                written_ns = now_ns
+                os.write(master, b"x")
 
 
 if __name__ == "__main__":
