@@ -1,0 +1,94 @@
+"""The loop as a process of its own: how it ends, by real pipes and a real pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+from armrig_daemon.config import Config
+from armrig_daemon.loop_child import LoopChild, start
+from armrig_daemon.loop_process import Settings
+from armrig_daemon.records import Host, Record, record_bytes
+from armrig_protocol.decoder import Received, feed
+from armrig_protocol.messages import Estop
+
+WITHIN_S = 10.0
+
+
+@pytest.fixture
+def device() -> Iterator[tuple[int, str]]:
+    """Give the device's end of a line, behind which nobody answers, and the name of ours."""
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.fixture
+def child(device: tuple[int, str]) -> Iterator[LoopChild]:
+    """Return a loop that ticks."""
+    _, port = device
+    rules = Config().rules()
+    child = start(
+        Settings(rules=rules, port=port, baud=rules.baud, priority=0, cpu=None, spin_ns=0)
+    )
+    _heard(child, Host)
+    yield child
+    child.kill()
+    child.end()
+
+
+def _said(child: LoopChild) -> list[bytes | Record] | None:
+    assert select.select([child.records_fd], [], [], WITHIN_S)[0], "the loop says nothing"
+    return child.records()
+
+
+def _heard(child: LoopChild, kind: type) -> None:
+    """Read on until a record of a kind has come."""
+    while not any(isinstance(record, kind) for record in _said(child) or []):
+        pass
+
+
+def _has_ended(child: LoopChild) -> None:
+    """Read on until the pipe ends."""
+    until = time.monotonic() + WITHIN_S
+    while _said(child) is not None:
+        assert time.monotonic() < until, "the loop goes on"
+
+
+def _frames_of(master: int, least: int) -> list[Received]:
+    """Return what has come on a line, as soon as so many frames have."""
+    pending, frames = b"", []
+    while len(frames) < least or select.select([master], [], [], 0)[0]:
+        assert select.select([master], [], [], WITHIN_S)[0], "the line is silent"
+        pending, received = feed(pending, os.read(master, 1 << 16))
+        frames += received
+    return frames
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_to_the_loop_alone_ends_it_in_good_order(
+    child: LoopChild, number: signal.Signals
+) -> None:
+    """By its own end, with STOP, and not by the signal: then only the device's watchdog is left."""
+    child._process.send_signal(number)
+
+    _has_ended(child)
+    assert child._process.wait(WITHIN_S) == 0
+
+
+def test_a_loop_that_fails_says_estop_three_times_and_dies(
+    child: LoopChild, device: tuple[int, str]
+) -> None:
+    """Its last word to the motor: nobody has to wait for the device's watchdog."""
+    master, _ = device
+
+    os.write(child.orders_fd, record_bytes(Host(granted={})))
+    _has_ended(child)
+
+    assert child._process.wait(WITHIN_S) == 1
+    assert _frames_of(master, 3)[-3:] == [Estop(0, seq) for seq in range(3)]
