@@ -14,6 +14,8 @@ from armrig_daemon.link import READ
 from armrig_daemon.loop_process import ProcessPorts, Settings
 from armrig_daemon.records import Alive, record_bytes
 from armrig_daemon.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import Estop
 
 MS = 1_000_000
 
@@ -53,6 +55,15 @@ def ports(pipes: dict[str, int]) -> ProcessPorts:
     ports = ProcessPorts(settings, pipes["orders_out"], pipes["records_in"])
     assert ports.wait(realtime.now_ns()) == [LinkUp()]
     return ports
+
+
+def _read(fd: int, size: int) -> bytes:
+    """Return so many bytes; a terminal gives them in pieces."""
+    data = b""
+    while len(data) < size:
+        assert select.select([fd], [], [], 1)[0], data
+        data += os.read(fd, size - len(data))
+    return data
 
 
 def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
@@ -115,3 +126,41 @@ def test_an_order_and_an_answer_that_came_together_are_both_taken(
         events += ports.wait(realtime.now_ns() + 10_000 * MS)
 
     assert {type(event) for event in events} == {Ordered, Received}
+
+
+def test_a_record_that_finds_no_room_is_not_told_as_written(
+    ports: ProcessPorts, pipes: dict[str, int]
+) -> None:
+    """L2: what is told as written can be read, whole; what is not will be counted as missing."""
+    offered, size = 100, 4000
+
+    written = [ports.put(bytes([i]) * size) for i in range(offered)]
+
+    got = os.read(pipes["records_out"], offered * size)
+    assert got == b"".join(bytes([i]) * size for i in range(offered) if written[i])
+    assert 0 < sum(written) < offered
+    assert ports.put(b"there is room again")
+
+
+def test_a_loop_that_fails_says_estop_three_times(
+    ports: ProcessPorts, pipes: dict[str, int]
+) -> None:
+    """Each a frame of its own, whatever stands before it in the device's buffer."""
+    half = b"half a fra"
+    os.write(pipes["slave"], half)
+
+    ports.stop_hard()
+
+    wanted = b"".join(b"\0" + encode(Estop(0, seq)) for seq in range(3))
+    assert _read(pipes["master"], len(half + wanted)) == half + wanted
+
+
+def test_a_loop_that_fails_without_a_line_fails_as_it_would(
+    ports: ProcessPorts, pipes: dict[str, int]
+) -> None:
+    """Neither a line that breaks under the ESTOP nor one that is gone hides what failed."""
+    os.close(pipes.pop("master"))
+    ports.stop_hard()
+
+    assert [type(event) for event in ports.wait(realtime.now_ns() + 100 * MS)] == [LinkDown]
+    ports.stop_hard()
