@@ -1,0 +1,87 @@
+"""The serial port, by a real pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Callable, Iterator
+
+import pytest
+from armrig_daemon.link import READ, Link, LinkError
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, str]]:
+    """Give the device's end of a line, and the name of ours."""
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def _all_of(read: Callable[[], bytes], fd: int, size: int) -> bytes:
+    """Return so many bytes; a terminal gives them in pieces."""
+    data = b""
+    while len(data) < size:
+        assert select.select([fd], [], [], 1)[0], data
+        data += read()
+    return data
+
+
+def test_bytes_pass_unchanged_both_ways(terminal: tuple[int, str]) -> None:
+    """Each of the 256: a terminal's meaning of a byte is no concern of ours."""
+    master, port = terminal
+    link = Link(port, 115_200)
+    data = bytes(range(256))
+
+    link.write(data)
+    assert _all_of(lambda: os.read(master, 1000), master, len(data)) == data
+    os.write(master, data)
+    assert _all_of(link.read, link.fd, len(data)) == data
+    link.close()
+
+
+def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
+    terminal: tuple[int, str],
+) -> None:
+    """A frame that was sent by half must not pass for sent."""
+    master, port = terminal
+    link = Link(port, 115_200)
+    data = bytes(100_000)
+
+    with pytest.raises(LinkError, match="takes no more bytes: the device does not read"):
+        link.write(data)
+
+    assert select.select([master], [], [], 1)[0], "nothing was sent: that would be no part"
+    link.close()
+
+
+def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) -> None:
+    """The rest comes with the next call."""
+    master, port = terminal
+    link = Link(port, 115_200)
+    data = bytes(range(250)) * 10
+    assert len(data) > READ
+    os.write(master, data)
+
+    pieces: list[bytes] = []
+
+    def read() -> bytes:
+        pieces.append(link.read())
+        return pieces[-1]
+
+    assert _all_of(read, link.fd, len(data)) == data
+    assert max(map(len, pieces)) <= READ
+    link.close()
+
+
+def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
+    """A second daemon is told so; once we have given it back it is not."""
+    _, port = terminal
+    link = Link(port, 115_200)
+
+    with pytest.raises(LinkError, match="taken by another program; end that one"):
+        Link(port, 115_200)
+
+    link.close()
+    Link(port, 115_200).close()
