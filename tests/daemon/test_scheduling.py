@@ -405,6 +405,41 @@ def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, objec
     assert scheduling.sample(without, NOW, sample) == (without, [])
 
 
+@pytest.mark.parametrize("bits", [8, 10, 16])
+@pytest.mark.parametrize("steps", [-1, 0, 1])
+def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -> None:
+    """S5: another voltage than the one commanded, however little it differs."""
+    state = _running()
+    assert state.device is not None
+    state = replace(state, device=state.device._replace(pwm_bits=bits))
+    u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
+
+    after, actions = scheduling.sample(
+        state, NOW, device_sample(state, k=10, u_k=u, flags=int(Flag.RUN))
+    )
+
+    assert [a.sample.u_applied_v for a in actions if isinstance(a, Publish)] == [volts_of(u)]
+    assert (after.fault is not None) == (steps != 0)
+    if after.fault is not None:
+        assert after.fault.id is Id.APPLIED
+        assert f"applied code {u} where {CODES[10]} was commanded" in after.fault.cause
+
+
+def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
+    """S5: what 10 bits of duty make of the setpoint is compared, not the setpoint."""
+    state = _running()
+    assert state.device is not None
+    state = replace(state, device=state.device._replace(pwm_bits=10))
+    assert applied_code(CODES[10], 10) != CODES[10]
+
+    after, _ = scheduling.sample(
+        state, NOW, device_sample(state, k=10, u_k=CODES[10], flags=int(Flag.RUN))
+    )
+
+    assert after.fault is not None
+    assert after.fault.id is Id.APPLIED
+
+
 def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
     """One that was under way when the run ended."""
     state = _running()
