@@ -25,6 +25,17 @@ def test_scheduled_mode_counts_each_direction_by_itself() -> None:
         assert scheduled_us(baud) > ts_us / 2
 
 
+@pytest.mark.parametrize("scheduled", [False, True])
+@pytest.mark.parametrize("baud", [115_200, 500_000, 1_000_000])
+def test_what_is_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
+    """The bound itself is taken: nothing is added to it, and nothing is taken off."""
+    least_us = (scheduled_us if scheduled else exchange_us)(baud)
+
+    check(least_us, baud, scheduled=scheduled)
+    with pytest.raises(ValueError, match=f"at least {least_us / 1e6:g} s"):
+        check(least_us - 1, baud, scheduled=scheduled)
+
+
 def test_no_baud_rate_outruns_the_converter() -> None:
     """Two conversions are the least in either mode."""
     assert scheduled_us(100_000_000) == 208
