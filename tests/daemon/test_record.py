@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import threading
 import time
@@ -29,6 +30,8 @@ MANIFEST = Manifest(
     armrig="0",
     protocol="1",
 )
+
+_MAGIC = b"\x89MCAP0\r\n"  # how a whole file ends
 
 
 def _sample(k: int) -> Outgoing:
@@ -208,6 +211,52 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     assert "No space left on device; what was flushed is kept there" in recording.error
     assert recording.active.read_bytes()[: len(good)] == good
     assert not recording.path.exists()
+
+
+def test_half_a_chunk_that_found_no_more_room_is_cut_off(tmp_path: Path) -> None:
+    """The file ends with its last flush, to the byte: nothing torn is left for a reader to skip."""
+    recording = _recording(tmp_path / "run.mcap")
+    header = recording.active.stat().st_size
+    recording.add([_sample(k) for k in range(50)])
+    _wait_until_flushed(recording, header)
+    good = recording.active.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
+    try:
+        recording.add([_sample(k) for k in range(50, 100)])
+        recording.finish("complete", 0)
+        recording.join(5)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    assert "File too large; what was flushed is kept there" in recording.error
+    assert recording.active.read_bytes() == good
+
+
+def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """L1: the first whole before it is copied, the copy before it replaces it, then the name."""
+    synced = []
+    fsync = os.fsync
+
+    def noted(fd: int) -> None:
+        fsync(fd)
+        path = Path(f"/proc/self/fd/{fd}").readlink()
+        names = sorted(p.name for p in tmp_path.iterdir())
+        synced.append((path.name, path.is_dir() or path.read_bytes().endswith(_MAGIC), names))
+
+    monkeypatch.setattr("armrig_daemon.record.os.fsync", noted)
+    recording = _recording(tmp_path / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert synced == [
+        ("run.mcap.active", True, ["run.mcap.active"]),
+        ("run.mcap.compact", True, ["run.mcap.active", "run.mcap.compact"]),
+        (tmp_path.name, True, ["run.mcap"]),
+    ]
 
 
 def test_no_room_for_the_compact_copy_keeps_the_first(
