@@ -1,0 +1,181 @@
+"""Which run is in hand, what belongs into its recording, and what is said of it at its end."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from armrig_core.commands import Run
+from armrig_core.manifest import OUTCOME, outcome_of
+from armrig_core.telemetry import Sample, encode_sample
+from armrig_daemon.config import Config, Limits
+from armrig_daemon.messages import Outgoing, outgoing
+from armrig_daemon.records import Gap, RunStarted, State
+from armrig_daemon.runs import Runs
+from mcap.reader import make_reader
+
+REQUEST = Run(lease="a" * 32, n=1, u=[1.0] * 10, dead_man=2.0)
+STATE = State(t_host_ns=0, phase="active", reason="", owner="a test", ts_us=10_000, device={})
+FIRST, END = 100, 110
+T_NS = 5_000
+NEARLY_FULL = SimpleNamespace(f_bavail=3000, f_bfree=10**8, f_blocks=10**9, f_frsize=1000)
+"""3 MB for us; what is kept for root does not count."""
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Runs:
+    """Return runs of which none is in hand."""
+    return Runs(Config(), tmp_path, lambda: None)
+
+
+def _begin(runs: Runs, run_id: str = "") -> Path:
+    """Begin a run of 10 samples; return its recording while it is written."""
+    order, _ = runs.plan(REQUEST, 0.01)
+    started = RunStarted(
+        run_id=run_id or order.run_id, k_first=FIRST, count=END - FIRST, t_host_ns=T_NS
+    )
+    return runs.begin(started, STATE, {}, 0)
+
+
+def _gap(first: int, count: int) -> Gap:
+    return Gap(k_first=first, count=count, t_from_ns=1, t_to_ns=2, u_held_v=0.0, reason="late")
+
+
+def _missing_in_file(path: Path) -> int:
+    with path.with_suffix("").open("rb") as file:
+        metadata = {m.name: m.metadata for m in make_reader(file).iter_metadata()}
+    return outcome_of(metadata[OUTCOME]).missing
+
+
+def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> None:
+    """Neither the one before nor the one behind."""
+    assert not runs.takes_sample(FIRST)
+
+    _begin(runs)
+
+    assert [k for k in range(FIRST - 2, END + 2) if runs.takes_sample(k)] == [*range(FIRST, END)]
+    runs.end("complete")
+    assert not runs.takes_sample(FIRST)
+    runs.finished(5)
+
+
+@pytest.mark.parametrize(
+    ("gap", "missing"),
+    [
+        (_gap(FIRST - 5, 10), 5),
+        (_gap(END - 2, 10), 2),
+        (_gap(FIRST - 5, 100), END - FIRST),
+        (_gap(FIRST + 1, 1), 1),
+        (_gap(FIRST - 5, 5), 0),
+        (_gap(END, 3), 0),
+    ],
+)
+def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missing: int) -> None:
+    """L2: to the file and to a person the same; one that lies beside the run is none of it."""
+    path = _begin(runs)
+
+    assert runs.takes(gap) == (missing > 0)
+
+    runs.end("complete")
+    _, text = runs.finished(5)
+    assert text.endswith(f"complete, 0 samples, {missing} missing")
+    assert _missing_in_file(path) == missing
+
+
+def test_what_one_run_missed_is_not_told_of_the_next(runs: Runs) -> None:
+    """It begins with nothing missing."""
+    _begin(runs)
+    runs.takes(_gap(FIRST, 3))
+    runs.end("stopped")
+    runs.finished(5)
+
+    path = _begin(runs)
+    runs.end("complete")
+
+    assert runs.finished(5)[1].endswith("complete, 0 samples, 0 missing")
+    assert _missing_in_file(path) == 0
+
+
+def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
+    """Else the silence of its client would stop what somebody drives by hand behind it."""
+    _begin(runs)
+    assert runs.client_gone_s < inf
+
+    runs.end("complete")
+
+    assert runs.client_gone_s == inf
+    runs.finished(5)
+
+
+def test_a_client_goes_once(runs: Runs) -> None:
+    """Its run is stopped by one order, and not by one at each look."""
+    _begin(runs)
+
+    assert runs.client_gone() == "its client went away: no sign of it for 2 s"
+
+    assert runs.client_gone_s == inf
+    runs.end("stopped")
+    runs.finished(5)
+
+
+def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
+    """A late refusal of one before takes nothing from the one that is planned."""
+    order, _ = runs.plan(REQUEST, 0.01)
+
+    runs.forget("another")
+    assert not runs.is_idle
+    with pytest.raises(ValueError, match="an experiment is running"):
+        runs.plan(REQUEST, 0.01)
+
+    runs.forget(order.run_id)
+    assert runs.is_idle
+
+
+def test_a_run_that_nobody_asked_for_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
+    """Not under the name, the input and the manifest of another."""
+    with pytest.raises(LookupError, match="run another was not asked for"):
+        _begin(runs, "another")
+
+    assert list(tmp_path.iterdir()) == []
+    assert not runs.takes_sample(FIRST)
+
+
+@pytest.mark.parametrize(("samples", "fits"), [(9_757, True), (9_758, False)])
+def test_a_recording_that_would_fill_the_disk_is_not_begun(
+    runs: Runs, monkeypatch: pytest.MonkeyPatch, samples: int, fits: bool
+) -> None:
+    """200 B a sample and 1 MiB; asked before the motor turns."""
+    monkeypatch.setattr("armrig_daemon.record.os.statvfs", lambda _: NEARLY_FULL)
+    request = Run(lease="a" * 32, n=1, u=[0.0] * samples)
+
+    if fits:
+        runs.plan(request, 0.01)
+    else:
+        with pytest.raises(ValueError, match="3 MB free, 3 MB needed; free the disk"):
+            runs.plan(request, 0.01)
+    assert runs.is_idle != fits
+
+
+def test_the_first_step_is_one_from_0_v(tmp_path: Path) -> None:
+    """The motor stands when a run begins."""
+    runs = Runs(Config(limits=Limits(slew_v=0.5)), tmp_path, lambda: None)
+
+    with pytest.raises(ValueError, match=r"u\[0\] steps by 1 V: at most 0.5 V"):
+        runs.plan(REQUEST, 0.01)
+
+
+def test_what_is_told_before_the_first_sample_is_of_its_time_at_the_latest(runs: Runs) -> None:
+    """And not of the beginning of all time, which a reader would show as a run of hours."""
+    path = _begin(runs)
+    sample = Sample(FIRST, T_NS, T_NS + 9, FIRST, 0.1, 0.2, 1.0, 1.0, 1, 2, 3)
+    told = outgoing(STATE, 0)._replace(t_host_ns=T_NS + 3, t_sched_ns=T_NS + 3)
+
+    runs.add([told, Outgoing("sample", T_NS + 9, T_NS, FIRST, encode_sample(sample))])
+    runs.end("complete")
+    runs.finished(5)
+
+    with path.with_suffix("").open("rb") as file:
+        times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
+    assert times == [T_NS, T_NS + 9]
