@@ -1,0 +1,92 @@
+"""The compact copy holds what the first holds, to the last field."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from armrig_daemon.compact import CHUNK, compact
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+KEPT = (Header, Schema, Channel, Message, Metadata, Attachment)
+SIZE = 1000
+
+
+@pytest.fixture
+def first(tmp_path: Path) -> Path:
+    """Return a recording of 2.5 MB in chunks of 10 kB, no two fields of which are the same."""
+    path = tmp_path / "first"
+    noise = random.Random(1)
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=10_000)
+        writer.start(profile="a profile", library="a library")
+        channels = [
+            writer.register_channel(
+                topic,
+                "protobuf",
+                writer.register_schema(f"of {topic}", "protobuf", b"a schema"),
+                of,
+            )
+            for topic, of in (("a", {}), ("b", {"of": "b"}))
+        ]
+        writer.add_metadata("before", {"a": "1"})
+        writer.add_attachment(11, 12, "input.csv", "text/csv", b"u_v\n")
+        for i in range(2500):
+            data = noise.randbytes(SIZE)
+            writer.add_message(channels[i % 2], 3 * i + 2, data, 3 * i + 1, 7 * i)
+        writer.add_metadata("behind", {"b": "2"})
+        writer.finish()
+    return path
+
+
+def _records(path: Path) -> list[object]:
+    """Return what a file says, up to its summary, which says it again."""
+    kept: list[object] = []
+    with path.open("rb") as file:
+        for record in StreamReader(file).records:
+            if isinstance(record, DataEnd):
+                break
+            if isinstance(record, KEPT):
+                kept.append(record)
+    return kept
+
+
+def _chunks(path: Path) -> list[ChunkIndex]:
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return summary.chunk_indexes
+
+
+def test_every_record_is_copied_with_every_field(first: Path, tmp_path: Path) -> None:
+    """Both times, the number, the topic and its schema, and what is attached."""
+    copy = tmp_path / "copy"
+
+    compact(first, copy)
+
+    said, held = _records(copy), _records(first)
+    assert sum(isinstance(record, Message) for record in said) == 2500
+    for kind in KEPT:
+        assert [r for r in said if isinstance(r, kind)] == [r for r in held if isinstance(r, kind)]
+
+
+def test_its_chunks_are_of_the_size_that_readers_like(first: Path, tmp_path: Path) -> None:
+    """Of 1 MiB and a message at most; only the last may be less."""
+    copy = tmp_path / "copy"
+
+    compact(first, copy)
+
+    sizes = [chunk.uncompressed_size for chunk in _chunks(copy)]
+    assert len(sizes) == 3
+    assert all(CHUNK <= size < CHUNK + 2 * SIZE for size in sizes[:-1])
+    assert len(_chunks(first)) > 200
+
+
+def test_a_file_that_is_there_is_not_written_over(first: Path, tmp_path: Path) -> None:
+    """Whatever has that name is somebody's."""
+    with pytest.raises(FileExistsError):
+        compact(first, first)
