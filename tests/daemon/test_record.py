@@ -72,7 +72,8 @@ def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
     assert [m.k for _, c, _, m in decoded if c.topic == "/rig/1/sample"] == list(range(100))
     assert [m.u_held_v for _, c, _, m in decoded if c.topic == "/rig/1/gap"] == [2.5]
     assert manifest_of(metadata[RUN]) == MANIFEST
-    assert outcome_of(metadata[OUTCOME]).missing == 2
+    outcome = outcome_of(metadata[OUTCOME])
+    assert (outcome.samples, outcome.missing) == (100, 2)  # a gap is no sample
     assert (attachment.name, attachment.data) == ("input.csv", b"u_v\n1.0\n")
     assert not recording.active.exists()
 
@@ -91,6 +92,20 @@ def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
         times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
     offset = MANIFEST.clock_offset_ns
     assert times == [offset + 10_000_005, offset + 10_000_005, offset + 20_000_005]
+
+
+def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Path) -> None:
+    """The sequence of MCAP has 32 bits, k has more: a daemon may sample for months."""
+    recording = _recording(tmp_path / "run.mcap")
+
+    recording.add([_sample((1 << 32) + 7)])
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert recording.error == ""
+    with recording.path.open("rb") as file:
+        (found,) = [message for _, _, message in make_reader(file).iter_messages()]
+    assert found.sequence == 7
 
 
 def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
@@ -187,6 +202,9 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
     assert not recording.error
     assert recording.samples + recording.dropped == 9
     assert recording.dropped >= 5  # three wait, and one may have been taken before
+    with recording.path.open("rb") as file:
+        metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    assert outcome_of(metadata[OUTCOME]).missing == recording.dropped
 
 
 def test_a_disk_that_is_full_leaves_a_whole_prefix(
@@ -213,14 +231,28 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     assert not recording.path.exists()
 
 
-def test_half_a_chunk_that_found_no_more_room_is_cut_off(tmp_path: Path) -> None:
-    """The file ends with its last flush, to the byte: nothing torn is left for a reader to skip."""
+@pytest.mark.parametrize("room_again", [False, True])
+def test_half_a_chunk_that_found_no_more_room_is_cut_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_again: bool
+) -> None:
+    """The file ends with its last flush, to the byte: nothing torn is left for a reader to skip.
+
+    Nor does the other half come behind it where somebody frees the disk meanwhile.
+    """
     recording = _recording(tmp_path / "run.mcap")
     header = recording.active.stat().st_size
     recording.add([_sample(k) for k in range(50)])
     _wait_until_flushed(recording, header)
     good = recording.active.read_bytes()
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    cut = os.ftruncate
+
+    def freed(fd: int, size: int) -> None:
+        cut(fd, size)
+        if room_again:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    monkeypatch.setattr("armrig_daemon.record.os.ftruncate", freed)
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
     try:
         recording.add([_sample(k) for k in range(50, 100)])
