@@ -7,6 +7,7 @@ import select
 import signal
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from armrig_daemon.config import Config
@@ -92,3 +93,13 @@ def test_a_loop_that_fails_says_estop_three_times_and_dies(
 
     assert child._process.wait(WITHIN_S) == 1
     assert _frames_of(master, 3)[-3:] == [Estop(0, seq) for seq in range(3)]
+
+
+def test_the_loop_waits_for_neither_of_its_pipes(child: LoopChild) -> None:
+    """L2: one that is full drops; a loop that waited for the service would miss its ticks."""
+    arguments = Path(f"/proc/{child._process.pid}/cmdline").read_bytes().split(b"\0")
+    module = arguments.index(b"armrig_daemon.loop_process")
+
+    for name in arguments[module + 1 : module + 3]:
+        told = Path(f"/proc/{child._process.pid}/fdinfo/{name.decode()}").read_text()
+        assert int(told.split("flags:")[1].split()[0], 8) & os.O_NONBLOCK

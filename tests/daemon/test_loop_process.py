@@ -12,7 +12,7 @@ from armrig_daemon import realtime
 from armrig_daemon.config import Config
 from armrig_daemon.link import READ
 from armrig_daemon.loop_process import ProcessPorts, Settings
-from armrig_daemon.records import Alive, record_bytes
+from armrig_daemon.records import Alive, Halt, Play, Reset, record_bytes
 from armrig_daemon.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
@@ -164,3 +164,19 @@ def test_a_loop_that_fails_without_a_line_fails_as_it_would(
 
     assert [type(event) for event in ports.wait(realtime.now_ns() + 100 * MS)] == [LinkDown]
     ports.stop_hard()
+
+
+def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int]) -> None:
+    """A long one never fits into the pipe at once; what comes before it and behind it stays whole.
+
+    The loop goes on between them.
+    """
+    play = Play(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)))
+    data = record_bytes(Halt()) + record_bytes(play) + record_bytes(Reset())
+
+    taken = []
+    for at in range(0, len(data), 100):
+        os.write(pipes["orders_in"], data[at : at + 100])
+        taken += ports.wait(realtime.now_ns() + 100 * MS)
+
+    assert taken == [Ordered(Halt()), Ordered(play), Ordered(Reset())]
