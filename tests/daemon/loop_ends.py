@@ -1,0 +1,40 @@
+"""The loop's ends of both pipes in a test's hands: what the service orders is read, not done."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+
+from armrig_daemon.loop_child import LoopChild
+from armrig_daemon.records import Orders, take_orders
+
+
+class LoopEnds:
+    """Pipes as `loop_child.start` makes them, with a process at their end that says nothing."""
+
+    def __init__(self) -> None:
+        self.orders_fd, orders_in = os.pipe()
+        records_out, self.records_fd = os.pipe()
+        os.set_blocking(self.orders_fd, False)
+        self.child = LoopChild(subprocess.Popen(["true"]), orders_in, records_out)
+        self._pending = bytearray()
+
+    def orders(self) -> list[Orders]:
+        """Take what has come since the last call."""
+        try:
+            self._pending += os.read(self.orders_fd, 1 << 16)
+        except BlockingIOError:
+            return []
+        return take_orders(self._pending)
+
+    def read_no_more(self) -> None:
+        """Close the end at which orders come."""
+        os.close(self.orders_fd)
+        self.orders_fd = -1
+
+    def close(self) -> None:
+        """Close what is open."""
+        assert self.child.end() == 0
+        os.close(self.records_fd)
+        if self.orders_fd >= 0:
+            os.close(self.orders_fd)

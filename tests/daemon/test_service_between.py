@@ -1,0 +1,248 @@
+"""The service between its clients and the loop: what it orders by itself, and what it lets go."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import threading
+from collections.abc import Iterator
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from armrig.session import open_session
+from armrig_core.commands import Renew, Run
+from armrig_core.telemetry import Sample, encode_sample
+from armrig_core.topics import command_key
+from armrig_daemon import publish
+from armrig_daemon.config import Config
+from armrig_daemon.orders import BY_HAND, not_newer
+from armrig_daemon.presence import begun
+from armrig_daemon.publish import Kind, Session
+from armrig_daemon.records import Alive, Answer, Halt, Play, RunEnded, RunStarted, State
+from armrig_daemon.service import Service
+from loop_ends import LoopEnds
+
+LEASE = "a" * 32
+FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
+RUN = Run(lease=LEASE, n=3, u=[1.0] * 3)
+SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+class Between:
+    """A service in its place, with a client's session and the loop's ends beside it."""
+
+    def __init__(self, directory: Path) -> None:
+        self.loop = LoopEnds()
+        self.has_come = threading.Event()
+        endpoint = f"unixsock-stream/{directory}/s"
+        self.service = Service(Config(), endpoint, directory)
+        self.service._loop = self.loop.child
+        self.service._session = Session(endpoint, "1", self.has_come.set)
+        self.service._hold(LEASE)
+        self.client = open_session(endpoint, rig="1")
+
+    def ask(self, request: Any) -> Any:
+        """Send a command; return its replies, which may be waited for, once it has come."""
+        self.has_come.clear()
+        data = msgspec.json.encode(request)
+        replies = self.client.get(command_key("1", request.name), payload=data)
+        assert self.has_come.wait(5)
+        return replies
+
+    def begin_run(self) -> str:
+        """Have a run asked for, taken by the loop, and begun."""
+        self.ask(RUN)
+        self.service._take_commands()
+        (play,) = self.loop.orders()
+        assert isinstance(play, Play)
+        started = RunStarted(run_id=play.run_id, k_first=0, count=3, t_host_ns=0)
+        self.service._take([Answer(order=play.order), started])
+        return play.run_id
+
+
+@pytest.fixture
+def between(tmp_path: Path) -> Iterator[Between]:
+    """Return a service that is in no loop of its own: it does what a test has it do."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    between = Between(tmp_path)
+    yield between
+    between.client.close()
+    between.service._session.__exit__(None, None, None)
+    between.loop.close()
+    signal.set_wakeup_fd(-1)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def _refusal(replies: Any) -> str:
+    error = next(iter(replies)).err
+    assert error is not None, "it was not refused"
+    return str(msgspec.json.decode(error.payload.to_bytes())["error"])
+
+
+def _sample(k: int) -> bytes:
+    return encode_sample(Sample(k, k + 1, k + 1, k, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
+
+
+def test_the_loop_hears_from_the_service_each_second(between: Between) -> None:
+    """Else it takes the service for frozen, and stops the motor."""
+    between.service._each_second()
+
+    assert between.loop.orders() == [Alive()]
+
+
+def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
+    """The motor must not turn for nothing: here for a run that nobody asked for."""
+    between.service._take([RunStarted(run_id="another", k_first=0, count=1, t_host_ns=0)])
+
+    assert between.loop.orders() == [Halt()]
+
+
+def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> None:
+    """Who asked is told, and the next may be asked for."""
+    replies = between.ask(RUN)
+    between.service._take_commands()
+    (play,) = between.loop.orders()
+
+    between.service._take([Answer(order=play.order, error="not now")])
+
+    assert _refusal(replies) == "not now"
+    assert between.service._runs.is_idle
+
+
+def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is refused within its time; an answer that comes later is nobody's."""
+    monkeypatch.setattr("armrig_daemon.service.ANSWER_S", -1.0)
+    replies = between.ask(RUN)
+    between.service._take_commands()
+    (play,) = between.loop.orders()
+
+    between.service._each_second()
+
+    assert _refusal(replies) == "the loop does not answer: see the log"
+    assert between.service._runs.is_idle
+    between.service._take([Answer(order=play.order)])
+
+
+def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Between) -> None:
+    """L1: they lie before it in the pipe; a sample beside the run's own is no part of it."""
+    run_id = between.begin_run()
+
+    ended = RunEnded(run_id=run_id, outcome="complete")
+    between.service._take([*map(_sample, range(4)), ended, _sample(4)])
+
+    level, text = between.service._runs.finished(5)
+    assert (level, text.partition(": ")[2]) == ("info", "complete, 3 samples, 0 missing")
+
+
+def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> None:
+    """Its holder is a stranger like any other, at zenoh's door."""
+    between.service._take([msgspec.structs.replace(FREE, owner="a test")])
+    assert between.service._session.lease == LEASE.encode()
+
+    between.service._take([FREE])
+    assert between.service._session.lease == b""
+
+
+def test_a_sampling_time_that_the_wire_cannot_carry_is_not_armed_with(between: Between) -> None:
+    """Nor one that the device could not count."""
+    with pytest.raises(ValueError, match=r"Ts=0\.0001 s cannot be carried"):
+        between.service._ts_us(0.0001)
+    with pytest.raises(ValueError, match="a whole number of microseconds"):
+        between.service._ts_us(0.0050005)
+    assert between.service._ts_us(0.005) == 5000
+
+
+def test_a_command_too_many_is_refused_at_once(between: Between) -> None:
+    """R1: what waits is bounded, and nobody waits in silence."""
+    for _ in range(publish.MOST_WAITING):
+        between.ask(RUN)
+
+    assert _refusal(between.ask(RUN)) == "too many commands are waiting: try again"
+    waiting = list(between.service._session.waiting(Kind.LEASED))
+    assert len(waiting) == publish.MOST_WAITING
+
+
+def test_a_disk_that_refuses_a_recording_stops_its_run(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The writer's thread wakes the service, which has the motor stopped."""
+
+    def full(_fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", full)
+    between.begin_run()
+    between.service._take([_sample(0)])
+    assert select.select([between.service._wake_fd], [], [], 5)[0]
+
+    between.service._woken()
+
+    assert between.loop.orders() == [Halt()]
+    between.service._runs.end("stopped")
+    between.service._runs.finished(5)
+
+
+@pytest.mark.parametrize(
+    ("phase", "n", "complaint"),
+    [("active", 2, BY_HAND), ("armed", 3, not_newer(3, 3)), ("armed", 4, not_newer(3, 4))],
+)
+def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
+    between: Between, phase: str, n: int, complaint: str
+) -> None:
+    """Nor rehearsed, which takes its time."""
+    between.service._take([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
+    between.service._n = n
+
+    replies = between.ask(RUN)
+    between.service._take_commands()
+
+    assert _refusal(replies) == complaint
+    assert between.loop.orders() == []
+
+
+def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) -> None:
+    """The first one says when it is killed."""
+    signal.raise_signal(signal.SIGTERM)
+    between.service._woken()
+    kill_at_s = between.service._kill_at
+
+    signal.raise_signal(signal.SIGTERM)
+    between.service._woken()
+
+    assert between.service._kill_at == kill_at_s < inf
+
+
+def test_a_signal_that_comes_with_the_loop_s_end_is_an_end_in_good_order(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C goes to both: the loop may have ended before we have looked."""
+    monkeypatch.setattr(between.loop.child, "records", lambda: signal.raise_signal(signal.SIGINT))
+    os.write(between.loop.records_fd, b"the end")
+
+    between.service._serve()
+
+    assert between.service._quitting
+
+
+def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a service that was busy for a period would stop the run of a client that is there."""
+    between.begin_run()
+    between.service._runs._presence = begun(msgspec.structs.replace(RUN, dead_man=2.0), 0.0)
+    between.ask(Renew(lease=LEASE, n=4))
+    monkeypatch.setattr(between.loop.child, "records", lambda: None)
+    os.write(between.loop.records_fd, b"the end")
+
+    between.service._serve()
+
+    assert not [order for order in between.loop.orders() if isinstance(order, Halt)]
+    between.service._runs.end("stopped")
+    between.service._runs.finished(5)
