@@ -31,6 +31,7 @@ class Link:
             self._serial = serial.Serial(
                 port, baudrate=baud, timeout=0, write_timeout=0, exclusive=True
             )
+            _tell_nothing_from_the_end(self._serial.fileno())
         except (OSError, ValueError, termios.error) as err:
             msg = f"{port} cannot be opened: {_reason(port, err)}"
             raise LinkError(msg) from err
@@ -82,6 +83,13 @@ class Link:
         """Give the port back."""
         with contextlib.suppress(OSError, termios.error):
             self._serial.close()
+
+
+def _tell_nothing_from_the_end(fd: int) -> None:
+    """Have a read of a line with nothing on it fail with EAGAIN; pyserial has it give 0 bytes."""
+    attributes = termios.tcgetattr(fd)
+    attributes[6][termios.VMIN] = 1
+    termios.tcsetattr(fd, termios.TCSANOW, attributes)
 
 
 def latency_timer_ms(port: str) -> int | None:

@@ -92,7 +92,9 @@ class World:
                 sleep_until=self._sleep_until,
                 Waiter=lambda: _Waiter(self),
             ),
-            mock.patch.multiple(link, os=calls, serial=serial),
+            mock.patch.multiple(
+                link, os=calls, serial=serial, _tell_nothing_from_the_end=lambda _: None
+            ),
         ):
             yield
 

@@ -56,6 +56,19 @@ def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
     link.close()
 
 
+def test_a_line_with_nothing_on_it_is_not_gone(terminal: tuple[int, str]) -> None:
+    """A read that finds nothing, after a wake-up for nothing, loses no link; the end does."""
+    master, port = terminal
+    link = Link(port, 115_200)
+
+    assert link.read() == b""
+
+    os.dup2(os.open(os.devnull, os.O_RDWR), master)  # the other end is closed
+    with pytest.raises(LinkError, match="is gone"):
+        link.read()
+    link.close()
+
+
 def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) -> None:
     """The rest comes with the next call."""
     master, port = terminal
@@ -65,12 +78,11 @@ def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) 
     os.write(master, data)
 
     pieces: list[bytes] = []
-
-    def read() -> bytes:
+    while sum(map(len, pieces)) < len(data):
+        assert link.has_rest or select.select([link.fd], [], [], 1)[0], pieces
         pieces.append(link.read())
-        return pieces[-1]
 
-    assert _all_of(read, link.fd, len(data)) == data
+    assert b"".join(pieces) == data
     assert max(map(len, pieces)) <= READ
     link.close()
 
