@@ -198,8 +198,9 @@ class Rig:
         self._lease = ""
         recording = Path(last.recording)
         if last.outcome != "complete":
-            msg = f"the run ended after {last.samples} of {voltage.size} samples: {last.outcome}; "
-            msg += f"recorded in {recording}"
+            msg = f"the run ended after {last.samples} of {voltage.size} samples: {last.outcome}"
+            if last.recording not in last.outcome:  # else what became of the file is said there
+                msg += f"; recorded in {recording}"
             raise RunEndedError(msg, recording)
         return recording
 

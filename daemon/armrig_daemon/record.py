@@ -7,6 +7,7 @@ disk is ever waited for.
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import queue
@@ -14,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome
@@ -22,6 +23,7 @@ from armrig_core.topics import RECORDED, topic
 from mcap.writer import CompressionType, Writer
 
 from armrig_daemon.compact import compact
+from armrig_daemon.directory import sync_directory
 from armrig_daemon.messages import Outgoing
 
 CHUNK = 128 * 1024
@@ -56,7 +58,7 @@ class Recording:
         t_first_ns : int
             Monotonic time of the first sample.
         changed : callable
-            Called from the writer's thread when `error` or `done` has changed.
+            Called from the writer's thread when `error`, `moved` or `done` has changed.
 
         Raises
         ------
@@ -66,11 +68,13 @@ class Recording:
         self.path = path
         self.active = path.with_name(path.name + ".active")
         self.kept = self.active
-        """Where the file is: under its own name once it is complete."""
+        """Where the file is: under its own name once it is complete, or where it was moved to."""
         self.samples = 0
         self.dropped = 0
         self.error = ""
         """What the disk refused, for a person; nothing more is written then."""
+        self.moved = ""
+        """That somebody moved the file, for a person; it is written on where it is."""
         self.done = False
         """Whether the file is complete and has its name, or has failed for good."""
         self._offset_ns = manifest.clock_offset_ns
@@ -169,6 +173,7 @@ class Recording:
             if now - flushed >= FLUSH_S:
                 self._writer.flush()
                 self._good, flushed = self._file.tell(), now
+                self._follow()
             if now - synced >= SYNC_S:
                 os.fdatasync(self._file.fileno())
                 synced = now
@@ -178,17 +183,49 @@ class Recording:
         self._writer.finish()
         self._file.flush()
         os.fsync(self._file.fileno())
-        self._file.close()
-        compacted = self.path.with_name(self.path.name + ".compact")
+        self._good = self._file.tell()
+        self._follow()
         try:
-            compact(self.active, compacted)
-            compacted.replace(self.active)
+            compact(self.active, self._compacted)
+            self._compacted.replace(self.active)
         except OSError:  # no room for a second copy: the first is complete, too
+            self._follow()
             with contextlib.suppress(OSError):
-                compacted.unlink(missing_ok=True)
+                self._compacted.unlink(missing_ok=True)
         self.active.rename(self.path)
+        self._file.close()
         self.kept = self.path
-        _sync_directory(self.path.parent)
+        sync_directory(self.path.parent)
+
+    @property
+    def _compacted(self) -> Path:
+        return self.path.with_name(self.path.name + ".compact")
+
+    def _follow(self) -> None:
+        """See that the open file is still the one of our name; else go where it was moved to.
+
+        Raises
+        ------
+        RecordingError
+            It has no name any more: what is written goes nowhere.
+        """
+        if self._is_at(self.active):
+            return
+        moved = Path(f"/proc/self/fd/{self._file.fileno()}").readlink()
+        if not self._is_at(moved):
+            raise RecordingError(errno.ENOENT, "removed while it was written")
+        self.active = self.kept = moved
+        self.path = moved.with_name(moved.name.removesuffix(".active"))
+        self.moved = "its recording was moved while it was written"
+        self._changed()
+
+    def _is_at(self, path: Path) -> bool:
+        """Return whether the open file is the one at `path`."""
+        try:
+            found = os.lstat(path)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+        return os.path.samestat(found, os.fstat(self._file.fileno()))
 
     def _add(self, message: Outgoing) -> None:
         # Log times do not go back in the file: what a sample in flight is overtaken by gets the
@@ -208,7 +245,9 @@ class Recording:
     def _give_up(self, err: Exception, *, ended: bool) -> None:
         """Keep what was flushed whole: a file that goes on would have a silent hole."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
-        left = "what was flushed is kept there" if os.access(self.kept, os.F_OK) else "it is gone"
+        # Another file may have our name by now: that ours was removed is known for sure.
+        there = not isinstance(err, RecordingError) and os.access(self.kept, os.F_OK)
+        left = "what was flushed is kept there" if there else "its samples are gone"
         self.error = f"{self.kept}: {reason}; {left}"
         with contextlib.suppress(OSError, ValueError):  # closed, or gone altogether
             os.ftruncate(self._file.fileno(), self._good)
@@ -224,43 +263,3 @@ def _into_nowhere(file: IO[bytes]) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, file.fileno())
     os.close(nowhere)
-
-
-def left_over(directory: Path, rig: str) -> list[Path]:
-    """Return the recordings of a rig that a daemon left unfinished: nobody writes them now."""
-    try:
-        return sorted(p for p in directory.glob(f"{rig}-*.mcap.active") if not _is_written(p))
-    except OSError:  # where nothing can be read nothing is found; a run will be told why
-        return []
-
-
-def _is_written(path: Path) -> bool:
-    with path.open("rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        return False
-
-
-def check_directory(directory: Path, needed: int) -> str:
-    """Return why nothing can be recorded in `directory`, or nothing."""
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        free = os.statvfs(directory)
-    except OSError as err:
-        return f"{directory}: {err.strerror}; set [recording] directory"
-    if not os.access(directory, os.W_OK | os.X_OK):
-        return f"{directory}: not writable; set [recording] directory"
-    room = free.f_bavail * free.f_frsize
-    if room < needed:
-        return f"{directory}: {room / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed; free the disk"
-    return ""
-
-
-def _sync_directory(directory: Path) -> None:
-    fd: Any = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

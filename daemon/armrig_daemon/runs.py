@@ -24,9 +24,10 @@ from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
 from numpy.typing import NDArray
 
 from armrig_daemon.config import Config, Limits
+from armrig_daemon.directory import check_directory
 from armrig_daemon.messages import Outgoing
 from armrig_daemon.presence import Presence, begun, renewed
-from armrig_daemon.record import Recording, RecordingError, check_directory
+from armrig_daemon.record import Recording, RecordingError
 from armrig_daemon.records import Gap, Play, RunStarted, State
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
@@ -69,7 +70,9 @@ class Runs:
         recording = self._recording or self._finishing
         if self._last is None or recording is None:
             return self._last
-        return msgspec.structs.replace(self._last, samples=recording.samples)
+        return msgspec.structs.replace(
+            self._last, recording=str(recording.kept), samples=recording.samples
+        )
 
     @property
     def is_idle(self) -> bool:
@@ -222,9 +225,10 @@ class Runs:
         self._last = msgspec.structs.replace(self._last, outcome=outcome)
         self._finishing = recording
 
-    def failed(self) -> bool:
-        """Return whether the disk has refused the recording in hand."""
-        return self._recording is not None and bool(self._recording.error)
+    def disturbed(self) -> str:
+        """Return why the run in hand is to be stopped, as its recording tells, or nothing."""
+        recording = self._recording
+        return (recording.error or recording.moved) if recording is not None else ""
 
     def finished(self, timeout: float = 0.0) -> tuple[str, str]:
         """Return a level and a line for a person when a recording is complete, else two "".

@@ -27,10 +27,11 @@ from msgspec.structs import replace
 from armrig_daemon import loop_child, orders, pressure, readings, realtime
 from armrig_daemon.budget import check
 from armrig_daemon.config import Config
+from armrig_daemon.directory import left_over
 from armrig_daemon.loop_process import NO_PORT, Settings
 from armrig_daemon.messages import Outgoing, outgoing
 from armrig_daemon.publish import Command, Kind, Session
-from armrig_daemon.record import RecordingError, left_over
+from armrig_daemon.record import RecordingError
 from armrig_daemon.records import (
     Alive,
     Answer,
@@ -293,8 +294,9 @@ class Service:
             self._quitting = True
             self._kill_at = min(self._kill_at, time.monotonic() + _QUIT_S)
             self._loop.order(Quit(reason="the service was told to end"))
-        if self._runs.failed():
-            self._loop.order(Halt())
+        reason = self._runs.disturbed()
+        if reason:
+            self._loop.order(Halt(reason=reason))
         self._say_finished()
 
     def _take_signs(self) -> None:

@@ -10,6 +10,7 @@ import contextlib
 import multiprocessing
 import os
 import resource
+import shutil
 import signal
 import time
 from collections.abc import Callable
@@ -132,6 +133,14 @@ class Stand:
         (active,) = self.bench.recordings.glob("*.active")
         self._limit_files(active.stat().st_size)
 
+    def move_recordings(self) -> None:
+        """Give the directory of the recordings another name."""
+        self.bench.recordings.rename(self.bench.folder / "elsewhere")
+
+    def remove_recordings(self) -> None:
+        """Remove the directory of the recordings, and what is in it."""
+        shutil.rmtree(self.bench.recordings)
+
     def make_ready(self) -> None:
         """Bring all back to rest, whatever has happened."""
         self.let_go()
@@ -141,6 +150,8 @@ class Stand:
                 self._restart()
         except (RigError, AssertionError):
             self._restart()
+        shutil.rmtree(self.bench.folder / "elsewhere", ignore_errors=True)
+        self.bench.recordings.mkdir(exist_ok=True)
         for path in self.bench.recordings.glob("*"):
             path.unlink()
 

@@ -122,6 +122,15 @@ ROWS: dict[str, Row] = {
         "none: the input is still the one asked for",
         Stand.fill_disk,
     ),
+    "recordings moved": Row(
+        "recordings folder moved",
+        "the service: its writer looks for its file at 10 Hz",
+        "none: as for a full disk",
+        Stand.move_recordings,
+    ),
+    "recordings removed": Row(
+        "recordings folder removed", "the same", "the same", Stand.remove_recordings
+    ),
     "unplug": Row("cable pulled, scheduled", _WATCHDOG, _110, _line("unplug"), has_line=True),
     "unplug, exchange": Row(
         "cable pulled, exchange", _WATCHDOG, _110, _line("unplug"), "exchange", has_line=True

@@ -12,8 +12,10 @@ import pytest
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.telemetry import Sample, encode_sample
+from armrig_daemon.compact import compact
+from armrig_daemon.directory import check_directory, left_over
 from armrig_daemon.messages import Outgoing, outgoing
-from armrig_daemon.record import Recording, RecordingError, check_directory, left_over
+from armrig_daemon.record import Recording, RecordingError
 from armrig_daemon.records import Gap
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -133,6 +135,74 @@ def test_what_a_daemon_left_is_told_from_what_another_writes(tmp_path: Path) -> 
 
     writing.finish("complete", 0)
     writing.join(5)
+
+
+@pytest.mark.parametrize("way", ["file", "folder", "folder above"])
+def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: str) -> None:
+    """The open file is ours, whatever it is called: it is told, and given its name there."""
+    changed, directory = threading.Event(), tmp_path / "above" / "recordings"
+    directory.mkdir(parents=True)
+    recording = _recording(directory / "run.mcap", changed)
+    recording.add([_sample(k) for k in range(50)])
+    was, to = {
+        "file": (recording.active, directory / "other.mcap.active"),
+        "folder": (directory, directory.with_name("elsewhere")),
+        "folder above": (directory.parent, tmp_path / "elsewhere"),
+    }[way]
+    was.rename(to)
+
+    assert changed.wait(1)
+    assert recording.moved == "its recording was moved while it was written"
+    recording.add([_sample(k) for k in range(50, 60)])
+    recording.finish(recording.moved, 0)
+    recording.join(5)
+
+    assert recording.error == ""
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == [recording.kept]
+    assert recording.kept.name == ("other.mcap" if way == "file" else "run.mcap")
+    with recording.kept.open("rb") as file:
+        assert len(list(make_reader(file).iter_messages())) == 60
+
+
+def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While it is written once more, in full chunks, its folder is moved: nothing is lost."""
+    directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
+    directory.mkdir()
+
+    def moved(source: Path, target: Path) -> None:
+        compact(source, target)
+        directory.rename(elsewhere)
+
+    monkeypatch.setattr("armrig_daemon.record.compact", moved)
+    recording = _recording(directory / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert recording.error == ""
+    assert list(elsewhere.iterdir()) == [recording.kept] == [elsewhere / "run.mcap"]
+
+
+@pytest.mark.parametrize("instead", [False, True])
+def test_a_recording_that_is_removed_is_told_while_the_run_goes_on(
+    tmp_path: Path, instead: bool
+) -> None:
+    """Also where another file has its name: that one is not ours, and stays as it is."""
+    changed = threading.Event()
+    recording = _recording(tmp_path / "run.mcap", changed)
+    recording.active.unlink()
+    if instead:
+        recording.active.write_text("precious")
+
+    assert changed.wait(1)
+    assert recording.error.endswith(
+        "run.mcap.active: removed while it was written; its samples are gone"
+    )
+    recording.finish("stopped", 0)
+    recording.join(5)
+    assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * instead
 
 
 def test_a_disk_that_is_full_at_the_very_end_is_told_too(

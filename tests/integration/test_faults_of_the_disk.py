@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import resource
 import shutil
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import armrig
@@ -12,7 +15,7 @@ from armrig.rig import RefusedError, RunEndedError
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest
 from armrig_daemon.record import Recording, RecordingError
-from driving import check_every_k, check_volts, driven
+from driving import STOPPED_S, check_every_k, check_volts, driven
 from processes import Bench, wait_for
 
 ROOM = 8 << 10  # B
@@ -58,22 +61,52 @@ def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
         assert not armrig.load(rig.run([1.0, 4.0])).truncated
 
 
-def test_the_directory_vanishes_in_the_middle_of_a_run(bench: Bench) -> None:
-    """The run plays on; at its end it is said that the file is gone. The next one makes another."""
+@pytest.mark.parametrize("folder", ["moved", "removed"])
+def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) -> None:
+    """An ordinary stop, and a line for who waits: nothing is played that nobody records."""
     bench.emulate()
     daemon = bench.serve()
-    with driven(bench, samples=100):
+    client = _collecting(bench)
+    elsewhere = bench.folder / "elsewhere"
+    if folder == "moved":
+        bench.recordings.rename(elsewhere)
+    else:
         shutil.rmtree(bench.recordings)
-        with bench.rig() as rig:
-            wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
-            last = rig.status().last_run
-    assert last is not None
-    assert "No such file or directory; it is gone" in last.outcome
+    gone_ns = time.monotonic_ns()
+    stopped_s = bench.went_to_0_v_after(gone_ns)
+    _, told = client.communicate(timeout=20)
+
+    assert stopped_s < STOPPED_S
+    assert client.returncode == 1
+    (line,) = [line for line in told.splitlines() if "the run ended" in line]
+    if folder == "moved":
+        (path,) = elsewhere.iterdir()
+        assert f"was moved while it was written; recorded in {path}" in line
+        recording = armrig.load(path)
+        assert not recording.truncated
+        assert recording.samples.size > 20
+        check_every_k(recording)
+    else:
+        assert line.endswith(".mcap.active: removed while it was written; its samples are gone")
+    check_volts(bench, 0.5, 4.5)
     assert "Traceback" not in daemon.said
     with bench.rig() as rig:
         wait_for(lambda: rig.status().phase == "safe")
         rig.arm("a test")
         assert armrig.load(rig.run([1.0, 4.0])).samples.size == 2
+
+
+def _collecting(bench: Bench) -> subprocess.Popen[str]:
+    """Return `armrig collect` once its run of half a minute drives the motor."""
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    client = subprocess.Popen(
+        [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", endpoint],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    wait_for(lambda: len(bench.voltage_changes()) > 5)
+    return client
 
 
 def test_a_directory_that_cannot_be_written_is_told_before_the_motor_turns(
