@@ -2,26 +2,54 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
+import stat
 from pathlib import Path
+from typing import NamedTuple
 
 
-def left_over(directory: Path, rig: str) -> list[Path]:
-    """Return the recordings of a rig that a daemon left unfinished: nobody writes them now."""
+class LeftOver(NamedTuple):
+    """What has the name of an unfinished recording."""
+
+    path: Path
+    error: str = ""
+    """Why it cannot be looked at, for a person; empty for a recording that nobody writes."""
+
+
+def left_over(directory: Path, rig: str) -> list[LeftOver]:
+    """Return what a daemon of this rig left unfinished, and what only looks like it."""
     try:
-        return sorted(p for p in directory.glob(f"{rig}-*.mcap.active") if not _is_written(p))
+        paths = sorted(directory.glob(f"{rig}-*.mcap.active"))
     except OSError:  # where nothing can be read nothing is found; a run will be told why
         return []
+    found = []
+    for path in paths:
+        try:
+            if not _is_written(path):
+                found.append(LeftOver(path))
+        except FileNotFoundError:  # its daemon has just finished it
+            continue
+        except OSError as err:
+            found.append(LeftOver(path, err.strerror or str(err)))
+    return found
 
 
 def _is_written(path: Path) -> bool:
-    with path.open("rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        return False
+    """Return whether a recording is being written; raises OSError for what is no file."""
+    # Seen before it is opened: opening a device may do something, and a link leads elsewhere.
+    if not stat.S_ISREG(path.lstat().st_mode):
+        raise OSError(errno.EINVAL, "not a regular file")
+    # And should it be another one by now, a pipe is still not waited for.
+    fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(fd)
+    return False
 
 
 def check_directory(directory: Path, needed: int) -> str:

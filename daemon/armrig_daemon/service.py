@@ -135,9 +135,10 @@ class Service:
             with Session(self._endpoint, config.rig.id, self._wake) as self._session:
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
                 self._say("info", _in_words(config))
-                for path in left_over(self._directory, config.rig.id):
-                    text = f"{path}: left by a daemon that died; `armrig info` says what it holds"
-                    self._say("warning", text)
+                for path, error in left_over(self._directory, config.rig.id):
+                    left = "left by a daemon that died; `armrig info` says what it holds"
+                    text = f"{error}; passed over" if error else left
+                    self._say("warning", f"{_shown(path)}: {text}")
                 self._serve()
                 self._runs.end("the loop ended")
                 self._say_finished(_FINISH_S)
@@ -453,6 +454,11 @@ def _in_words(config: Config) -> str:
         f"port {config.device.port} at {config.device.baud} baud, {limits.u_min_v:g} to "
         f"{limits.u_max_v:g} V; ask it with `armrig status{rig}`, end it with Ctrl-C"
     )
+
+
+def _shown(path: Path) -> str:
+    """Return a path as text, whatever bytes it has: a message is UTF-8."""
+    return os.fsencode(path).decode(errors="replace")
 
 
 def _decoded(data: bytes) -> Sample:

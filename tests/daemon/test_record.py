@@ -13,7 +13,7 @@ from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.compact import compact
-from armrig_daemon.directory import check_directory, left_over
+from armrig_daemon.directory import LeftOver, check_directory, left_over
 from armrig_daemon.messages import Outgoing, outgoing
 from armrig_daemon.record import Recording, RecordingError
 from armrig_daemon.records import Gap
@@ -130,11 +130,31 @@ def test_what_a_daemon_left_is_told_from_what_another_writes(tmp_path: Path) -> 
         path.touch()
     writing = _recording(tmp_path / "1-y.mcap")
 
-    assert left_over(tmp_path, "1") == [ours]
+    assert left_over(tmp_path, "1") == [LeftOver(ours)]
     assert left_over(tmp_path / "nowhere", "1") == []
 
     writing.finish("complete", 0)
     writing.join(5)
+
+
+def test_what_only_looks_like_a_recording_hides_none_and_is_not_waited_for(
+    tmp_path: Path,
+) -> None:
+    """A pipe, links, a directory: each is told by itself, and nothing is read through it."""
+    names = ["a", "b", "c", "d", "e", "z"]
+    pipe, dangling, link, folder, loop, ours = (tmp_path / f"1-{n}.mcap.active" for n in names)
+    os.mkfifo(pipe)
+    dangling.symlink_to(tmp_path / "nowhere")
+    link.symlink_to(ours)
+    folder.mkdir()
+    loop.symlink_to(loop)
+    ours.touch()
+
+    *others, last = left_over(tmp_path, "1")
+
+    assert last == LeftOver(ours)
+    assert [one.path for one in others] == [pipe, dangling, link, folder, loop]
+    assert {one.error for one in others} == {"not a regular file"}
 
 
 @pytest.mark.parametrize("way", ["file", "folder", "folder above"])

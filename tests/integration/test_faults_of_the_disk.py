@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import shutil
 import subprocess
@@ -94,6 +95,25 @@ def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) ->
         wait_for(lambda: rig.status().phase == "safe")
         rig.arm("a test")
         assert armrig.load(rig.run([1.0, 4.0])).samples.size == 2
+
+
+def test_what_only_looks_like_a_recording_does_not_keep_the_daemon(bench: Bench) -> None:
+    """A pipe, a link to nowhere, a name that is no UTF-8: told, and what was left is told, too."""
+    bench.emulate()
+    bench.recordings.mkdir()
+    os.mkfifo(bench.recordings / "1-a.mcap.active")
+    (bench.recordings / "1-b.mcap.active").symlink_to("nowhere")
+    Path(os.fsdecode(bytes(bench.recordings) + b"/1-c\xff.mcap.active")).touch()
+    (bench.recordings / "1-d.mcap.active").touch()
+
+    daemon = bench.serve()
+
+    for name in "ab":
+        assert f"1-{name}.mcap.active: not a regular file; passed over" in daemon.said
+    for name in ("c\N{REPLACEMENT CHARACTER}", "d"):
+        assert f"1-{name}.mcap.active: left by a daemon that died" in daemon.said
+    assert "Traceback" not in daemon.said
+    assert daemon.end() == 0
 
 
 def _collecting(bench: Bench) -> subprocess.Popen[str]:
