@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 import platformdirs
+from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
 
 from armrig.bench.machine import (
     PRIORITY,
@@ -126,7 +127,7 @@ def recordings_directory(root: Path, user: Path) -> Path:
     chosen = ""
     for path in (root / "etc/armrig/armrig.toml", user / "armrig.toml"):
         with suppress(OSError, ValueError, AttributeError):  # the daemon says what is wrong with it
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
+            tables = tomllib.loads(read_text(path, CONFIGURATION_LIMIT))
             chosen = tables.get("recording", {}).get("directory", "") or chosen
     if chosen:
         return Path(chosen).expanduser().absolute()

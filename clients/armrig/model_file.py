@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig_core.bounded import read_bounded
+from armrig_core.bounded import TextError, read_text
 
 from armrig.fit import Fit, Start
 from armrig.free_response import FreeResponse
@@ -59,8 +59,8 @@ def load_fit(path: str | PathLike[str]) -> Fit:
     """
     path = Path(path)
     try:
-        text = read_bounded(path, MOST_BYTES)
-        content = json.loads(text) if text.lstrip().startswith(b"{") else None
+        text = read_text(path, MOST_BYTES)
+        content = json.loads(text) if text.lstrip().startswith("{") else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             msg = f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
             raise ModelFileError(msg)
@@ -77,6 +77,9 @@ def load_fit(path: str | PathLike[str]) -> Fit:
         repr(fit), fit.poles()  # what is no model shows when it is used
     except (ModelFileError, OSError):
         raise
+    except TextError as err:
+        msg = f"{path}: {err}"
+        raise ModelFileError(msg) from err
     except Exception as err:
         msg = f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
         raise ModelFileError(msg) from err

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import stat
 from pathlib import Path
+
+CONFIGURATION_LIMIT = 1 << 16
+"""Longest configuration file, in B; the time of its reader grows with the square."""
 
 
 def read_bounded(path: Path, most: int) -> bytes:
@@ -26,3 +30,29 @@ def read_bounded(path: Path, most: int) -> bytes:
     if len(data) > most:
         raise OSError(errno.EFBIG, f"more than the {most} B allowed", str(path))
     return data
+
+
+class TextError(ValueError):
+    """Bytes that are no UTF-8; says so, and what to do."""
+
+
+def read_text(path: Path, most: int) -> str:
+    """Return the text of a regular file, without the byte order mark of some editors.
+
+    Raises
+    ------
+    TextError
+        It is saved in another encoding than UTF-8.
+    OSError
+        As of `read_bounded`.
+    """
+    data = read_bounded(path, most)
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        msg = "it is saved as UTF-16: save it as UTF-8"
+        raise TextError(msg)
+    try:
+        return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
+    except UnicodeDecodeError as err:
+        line = err.object.count(b"\n", 0, err.start) + 1
+        msg = f"line {line} is not UTF-8: save it as UTF-8"
+        raise TextError(msg) from err

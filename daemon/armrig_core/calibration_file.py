@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from armrig_core.bounded import read_bounded
+from armrig_core.bounded import TextError, read_bounded, read_text
 from armrig_core.calibration import Calibration
 
 RAW_LIMIT = 1 << 20
@@ -55,11 +55,14 @@ def tables_of(path: Path) -> dict[str, Any]:
         estimated from.
     """
     try:
-        tables = tomllib.loads(read_bounded(path, _TOML_LIMIT).decode("utf-8"))
+        tables = tomllib.loads(read_text(path, _TOML_LIMIT))
     except OSError as err:
         msg = f"{path}: {err.strerror}"
         raise CalibrationFileError(msg) from err
-    except (ValueError, RecursionError) as err:  # TOMLDecodeError and UnicodeDecodeError
+    except TextError as err:
+        msg = f"{path}: {err}"
+        raise CalibrationFileError(msg) from err
+    except (ValueError, RecursionError) as err:  # TOMLDecodeError is one
         msg = f"{path}: not a TOML file: {err}"
         raise CalibrationFileError(msg) from err
     made = tables.get("made")

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import platformdirs
+from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
 from armrig_core.topics import check_rig_id
@@ -317,7 +318,7 @@ def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str,
 def _read(path: Path) -> dict[str, Any]:
     text = ""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, CONFIGURATION_LIMIT)
         return tomllib.loads(text + "\n")  # so that an error at the end has a line, too
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file"
@@ -325,7 +326,10 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as err:
         msg = f"{path}: {err.strerror}"
         raise ConfigError(msg) from err
-    except ValueError as err:  # TOMLDecodeError and UnicodeDecodeError
+    except TextError as err:
+        msg = f"{path}: {err}"
+        raise ConfigError(msg) from err
+    except ValueError as err:  # TOMLDecodeError is one
         msg = f"{path}: {_duplicate(text, str(err)) or f'not a TOML file: {err}'}"
         raise ConfigError(msg) from err
     except RecursionError as err:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import signal
 import subprocess
@@ -689,6 +690,33 @@ def test_the_module_is_the_command() -> None:
 
     assert done.returncode == 1
     assert done.stderr == b"armrig: /nothing: No such file or directory\n"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "info PIPE",
+        "identify PIPE --structure arx",
+        "validate PIPE --model PIPE",
+        "collect blackbox --Ts 0.01 --file PIPE",
+        "greybox PIPE",
+    ],
+)
+def test_what_is_no_file_is_told_and_not_waited_for(command: str, tmp_path: Path) -> None:
+    """A pipe that nobody writes to, by each way in which a file is read."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+
+    done = subprocess.run(
+        [sys.executable, "-m", "armrig", *command.replace("PIPE", str(pipe)).split()],
+        capture_output=True,
+        text=True,
+        timeout=20,
+    )
+
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"armrig: {pipe}: not a regular file")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", ["estimation.mcap", "other.mcap", "other.pdf", "r.txt", "."])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -221,6 +222,13 @@ def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> Non
 
     (user / "armrig.toml").write_text('[recording]\ndirectory = "/home/a"\n')
     assert doctor.recordings_directory(tmp_path, user) == Path("/home/a")
+
+    (user / "armrig.toml").write_text('[recording]\ndirectory = "/b"\n', encoding="utf-8-sig")
+    assert doctor.recordings_directory(tmp_path, user) == Path("/b")
+
+    (user / "armrig.toml").unlink()
+    os.mkfifo(user / "armrig.toml")  # nobody writes to it
+    assert doctor.recordings_directory(tmp_path, user) == Path("/srv/rig")
 
 
 @pytest.mark.parametrize(("fifo", "code"), [(True, 0), (False, 1)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,3 +140,24 @@ def test_the_rules_of_the_core_are_the_configuration_s() -> None:
 
     assert (rules.u_min, rules.u_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
     assert rules.ts_us == 10_000
+
+
+def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
+    """A byte order mark before UTF-8; UTF-16 is told with what to do."""
+    path = tmp_path / "armrig.toml"
+    text = "[timing]\r\nTs = 0.02\r\n"
+    path.write_text(text, encoding="utf-8-sig")
+
+    assert load([path], {}, {}).timing.Ts == 0.02
+    path.write_text(text, encoding="utf-16")
+    with pytest.raises(ConfigError, match=r"toml: it is saved as UTF-16: save it as UTF-8$"):
+        load([path], {}, {})
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
+    """A pipe that nobody writes to, in place of the configuration."""
+    path = tmp_path / "armrig.toml"
+    os.mkfifo(path)
+
+    with pytest.raises(ConfigError, match=r"armrig\.toml: not a regular file$"):
+        load([path], {}, {})

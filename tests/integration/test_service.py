@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -242,3 +243,18 @@ def _watchdog_of_a_run(bench: Bench, daemon: Process) -> int:
                 if attachment.name == CONFIG
             )
     return int(json.loads(config)["device"]["watchdog_ms"])
+
+
+@pytest.mark.parametrize("program", ["run", "emulate"])
+def test_a_configuration_that_is_a_pipe_is_refused(bench: Bench, program: str) -> None:
+    """Nobody writes to it: one line, no waiting."""
+    bench.config.unlink()
+    os.mkfifo(bench.config)
+
+    daemon = bench.start(
+        *("armrig_daemon", program, "--config", str(bench.config)),
+        *("--port", str(bench.folder / "other")),
+    )
+
+    assert daemon.popen.wait(WITHIN_S) == 1
+    assert daemon.said == f"armrigd: {bench.config}: not a regular file\n"

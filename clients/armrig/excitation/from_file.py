@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
-from armrig_core.bounded import read_bounded
+from armrig_core.bounded import TextError, read_text
 
 from armrig.checks import require_numbers
 from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
@@ -56,9 +56,9 @@ def from_csv(
         raise ValueError(msg)
     path = Path(path)
     try:
-        text = read_bounded(path, MOST_BYTES).decode("utf-8-sig")
-    except UnicodeDecodeError as err:
-        msg = f"{path}: no file of text (byte {err.start} is not UTF-8); save it as CSV"
+        text = read_text(path, MOST_BYTES)
+    except TextError as err:
+        msg = f"{path}: {err}, as a CSV"
         raise ValueError(msg) from err
     numbers, rows = _table(path, text)
     t, u = numbers

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
+from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
 
 from armrig_daemon.tables import convert
 
@@ -157,8 +158,11 @@ def load(path: Path) -> EmulatorSettings:
         The file cannot be read, is no TOML, or holds a key or value that is not allowed.
     """
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(read_text(path, CONFIGURATION_LIMIT))
         return convert({"emulator": tables.get("emulator", {})}, _File).emulator
-    except (OSError, ValueError) as err:
+    except OSError as err:
+        msg = f"{path}: {err.strerror}"
+        raise SettingsError(msg) from err
+    except ValueError as err:
         msg = f"{path}: {err}"
         raise SettingsError(msg) from err

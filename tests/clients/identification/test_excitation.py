@@ -375,3 +375,19 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
 
     with pytest.raises(OSError, match="not a regular file"):
         from_csv(tmp_path / "u.csv", Ts=1.0)
+
+
+def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
+    """A byte order mark before UTF-8; another encoding is told with what to do."""
+    path = tmp_path / "u.csv"
+    path.write_text("t,u\r\n0,1\r\n1,2\r\n", encoding="utf-8-sig")
+
+    np.testing.assert_array_equal(from_csv(path, Ts=1.0), [1.0, 2.0])
+    path.write_text("t,u\n0,1\n1,2\n", encoding="utf-16")
+    with pytest.raises(
+        ValueError, match=r"u\.csv: it is saved as UTF-16: save it as UTF-8, as a CSV$"
+    ):
+        from_csv(path, Ts=1.0)
+    path.write_bytes(b"t,u\n0,1 \xb5V\n")
+    with pytest.raises(ValueError, match=r"u\.csv: line 2 is not UTF-8: save it as UTF-8"):
+        from_csv(path, Ts=1.0)

@@ -126,3 +126,15 @@ def test_a_notebook_shows_equation_table_and_verdict(fit: Fit) -> None:
         assert sum(1 if not end else -1 for end, _ in tags) == 0
     assert "a &lt; b" in text
     assert "trust std" in fit._repr_html_()
+
+
+def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:
+    """Who changed its name in an editor has put a byte order mark before it."""
+    path = tmp_path / "model.json"
+    fit.save(path)
+    path.write_text(path.read_text(encoding="utf-8"), encoding="utf-8-sig")
+
+    assert repr(load_fit(path)) == repr(fit)
+    path.write_text(path.read_text(encoding="utf-8-sig"), encoding="utf-16")
+    with pytest.raises(ModelFileError, match=r"json: it is saved as UTF-16: save it as UTF-8$"):
+        load_fit(path)
