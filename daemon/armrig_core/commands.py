@@ -173,6 +173,8 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     """Where zenoh peers connect."""
     device: dict[str, Any]
     """What the device said of itself."""
+    line: str = ""
+    """What came of a device that does not answer, and what to try; empty where it answers."""
     host: dict[str, Any]
     """What the host allows: scheduling, locked memory."""
     last_run: LastRun | None

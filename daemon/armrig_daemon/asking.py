@@ -23,13 +23,15 @@ from msgspec.structs import replace
 from armrig_daemon.faults import REMEDIES
 from armrig_daemon.records import Answer, Halt, Log, Order, Release
 from armrig_daemon.records import State as StateRecord
-from armrig_daemon.state import Action, Asked, Emit, Heard, Rules, Send, State, Want
+from armrig_daemon.state import Action, Asked, Came, Emit, Heard, Rules, Send, State, Want
 
 Step = tuple[State, list[Action]]
 """What each part of the core returns: the next state, and what is to be done."""
 
 
 MOST_BEATS = 64  # frames without an echo that are remembered; the age trips long before
+MANY_TRIES = 18
+"""HELLOs without an answer, 0.1 s apart, after which a person is told."""
 
 
 def send(state: State, now_ns: int, data: bytes) -> Step:
@@ -80,6 +82,29 @@ def motor(state: State) -> str:
     return f"told to stop, but not confirmed; {watchdog}" if state.fault else "driven"
 
 
+def unanswered(state: State) -> str:
+    """Return what came of a device that does not say who it is, and what to try, or nothing."""
+    asked, came, baud = state.asked, state.came, state.rules.baud
+    if asked is None or asked.want is not Want.HELLO or asked.tries < MANY_TRIES:
+        return ""
+    if came.frames:
+        found = (
+            f"{came.frames} frames came, and none says who it is; see that its firmware speaks "
+            "this version of the wire, and nobody else on this port"
+        )
+    elif came.bytes:
+        found = (
+            f"of the {came.bytes} bytes that came at {baud} baud none was a frame; see that its "
+            "firmware has the same [device] baud, and that this is its port"
+        )
+    else:
+        found = (
+            f"it was asked {asked.tries} times at {baud} baud, and nothing came back; see that "
+            "it has power, that this is its port, and that its firmware is on it"
+        )
+    return f"the device does not answer: {found}"
+
+
 def say_state(state: State, now_ns: int) -> Action:
     """Return the state for whoever watches."""
     return Emit(
@@ -93,6 +118,7 @@ def say_state(state: State, now_ns: int) -> Action:
             fault=state.fault.id if state.fault else "",
             motor=motor(state),
             remedy=REMEDIES[state.fault.id] if state.fault else "",
+            line=unanswered(state),
         )
     )
 
@@ -134,6 +160,8 @@ def ask(
     """
     before = state.asked.order if state.asked else None
     overtaken = [] if before is order else _overtaken(before, want)
+    if want is Want.HELLO and tries == 1:
+        state = replace(state, came=Came())
     boot_id = state.device.boot_id if state.device else 0
     request: Message
     match want:

@@ -23,6 +23,7 @@ from armrig_daemon.state import (
     Absent,
     Action,
     Beat,
+    Came,
     Emit,
     Event,
     Exit,
@@ -107,6 +108,10 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
     pending, received = feed(state.pending, data)
     if pending != state.pending:
         state = replace(state, pending=pending)
+    if state.asked is not None and state.asked.want is Want.HELLO:
+        sound = sum(not isinstance(message, _NOISE) for message in received)
+        came = Came(state.came.bytes + len(data), state.came.frames + sound)
+        state = replace(state, came=came)
     done: list[Action] = []
     for message in received:
         if isinstance(message, _NOISE):
@@ -138,8 +143,10 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     if not state.link_up:
         return state, done
     if state.device is None:
+        if state.asked is not None:
+            return handshake.retry(state, now_ns)  # where a line is never quiet there is no beat
         # A HELLO that a STOP has overtaken must not be the last one (T1).
-        return (state, done) if state.asked is not None else ask(state, now_ns, Want.HELLO)
+        return ask(state, now_ns, Want.HELLO)
     rules, driving = state.rules, state.phase in _DRIVING
     fault: Fault | None = None
     if pause_ns > rules.pause_ns(state.ts_us, scheduled=self_paced):

@@ -17,7 +17,17 @@ from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon import scheduling
-from armrig_daemon.asking import Step, answer, ask, config, log, refuse, say_state
+from armrig_daemon.asking import (
+    MANY_TRIES,
+    Step,
+    answer,
+    ask,
+    config,
+    log,
+    refuse,
+    say_state,
+    unanswered,
+)
 from armrig_daemon.budget import check, exchange_us
 from armrig_daemon.clockmap import ClockMap
 from armrig_daemon.faults import Fault, Id, in_words
@@ -28,6 +38,7 @@ from armrig_daemon.stopping import end_run, trip
 _RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
 _OTHER_RETRY_NS = 50_000_000
 _TRIES = 5
+_TRIES_A_SECOND, _TRIES_A_MINUTE = 10, 600  # of HELLO
 CARE_US = 10_000
 """How often a device that paces itself is looked after, in µs."""
 _EXPECTED = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
@@ -49,7 +60,7 @@ def retry(state: State, now_ns: int) -> Step:
     if not state.link_up:
         return replace(state, asked=None), refuse(asked.order, "the link is down")
     if asked.want is Want.HELLO or asked.tries < _TRIES:
-        return ask(
+        state, actions = ask(
             state,
             now_ns,
             asked.want,
@@ -58,7 +69,17 @@ def retry(state: State, now_ns: int) -> Step:
             scheduled=asked.scheduled,
             tries=asked.tries + 1,
         )
+        return state, [*actions, *_told_unanswered(state, now_ns)]
     return failed(state, now_ns, f"the device does not answer {asked.want}")
+
+
+def _told_unanswered(state: State, now_ns: int) -> list[Action]:
+    """Return what is said of a device that does not answer: in the state, and seldom in the log."""
+    text, tries = unanswered(state), state.asked.tries if state.asked else 0
+    if not text or (tries - MANY_TRIES) % _TRIES_A_SECOND:
+        return []
+    is_due = (tries - MANY_TRIES) % _TRIES_A_MINUTE == 0
+    return [log(now_ns, "warning", text)] * is_due + [say_state(state, now_ns)]
 
 
 def failed(state: State, now_ns: int, error: str) -> Step:

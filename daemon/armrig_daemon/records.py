@@ -98,6 +98,8 @@ class State(Tagged, frozen=True, kw_only=True):
     """What is known of the motor, for a person."""
     remedy: str = ""
     """What to do about the fault."""
+    line: str = ""
+    """What came of a device that does not answer, and what to try; empty where it answers."""
 
 
 class Trace(Tagged, frozen=True, kw_only=True):

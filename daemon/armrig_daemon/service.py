@@ -374,7 +374,8 @@ class Service:
         """Return why the rig is not to be armed, as far as the loop cannot know it, or nothing."""
         config = self._config
         return (
-            self._runs.no_room()
+            self._line
+            or self._runs.no_room()
             or readings.objection(
                 self._readings,
                 turns_per_volt_s=self._turns_per_volt_s,
@@ -382,6 +383,12 @@ class Service:
             )
             or pressure.untimely(self._timing, config.device.watchdog_ms, pressure.load())
         )
+
+    @property
+    def _line(self) -> str:
+        """What came of a device that does not answer, and at which port, or nothing."""
+        line = self._state.line
+        return f"{self._config.device.port}: {line}" if line else ""
 
     def _ts_us(self, Ts: float | None) -> int:
         """Return the sampling time asked for, in µs; 0 for the configured one."""
@@ -418,6 +425,7 @@ class Service:
             u_max=config.limits.u_max_v,
             endpoint=self._endpoint,
             device=state.device,
+            line=self._line,
             host=self._host,
             last_run=self._runs.last,
             recordings=str(self._directory),

@@ -107,6 +107,14 @@ class Asked(NamedTuple):
     """Whose wish it is, and who is answered."""
 
 
+class Came(NamedTuple):
+    """What the line has brought since the device was first asked who it is, and did not say."""
+
+    bytes: int = 0
+    frames: int = 0
+    """Sound ones."""
+
+
 class Sent(NamedTuple):
     """An EXCHANGE whose SAMPLE has not come."""
 
@@ -215,6 +223,8 @@ class State(msgspec.Struct, frozen=True, gc=False):
     scheduled: bool = False
     """The configuration in force is of scheduled mode."""
     asked: Asked | None = None
+    came: Came = Came()
+    """Counted while HELLO is asked."""
     sent: tuple[Sent, ...] = ()
     fresh_ns: int = 0
     """When the newest EXCHANGE was sent of which the answer has come."""

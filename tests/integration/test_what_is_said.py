@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
+import select
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -93,3 +98,59 @@ def test_status_names_the_calibration_and_the_arm(
     rows = {name: text.strip() for name, _, text in (line.partition(" ") for line in lines)}
     assert rows["calibration"] == calibration.format(folder=bench.folder)
     assert rows["arm"] == arm
+
+
+@contextmanager
+def _deaf(bench: Bench, noise: int) -> Iterator[None]:
+    """Have a device at the bench's port that answers nothing, but says `noise` B/ms at random."""
+    master, slave = os.openpty()
+    os.set_blocking(master, False)
+    bench.port.symlink_to(os.ttyname(slave))
+    ended = threading.Event()
+
+    def speak() -> None:
+        while not ended.wait(0.001):
+            if select.select([master], [], [], 0)[0]:
+                os.read(master, 4096)
+            with suppress(BlockingIOError):  # nobody reads, as long as there is no daemon
+                os.write(master, os.urandom(noise))
+
+    speaking = threading.Thread(target=speak)
+    speaking.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        speaking.join()
+        os.close(slave)
+        os.close(master)
+
+
+@pytest.mark.parametrize(
+    ("noise", "said"),
+    [
+        (0, r"was asked \d+ times at 1000000 baud, and nothing came back; see that it has power"),
+        (1, r"of the \d+ bytes that came at 1000000 baud none was a frame; .* \[device\] baud"),
+        (500, r"of the \d+ bytes that came at 1000000 baud none was a frame; .* \[device\] baud"),
+    ],
+)
+def test_a_device_that_does_not_answer_is_told_with_what_to_try(
+    bench: Bench, noise: int, said: str
+) -> None:
+    """Silent, noise of another speed, noise as fast as it comes: in the log, in the status."""
+    with _deaf(bench, noise):
+        daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+        wait_for(lambda: re.search(said, daemon.said))
+        status = _armrig(bench, "status")
+        armed = _armrig(bench, "collect", "step")
+        log = daemon.said
+        assert daemon.end() == 0
+
+    (row,) = [row for row in status.stdout.splitlines() if row.startswith("device")]
+    assert row.split(None, 1)[1].startswith(f"{bench.port}: the device does not answer: ")
+    assert re.search(said, row)
+    assert (status.returncode, armed.returncode) == (0, 1)
+    assert armed.stderr.startswith(f"armrig: {bench.port}: the device does not answer: ")
+    assert armed.stderr.count("\n") == 1
+    assert log.count("the device does not answer") == 1
+    assert "Traceback" not in log

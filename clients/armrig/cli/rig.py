@@ -37,7 +37,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
         ("calibration", report.calibration or "not said by this daemon"),
         ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
-        ("device", ", ".join(f"{k} {v}" for k, v in device.items()) or "has not answered yet"),
+        ("device", report.line or _in_words(device) or "has not answered yet"),
         ("host", "; ".join(scheduling(report.host))),
         (
             "last run",
@@ -48,6 +48,10 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         ),
         ("recordings", report.recordings),
     )
+
+
+def _in_words(device: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in device.items())
 
 
 def watch(

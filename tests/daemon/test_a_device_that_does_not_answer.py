@@ -1,0 +1,139 @@
+"""Who has taken the wrong port or the wrong speed is told what was heard, and what to try."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from random import Random
+
+import pytest
+from armrig_daemon import core
+from armrig_daemon.asking import unanswered
+from armrig_daemon.config import Config
+from armrig_daemon.records import Log
+from armrig_daemon.records import State as StateRecord
+from armrig_daemon.state import Action, Beat, Emit, Event, LinkDown, LinkUp, Received, State, Tick
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import Keepalive
+from core_states import Decided, heard
+from msgspec.structs import replace
+from virtual_bench import MS, Bench
+
+WITHIN_MS = 2000
+NOISE = Random(1)
+
+
+class _Line:
+    """The core on an open line, and what it has told; `brings` gives the bytes of each 10 ms."""
+
+    def __init__(self, brings: Callable[[], bytes] = lambda: b"", beats: bool = True) -> None:
+        self.now = 0
+        self.logs: list[Log] = []
+        self.states: list[StateRecord] = []
+        self._brings, self._beats = brings, beats
+        self.state = core.start(Config().rules())
+        self._step(LinkUp())
+
+    def run_for(self, ms: int) -> None:
+        """Let time pass: a tick each 10 ms, and a beat whenever the core has asked for one."""
+        for _ in range(ms // 10):
+            self.now += 10 * MS
+            self._step(Tick(self.now // (10 * MS), self.now))
+            if data := self._brings():
+                self._step(Received(data))
+            if self._beats and self.now >= core.wake_ns(self.state):
+                self._step(Beat())
+
+    def _step(self, event: Event) -> None:
+        self.state, actions = core.step(self.state, self.now, [event])
+        self._take(actions)
+
+    def _take(self, actions: list[Action]) -> None:
+        records = [a.record for a in actions if isinstance(a, Emit)]
+        self.logs += [r for r in records if isinstance(r, Log) and r.level != "debug"]
+        self.states += [r for r in records if isinstance(r, StateRecord)]
+
+
+@pytest.mark.parametrize(
+    ("brings", "said"),
+    [
+        (
+            lambda: b"",
+            "it was asked 18 times at 500000 baud, and nothing came back; see that it has power, "
+            "that this is its port, and that its firmware is on it",
+        ),
+        (
+            lambda: NOISE.randbytes(10),
+            "of the 1690 bytes that came at 500000 baud none was a frame; see that its firmware "
+            "has the same [device] baud, and that this is its port",
+        ),
+        (
+            lambda: b"\0" + encode(Keepalive(0, 7)),
+            "169 frames came, and none says who it is; see that its firmware speaks this version "
+            "of the wire, and nobody else on this port",
+        ),
+    ],
+    ids=["silent", "noise", "frames"],
+)
+def test_what_came_is_told_within_two_seconds(brings: Callable[[], bytes], said: str) -> None:
+    """Once in the log, and in the state."""
+    line = _Line(brings)
+
+    line.run_for(1600)
+    assert (line.logs, line.states) == ([], [])
+    line.run_for(WITHIN_MS - 1600)
+
+    (log,) = line.logs
+    assert (log.level, log.message) == ("warning", f"the device does not answer: {said}")
+    assert line.states[-1].line == log.message
+    assert line.states[-1].phase == "init"
+
+
+def test_what_comes_later_is_in_the_state_a_second_later_and_in_the_log_once_a_minute() -> None:
+    """Its supply was off; now it is on, at another speed."""
+    data = [b""]
+    line = _Line(lambda: data[0])
+    line.run_for(WITHIN_MS)
+
+    data[0] = b"x"
+    line.run_for(1000)
+
+    assert "of the 69 bytes" in line.states[-1].line
+    line.run_for(57_000)
+    assert len(line.logs) == 1
+    line.run_for(WITHIN_MS)
+    assert len(line.logs) == 2
+    assert len(line.states) in (60, 61)
+
+
+def test_a_line_that_is_never_quiet_does_not_keep_the_question_back() -> None:
+    """Where bytes always wait there is no beat: the ticks ask again, too."""
+    line = _Line(lambda: NOISE.randbytes(500), beats=False)
+
+    line.run_for(WITHIN_MS)
+
+    assert "bytes that came at 500000 baud none was a frame" in line.states[-1].line
+
+
+def test_a_device_that_answers_has_nothing_said_of_its_line() -> None:
+    """Nor one that is asked for the first time; what it said before counts no more."""
+    bench = Bench()
+    assert bench.of(StateRecord)[-1].line == ""
+    silent = _silent(bench)
+
+    met = heard(bench, bench.loop.state.device._replace(seq=1), silent)  # type: ignore[union-attr]
+
+    assert unanswered(silent) != ""
+    assert unanswered(met.state) == ""
+    again = Decided(replace(silent, asked=None, device=None), bench.ports.now, Tick(1 << 20, 0))
+    assert again.state.came.bytes == 0
+    assert again.state.asked is not None
+    lost = Decided(silent, bench.ports.now, LinkDown("gone"))
+    assert lost.told(StateRecord)[-1].line == ""
+
+
+def _silent(bench: Bench) -> State:
+    """Return the state of a bench whose device has not answered for long, but brought bytes."""
+    line = _Line(lambda: b"x")
+    line.run_for(WITHIN_MS)
+    assert line.state.came.bytes > 0
+    return line.state
