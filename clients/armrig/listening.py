@@ -10,7 +10,7 @@ from typing import Any
 import zenoh
 from armrig_core import protobuf, telemetry, topics
 
-from armrig.session import NoReplyError, default_endpoint, open_session
+from armrig.session import NoReplyError, open_session
 
 SILENCE_S = 1.0
 """After so long without a message the daemon is looked for, in s."""
@@ -41,12 +41,13 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
     ------
     NoReplyError
         There is no daemon, or it went away.
+    RigError
+        The directory of this user's socket may be another user's.
     ValueError
         The key is no stream of a rig.
     """
     rig, _ = _stream_of(key)
-    where = connect or default_endpoint(rig)
-    with open_session(where, rig=rig) as session:
+    with open_session(connect, rig=rig) as session:
         yield from listen(session, key)
 
 

@@ -60,6 +60,8 @@ class Rig:
     ------
     NoReplyError
         On entering: there is no daemon at the endpoint.
+    RigError
+        On entering: the directory of that socket may be another user's.
     ValueError
         The id is none.
     """
@@ -67,6 +69,7 @@ class Rig:
     def __init__(self, rig: str = "1", *, connect: str | None = None) -> None:
         self.rig = topics.check_rig_id(rig)
         self.endpoint = connect or default_endpoint(rig)
+        self._connect = connect
         self._session: zenoh.Session | None = None
         self._lease = ""
         self._n = 0
@@ -74,7 +77,7 @@ class Rig:
 
     def __enter__(self) -> Self:
         """Connect."""
-        self._session = open_session(self.endpoint, rig=self.rig)
+        self._session = open_session(self._connect, rig=self.rig)
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from pathlib import Path, PurePosixPath
 
 import zenoh
-from armrig_core.endpoint import endpoint, socket_directory
+from armrig_core.endpoint import distrust, endpoint, socket_directory
 
 
 class RigError(RuntimeError):
@@ -20,20 +21,28 @@ class NoReplyError(RigError):
 
 def default_endpoint(rig: str) -> str:
     """Return where the daemon of this user and rig listens."""
-    directory = socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
-    return endpoint(rig, directory)
+    return endpoint(rig, _socket_directory())
 
 
-def open_session(where: str, *, rig: str) -> zenoh.Session:
-    """Return a zenoh session as a client of the endpoint `where`; it must be closed.
+def open_session(connect: str | None, *, rig: str) -> zenoh.Session:
+    """Return a zenoh session as a client of the endpoint `connect`; it must be closed.
+
+    Parameters
+    ----------
+    connect : str, optional
+        None is the daemon of this user and rig. Then its directory must be one that no other user
+        can have put a socket into.
 
     Raises
     ------
     NoReplyError
         Nobody listens there.
     RigError
-        `where` is no endpoint.
+        `connect` is no endpoint, or the directory may be another user's.
     """
+    where = connect or default_endpoint(rig)
+    if not connect:
+        _check_directory(rig, where)
     config = zenoh.Config()
     for key, value in (
         ("mode", "client"),
@@ -52,6 +61,25 @@ def open_session(where: str, *, rig: str) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as err:
         raise no_reply(rig, where) from err
+
+
+def _socket_directory() -> PurePosixPath:
+    return socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
+
+
+def _check_directory(rig: str, where: str) -> None:
+    """Refuse a directory that others may have made: in a temporary one anybody could."""
+    directory = Path(_socket_directory())
+    try:
+        found = directory.lstat()
+    except OSError as err:
+        raise no_reply(rig, where) from err
+    wrong = distrust(found, owners={os.getuid()})
+    if wrong:
+        msg = f"{directory}: {wrong}, so what listens there may be a stranger's; set "
+        msg += "XDG_RUNTIME_DIR to a directory of yours, for armrigd too, or name the endpoint "
+        msg += "with --connect"
+        raise RigError(msg)
 
 
 def no_reply(rig: str, where: str) -> NoReplyError:

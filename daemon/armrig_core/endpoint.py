@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import stat
+from collections.abc import Collection, Mapping
 from pathlib import PurePosixPath
 
 from armrig_core.topics import check_rig_id
@@ -33,6 +35,29 @@ def socket_directory(
     if login := environ.get("XDG_RUNTIME_DIR"):
         return PurePosixPath(login) / "armrig"
     return PurePosixPath(temporary) / f"armrig-{uid}"
+
+
+def distrust(found: os.stat_result, *, owners: Collection[int]) -> str:
+    """Return why the sockets in a directory may be a stranger's, or nothing.
+
+    Who may write to the directory can put a socket of his own there, and answer for the daemon.
+
+    Parameters
+    ----------
+    found : os.stat_result
+        Of the directory itself, as by `lstat`.
+    owners : collection of int
+        Users who may own it.
+    """
+    if stat.S_ISLNK(found.st_mode):
+        return "is a symbolic link, which may lead to another user's directory"
+    if not stat.S_ISDIR(found.st_mode):
+        return "is no directory"
+    if found.st_uid not in owners:
+        return f"belongs to another user (uid {found.st_uid})"
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        return f"can be written by other users (mode {stat.S_IMODE(found.st_mode):o}, not 700)"
+    return ""
 
 
 def endpoint(rig: str, directory: PurePosixPath) -> str:

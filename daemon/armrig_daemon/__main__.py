@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from typing import Annotated, Any, NoReturn
 
 import msgspec
 import typer
-from armrig_core.endpoint import endpoint, socket_directory
+from armrig_core.endpoint import distrust, endpoint, socket_directory
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
@@ -116,9 +115,9 @@ def _socket_directory() -> Path:
         found = path.lstat()
     except OSError as err:
         _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours")
-    if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
+    if wrong := distrust(found, owners={os.getuid()}):
         # In a temporary directory anybody could have made it, and would sit on our socket.
-        _refuse(f"{path}: belongs to another user; set XDG_RUNTIME_DIR to a directory of yours")
+        _refuse(f"{path}: {wrong}; set XDG_RUNTIME_DIR to a directory of yours")
     return path
 
 

@@ -1,0 +1,97 @@
+"""A client without an endpoint asks only a socket that no other user can have made."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig.cli import main
+from armrig.rig import Rig
+from armrig.session import NoReplyError, RigError
+from armrig_core.endpoint import endpoint
+from fake_daemon import FakeDaemon
+
+NOBODY = 65534
+
+
+@pytest.fixture
+def directory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Give the directory where a daemon of this user would listen, with one in it that answers."""
+    with tempfile.TemporaryDirectory(prefix="armrig-") as temporary:
+        monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+        monkeypatch.setattr(tempfile, "tempdir", temporary)
+        found = Path(temporary) / f"armrig-{os.getuid()}"
+        found.mkdir(mode=0o700)
+        with FakeDaemon(endpoint("1", found)):
+            yield found
+
+
+def _chmod(directory: Path) -> None:
+    directory.chmod(0o777)
+
+
+def _link(directory: Path) -> None:
+    directory.rename(directory.with_name("elsewhere"))
+    directory.symlink_to("elsewhere")
+
+
+def _chown(directory: Path) -> None:
+    if os.getuid() != 0:
+        pytest.skip("only root can give a directory to another user")
+    os.chown(directory, NOBODY, NOBODY)
+
+
+def test_a_daemon_in_a_directory_of_ours_is_asked(directory: Path) -> None:
+    """Without an endpoint."""
+    with Rig() as rig:
+        assert rig.status().rig == "1"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "wrong"),
+    [
+        (_chown, r"belongs to another user \(uid 65534\)"),
+        (_chmod, r"can be written by other users \(mode 777, not 700\)"),
+        (_link, "is a symbolic link"),
+    ],
+)
+def test_a_directory_that_may_be_a_stranger_s_is_refused(
+    directory: Path,
+    spoil: Callable[[Path], None],
+    wrong: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """By all that asks: nothing that a stranger says is shown, and nobody is told of a stop."""
+    spoil(directory)
+
+    with pytest.raises(RigError, match=wrong), Rig():
+        pass
+    with pytest.raises(RigError, match=wrong):
+        next(armrig.stream("rig/1/sample"))
+    for command in ("status", "stop", "reset"):
+        assert main([command]) == 1
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert "set XDG_RUNTIME_DIR to a directory of yours" in told.err
+        assert "--connect" in told.err
+
+
+def test_an_endpoint_that_is_given_is_the_user_s_own_choice(directory: Path) -> None:
+    """As that of a service of another user's."""
+    directory.chmod(0o777)
+
+    with Rig(connect=endpoint("1", directory)) as rig:
+        assert rig.status().rig == "1"
+
+
+def test_where_there_is_no_directory_nobody_answers(directory: Path) -> None:
+    """As before a daemon was ever started."""
+    directory.rename(directory.with_name("elsewhere"))
+
+    with pytest.raises(NoReplyError, match="start it with `armrigd run`"), Rig():
+        pass
