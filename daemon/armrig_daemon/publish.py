@@ -43,6 +43,25 @@ def kind_of(name: str) -> Kind:
     return Kind.LEASED if name in door.LEASED else Kind.OTHER
 
 
+_NOTHING_OF_OTHERS = {
+    "enabled": True,  # without it all of this is passed over in silence
+    "default_permission": "allow",
+    "rules": [
+        {
+            "id": "what only the daemon does",
+            "permission": "deny",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
+            "key_exprs": ["**"],
+        }
+    ],
+    "subjects": [{"id": "all who connect"}],
+    "policies": [{"rules": ["what only the daemon does"], "subjects": ["all who connect"]}],
+}
+"""What who connects may not do: publish, answer, or stand for a daemon. We would pass it on, and
+the others could not tell it from ours: zenoh's source of a sample is what its sender writes."""
+
+
 def session_config(endpoint: str) -> zenoh.Config:
     """Return the configuration of a session that only listens at `endpoint`, found by nobody."""
     return zenoh.Config.from_json5(
@@ -52,6 +71,7 @@ def session_config(endpoint: str) -> zenoh.Config:
                 "listen": {"endpoints": [endpoint]},
                 "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
                 "adminspace": {"enabled": False},
+                "access_control": _NOTHING_OF_OTHERS,
                 "transport": {
                     "shared_memory": {"enabled": False},
                     "link": {
