@@ -110,9 +110,10 @@ def test_nobody_else_stands_for_a_daemon(session: Session, where: str, mode: str
         def alive() -> int:
             return len(list(client.liveliness().get("rig/1/*", timeout=WITHIN_S)))
 
-        stranger.liveliness().declare_token("rig/1/alive")
-        stranger.liveliness().declare_token("rig/1/another")
+        tokens = [stranger.liveliness().declare_token(f"rig/1/{key}") for key in ("alive", "a")]
         time.sleep(SPREAD_S)
         assert alive() == 1
         session._alive.undeclare()
         _until(lambda: alive() == 0)
+        for token in tokens:  # it is withdrawn where nobody keeps it
+            token.undeclare()
