@@ -15,6 +15,7 @@ import numpy as np
 from armrig_core.commands import StatusReport
 from numpy.typing import NDArray
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from armrig.excitation import step, telegraph
@@ -75,7 +76,7 @@ def demo(directory: Path, *, seconds: float = 30.0, console: Console | None = No
     left_s = Ts * sum(u.size for _, u, _ in plan)
     with running(directory, console), Rig(RIG) as rig:
         for line in scheduling(rig.status().host):
-            console.print(f"  {line}", highlight=False)
+            console.print(f"  {line}", highlight=False, markup=False)
         for (experiment, u, seed), name in zip(
             plan, ("step", "telegraph", "validation"), strict=True
         ):
@@ -118,7 +119,7 @@ def _recorded(
                 msg = f"{err}; this machine is too busy for an emulated rig: end other programs "
                 msg += "(`armrig doctor` says what costs), then try again"
                 raise RigError(msg) from err
-            console.print(f"  {err}; once more", highlight=False, soft_wrap=True)
+            console.print(f"  {err}; once more", highlight=False, markup=False, soft_wrap=True)
             if has_tripped:
                 rig.reset()
             else:
@@ -151,7 +152,7 @@ def running(directory: Path, console: Console) -> Iterator[None]:
         )
         try:
             ready = _wait_until_ready(daemon, log)
-            console.print(f"daemon and emulator run: rig {RIG} at {ready.endpoint}")
+            console.print(f"daemon and emulator run: rig {RIG} at {ready.endpoint}", markup=False)
             yield
         finally:
             stop(daemon)
@@ -206,10 +207,10 @@ def _tell(console: Console, done: Study, directory: Path, pdf: Path) -> None:
     for recording, name in zip(done.recordings, ("step", "telegraph", "validation"), strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
         samples = f"{recording.samples.size} samples{missing}, sha256 {recording.short_hash}"
-        where.add_row(name, f"{_near(recording.path)}\n[dim]{samples}[/dim]")
-    where.add_row("figures", str(directory / "*.svg"))
-    where.add_row("daemon's log", str(directory / "armrigd.log"))
-    where.add_row("report", f"[bold]{pdf}[/bold]")
+        where.add_row(name, f"{escape(str(_near(recording.path)))}\n[dim]{samples}[/dim]")
+    where.add_row("figures", escape(str(directory / "*.svg")))
+    where.add_row("daemon's log", escape(str(directory / "armrigd.log")))
+    where.add_row("report", f"[bold]{escape(str(pdf))}[/bold]")
     console.print(where)
 
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import zenoh
 from armrig_core import protobuf, telemetry, topics
+from google.protobuf.message import DecodeError
 
-from armrig.session import NoReplyError, open_session
+from armrig.session import NoReplyError, RigError, open_session
 
 SILENCE_S = 1.0
 """After so long without a message the daemon is looked for, in s."""
@@ -42,7 +43,8 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
     NoReplyError
         There is no daemon, or it went away.
     RigError
-        The directory of this user's socket may be another user's.
+        The directory of this user's socket may be another user's; or a message is none of an
+        armrigd.
     ValueError
         The key is no stream of a rig.
     """
@@ -64,7 +66,7 @@ def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
         heard_s = time.monotonic()
         while True:
             while (received := subscriber.try_recv()) is not None:
-                yield decoded(name, received.payload.to_bytes())
+                yield _read(rig, name, received.payload.to_bytes())
                 heard_s = time.monotonic()
             if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
                 raise _gone(rig)
@@ -80,13 +82,13 @@ def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
 @contextmanager
 def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
     """Give a function that returns what has come of a key since it was last asked, at once."""
-    _, name = _stream_of(key)
+    rig, name = _stream_of(key)
     with session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber:
 
         def come() -> list[Any]:
             messages = []
             while (received := subscriber.try_recv()) is not None:
-                messages.append(decoded(name, received.payload.to_bytes()))
+                messages.append(_read(rig, name, received.payload.to_bytes()))
             return messages
 
         yield come
@@ -102,6 +104,16 @@ def decoded(name: str, payload: bytes) -> Any:
     # A later version's, with more fields.
     message = protobuf.message_class(protobuf.SAMPLE).FromString(payload)
     return telemetry.Sample._make(getattr(message, field) for field in telemetry.Sample._fields)
+
+
+def _read(rig: str, name: str, payload: bytes) -> Any:
+    """Return one message of a stream; raises RigError where it is none."""
+    try:
+        return decoded(name, payload)
+    except DecodeError as err:
+        msg = f"rig {rig}: {len(payload)} B of its stream {name!r} cannot be read ({err}); who "
+        msg += "published them is no armrigd, or one of another version"
+        raise RigError(msg) from err
 
 
 def _is_alive(session: zenoh.Session, rig: str) -> bool:

@@ -29,11 +29,11 @@ def bar(
     `note` is asked each time for what is to stand behind it.
     """
     columns = (
-        TextColumn("{task.description:12}"),
+        TextColumn("{task.description:12}", markup=False),
         BarColumn(30),
         TaskProgressColumn(),
         TimeRemainingColumn(compact=True),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
     )
     with Progress(*columns, console=console or Console(stderr=True)) as shown:
         task = shown.add_task(name, total=None, note="")

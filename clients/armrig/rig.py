@@ -16,7 +16,8 @@ from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.listening import arrivals, listen
-from armrig.session import RigError, default_endpoint, no_reply, open_session
+from armrig.replies import MalformedReplyError, refusal_of, reply_of
+from armrig.session import RigError, default_endpoint, no_daemon, no_reply, open_session
 
 Progress = Callable[[int, int], None]
 """Called with the samples taken and the samples asked for."""
@@ -321,17 +322,16 @@ class Rig:
         replies = self._connected().get(
             key, payload=payload, encoding="application/json", timeout=REPLY_S
         )
-        for reply in replies:
-            if reply.ok is not None:
-                return msgspec.json.decode(reply.ok.payload.to_bytes(), type=answer)
-            if reply.err is not None:
-                raise _refusal(request.name, reply.err.payload.to_bytes())
+        try:
+            for reply in replies:
+                if reply.ok is not None:
+                    return reply_of(request.name, reply.ok.payload.to_bytes(), answer)
+                if reply.err is not None:
+                    raise _refused(refusal_of(request.name, reply.err.payload.to_bytes()))
+        except MalformedReplyError as err:
+            raise no_daemon(self.rig, self.endpoint, str(err)) from err
         raise no_reply(self.rig, self.endpoint)
 
 
-def _refusal(name: str, payload: bytes) -> RefusedError:
-    try:
-        error = msgspec.json.decode(payload, type=commands.Refused).error
-    except msgspec.DecodeError:
-        error = f"{name}: {payload[:200].decode(errors='replace')}"
+def _refused(error: str) -> RefusedError:
     return BusyError(error) if error.endswith(commands.TRY_AGAIN) else RefusedError(error)

@@ -11,5 +11,8 @@ def scheduling(host: dict[str, Any]) -> list[str]:
         return ["nothing known yet"]
     fifo = host.get("fifo")
     said = [f"real-time scheduling at priority {fifo}" if fifo else "no real-time scheduling"]
-    said += [f"not allowed: {what}" for what in host.get("refused", [])]
+    refused = host.get("refused", [])
+    said += [
+        f"not allowed: {what}" for what in (refused if isinstance(refused, list) else [refused])
+    ]
     return said

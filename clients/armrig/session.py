@@ -9,10 +9,18 @@ from pathlib import Path, PurePosixPath
 
 import zenoh
 from armrig_core.endpoint import distrust, endpoint, socket_directory
+from armrig_core.printable import printable
+
+MOST_RECEIVED = 16 << 20
+"""Longest message that is received, in B; beyond it the connection ends."""
 
 
 class RigError(RuntimeError):
     """What a rig, or the way to it, refuses; says what to do."""
+
+    def __init__(self, message: str) -> None:
+        """Take the message; what others have put into it does not reach a terminal as it is."""
+        super().__init__(printable(message))
 
 
 class NoReplyError(RigError):
@@ -51,6 +59,8 @@ def open_session(connect: str | None, *, rig: str) -> zenoh.Session:
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/shared_memory/enabled", False),
+        # Longer than anything that a daemon sends: who listens there may be none.
+        ("transport/link/rx/max_message_size", MOST_RECEIVED),
     ):
         try:
             config.insert_json5(key, json.dumps(value))
@@ -87,4 +97,11 @@ def no_reply(rig: str, where: str) -> NoReplyError:
     return NoReplyError(
         f"no reply from rig {rig} at {where}: not running, or not permitted; "
         "start it with `armrigd run`, or give its endpoint with --connect"
+    )
+
+
+def no_daemon(rig: str, where: str, what: str) -> RigError:
+    """Return the error of what answers otherwise than a daemon of this version would."""
+    return RigError(
+        f"rig {rig} at {where}: {what}; what listens there is no armrigd, or one of another version"
     )

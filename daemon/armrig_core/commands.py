@@ -7,15 +7,20 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import msgspec
 from msgspec import Meta
 
+from armrig_core.printable import printable
 from armrig_core.rehearsal import Rehearsal
 from armrig_core.volts import U_MAX_V
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V, description="V")]
 Seconds = Annotated[float, Meta(gt=0, le=1, description="s")]
-Owner = Annotated[str, Meta(min_length=1, max_length=80)]
+Owner = Annotated[
+    str, Meta(min_length=1, max_length=80, description="1 to 80 characters that print")
+]
 Lease = Annotated[str, Meta(min_length=32, max_length=32)]
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{1,40}\Z", description="a-z, 0-9 and -")]
 Counter = Annotated[int, Meta(ge=0, lt=2**53)]
+Fact = str | int | float | bool | list[str | int | float | bool] | None
+"""What a daemon tells of a device or a host: nothing that is nested deeper."""
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -29,7 +34,7 @@ class Arm(Request, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "arm"
     owner: Owner
-    """Who takes it, for a person to read."""
+    """Who takes it, for a person to read: of characters that print, and not of blanks alone."""
     Ts: Seconds | None = None
     """Sampling time, in s; the configured one where it is left out."""
 
@@ -108,15 +113,15 @@ REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
 class LeaseGranted(msgspec.Struct, frozen=True, kw_only=True):
     """The rig is armed, at 0 V."""
 
-    lease: str
+    lease: Lease
     """To be carried by each command."""
     period_s: float
     """A held voltage falls to 0 V when no valid command came for so long, in s."""
-    Ts: float
+    Ts: Seconds
     """Sampling time in force, in s."""
-    u_min: float
+    u_min: Volts
     """Lowest voltage taken, in V."""
-    u_max: float
+    u_max: Volts
     """Highest voltage taken, in V."""
 
 
@@ -146,7 +151,7 @@ class LastRun(msgspec.Struct, frozen=True, kw_only=True):
     """Path; ends in .active while it is written."""
     finished: bool
     """Whether it is complete on the disk."""
-    samples: int
+    samples: Counter
     outcome: str
     """`complete`, or why it ended early; empty while it runs."""
 
@@ -166,16 +171,16 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     remedy: str = ""
     """What to do about the fault."""
     owner: str
-    Ts: float
-    u_min: float
-    u_max: float
+    Ts: Seconds
+    u_min: Volts
+    u_max: Volts
     endpoint: str
     """Where zenoh peers connect."""
-    device: dict[str, Any]
+    device: dict[str, Fact]
     """What the device said of itself."""
     line: str = ""
     """What came of a device that does not answer, and what to try; empty where it answers."""
-    host: dict[str, Any]
+    host: dict[str, Fact]
     """What the host allows: scheduling, locked memory."""
     last_run: LastRun | None
     recordings: str
@@ -217,6 +222,13 @@ def parse(name: str, payload: bytes) -> Requests:
     except RecursionError as err:
         msg = f"{name}: nested too deeply"
         raise ValueError(msg) from err
+    if isinstance(request, Arm) and not (request.owner.isprintable() and request.owner.strip()):
+        # It is shown to all who ask for the state: an escape sequence would reach their terminals.
+        msg = (
+            f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 characters that print, "
+        )
+        msg += "not blanks alone"
+        raise ValueError(msg)
     if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
         msg = f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
         raise ValueError(msg)

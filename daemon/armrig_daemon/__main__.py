@@ -15,6 +15,7 @@ from typing import Annotated, Any, NoReturn
 import msgspec
 import typer
 from armrig_core.endpoint import distrust, endpoint, socket_directory
+from armrig_core.printable import printable
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
@@ -143,7 +144,7 @@ def _emulated(config: Config) -> Iterator[Config]:
 
 
 def _refuse(message: str) -> NoReturn:
-    typer.echo(f"armrigd: {message}", err=True)
+    typer.echo(printable(f"armrigd: {message}", keep="\n"), err=True)
     raise typer.Exit(1)
 
 

@@ -19,6 +19,7 @@ import platformdirs
 from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
+from armrig_core.printable import printable
 from armrig_core.topics import check_rig_id
 from armrig_core.volts import U_MAX_V, code_of
 from armrig_protocol.messages import (
@@ -71,6 +72,12 @@ class Device(Table, frozen=True, kw_only=True):
 
     Where nobody says it, an emulated rig of `run --emulate` has the longest.
     """
+
+    def __post_init__(self) -> None:
+        """Refuse a port that would act on the terminals on which it is shown."""
+        if not self.port.isprintable():
+            msg = f"port = '{printable(self.port)}' must be of characters that print"
+            raise ValueError(msg)
 
 
 class Timing(Table, frozen=True, kw_only=True):

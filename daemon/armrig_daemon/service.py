@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, assert_never
 
 import zenoh
 from armrig_core import commands
+from armrig_core.printable import printable
 from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from msgspec.structs import replace
@@ -484,7 +485,7 @@ def _outgoing(sample: Sample, data: bytes) -> Outgoing:
 def _print(line: str) -> None:
     """Say a line to whoever reads our log; that there is nobody must not end the service."""
     with contextlib.suppress(OSError):
-        print(line, file=sys.stderr, flush=True)
+        print(printable(line), file=sys.stderr, flush=True)
 
 
 def _endpoint_error(endpoint: str, rig: str, err: Exception) -> str:

@@ -14,6 +14,7 @@ def test_a_command_is_read_with_its_fields() -> None:
     """JSON to a frozen value."""
     assert parse("arm", b'{"owner": "a student", "Ts": 0.01}') == Arm(owner="a student", Ts=0.01)
     assert parse("stop", b"") == Stop()
+    assert parse("arm", '{"owner": "Zoë 陈 [red]"}'.encode()) == Arm(owner="Zoë 陈 [red]")
 
 
 @pytest.mark.parametrize(
@@ -24,6 +25,16 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("arm", '{"owner": "x", "Ts": 0}', r"Ts"),
         ("arm", '{"owner": "x", "Tz": 0.01}', "unknown field `Tz`"),
         ("arm", "not json", "arm: "),
+        (
+            "arm",
+            '{"owner": "a\\u001b[2J"}',
+            r"owner 'a\\x1b\[2J': allowed are 1 to 80 .* print",
+        ),
+        ("arm", '{"owner": "a\\nb"}', r"owner 'a\\nb': allowed are 1 to 80"),
+        ("arm", '{"owner": "\\u009b31m"}', r"owner '\\x9b31m': allowed are 1 to 80"),
+        ("arm", '{"owner": "\\u202e"}', r"owner '\\u202e': allowed are 1 to 80"),
+        ("arm", '{"owner": "  "}', "owner '  ': allowed are .* not blanks alone"),
+        ("arm", f'{{"owner": "{81 * "x"}"}}', r"length <= 80.*\$.owner"),
         ("set", f'{{"lease": "{LEASE}", "n": 1, "u": 5.01}}', r"<= 5.0.*\$.u"),
         ("set", f'{{"lease": "{LEASE}", "n": 1, "u": -0.01}}', r">= 0.0.*\$.u"),
         ("set", f'{{"lease": "{LEASE}", "n": 1, "u": NaN}}', "set: "),

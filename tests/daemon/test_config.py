@@ -51,6 +51,11 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[arm]\nJ_1 = 0", r"arm\.J_1 = 0: expected `float` > 0"),
         ("[arm]\nJ_1 = inf", r"arm\.J_1 = inf: expected `float` <= 1000000"),
         ("[arm]\nJ_3 = 1", r"arm\.J_3 = 1: no such key; allowed are J_1, J_2"),
+        (
+            "[device]\nport = '/dev/tty\x9b'",
+            r"device: port = '/dev/tty\\x9b' must be of char",
+        ),
+        ('[device]\nport = "\\u001b[2J"', r"device: port = '\\x1b\[2J' must be of characters"),
         ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
         ("[rig]\nid = '../1'", r"rig id '\.\./1': 1 to 40 of a-z, 0-9 and - are allowed"),
         ("[emulator]\nbaud = 1", r"emulator: baud=1 must be from 9600"),

@@ -245,7 +245,7 @@ def _played(
 
     _ready(rig)
     rig.arm("armrig bench", 1 / rate.rate_hz)
-    pwm_bits = int(rig.status().device["pwm_bits"])
+    pwm_bits = int(str(rig.status().device["pwm_bits"]))
     try:
         path = rig.run(u, pacing=pacing, experiment="benchmark", progress=read)
     except RunEndedError as err:

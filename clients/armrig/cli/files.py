@@ -17,6 +17,7 @@ from armrig.cli.options import (
     Nb,
     Nf,
     Nk,
+    echo,
     print_json,
     print_table,
     tell,
@@ -146,7 +147,7 @@ def report(
     if json:
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
-        typer.echo(str(output))
+        echo(str(output))
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:

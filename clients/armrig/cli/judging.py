@@ -17,6 +17,7 @@ from armrig.cli.options import (
     Nb,
     Nf,
     Nk,
+    echo,
     print_json,
     tell,
     warned,
@@ -95,12 +96,12 @@ def validate(
         ]
         print_json({"model": str(model), "identified_from": fit.source} | facts)
         return
-    typer.echo(f"{account.heading(fit)}\nvalidated on {file} (recording {data.source[:12]})")
+    echo(f"{account.heading(fit)}\nvalidated on {file} (recording {data.source[:12]})")
     for table in tables:
         ahead = "simulated" if table.horizon is None else f"{table.horizon} ahead"
-        typer.echo(_row(f"{ahead:10}", table[0], table.unit))
-    typer.echo(f"  {tables[0].note}")
-    typer.echo("\n".join(account.of_tests(tests)))
+        echo(_row(f"{ahead:10}", table[0], table.unit))
+    echo(f"  {tables[0].note}")
+    echo("\n".join(account.of_tests(tests)))
 
 
 def compare(
@@ -168,11 +169,11 @@ def compare(
         print_json({"validation": data.source, "models": [row_facts(row) for row in table.rows]})
         return
     what = "simulated" if horizon is None else f"predicted {horizon} samples ahead"
-    typer.echo(f"{what} on {where} (recording {data.source[:12]})")
+    echo(f"{what} on {where} (recording {data.source[:12]})")
     width = max(8, *(len(name) for name in names))
     for row in table.rows:
-        typer.echo(_row(f"{row.name:{width}}", row, table.unit))
-    typer.echo(f"{table.table()}\n{table.explain()}")
+        echo(_row(f"{row.name:{width}}", row, table.unit))
+    echo(f"{table.table()}\n{table.explain()}")
 
 
 def _studied(recordings: list[Recording], *, na: int, nb: int, nf: int, nk: int) -> tuple[Any, str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, TextIO
 
 import typer
+from armrig_core.printable import json_printable, printable
 
 RigId = Annotated[str, typer.Option("--rig", help="Id of the rig.")]
 Connect = Annotated[
@@ -39,13 +40,22 @@ SAME_DATA = (
 def tell(message: str) -> None:
     """Print a line for the person, beside what was asked for."""
     with suppress(OSError):  # the terminal may be closed
-        line = f"armrig: {' '.join(message.split())}"
+        line = printable(f"armrig: {' '.join(message.split())}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
 
 
 def say(text: str) -> None:
     """Print what was asked for; on a terminal its long lines are broken between words."""
-    typer.echo(folded(text, _columns(sys.stdout)))
+    echo(folded(text, _columns(sys.stdout)))
+
+
+def echo(text: str) -> None:
+    """Print what was asked for as it is, but for what others may have put into it to hide.
+
+    Everything goes this way, or through the two that are named `print`: a name or a reason may
+    come from another user, or from a file of unknown origin.
+    """
+    typer.echo(printable(text, keep="\n"))
 
 
 def folded(text: str, columns: int, indent: int | None = None) -> str:
@@ -86,7 +96,7 @@ def print_json(value: Any) -> None:
     """Print a value as a line of JSON."""
     import msgspec
 
-    typer.echo(msgspec.json.encode(value))
+    typer.echo(json_printable(msgspec.json.encode(value).decode()))
 
 
 def print_table(*rows: tuple[str, str]) -> None:
@@ -94,7 +104,8 @@ def print_table(*rows: tuple[str, str]) -> None:
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
     for name, value in rows:
-        typer.echo(folded(f"{name:{width}}  {value}", columns, indent=width + 2))
+        line = printable(f"{name:{width}}  {value}")
+        typer.echo(folded(line, columns, indent=width + 2))
 
 
 def warned(recording: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from armrig.cli.drawing import Plot, check_plot, write_plot
-from armrig.cli.options import CalibrationFile, File, Json, print_json, warned
+from armrig.cli.options import CalibrationFile, File, Json, echo, print_json, warned
 from armrig.cli.rows import row_facts
 
 if TYPE_CHECKING:
@@ -89,8 +89,8 @@ def check(
             }
         )
         return
-    typer.echo(f"open loop (handout 3.7)\n{_indented(loop.explain())}")
-    typer.echo(f"delay (handout 3.8)\n{_indented(late.explain())}")
+    echo(f"open loop (handout 3.7)\n{_indented(loop.explain())}")
+    echo(f"delay (handout 3.8)\n{_indented(late.explain())}")
 
 
 def greybox(
@@ -134,7 +134,7 @@ def greybox(
         facts |= {"p_white": fit.whiteness, "N": fit.N, "Ts": fit.Ts}
         print_json(facts | {"converged": fit.converged, "warnings": fit.warnings})
         return
-    typer.echo(f"{fit!r}\n{fit.explain()}")
+    echo(f"{fit!r}\n{fit.explain()}")
 
 
 def split(
@@ -185,7 +185,7 @@ def split(
         facts = {"recording": data.source, "parameter": study.parameter, "splits": rows}
         print_json(facts | {"exponent": study.exponent})
         return
-    typer.echo(f"{study!r}\n{study.explain()}")
+    echo(f"{study!r}\n{study.explain()}")
 
 
 def simulate(
@@ -227,8 +227,8 @@ def simulate(
     if json:
         print_json({"recording": data.source, "models": [row_facts(row) for row in table.rows]})
         return
-    typer.echo(f"{table!r}\n{table.table()}")
-    typer.echo(table.explain())
+    echo(f"{table!r}\n{table.table()}")
+    echo(table.explain())
 
 
 def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
@@ -245,7 +245,7 @@ def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
         figures = ("steady_speed", "initial_slope", "rigid_slope")
         print_json({name: getattr(found, name) for name in figures} | roots)
         return
-    typer.echo(found.explain())
+    echo(found.explain())
 
 
 def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:

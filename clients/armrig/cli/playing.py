@@ -7,9 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import typer
-
-from armrig.cli.options import print_json, tell
+from armrig.cli.options import echo, print_json, tell
 
 SECONDS = 30.0
 _LONGEST_NAME = 40  # what the daemon takes as a kind of experiment
@@ -126,7 +124,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
             told |= {"rehearsal": done.rehearsal}
             print_json(told | {"verdict": verdict and verdict.facts()})
         else:
-            typer.echo(str(done.path))
+            echo(str(done.path))
         if verdict is None:
             tell("the recording lies where the daemon is: `armrig info` says there what it holds")
         elif not verdict.usable:

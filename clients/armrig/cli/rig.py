@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from armrig.cli.options import Connect, Json, RigId, print_json, print_table
+from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table
 
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
@@ -79,7 +79,7 @@ def stop(rig: RigId = "1", connect: Connect = None) -> None:
     """Bring the rig to 0 V, whoever has it."""
     with _opened(rig, connect) as opened:
         opened.stop()
-    typer.echo(f"rig {rig} was told to stop; `armrig status` says how it is")
+    echo(f"rig {rig} was told to stop; `armrig status` says how it is")
 
 
 def reset(rig: RigId = "1", connect: Connect = None) -> None:
@@ -87,9 +87,9 @@ def reset(rig: RigId = "1", connect: Connect = None) -> None:
     with _opened(rig, connect) as opened:
         was_latched = opened.reset()
     if was_latched:
-        typer.echo(f"rig {rig} was reset; `armrig status` says how it is")
+        echo(f"rig {rig} was reset; `armrig status` says how it is")
     else:
-        typer.echo(f"rig {rig}: nothing is latched, so there is nothing to reset")
+        echo(f"rig {rig}: nothing is latched, so there is nothing to reset")
 
 
 @contextmanager
@@ -119,9 +119,9 @@ def _watch(samples: Any) -> None:
 
 def _watch_in_lines(samples: Any) -> None:
     """Print a line for each sample, at once: a program reads them."""
-    typer.echo(_WATCH_HEADING)
+    echo(_WATCH_HEADING)
     for sample in samples:
-        typer.echo(_in_a_line(sample))
+        echo(_in_a_line(sample))
 
 
 def _in_a_line(sample: Any) -> str:

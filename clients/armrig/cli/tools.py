@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from armrig.cli.files import check_output
-from armrig.cli.options import Json, print_json
+from armrig.cli.options import Json, echo, print_json
 
 _LONGEST_DEMO_S = 600.0
 
@@ -68,7 +68,7 @@ def bench(
     plan = Plan(rates_hz=_rates(rates), seconds=seconds, burners=host.cpus if burn else 0)
     with Console(stderr=True).status("measuring") as status:
         result = Result(machine=host, plan=plan, rates=measure(plan, host, status.update))
-    typer.echo("\n".join(lines(result)))
+    echo("\n".join(lines(result)))
     if json is not None:
         import msgspec
 
@@ -90,7 +90,7 @@ def doctor(json: Json = False) -> None:
     if json:
         print_json(findings)
     else:
-        typer.echo("\n".join(map(str, findings)))
+        echo("\n".join(map(str, findings)))
     if not looks.is_well(findings):
         raise typer.Exit(1)
 

@@ -1,0 +1,55 @@
+"""What a daemon answered: read, or refused where it is nothing that a daemon answers."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import msgspec
+from armrig_core import commands
+
+MOST_BYTES = 1 << 20
+"""Longest reply that is read, in B; a daemon's longest have a few thousand."""
+_MOST_TOLD = 1000  # characters of an error
+
+_R = TypeVar("_R")
+
+
+class MalformedReplyError(ValueError):
+    """Nothing that a daemon of this version answers."""
+
+
+def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
+    """Return the reply to the command `name`.
+
+    Raises
+    ------
+    MalformedReplyError
+        It is too long, no JSON, or a field is missing or of another type; the message says which.
+    """
+    _check_length(name, payload)
+    try:
+        return msgspec.json.decode(payload, type=answer)
+    except (msgspec.DecodeError, UnicodeDecodeError) as err:  # ValidationError is one of the first
+        msg = f"the answer to {name!r} cannot be read: {err}"
+        raise MalformedReplyError(msg) from err
+    except RecursionError as err:
+        msg = f"the answer to {name!r} cannot be read: nested too deeply"
+        raise MalformedReplyError(msg) from err
+
+
+def refusal_of(name: str, payload: bytes) -> str:
+    """Return why the command `name` was refused; raises as `reply_of`, but not for plain text."""
+    _check_length(name, payload)
+    try:
+        error = reply_of(name, payload, commands.Refused).error
+    except MalformedReplyError:
+        error = f"{name}: {payload[:200].decode(errors='replace')}"
+    if len(error) > _MOST_TOLD:
+        error = f"{error[:_MOST_TOLD]} …"
+    return error
+
+
+def _check_length(name: str, payload: bytes) -> None:
+    if len(payload) > MOST_BYTES:
+        msg = f"the answer to {name!r} has {len(payload)} B, at most {MOST_BYTES} B are read"
+        raise MalformedReplyError(msg)

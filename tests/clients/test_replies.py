@@ -1,0 +1,218 @@
+"""What listens may be no daemon: whatever it answers is told in a line."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+from armrig.cli import main
+from armrig.replies import MOST_BYTES, MalformedReplyError, refusal_of, reply_of
+from armrig.rig import RefusedError, Rig
+from armrig.session import MOST_RECEIVED, NoReplyError, RigError
+from armrig_core.commands import Done, LeaseGranted, StatusReport
+from fake_daemon import FakeDaemon
+
+HOSTILE = "\x1b]0;mine\x07\x1b[2Ja rig\r\x9b[red]\u202e"
+
+
+class Rogue(FakeDaemon):
+    """Answers everything alike."""
+
+    body = b""
+    refuses = False
+
+    def _answer(self, query: zenoh.Query) -> None:
+        with query:
+            if self.refuses:
+                query.reply_err(self.body)
+            else:
+                query.reply(query.key_expr, self.body)
+
+
+@pytest.fixture
+def rogue(where: str) -> Iterator[Rogue]:
+    """Give what listens at the endpoint."""
+    with Rogue(where) as running:
+        yield running
+
+
+def _status(**changes: Any) -> bytes:
+    report = json.loads(msgspec.json.encode(FakeDaemon("unixsock-stream/x").status()))
+    return json.dumps(report | changes).encode()
+
+
+GARBAGE = {
+    "nothing": b"",
+    "no JSON": b"\x1b[2J<html>",
+    "no UTF-8": b'{"rig": "\xff"}',
+    "a number": b"7",
+    "a list": b"[]",
+    "no fields": b"{}",
+    "nested": b'{"device": ' + b'{"a":' * 100_000 + b"1" + b"}" * 100_001,
+    "words for a number": _status(Ts="soon"),
+    "no sampling time": _status(Ts=0),
+    "a voltage that destroys the rig": _status(u_max=12.0),
+    "a number that is none": _status(Ts=1).replace(b'"Ts": 1', b'"Ts": NaN'),
+    "a device nested": _status(device={"uid": {"a": []}}),
+    "a host that is none": _status(host=[1, 2]),
+    "a run of -1 samples": _status(
+        last_run={"run_id": "", "recording": "", "finished": True, "samples": -1, "outcome": ""}
+    ),
+    "too much": b'{"rig": "' + b"1" * MOST_BYTES + b'"}',
+}
+
+
+@pytest.mark.parametrize("body", GARBAGE.values(), ids=GARBAGE.keys())
+def test_a_reply_that_is_none_is_told(body: bytes) -> None:
+    """Which it was, and what is wrong with it."""
+    with pytest.raises(MalformedReplyError, match=r"^the answer to 'status' "):
+        reply_of("status", body, StatusReport)
+
+
+def test_a_reply_is_read() -> None:
+    """As the daemon wrote it."""
+    assert reply_of("status", _status(Ts=0.02), StatusReport).Ts == 0.02
+    assert reply_of("stop", b"{}", Done) == Done()
+
+
+@pytest.mark.parametrize(
+    ("payload", "error"),
+    [
+        (b'{"error": "wait"}', "wait"),
+        (b"wait", "stop: wait"),
+        (b'{"error": 7}', 'stop: {"error": 7}'),
+        (json.dumps({"error": "x" * 1001}).encode(), "x" * 1000 + " …"),
+    ],
+)
+def test_a_refusal_is_told_in_any_form(payload: bytes, error: str) -> None:
+    """Not more of it than a person reads."""
+    assert refusal_of("stop", payload) == error
+
+
+def test_a_refusal_that_is_too_long_is_not_read() -> None:
+    """Like any other reply."""
+    with pytest.raises(MalformedReplyError, match=f"at most {MOST_BYTES} B are read"):
+        refusal_of("stop", b" " * (MOST_BYTES + 1))
+
+
+@pytest.mark.parametrize("command", ["status", "stop", "reset"])
+@pytest.mark.parametrize("body", GARBAGE.values(), ids=GARBAGE.keys())
+def test_garbage_is_answered_with_one_line(
+    rogue: Rogue, where: str, command: str, body: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No traceback; nothing is said to be done, unless it was said to be."""
+    rogue.body = body
+
+    code = main([command, "--connect", where])
+
+    told = capsys.readouterr()
+    if command != "status" and code == 0:
+        assert reply_of(command, body, Done).done
+        return
+    assert code == 1
+    assert told.out == ""
+    assert told.err.startswith("armrig: rig 1 at unixsock-stream/")
+    assert told.err.endswith("no armrigd, or one of another version\n")
+    assert told.err.count("\n") == 1
+    assert told.err[:-1].isprintable()
+
+
+def test_an_answer_that_is_beyond_all_measure_is_not_received(
+    rogue: Rogue, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody has answered then."""
+    monkeypatch.setattr("armrig.rig.REPLY_S", 1.0)
+    rogue.body = b" " * (MOST_RECEIVED + (1 << 20))
+
+    with Rig(connect=where) as rig, pytest.raises(NoReplyError, match="no reply from rig 1"):
+        rig.status()
+
+
+def test_a_lease_that_is_none_is_not_taken(rogue: Rogue, where: str) -> None:
+    """Nor one that allows more than any rig stands."""
+    granted = {"lease": "0" * 32, "period_s": 0.1, "Ts": 0.01, "u_min": 0.0, "u_max": 5.0}
+    with Rig(connect=where) as rig:
+        for wrong in ({"lease": ""}, {"Ts": 0.0}, {"u_max": 24.0}, {"u_min": "0"}):
+            rogue.body = json.dumps(granted | wrong).encode()
+            with pytest.raises(RigError, match="the answer to 'arm' cannot be read"):
+                rig.arm("me")
+    assert reply_of("arm", json.dumps(granted).encode(), LeaseGranted).u_max == 5.0
+
+
+def test_what_a_refusal_says_does_nothing_to_a_terminal(rogue: Rogue, where: str) -> None:
+    """For programs that print the exception, too."""
+    rogue.body, rogue.refuses = json.dumps({"error": HOSTILE}).encode(), True
+
+    with Rig(connect=where) as rig, pytest.raises(RefusedError, match="a rig") as refused:
+        rig.stop()
+
+    assert str(refused.value).isprintable()
+
+
+@pytest.mark.parametrize("name", ["sample", "state", "event", "gap", "timing", "clock"])
+def test_a_message_that_is_none_is_told(rogue: Rogue, where: str, name: str) -> None:
+    """To who iterates, and to who asks what has come."""
+    with Rig(connect=where) as rig, rig.arrivals(name) as come:
+        stream = rig.stream(name)
+        with _publishing(rogue, name):
+            with pytest.raises(RigError, match=f"of its stream '{name}' cannot be read"):
+                next(stream)
+            with pytest.raises(RigError, match="no armrigd, or one of another version"):
+                come()
+
+
+@contextmanager
+def _publishing(rogue: Rogue, name: str) -> Iterator[None]:
+    """Publish what is no message, again and again: who has just subscribed misses the first."""
+    ended = threading.Event()
+
+    def publish() -> None:
+        while not ended.wait(0.01):
+            rogue.session.put(f"rig/1/{name}", b"\xff" * 10)
+
+    publisher = threading.Thread(target=publish)
+    publisher.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        publisher.join()
+
+
+def test_what_a_status_says_does_nothing_to_a_terminal(
+    rogue: Rogue, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In words or as JSON, whose value stays what it is."""
+    text = dict.fromkeys(
+        ("rig", "version", "phase", "reason", "fault", "motor", "remedy", "owner"), HOSTILE
+    )
+    text |= dict.fromkeys(("endpoint", "recordings", "calibration"), HOSTILE)
+    rogue.body = _status(
+        **text,
+        device={HOSTILE: HOSTILE, "list": [HOSTILE]},
+        host={"fifo": HOSTILE, "refused": HOSTILE},
+        last_run={
+            "run_id": HOSTILE,
+            "recording": HOSTILE,
+            "finished": True,
+            "samples": 1,
+            "outcome": HOSTILE,
+        },
+    )
+
+    assert main(["status", "--connect", where]) == 0
+    told = capsys.readouterr().out
+    assert main(["status", "--connect", where, "--json"]) == 0
+    as_json = capsys.readouterr().out
+
+    assert told.replace("\n", "").isprintable()
+    assert told.count("a rig\\r\\x9b[red]\\u202e") == 18
+    assert len(told.splitlines()) == 14
+    assert as_json[:-1].isprintable()
+    assert json.loads(as_json)["owner"] == HOSTILE

@@ -1,0 +1,102 @@
+"""Names and reasons that others wrote are shown, and do nothing to a terminal."""
+
+from __future__ import annotations
+
+import json
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.cli.options import tell
+from armrig.progress import bar
+from armrig_core.manifest import Outcome
+from recordings import event, gap, manifest, of_the_arm, recorded, sample, written
+from rich.console import Console
+
+HOSTILE = "\x1b]0;mine\x07\x1b[2Ja rig\r\n\x9b[red]\u202e"
+SHOWN = r"\x1b]0;mine\x07\x1b[2Ja rig\r\n\x9b[red]\u202e"
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Give a recording whose every text is somebody's who means no good."""
+    told = manifest(
+        run_id=HOSTILE,
+        experiment=HOSTILE,
+        details={HOSTILE: HOSTILE, "list": [HOSTILE]},
+        started=HOSTILE,
+        armrig=HOSTILE,
+        protocol=HOSTILE,
+        device={"uid": HOSTILE, "adc_bits": 10, "pwm_bits": 10},
+        host={HOSTILE: HOSTILE},
+    )
+    messages = [sample(k) for k in range(5)] + [gap(5, 1, 1.0, HOSTILE)]
+    messages += [sample(k) for k in range(6, 10)] + [event(9, HOSTILE)]
+    outcome = Outcome(outcome=HOSTILE, samples=9, missing=1)
+    return written(tmp_path, recorded(messages, manifest=told, outcome=outcome))
+
+
+def test_a_recording_s_texts_do_nothing_to_a_terminal(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file may come from anywhere; each line is still one."""
+    assert main(["info", str(recording)]) == 0
+    told = capsys.readouterr()
+
+    assert told.out.replace("\n", "").isprintable()
+    assert told.err.replace("\n", "").isprintable()
+    for name in ("run", "experiment", "outcome", "gap"):
+        (line,) = (line for line in told.out.splitlines() if line.startswith(f"{name} "))
+        assert SHOWN in line
+
+
+def test_a_recording_as_json_keeps_its_texts(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Escaped as JSON does: programs read the very text."""
+    assert main(["info", str(recording), "--json"]) == 0
+    told = capsys.readouterr().out
+
+    assert told[:-1].isprintable()
+    facts = json.loads(told)
+    assert facts["manifest"]["experiment"] == HOSTILE
+    assert facts["outcome"]["outcome"] == HOSTILE
+    assert facts["gaps"][0]["reason"] == facts["events"][0]["message"] == HOSTILE
+
+
+def test_a_file_s_own_name_does_nothing_to_a_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As an error, and as what was read."""
+    hostile = tmp_path / "\x1b[2J\x9b.mcap"
+    assert main(["info", str(hostile)]) == 1
+    hostile.write_bytes(of_the_arm(np.full(50, 1.0)))
+    assert main(["info", str(hostile)]) == 0
+    told = capsys.readouterr()
+
+    assert "\\x1b[2J\\x9b.mcap" in told.err
+    assert "\\x1b[2J\\x9b.mcap" in told.out
+    assert (told.out + told.err).replace("\n", "").isprintable()
+
+
+def test_a_line_beside_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is told, errors too."""
+    tell(f"held by {HOSTILE}")
+
+    assert capsys.readouterr().err == (
+        "armrig: held by \\x1b]0;mine\\x07\\x1b[2Ja rig \\x9b[red]\\u202e\n"
+    )
+
+
+def test_brackets_are_no_markup_beside_a_bar() -> None:
+    """A name is shown as it is."""
+    shown = StringIO()
+    console = Console(file=shown, force_terminal=True, width=120)
+
+    with bar("[red]a name", console, note=lambda: "[bold]a note") as progress:
+        progress(1, 2)
+
+    assert "[red]a name" in shown.getvalue()
+    assert "[bold]a note" in shown.getvalue()

@@ -1,0 +1,43 @@
+"""Text of others does nothing to a terminal."""
+
+from __future__ import annotations
+
+import json
+
+from armrig_core.printable import json_printable, printable
+from hypothesis import given
+from hypothesis import strategies as st
+
+HOSTILE = "\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800"
+
+
+def test_what_prints_stays_as_it_is() -> None:
+    """In any script."""
+    assert printable("Zoë Ångström, 陈 [red] α\\n") == "Zoë Ångström, 陈 [red] α\\n"
+
+
+def test_what_does_not_print_is_escaped() -> None:
+    """Escape sequences of seven and eight bits, marks of direction, halves of a pair."""
+    assert printable(HOSTILE) == (r"\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800")
+
+
+def test_line_breaks_are_kept_where_they_are_ours() -> None:
+    """In a table of several lines."""
+    assert printable("a\nb\r", keep="\n") == "a\nb\\r"
+    assert printable("a\nb") == r"a\nb"
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_all_text_prints_once_it_is_escaped(text: str) -> None:
+    """And what prints is not touched."""
+    assert printable(text).isprintable()
+    assert printable(printable(text)) == printable(text)
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_json_keeps_its_value(text: str) -> None:
+    """Whoever reads it gets the very characters."""
+    shown = json_printable(json.dumps({"owner": text}, ensure_ascii=False))
+
+    assert shown.isprintable()
+    assert json.loads(shown) == {"owner": text}
