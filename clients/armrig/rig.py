@@ -25,6 +25,7 @@ Progress = Callable[[int, int], None]
 REPLY_S = 5.0
 """How long a reply may take, in s."""
 _POLL_S = 0.1
+_AGAIN_S = 0.02  # until what was refused for the moment is tried again
 # For what the daemon refuses only until it, or the device, is ready. It reports its timing once a
 # second, and a stall may spoil two reports: the next one is clean.
 _SETTLE_S = 2.5
@@ -95,8 +96,8 @@ class Rig:
             self._session = None
 
     def status(self) -> commands.StatusReport:
-        """Return how the daemon is."""
-        return self._ask(commands.Status(), commands.StatusReport)
+        """Return how the daemon is; asks again, for up to 2.5 s, where others ask too much."""
+        return self._ask_again(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
         """Take the rig, at 0 V; asks again, for up to 2.5 s, what is refused for the moment only.
@@ -212,9 +213,12 @@ class Rig:
         self, request: commands.Run, run: commands.RunAccepted, progress: Progress
     ) -> commands.LastRun:
         while True:
+            wait_s = _AGAIN_S
             # In a flood of others' commands ours may be refused: the run goes on, and so do we.
+            # One try at a time: a sign of life must not wait behind several.
             with suppress(BusyError):
-                status = self.status()
+                status = self._ask(commands.Status(), commands.StatusReport)
+                wait_s = _POLL_S
                 last = status.last_run
                 if last is None or last.run_id != run.run_id:
                     msg = f"the daemon does not know the run {run.run_id} any more: it was "
@@ -229,7 +233,7 @@ class Rig:
                 # Here, in whose wait it is: a thread would give signs for a client that hangs.
                 with suppress(RefusedError):  # it has just ended
                     self._ask(commands.Renew(**self._stamp()), commands.Done)
-            time.sleep(_POLL_S)
+            time.sleep(wait_s)
 
     def set(self, u: float) -> None:
         """Hold a voltage until the next `set`, or the end of the lease's period.
@@ -314,7 +318,7 @@ class Rig:
             except BusyError:
                 if time.monotonic() > until:
                     raise
-            time.sleep(_POLL_S / 5)
+            time.sleep(_AGAIN_S)
 
     def _ask(self, request: commands.Request, answer: type[_R]) -> _R:
         key = topics.command_key(self.rig, request.name)

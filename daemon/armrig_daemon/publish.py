@@ -16,13 +16,15 @@ from armrig_core import protobuf
 from armrig_core.commands import REQUESTS, Refused, Renew, Status, Stop, json_schema
 from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
 
-from armrig_daemon import door
+from armrig_daemon import door, rate
 
 MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
 MOST_BYTES = 32 << 20  # an experiment of a million samples as JSON takes 20 MB
 _URGENT = (Stop.name, Renew.name)
 """Commands with a thread of zenoh's for themselves: none of the others stands before them."""
+_SCHEMA = "schema"
+_COUNTED = (*REQUESTS, _SCHEMA)
 
 
 class Kind(Enum):
@@ -105,9 +107,7 @@ class Command:
         """Answer with an error for a person."""
         query, self._query = self._query, None
         if query is not None:
-            refused = msgspec.json.encode(Refused(error=error))
-            query.reply_err(refused, encoding="application/json")
-            query.drop()
+            _refuse(query, error)
 
 
 class Session:
@@ -124,6 +124,7 @@ class Session:
         self.lease = b""  # the one in force; without it no command of a holder is let in
         self._waiting = {kind: queue.Queue[Command](MOST_WAITING) for kind in Kind}
         self._wake = wake
+        self._buckets: dict[str, rate.Bucket] = {}
         self._session = zenoh.open(session_config(endpoint))
         self._publishers = {
             stream: self._session.declare_publisher(
@@ -168,16 +169,30 @@ class Session:
         return not all(waiting.empty() for waiting in self._waiting.values())
 
     def _serve(self, query: zenoh.Query) -> None:
+        if self._is_too_many(_SCHEMA):
+            _refuse(query, rate.refusal(_SCHEMA))
+            return
         with query:
             for key, data in self._served.items():
                 if query.key_expr.intersects(zenoh.KeyExpr(key)):
                     query.reply(key, data)
 
     def _take(self, query: zenoh.Query) -> None:
-        if _name(query) in _URGENT:
+        name = _name(query)
+        if name in _URGENT:
             query.drop()  # it comes on its own way, too
+        elif name not in door.LEASED and self._is_too_many(name):
+            _refuse(query, rate.refusal(name))
         else:
             self._let_in(query)
+
+    def _is_too_many(self, name: str) -> bool:
+        """Count a question that needs no lease. Only zenoh's thread of its queryable asks."""
+        kind = name if name in _COUNTED else ""  # all that there are not are of one kind
+        left = rate.take(self._buckets.get(kind, rate.Bucket()), time.monotonic())
+        if left is not None:
+            self._buckets[kind] = left
+        return left is None
 
     def _let_in(self, query: zenoh.Query) -> None:
         command = Command(_name(query), query)
@@ -190,6 +205,12 @@ class Session:
         except queue.Full:
             command.refuse("too many commands are waiting: try again")
         self._wake()
+
+
+def _refuse(query: zenoh.Query, error: str) -> None:
+    refused = msgspec.json.encode(Refused(error=error))
+    query.reply_err(refused, encoding="application/json")
+    query.drop()
 
 
 def _name(query: zenoh.Query) -> str:

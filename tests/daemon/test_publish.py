@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 import tempfile
+import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import zenoh
+from armrig_daemon import rate
 from armrig_daemon.publish import Command, Kind, Session
+from armrig_daemon.rate import BURST
 
 WITHIN_S = 5.0
 SPREAD_S = 0.5
@@ -117,3 +122,127 @@ def test_nobody_else_stands_for_a_daemon(session: Session, where: str, mode: str
         _until(lambda: alive() == 0)
         for token in tokens:  # it is withdrawn where nobody keeps it
             token.undeclare()
+
+
+MOST_AT_ONCE = 20
+"""Fewer than may wait for the service, which is another bound."""
+LEASE = "0123456789abcdef" * 2
+
+
+@contextmanager
+def _answering(session: Session) -> Iterator[Counter[str]]:
+    """Answer all that gets in, and count it, as the service's thread does."""
+    let_in: Counter[str] = Counter()
+    ended = threading.Event()
+
+    def answer() -> None:
+        while not ended.wait(0.001):
+            for kind in Kind:
+                for command in session.waiting(kind):
+                    let_in[command.name] += 1
+                    command.answer("ours")
+
+    service = threading.Thread(target=answer)
+    service.start()
+    try:
+        yield let_in
+    finally:
+        ended.set()
+        service.join()
+
+
+class _Asking:
+    """Asks without waiting for the answers, and counts them: "" is one that is no refusal."""
+
+    def __init__(self, asking: zenoh.Session) -> None:
+        self._session = asking
+        self.sent = 0
+        self.answers: Counter[str] = Counter()
+
+    def ask(self, key: str, payload: str = "") -> None:
+        self.sent += 1
+        self._session.get(f"rig/1/{key}", self._answered, payload=payload, timeout=30)
+
+    def _answered(self, reply: zenoh.Reply) -> None:
+        error = "" if reply.err is None else json.loads(reply.err.payload.to_bytes())["error"]
+        self.answers[error] += 1
+
+
+@pytest.fixture
+def unfilled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no token come again, so that however slow the machine is a burst is all."""
+    monkeypatch.setattr(rate, "PER_S", 0)
+
+
+@pytest.mark.usefixtures("unfilled")
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [
+        ("cmd/status", "status"),
+        ("cmd/arm", "arm"),
+        ("cmd/reset", "reset"),
+        ("cmd/explode", "explode"),
+        ("schema/armrig.v1.Sample", "schema"),
+    ],
+)
+def test_a_flood_is_answered_up_to_a_bound(
+    session: Session, where: str, key: str, name: str
+) -> None:
+    """Each one is answered: those beyond the bound with a refusal, before anybody reads them."""
+    with _answering(session) as let_in, _connected(where) as stranger:
+        asking = _Asking(stranger)
+        for _ in range(2 * BURST):
+            asking.ask(key)
+            _until(lambda: asking.sent - asking.answers.total() < MOST_AT_ONCE)
+        _until(lambda: asking.answers.total() == asking.sent)
+
+    assert asking.answers == {"": BURST, rate.refusal(name): asking.sent - BURST}
+    assert let_in[name] == (0 if name == "schema" else BURST)
+
+
+@pytest.mark.usefixtures("unfilled")
+def test_names_that_there_are_not_share_one_bound(session: Session, where: str) -> None:
+    """Else each would have one of its own, and there is no end to names."""
+    with _answering(session), _connected(where) as stranger:
+        asking = _Asking(stranger)
+        for k in range(2 * BURST):
+            asking.ask(f"cmd/explode-{k}")
+            _until(lambda: asking.sent - asking.answers.total() < MOST_AT_ONCE)
+        _until(lambda: asking.answers.total() == asking.sent)
+
+    assert asking.answers[""] == BURST
+
+
+@pytest.mark.usefixtures("unfilled")
+def test_a_flood_holds_up_no_stop_and_nothing_of_the_holder_s(session: Session, where: str) -> None:
+    """They are not counted, neither with the flood nor by themselves."""
+    session.lease = LEASE.encode()
+    ended = threading.Event()
+    with (
+        _answering(session) as let_in,
+        _connected(where) as stranger,
+        _connected(where) as holder,
+    ):
+        flood, asking = _Asking(stranger), _Asking(holder)
+
+        def pour() -> None:
+            while not ended.wait(0.001):
+                if flood.sent - flood.answers.total() < 200:
+                    for name in ("status", "arm", "reset", "explode") * 5:
+                        flood.ask(f"cmd/{name}")
+
+        pouring = threading.Thread(target=pour)
+        pouring.start()
+        try:
+            _until(lambda: any("too many queries" in told for told in flood.answers))
+            for name in ("stop", "renew", "set", "disarm"):
+                for _ in range(2 * BURST):
+                    asking.ask(f"cmd/{name}", f'{{"lease": "{LEASE}"}}')
+                    _until(lambda: asking.sent - asking.answers.total() < MOST_AT_ONCE)
+            _until(lambda: asking.answers.total() == asking.sent)
+        finally:
+            ended.set()
+            pouring.join()
+
+    assert asking.answers == {"": asking.sent}
+    assert {let_in[name] for name in ("stop", "renew", "set", "disarm")} == {2 * BURST}

@@ -1,0 +1,33 @@
+"""How often anybody may ask: a bucket of tokens for each kind of question, filled at a steady rate.
+
+Judged on zenoh's thread before anything else is done with a question. A stop, a sign of life and
+what carries the lease in force are never counted: a flood of others must not hold them up.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+PER_S = 200
+"""Questions of a kind that are answered each second, by whomever they are asked."""
+BURST = 100
+"""As many may come at once after a time of rest."""
+
+
+class Bucket(NamedTuple):
+    """What may still be asked at a time."""
+
+    tokens: float = BURST
+    at_s: float = 0.0
+    """When there were so many, on the monotonic clock."""
+
+
+def take(bucket: Bucket, now_s: float) -> Bucket | None:
+    """Return the bucket after one more question, None where it is one too many."""
+    tokens = min(BURST, bucket.tokens + PER_S * (now_s - bucket.at_s))
+    return Bucket(tokens - 1, now_s) if tokens >= 1 else None
+
+
+def refusal(name: str) -> str:
+    """Return what one too many is told."""
+    return f"{name}: too many queries, at most {PER_S} a second are answered: try again"

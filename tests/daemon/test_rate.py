@@ -1,0 +1,65 @@
+"""How often anybody may ask, on a clock that is moved by hand."""
+
+from __future__ import annotations
+
+from armrig_core.commands import TRY_AGAIN
+from armrig_daemon.rate import BURST, PER_S, Bucket, refusal, take
+from hypothesis import given
+from hypothesis import strategies as st
+
+NOW_S = 1e6
+
+
+def _asked(bucket: Bucket, now_s: float, times: int) -> tuple[Bucket, int]:
+    """Return the bucket after so many questions at once, and how many were let in."""
+    let_in = 0
+    for _ in range(times):
+        left = take(bucket, now_s)
+        if left is not None:
+            bucket, let_in = left, let_in + 1
+    return bucket, let_in
+
+
+def test_a_burst_after_a_rest_is_let_in_and_no_more() -> None:
+    """However long the rest was."""
+    assert _asked(Bucket(), NOW_S, 10 * BURST)[1] == BURST
+
+
+def test_a_flood_is_let_in_at_the_steady_rate() -> None:
+    """Those that are refused cost the others nothing."""
+    bucket, _ = _asked(Bucket(), NOW_S, 10 * BURST)
+    in_all = 0
+    for ms in range(1, 10_001):
+        bucket, let_in = _asked(bucket, NOW_S + ms / 1000, 3)
+        in_all += let_in
+
+    assert abs(in_all - 10 * PER_S) <= 1
+
+
+def test_who_asks_below_the_rate_is_never_refused() -> None:
+    """For as long as he likes."""
+    bucket: Bucket | None = Bucket()
+    for k in range(10_000):
+        assert bucket is not None
+        bucket = take(bucket, NOW_S + k / (0.99 * PER_S))
+    assert bucket is not None
+
+
+@given(st.lists(st.floats(0, 0.1), min_size=1, max_size=500))
+def test_no_stretch_of_time_lets_in_more_than_a_burst_and_its_share(waits: list[float]) -> None:
+    """Whatever the questions' times."""
+    bucket, now_s, in_all = Bucket(), NOW_S, 0
+    for wait_s in waits:
+        now_s += wait_s
+        bucket, let_in = _asked(bucket, now_s, 1)
+        in_all += let_in
+
+    assert in_all <= BURST + PER_S * (now_s - NOW_S) + 1
+
+
+def test_one_too_many_is_told_the_bound_and_that_it_passes() -> None:
+    """A client asks again by itself."""
+    told = refusal("status")
+
+    assert told == "status: too many queries, at most 200 a second are answered: try again"
+    assert told.endswith(TRY_AGAIN)
