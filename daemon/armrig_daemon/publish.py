@@ -45,23 +45,37 @@ def kind_of(name: str) -> Kind:
     return Kind.LEASED if name in door.LEASED else Kind.OTHER
 
 
-_NOTHING_OF_OTHERS = {
+def _denied(what: str, flow: str, messages: list[str]) -> dict[str, Any]:
+    return {
+        "id": what,
+        "permission": "deny",
+        "flows": [flow],
+        "messages": messages,
+        "key_exprs": ["**"],
+    }
+
+
+_OURS_ALONE = (
+    _denied(
+        "what only the daemon does",
+        "ingress",
+        ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
+    ),
+    # A peer that says it is a router is passed all questions, queryable or not.
+    _denied("what only the daemon hears", "egress", ["query"]),
+)
+_ACCESS_CONTROL = {
     "enabled": True,  # without it all of this is passed over in silence
     "default_permission": "allow",
-    "rules": [
-        {
-            "id": "what only the daemon does",
-            "permission": "deny",
-            "flows": ["ingress"],
-            "messages": ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
-            "key_exprs": ["**"],
-        }
-    ],
+    "rules": list(_OURS_ALONE),
     "subjects": [{"id": "all who connect"}],
-    "policies": [{"rules": ["what only the daemon does"], "subjects": ["all who connect"]}],
+    "policies": [
+        {"rules": [rule["id"] for rule in _OURS_ALONE], "subjects": ["all who connect"]},
+    ],
 }
 """What who connects may not do: publish, answer, or stand for a daemon. We would pass it on, and
-the others could not tell it from ours: zenoh's source of a sample is what its sender writes."""
+the others could not tell it from ours: zenoh's source of a sample is what its sender writes. Nor
+may he hear what others ask: a command carries the lease."""
 
 
 def session_config(endpoint: str) -> zenoh.Config:
@@ -73,7 +87,7 @@ def session_config(endpoint: str) -> zenoh.Config:
                 "listen": {"endpoints": [endpoint]},
                 "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
                 "adminspace": {"enabled": False},
-                "access_control": _NOTHING_OF_OTHERS,
+                "access_control": _ACCESS_CONTROL,
                 "transport": {
                     "shared_memory": {"enabled": False},
                     "link": {

@@ -83,9 +83,11 @@ def test_nobody_else_publishes_what_a_watcher_hears(
 
 @pytest.mark.parametrize("mode", MODES)
 def test_nobody_else_answers_a_question(session: Session, where: str, mode: str) -> None:
-    """Not even one whose queryable is of the very command."""
+    """Nor hears it, with the lease that it may carry: not even with a queryable of the command."""
+    overheard: list[str] = []
 
     def forge(query: zenoh.Query) -> None:
+        overheard.append(str(query.key_expr))
         with query:
             query.reply(query.key_expr, FORGED)
 
@@ -105,6 +107,7 @@ def test_nobody_else_answers_a_question(session: Session, where: str, mode: str)
             for command in commands:
                 command.answer("ours")
             assert [r.ok.payload.to_bytes() for r in replies if r.ok] == [b'"ours"']
+    assert overheard == []
 
 
 @pytest.mark.parametrize("mode", MODES)
