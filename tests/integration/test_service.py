@@ -172,6 +172,19 @@ def test_a_bad_configuration_is_refused_in_one_line(
     assert daemon.said.count("\n") == 1
 
 
+def test_a_directory_of_sockets_that_others_can_write_to_is_refused(bench: Bench) -> None:
+    """Who can would put a socket of his own there; its clients would refuse it, too."""
+    sockets = bench.folder / "armrig"
+    sockets.mkdir()
+    sockets.chmod(0o777)
+
+    daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+
+    assert daemon.popen.wait(WITHIN_S) == 1
+    assert f"{sockets}: can be written by other users (mode 777, not 700); set XDG" in daemon.said
+    assert daemon.said.count("\n") == 1
+
+
 def test_a_port_that_is_not_there_is_said(bench: Bench) -> None:
     """One line, exit code not 0."""
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
