@@ -52,7 +52,8 @@ def test_at_the_start_nothing_is_known() -> None:
     state = core.start(rules)
 
     assert (state.rules, state.ts_us) == (rules, rules.ts_us)
-    known = {"rules", "ts_us", "phase", "clock"}
+    assert state.came == (0, 0)
+    known = {"rules", "ts_us", "phase", "clock", "came"}
     unknown = {f: getattr(state, f) for f in state.__struct_fields__ if f not in known}
     assert {f for f, value in unknown.items() if value} == {"k", "told"}
     assert (state.k, state.told, state.phase) == (-1, -1, Phase.INIT)
@@ -181,16 +182,18 @@ def test_k_wraps_on_the_wire_and_nowhere_else() -> None:
 
 
 def test_no_tick_sends_anything_without_a_device() -> None:
-    """Time goes on all the same; T1: but for the question who is there, should nobody ask it."""
+    """Time goes on all the same; T1: but for the question who is there, when it is due."""
     state = rested().loop.state
     nobody = replace(state, device=None)
-    for gone in (replace(state, link_up=False), awaiting(nobody, Want.HELLO)):
+    asked = awaiting(nobody, Want.HELLO, sent_ns=state.tick_ns)
+    for gone in (replace(state, link_up=False), asked):
         decided = _tick(gone, state.tick_ns + TS)
         assert decided.actions == []
         assert decided.state.k == state.k + 1
-    decided = _tick(nobody, state.tick_ns + TS)
-    assert [type(m) for m in decided.sent] == [Hello]
-    assert decided.state.asked is not None
+    for gone, now_ns in ((nobody, state.tick_ns + TS), (asked, state.tick_ns + 100 * MS)):
+        decided = _tick(gone, now_ns)
+        assert [type(m) for m in decided.sent] == [Hello]
+        assert decided.state.asked is not None
 
 
 @pytest.mark.parametrize("ahead", [1, 2, 4])
