@@ -16,8 +16,8 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.records import Play, RunStarted, Take
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag
+from made_recordings import manifest, recorded, sample
 from numpy.typing import NDArray
-from recordings import manifest, recorded, sample
 
 LEASE = "a" * 32
 TS = 0.01

@@ -9,6 +9,9 @@ from pathlib import Path, PurePosixPath
 import pytest
 from armrig_core.endpoint import endpoint
 from fake_daemon import FakeDaemon
+from handout_plant import plant, reference
+
+__all__ = ["plant", "reference"]
 
 
 @pytest.fixture
@@ -29,7 +32,7 @@ def daemon(where: str) -> Iterator[FakeDaemon]:
 def three_recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     """Give a step, a telegraph and another one with a gap, of the handout's arm."""
     from armrig.excitation import step, telegraph
-    from recordings import of_the_arm, written
+    from made_recordings import of_the_arm, written
 
     directory = tmp_path_factory.mktemp("recordings")
     inputs = (

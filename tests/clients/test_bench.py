@@ -22,7 +22,7 @@ from armrig.bench.turns import ROUNDS, Plan
 from armrig.cli import main
 from armrig.session import RigError
 from armrig_core.volts import applied_code, code_of, volts_of
-from recordings import recorded, sample, written
+from made_recordings import recorded, sample, written
 
 SAID = """\
 # /dev/cpu_dma_latency set to 0us

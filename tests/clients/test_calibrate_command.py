@@ -18,8 +18,8 @@ from armrig.recording import RecordingError, load
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from calibration_rig import recording_of
-from recordings import recorded, sample, written
-from test_calibration import D, made_turns, still
+from made_recordings import recorded, sample, written
+from made_turns import D, made_turns, still
 
 TURNED = made_turns(noise=32.0, direction=-1)
 

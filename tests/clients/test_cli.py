@@ -25,7 +25,7 @@ from armrig.scheduling import scheduling
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
-from recordings import gap, manifest, of_the_arm, recorded, sample, timing, written
+from made_recordings import gap, manifest, of_the_arm, recorded, sample, timing, written
 from rich.console import Console
 
 READERS = (["info"], ["identify", "--structure", "arx"], ["compare"], ["report"])

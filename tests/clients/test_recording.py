@@ -27,8 +27,7 @@ from armrig_core.manifest import RUN, Manifest, Outcome
 from armrig_protocol.messages import Flag
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import CompressionType, Writer
-from recordings import (
+from made_recordings import (
     POT,
     TS,
     event,
@@ -40,6 +39,7 @@ from recordings import (
     turning,
     written,
 )
+from mcap.writer import CompressionType, Writer
 
 IDENTITY = Calibration(theta_1=Potentiometer(rad_per_count=tau / 65536))
 

@@ -18,7 +18,7 @@ from armrig.trend import Trend
 from armrig.verdict import verdict
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
-from recordings import of_the_arm, recorded, sample, written
+from made_recordings import of_the_arm, recorded, sample, written
 
 
 @pytest.fixture(scope="module")

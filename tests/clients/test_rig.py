@@ -22,14 +22,14 @@ from armrig_core import commands, protobuf, telemetry
 from armrig_core.endpoint import endpoint, socket_directory
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
-from recordings import sample
+from made_recordings import sample
 
 ALIVE = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
 from armrig_core import telemetry
 from fake_daemon import FakeDaemon
-from recordings import sample
+from made_recordings import sample
 with FakeDaemon(sys.argv[2]) as daemon:
     print("up", flush=True)
     for k in range(10_000):

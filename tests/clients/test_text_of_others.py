@@ -12,7 +12,7 @@ from armrig.cli import main
 from armrig.cli.options import tell
 from armrig.progress import bar
 from armrig_core.manifest import Outcome
-from recordings import event, gap, manifest, of_the_arm, recorded, sample, written
+from made_recordings import event, gap, manifest, of_the_arm, recorded, sample, written
 from rich.console import Console
 
 HOSTILE = "\x1b]0;mine\x07\x1b[2Ja rig\r\n\x9b[red]\u202e"

@@ -15,8 +15,8 @@ from armrig.usability import DataVerdict, data_verdict
 from armrig_core.manifest import Outcome
 from armrig_core.rehearsal import Rehearsal
 from armrig_protocol.messages import Flag
+from made_recordings import POT, gap, manifest, of_the_arm, recorded, sample, written
 from numpy.typing import NDArray
-from recordings import POT, gap, manifest, of_the_arm, recorded, sample, written
 
 
 def judged(directory: Path, u: NDArray[np.float64], **options: Any) -> DataVerdict:

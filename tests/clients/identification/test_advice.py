@@ -12,7 +12,7 @@ from armrig.cancellation import overlapping
 from armrig.dataset import Dataset
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 
 def told(found: Advice) -> set[str]:

@@ -11,7 +11,7 @@ from armrig.dataset import Dataset, merge
 from armrig.polynomial import filtered
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 
 def late(data: Dataset, samples: int) -> Dataset:

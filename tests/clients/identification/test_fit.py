@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
 

@@ -14,7 +14,7 @@ from armrig.model_search import search
 from armrig.polynomial import filtered
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 
 def _data(seed: int, C: list[float], D: list[float], N: int = 1500) -> Dataset:

@@ -18,7 +18,7 @@ from armrig.subspace_fit import SubspaceFit
 from armrig.validation import compare, residuals
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 OMEGA = np.geomspace(0.5, 100.0, 200)
 B, F, C = [0.0, 1.0, 0.5], [1.0, -1.2, 0.6], [1.0, -0.5, 0.2]

@@ -22,7 +22,7 @@ from armrig.validation import residuals
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 A, B = np.array([1, -1.2, 0.6]), np.array([0, 1.0, 0.5])
 C, D = np.array([1, 0.5]), np.array([1, -0.7])

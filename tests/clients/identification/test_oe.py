@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 OMEGA = np.geomspace(0.5, 100.0, 200)
 

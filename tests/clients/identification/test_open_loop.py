@@ -13,7 +13,7 @@ from armrig.feedback_and_delay.granger import granger
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 
 def under_feedback(seed: int, K: float = 1.0, N: int = 1500) -> Dataset:

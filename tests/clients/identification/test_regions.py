@@ -35,7 +35,7 @@ from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 NEAR = (0.85 + 0.02j, 0.85 - 0.02j, 0.5)
 PLAIN = (0.83 + 0.35j, 0.83 - 0.35j, 0.7)

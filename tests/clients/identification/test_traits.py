@@ -13,7 +13,7 @@ from armrig.traits import SCALARS, traits
 from armrig_core.arm import ArmParameters, arm_matrices
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 HANDOUT = ArmParameters()
 

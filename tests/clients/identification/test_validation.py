@@ -19,7 +19,7 @@ from armrig.validation import _free_covariance, compare, residuals
 from scipy.stats import chi2
 
 if TYPE_CHECKING:
-    from conftest import HandoutPlant
+    from handout_plant import HandoutPlant
 
 B, F = [0, 1, 0.5], [1, -1.2, 0.6]
 

@@ -1,4 +1,4 @@
-"""Systems whose truth is known, shared by the identification tests."""
+"""The handout's arm, whose truth is known, and readers of real data sets."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def reference() -> Callable[[str], NDArray[np.float64]]:
     """Return a reader of the real data sets, which skips where there are none."""
 
     def read(name: str) -> NDArray[np.float64]:
-        beside = Path(__file__).resolve().parents[4] / "shared" / "reference"
+        beside = Path(__file__).resolve().parents[3] / "shared" / "reference"
         folder = Path(os.environ.get("ARMRIG_REFERENCE_DATA", beside))
         if not (folder / name).is_file():
             pytest.skip(f"{name} is neither in ARMRIG_REFERENCE_DATA nor in ../shared/reference")
