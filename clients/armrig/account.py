@@ -10,11 +10,11 @@ import numpy as np
 from armrig.dataset import Dataset
 from armrig.equation import form
 from armrig.fit import Fit
+from armrig.numerics.quantities import p_relation, places
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.preprocess import INTEGRATING_OUTPUTS
-from armrig.quantities import p_relation, places
 from armrig.subspace_fit import SubspaceFit
 from armrig.validation import Comparison, ResidualTest
-from armrig.whiteness import WHITE_LEVEL
 
 if TYPE_CHECKING:
     from armrig.model_search import SearchResult

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.checks import column
+from armrig.numerics.checks import column
 from armrig.trend import Trend
 
 if TYPE_CHECKING:

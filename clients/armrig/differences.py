@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.quantities import minus, places
+from armrig.numerics.quantities import minus, places
 from armrig.traits import DRAWS, SCALARS, Traits
 
 if TYPE_CHECKING:

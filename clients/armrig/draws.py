@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.polynomial import stable, without_integrator
+from armrig.numerics.polynomial import stable, without_integrator
 
 if TYPE_CHECKING:
     from armrig.fit import Fit

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isnan
 from typing import TYPE_CHECKING
 
-from armrig.whiteness import WHITE_LEVEL
+from armrig.numerics.whiteness import WHITE_LEVEL
 
 if TYPE_CHECKING:
     from armrig.fit import Fit

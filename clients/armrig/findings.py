@@ -10,7 +10,7 @@ import numpy as np
 from armrig_protocol.messages import Flag
 
 from armrig.jitter import angle_of_jitter, longest_run, sampling_statistics
-from armrig.quantities import error, microseconds, percent
+from armrig.numerics.quantities import error, microseconds, percent
 
 if TYPE_CHECKING:
     from armrig.dataset import Dataset

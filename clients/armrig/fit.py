@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.answers import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
-from armrig.checks import column, require_integers
 from armrig.dataset import Dataset
 from armrig.free_response import FreeResponse
-from armrig.polynomial import evaluate, filtered, roots, without_integrator
-from armrig.sensitivity import by_denominator, by_numerator
-from armrig.whiteness import WHITE_LEVEL
+from armrig.numerics.checks import column, require_integers
+from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
+from armrig.numerics.sensitivity import by_denominator, by_numerator
+from armrig.numerics.whiteness import WHITE_LEVEL
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -366,7 +366,7 @@ class Fit:
         """Return poles, zeros, gain, bandwidth and the like with 95 % ranges; print it.
 
         They are linearised, or by draws of the parameters where that is poor: see
-        `armrig.regions`.
+        `armrig.numerics.confidence_regions`.
         """
         from armrig.summary import summary
 

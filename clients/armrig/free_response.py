@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.polynomial import Array, impulse, lagged
+from armrig.numerics.polynomial import Array, impulse, lagged
 
 Matrix = NDArray[np.float64]
 

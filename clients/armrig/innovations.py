@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from armrig.dataset import Dataset, Mask
-from armrig.least_squares import Basis, orthonormal
-from armrig.polynomial import Array, filtered, lagged
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig.structure import Structure
 
 _SETTLED = 1e-18  # share of the largest value below which an impulse response is over

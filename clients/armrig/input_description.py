@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.checks import column
-from armrig.polynomial import Array
-from armrig.power import power_spectrum
-from armrig.triangular import triangle
+from armrig.numerics.checks import column
+from armrig.numerics.polynomial import Array
+from armrig.numerics.power_spectrum import power_spectrum
+from armrig.numerics.triangular import triangle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
@@ -21,6 +20,7 @@ from armrig.estimation.iv4 import iv4
 from armrig.estimation.n4sid import n4sid
 from armrig.estimation.oe import oe
 from armrig.fit import Fit
+from armrig.numerics.checks import require_integers
 from armrig.prediction import require_same_signals
 from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.validation import ResidualTest, residuals

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.grey_box.model import NAMES, SIGNED, Model, Physics, Sampled
 from armrig.grey_box.response import sensitivity
+from armrig.numerics.recursion import recursion
 from armrig.physics import arm
-from armrig.recursion import recursion
 
 Vector = NDArray[np.float64]
 SPEED = "theta_1_rate"

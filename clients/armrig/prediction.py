@@ -10,8 +10,8 @@ import numpy as np
 from armrig.dataset import Dataset, Mask, Vector
 from armrig.free_response import free_columns, transient_count
 from armrig.innovations import Unknown, errors, masked, prepared, regression, summed_input
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array, filtered, impulse, lagged, without_integrator
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
 from armrig.structure import Structure
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from armrig.quantities import number
+from armrig.numerics.quantities import number
 from armrig.rig import Progress as Callback
 from armrig.rig import Rig
 

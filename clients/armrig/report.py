@@ -20,7 +20,7 @@ from armrig.causes import Causes
 from armrig.dataset import Dataset
 from armrig.fit import Fit
 from armrig.jitter import SamplingStatistics, Spread
-from armrig.quantities import (
+from armrig.numerics.quantities import (
     NBSP,
     error,
     fixed,
@@ -32,11 +32,11 @@ from armrig.quantities import (
     places,
     power,
 )
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recording import Recording
 from armrig.report_figures import DETAIL_S, write_figures
 from armrig.study import STAIRCASE, STEP, Judged, Study, kind_of
 from armrig.verdict import summary, verdict
-from armrig.whiteness import WHITE_LEVEL
 
 _SCALE = "theta_1_rad_per_count"
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from armrig.cancellation import overlapping
 from armrig.draws import Draws, drawn
-from armrig.quantities import minus, places
-from armrig.regions import HALF_WIDTH, Region
+from armrig.numerics.confidence_regions import HALF_WIDTH, Region
+from armrig.numerics.quantities import minus, places
 from armrig.traits import SCALARS, Traits, traits
 from armrig.uncertainty import pole_regions, zero_regions
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.draws import Draws, directions, drawn
-from armrig.polynomial import evaluate, filtered, roots, without_integrator
-from armrig.regions import FEWEST, Band, band, linearised_band, sampled_band
+from armrig.numerics.confidence_regions import FEWEST, Band, band, linearised_band, sampled_band
+from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
 from armrig.uncertainty import pole_regions
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def traits(fit: Fit) -> Traits:
     the verdict trusts and g the derivatives by theta, by central differences of a hundredth of a
     deviation. They are NaN where the figure comes or goes within that.
     Ranges are value ± 1.96 std, unless 400 draws of the parameters show that to be poor (see
-    `armrig.regions`).
+    `armrig.numerics.confidence_regions`).
     """
     integrating = _integrates(fit)
     own = _scalars(fit, fit.theta, integrating=integrating)

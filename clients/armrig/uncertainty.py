@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.draws import Draws, drawn, polynomial_of, roots_of
-from armrig.regions import Band, Region, band, regions
+from armrig.numerics.confidence_regions import Band, Region, band, regions
 
 if TYPE_CHECKING:
     from armrig.answers import FrequencyResponse, StepResponse

@@ -12,15 +12,12 @@ from numpy.typing import NDArray
 
 from armrig.dataset import Dataset
 from armrig.differences import explanation, table
-from armrig.estimation.covariance import exogenous_score
 from armrig.fit import Fit
-from armrig.goodness import fit_percent
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array, lagged
-from armrig.prediction import Residuals, prediction_errors, require_same_signals
-from armrig.preprocess import INTEGRATING_OUTPUTS, difference
-from armrig.traits import Traits, traits
-from armrig.whiteness import (
+from armrig.numerics.covariance import exogenous_score
+from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.whiteness import (
     WHITE_LEVEL,
     autocovariance,
     default_lags,
@@ -29,6 +26,9 @@ from armrig.whiteness import (
     ljung_box,
     portmanteau,
 )
+from armrig.prediction import Residuals, prediction_errors, require_same_signals
+from armrig.preprocess import INTEGRATING_OUTPUTS, difference
+from armrig.traits import Traits, traits
 
 Vector = NDArray[np.float64]
 
@@ -254,7 +254,7 @@ def residuals(fit: Fit, data: Dataset, lags: int | None = None) -> ResidualTest:
     """Test whether the one-step residuals are white and free of the input.
 
     Whiteness: the portmanteau test that allows for the estimated parameters (see
-    `armrig.whiteness.portmanteau`); the Ljung-Box test stands beside it, its degrees of freedom
+    `armrig.numerics.whiteness`); the Ljung-Box test stands beside it, its degrees of freedom
     lessened by na + nc + nd where these are the data that A, C and D were fitted to. Input: the
     sums s_k = sum of e(t) u(t - k) are tested jointly, s^T M^-1 s against chi-squared, with ::
 

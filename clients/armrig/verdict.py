@@ -6,9 +6,16 @@ import numpy as np
 
 from armrig.calibration.staleness import remarks
 from armrig.jitter import angle_of_jitter, fastest_rate
-from armrig.quantities import error, microseconds, milliseconds, number, p_relation, percent
+from armrig.numerics.quantities import (
+    error,
+    microseconds,
+    milliseconds,
+    number,
+    p_relation,
+    percent,
+)
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.study import Judged, Study
-from armrig.whiteness import WHITE_LEVEL
 
 
 def verdict(study: Study) -> list[str]:

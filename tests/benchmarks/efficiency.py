@@ -19,7 +19,7 @@ import sys
 
 import numpy as np
 from armrig import oe
-from armrig.polynomial import filtered, impulse
+from armrig.numerics.polynomial import filtered, impulse
 from monte_carlo import STD, SYSTEMS, B, F
 from numpy.typing import NDArray
 

@@ -16,8 +16,8 @@ import numpy as np
 from armrig.dataset import Dataset
 from armrig.experiment_design import PredictedStd
 from armrig.fit import Fit
-from armrig.least_squares import orthonormal
-from armrig.polynomial import filtered
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import filtered
 from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold
 from numpy.typing import NDArray
 from scipy.optimize import least_squares

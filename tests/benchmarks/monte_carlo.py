@@ -26,7 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from armrig import Dataset, Fit, armax, arx, bj, oe, residuals, telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
 B, F = [0.0, 1.0, 0.5], [1.0, -1.2, 0.6]

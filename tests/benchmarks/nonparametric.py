@@ -12,7 +12,7 @@ import armrig
 import numpy as np
 from armrig.dataset import Dataset
 from armrig.nonparametric.sampling import nearest_125
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 

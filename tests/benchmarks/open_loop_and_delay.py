@@ -170,7 +170,7 @@ def _tell(name: str, truth: int, data: Iterable[Dataset]) -> None:
 
 
 def _angle(u: Vector, Ts: float) -> Vector:
-    from armrig.recursion import recursion
+    from armrig.numerics.recursion import recursion
 
     A, B, C = arm_matrices(ArmParameters())
     Phi, Gamma = zero_order_hold(A, B, Ts)

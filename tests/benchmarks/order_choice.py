@@ -20,7 +20,7 @@ from collections import Counter
 
 import numpy as np
 from armrig import Dataset, search, select_orders, telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 
 SETTLED = 300  # samples before the first one that is taken
 TRUE_ARX = (2, 2, 1)

@@ -70,7 +70,7 @@ def main() -> None:
 def dataset(case: str, seed: int) -> dict[str, Any]:
     """Return u, y, Ts and the truth of a case."""
     from armrig import telegraph
-    from armrig.polynomial import filtered
+    from armrig.numerics.polynomial import filtered
 
     rng = np.random.default_rng([seed, 2026])
     if case == "arm":

@@ -20,7 +20,7 @@ import numpy as np
 from armrig import Dataset, Fit, armax, bj, oe, telegraph
 from armrig.estimation.prediction_error import PredictionError
 from armrig.innovations import prepared
-from armrig.polynomial import filtered, reflected
+from armrig.numerics.polynomial import filtered, reflected
 from armrig.structure import Structure
 from numpy.typing import NDArray
 

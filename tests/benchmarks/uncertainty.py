@@ -29,10 +29,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from armrig import Dataset, Fit, oe, telegraph
-from armrig.clouds import root_draws
 from armrig.draws import drawn, roots_of
-from armrig.polynomial import evaluate, filtered
-from armrig.regions import (
+from armrig.numerics.confidence_regions import (
     Band,
     Region,
     band,
@@ -42,6 +40,8 @@ from armrig.regions import (
     sampled_band,
     sampled_region,
 )
+from armrig.numerics.polynomial import evaluate, filtered
+from armrig.numerics.root_draws import root_draws
 from armrig.uncertainty import frequency_responses, step_responses
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment

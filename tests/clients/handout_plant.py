@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset
 from armrig.excitation import telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 

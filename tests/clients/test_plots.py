@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
 from armrig.draws import drawn
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.recording import Recording, load
 from armrig.spectral_reference import spectral_reference
 from armrig.study import Study, study

@@ -11,9 +11,9 @@ from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.feedback_and_delay.granger import granger
 from armrig.input_description import describe_input
+from armrig.numerics.quantities import p_relation, percent
 from armrig.preprocess import INTEGRATING_OUTPUTS, drift, hampel
 from armrig.preprocess.integration import integrating
-from armrig.quantities import p_relation, percent
 from armrig.usability import Finding
 
 ORDER = 4

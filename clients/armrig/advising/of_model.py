@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from armrig.cancellation import overlapping
 from armrig.equation import verdict
 from armrig.fit import Fit
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.usability import Finding
-from armrig.whiteness import WHITE_LEVEL
 
 _REAL = 1e-9
 _STD_99 = 2.58

@@ -316,7 +316,7 @@ def _print(path: Path, found: Estimate, *, json: bool) -> None:
 
 
 def _in_words(value: float, std: float) -> str:
-    from armrig.quantities import places
+    from armrig.numerics.quantities import places
 
     if not std:
         return f"{value:g}"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.estimation.searching import Initial, searched
 from armrig.fit import Fit
+from armrig.numerics.checks import require_integers
 from armrig.structure import Structure
 
 

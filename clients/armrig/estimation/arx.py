@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
-from armrig.estimation.covariance import correlated_score
 from armrig.estimation.orders import require_samples
 from armrig.fit import Fit
-from armrig.goodness import fit_percent
-from armrig.least_squares import orthonormal
+from armrig.numerics.checks import require_integers
+from armrig.numerics.covariance import correlated_score
+from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.whiteness import default_lags, portmanteau
 from armrig.prediction import arx_regression
-from armrig.whiteness import default_lags, portmanteau
 
 
 def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from armrig.innovations import Experiment
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array, filtered, lagged, reflected
-from armrig.whiteness import autoregression, joined
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.whiteness import autoregression, joined
 
 _PASSES = 3
 _LARGEST_ROOT = 0.98  # of a start value; the search may go beyond

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from armrig.estimation.prediction_error import PredictionError
-from armrig.polynomial import Array, roots
+from armrig.numerics.polynomial import Array, roots
 
 _ANGLES = np.linspace(0.1, 3.0, 15)  # of the moved mode, in rad a sample
 _RADIUS = 0.93

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from armrig.estimation.levenberg_marquardt import Optimum
 from armrig.estimation.moved_modes import moved_modes
 from armrig.estimation.prediction_error import PredictionError
 from armrig.estimation.starts import start_values
+from armrig.numerics.levenberg_marquardt import Optimum
 
 Ends = list[tuple[str, Optimum]]
 """Name of each start and where it led."""

@@ -7,9 +7,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
-from armrig.estimation.covariance import correlated_score
 from armrig.estimation.orders import require_samples
 from armrig.estimation.searching import with_integrator
 from armrig.estimation.subspace import (
@@ -20,14 +18,16 @@ from armrig.estimation.subspace import (
     suggested_order,
     windows,
 )
-from armrig.goodness import fit_percent
 from armrig.innovations import Errors, Regression, errors, prepared, regression
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array, lagged, reflected, without_integrator
+from armrig.numerics.checks import require_integers
+from armrig.numerics.covariance import correlated_score
+from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array, lagged, reflected, without_integrator
+from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
 from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.structure import Structure
 from armrig.subspace_fit import SubspaceFit
-from armrig.whiteness import WHITE_LEVEL, default_lags, portmanteau
 
 LEAST, LONGEST = 10, 30  # samples of past and of future
 _ENOUGH = 4000  # windows to choose the horizon from

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dtrtrs
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.estimation.orders import require_samples
-from armrig.least_squares import column_norms
-from armrig.polynomial import Array, lagged
-from armrig.triangular import triangle
+from armrig.numerics.checks import require_integers
+from armrig.numerics.least_squares import column_norms
+from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.triangular import triangle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

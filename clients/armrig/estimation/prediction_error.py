@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.estimation.levenberg_marquardt import MOST_STEPS, Optimum, levenberg_marquardt
 from armrig.innovations import Errors, Experiment, Regression, errors, regression
-from armrig.least_squares import Basis, orthonormal
-from armrig.polynomial import Array, stable
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.levenberg_marquardt import MOST_STEPS, Optimum, levenberg_marquardt
+from armrig.numerics.polynomial import Array, stable
 from armrig.structure import Structure
 
 

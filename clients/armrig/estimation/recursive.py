@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array
+from armrig.numerics.checks import require_integers
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

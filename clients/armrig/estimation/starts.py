@@ -10,7 +10,7 @@ import numpy as np
 from armrig.estimation.hannan_rissanen import armax_start, noise_start
 from armrig.estimation.prediction_error import PredictionError
 from armrig.estimation.steiglitz_mcbride import equation_error, high_order_output, steiglitz_mcbride
-from armrig.polynomial import Array, filtered, reflected
+from armrig.numerics.polynomial import Array, filtered, reflected
 
 _OE_STEPS = 12  # of the search for an output-error start; it need not end at the minimum
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from armrig.free_response import free_columns
 from armrig.innovations import trend
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.structure import Structure
 
 _HIGH_ORDER = 12

@@ -26,10 +26,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.estimation.gram import cholesky_factor, gram_of_windows
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array
-from armrig.triangular import triangle
+from armrig.numerics.gram import cholesky_factor, gram_of_windows
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
+from armrig.numerics.triangular import triangle
 
 Weights = Literal["cva", "moesp", "n4sid"]
 Integers = NDArray[np.int_]

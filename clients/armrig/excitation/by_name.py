@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from armrig.checks import require_integers, require_numbers
 from armrig.excitation.limits import Vector
 from armrig.excitation.noise import white_noise
 from armrig.excitation.sines import chirp, multisine
 from armrig.excitation.two_level import prbs, telegraph
+from armrig.numerics.checks import require_integers, require_numbers
 
 SEEDED = ("telegraph", "prbs", "white", "multisine")
 """Inputs that another seed makes anew."""

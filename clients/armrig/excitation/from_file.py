@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from armrig_core.bounded import TextError, read_text
 
-from armrig.checks import require_numbers
 from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
+from armrig.numerics.checks import require_numbers
 
 _SEPARATORS = str.maketrans(",;", "  ")
 MOST_BYTES = 1 << 26

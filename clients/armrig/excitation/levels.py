@@ -7,8 +7,8 @@ from numbers import Integral
 
 import numpy as np
 
-from armrig.checks import require_integers
 from armrig.excitation.limits import Vector, require_levels, within
+from armrig.numerics.checks import require_integers
 
 
 def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.checks import column, require_integers, require_numbers
+from armrig.numerics.checks import column, require_integers, require_numbers
 
 Vector = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from armrig.checks import require_integers
 from armrig.excitation.limits import Vector, generator, require_levels
+from armrig.numerics.checks import require_integers
 
 _HALF_WIDTH_IN_STD = 3.0
 

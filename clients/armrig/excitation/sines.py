@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from armrig.checks import require_integers, require_numbers
 from armrig.excitation.limits import Vector, generator, require_levels, within
+from armrig.numerics.checks import require_integers, require_numbers
 
 
 def multisine(

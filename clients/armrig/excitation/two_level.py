@@ -6,8 +6,8 @@ from math import ceil
 
 import numpy as np
 
-from armrig.checks import require_integers, require_numbers
 from armrig.excitation.limits import Vector, generator, require_levels
+from armrig.numerics.checks import require_integers, require_numbers
 
 _LONGEST_REGISTER = 24  # 2^24 - 1 clocks are more than any run has
 

@@ -10,12 +10,12 @@ import numpy as np
 from armrig_core.arm import ArmParameters, zero_order_hold
 from numpy.typing import ArrayLike
 
-from armrig.checks import require_numbers
 from armrig.dataset import Dataset, Vector
 from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
 from armrig.free_response import free_columns
-from armrig.least_squares import orthonormal
-from armrig.polynomial import filtered
+from armrig.numerics.checks import require_numbers
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import filtered
 
 _LOG_STEP = 1e-4  # of a parameter's logarithm: truncation 1e-9, rounding less
 

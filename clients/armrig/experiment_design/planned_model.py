@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from armrig.checks import column
 from armrig.dataset import Vector
-from armrig.polynomial import stable, without_integrator
+from armrig.numerics.checks import column
+from armrig.numerics.polynomial import stable, without_integrator
 
 
 class Model(Protocol):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.checks import column, require_numbers
 from armrig.dataset import Dataset, Vector
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array
+from armrig.numerics.checks import column, require_numbers
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

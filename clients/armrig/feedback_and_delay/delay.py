@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.feedback_and_delay.onset import (
@@ -25,9 +24,10 @@ from armrig.fit import Fit
 from armrig.grey_box.quantisation import quantum
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.nonparametric.integration import settled
-from armrig.nonparametric.quantile import two_sided
-from armrig.quantities import p_relation
-from armrig.whiteness import WHITE_LEVEL
+from armrig.numerics.checks import require_integers
+from armrig.numerics.quantile import two_sided
+from armrig.numerics.quantities import p_relation
+from armrig.numerics.whiteness import WHITE_LEVEL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.dataset import Dataset
-from armrig.least_squares import column_norms, orthonormal
-from armrig.polynomial import lagged
+from armrig.numerics.least_squares import column_norms, orthonormal
+from armrig.numerics.polynomial import lagged
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]

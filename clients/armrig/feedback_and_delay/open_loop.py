@@ -13,10 +13,10 @@ from armrig.dataset import Dataset
 from armrig.estimation.oe import oe
 from armrig.feedback_and_delay.granger import MOST_LAGS, Granger, granger
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.numerics.quantities import p_relation
+from armrig.numerics.whiteness import WHITE_LEVEL, joint_p_value
 from armrig.preprocess import INTEGRATING_OUTPUTS
-from armrig.quantities import p_relation
 from armrig.validation import ResidualTest, residuals
-from armrig.whiteness import WHITE_LEVEL, joint_p_value
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

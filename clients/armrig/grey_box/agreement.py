@@ -7,7 +7,7 @@ from math import erfc, sqrt
 
 from armrig.grey_box.fit import GreyFit
 from armrig.grey_box.quantisation import too_quiet
-from armrig.quantities import p_relation
+from armrig.numerics.quantities import p_relation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

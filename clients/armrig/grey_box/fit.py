@@ -9,10 +9,10 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.checks import column
 from armrig.grey_box.model import SIGNED, Physics
 from armrig.grey_box.problem import COULOMB
 from armrig.grey_box.response import linear_parts
+from armrig.numerics.checks import column
 
 if TYPE_CHECKING:
     import control

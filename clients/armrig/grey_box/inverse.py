@@ -20,17 +20,17 @@ from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
 from armrig.dataset import Dataset
-from armrig.estimation.covariance import exogenous_score
-from armrig.goodness import fit_percent
 from armrig.grey_box.choices import Friction, checked_fixed_std, free_names, require_output
 from armrig.grey_box.fit import GreyFit, below_zero
 from armrig.grey_box.model import SIGNED, Physics
 from armrig.grey_box.problem import COULOMB
 from armrig.grey_box.quantisation import quantum
 from armrig.grey_box.smoothing import LEAST_WIDTH, smoothed
-from armrig.least_squares import orthonormal
+from armrig.numerics.covariance import exogenous_score
+from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.whiteness import default_lags, joined, ljung_box
 from armrig.physics import chassis
-from armrig.whiteness import default_lags, joined, ljung_box
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from armrig.dataset import Dataset
 from armrig.grey_box.model import SIGNED, Physics
 from armrig.grey_box.response import linear_parts, sensitivity, with_friction
-from armrig.least_squares import orthonormal
+from armrig.numerics.least_squares import orthonormal
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.grey_box.model import Derivative, Sampled
-from armrig.recursion import recursion
+from armrig.numerics.recursion import recursion
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.grey_box.estimate import greybox
 from armrig.grey_box.fit import GreyFit
-from armrig.quantities import p_relation
+from armrig.numerics.checks import require_integers
+from armrig.numerics.quantities import p_relation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

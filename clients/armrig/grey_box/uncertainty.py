@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.dataset import Dataset
-from armrig.estimation.covariance import exogenous_score
 from armrig.grey_box.model import SIGNED
 from armrig.grey_box.problem import COULOMB, Linearised
-from armrig.least_squares import orthonormal
+from armrig.numerics.covariance import exogenous_score
+from armrig.numerics.least_squares import orthonormal
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from armrig.checks import require_numbers
 from armrig.integration.systems import system
+from armrig.numerics.checks import require_numbers
 
 Matrix = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from armrig.polynomial import Array
+from armrig.numerics.polynomial import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,7 +20,7 @@ from scipy.linalg import matrix_balance
 
 from armrig.integration.methods import Method, amplification, method_named
 from armrig.integration.systems import system
-from armrig.polynomial import Array
+from armrig.numerics.polynomial import Array
 
 _EPS = float(np.finfo(np.float64).eps)
 _ON_CIRCLE = 1e-10  # |zeta| - 1 up to which a root is taken to lie on the circle

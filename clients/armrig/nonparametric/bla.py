@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset, merge
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.periodicity import excited, period
+from armrig.numerics.checks import require_integers
 from armrig.preprocess import difference
 
 Vector = NDArray[np.float64]

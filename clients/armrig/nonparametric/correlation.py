@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.checks import require_integers
 from armrig.dataset import Dataset
 from armrig.nonparametric.integration import settled
-from armrig.nonparametric.quantile import two_sided
-from armrig.polynomial import filtered
+from armrig.numerics.checks import require_integers
+from armrig.numerics.polynomial import filtered
+from armrig.numerics.quantile import two_sided
+from armrig.numerics.whiteness import autoregression, joined
 from armrig.preprocess import difference
-from armrig.whiteness import autoregression, joined
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

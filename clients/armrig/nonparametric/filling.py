@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from armrig.dataset import Dataset
-from armrig.least_squares import orthonormal
 from armrig.nonparametric.impulse import impulse_response
-from armrig.polynomial import filtered
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import filtered
 
 LONGEST = 60  # lags of the response
 

@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.answers import StepResponse
-from armrig.checks import column, require_integers
 from armrig.dataset import Dataset
-from armrig.estimation.covariance import exogenous_score
-from armrig.least_squares import Basis, orthonormal
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
-from armrig.nonparametric.quantile import two_sided
 from armrig.nonparametric.regression import Regression, regression
-from armrig.whiteness import WHITE_LEVEL, default_lags, joined, ljung_box
+from armrig.numerics.checks import column, require_integers
+from armrig.numerics.covariance import exogenous_score
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.quantile import two_sided
+from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, joined, ljung_box
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

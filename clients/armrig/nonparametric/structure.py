@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from armrig.dataset import Dataset
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
-from armrig.nonparametric.quantile import two_sided
 from armrig.nonparametric.spectral import spa
+from armrig.numerics.quantile import two_sided
 from armrig.preprocess import INTEGRATING_OUTPUTS
 
 if TYPE_CHECKING:

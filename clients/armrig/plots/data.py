@@ -51,10 +51,10 @@ def plot_data(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
 def plot_spectrum(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
     """Show the power density of the output and, below it, of the input, both axes logarithmic.
 
-    Averaged over the stretches without a gap, see `armrig.power.power_spectrum`. What rises
-    towards the right edge, the Nyquist frequency, was sampled too slowly, or is noise.
+    Averaged over the stretches without a gap, see `armrig.numerics.power_spectrum`. What
+    rises towards the right edge, the Nyquist frequency, was sampled too slowly, or is noise.
     """
-    from armrig.power import power_spectrum
+    from armrig.numerics.power_spectrum import power_spectrum
 
     data = _dataset(source)
     ax, below = panels(ax, 0.5)

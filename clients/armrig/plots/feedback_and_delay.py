@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.numerics.quantities import p_relation
 from armrig.plots.canvas import (
     BLUE,
     GREY,
@@ -17,7 +18,6 @@ from armrig.plots.canvas import (
     panels,
     sign,
 )
-from armrig.quantities import p_relation
 from armrig.validation import BAND_99_PERCENT
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from armrig.regions import Band
+from armrig.numerics.confidence_regions import Band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

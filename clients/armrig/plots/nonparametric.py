@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.numerics.quantities import minus
 from armrig.plots.canvas import (
     BLUE,
     GREEN,
@@ -21,7 +22,6 @@ from armrig.plots.canvas import (
     sign,
     stems,
 )
-from armrig.quantities import minus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from armrig.dataset import Dataset
-from armrig.least_squares import orthonormal
-from armrig.polynomial import lagged
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import lagged
 
 # Outputs that integrate by construction, whatever a test on a short record says.
 INTEGRATING_OUTPUTS = frozenset({"theta_1"})

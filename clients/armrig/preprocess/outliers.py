@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.checks import require_integers, require_numbers
 from armrig.dataset import Dataset
+from armrig.numerics.checks import require_integers, require_numbers
 from armrig.preprocess.wrong_samples import wrong_samples
 
 _FALSE_ALARM = 0.05  # chance of one or more in a clean record

@@ -8,9 +8,9 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armrig.checks import column
 from armrig.dataset import Dataset, Mask, Vector
-from armrig.least_squares import orthonormal
+from armrig.numerics.checks import column
+from armrig.numerics.least_squares import orthonormal
 from armrig.preprocess.integration import IntegratingOutputWarning, integrating
 from armrig.trend import Trend
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.dataset import Vector
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array
-from armrig.triangular import triangle
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
+from armrig.numerics.triangular import triangle
 
 _ROWS = 5_000
 _ENOUGH = 100_000  # rows: more do not make it a better judge of single samples

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.dataset import Mask, Vector
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
 from armrig.preprocess.whitening import Whitening, whitening
 
 Indices = NDArray[np.intp]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset, merge
 from armrig.estimation.arx import arx
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.preprocess import detrend
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -8,7 +8,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.dataset import Dataset, merge
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

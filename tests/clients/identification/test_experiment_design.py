@@ -13,8 +13,8 @@ from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import step, telegraph
 from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
+from armrig.numerics.polynomial import filtered
 from armrig.physics import ArmParameters, arm, chassis
-from armrig.polynomial import filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -7,7 +7,7 @@ import pytest
 from armrig.dataset import Dataset, merge
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.preprocess import detrend, prefilter, resample, retrend
 from armrig.trend import Trend
 from hypothesis import given, settings

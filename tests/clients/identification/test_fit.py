@@ -10,7 +10,7 @@ from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.fit import Fit
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.estimation import subspace
-from armrig.estimation.gram import cholesky_factor, gram_of_windows
 from armrig.estimation.subspace import windows
-from armrig.polynomial import Array, filtered
+from armrig.numerics.gram import cholesky_factor, gram_of_windows
+from armrig.numerics.polynomial import Array, filtered
 from numpy.lib.stride_tricks import sliding_window_view
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from armrig.excitation import multisine, prbs, staircase, step, telegraph, white_noise
 from armrig.input_description import describe_input
-from armrig.power import power_spectrum
+from armrig.numerics.power_spectrum import power_spectrum
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 

@@ -16,7 +16,7 @@ from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.fit import Fit
 from armrig.model_file import ModelFileError, load_fit
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.validation import residuals
 
 

@@ -11,7 +11,7 @@ import pytest
 from armrig.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.model_search import search
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

@@ -14,7 +14,7 @@ from armrig.estimation.oe import oe
 from armrig.estimation.prediction_error import PredictionError
 from armrig.excitation import telegraph
 from armrig.innovations import prepared
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.structure import Structure
 from numpy.typing import NDArray
 

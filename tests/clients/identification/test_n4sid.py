@@ -13,7 +13,7 @@ from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.subspace import Weights
 from armrig.excitation import telegraph
 from armrig.model_file import load_fit
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.subspace_fit import SubspaceFit
 from armrig.validation import compare, residuals
 

@@ -16,7 +16,7 @@ from armrig.estimation.oe import oe
 from armrig.estimation.pem import pem
 from armrig.excitation import telegraph
 from armrig.fit import Fit
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.preprocess import detrend
 from armrig.validation import residuals
 from numpy.typing import NDArray

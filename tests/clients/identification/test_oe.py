@@ -9,7 +9,7 @@ import pytest
 from armrig.dataset import Dataset, merge
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
-from armrig.polynomial import Array, filtered, impulse
+from armrig.numerics.polynomial import Array, filtered, impulse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares

@@ -10,7 +10,7 @@ from armrig.dataset import Dataset, merge
 from armrig.estimation.arx import arx
 from armrig.estimation.order_table import select_orders
 from armrig.excitation import telegraph
-from armrig.polynomial import filtered, lagged
+from armrig.numerics.polynomial import filtered, lagged
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from numpy.typing import NDArray

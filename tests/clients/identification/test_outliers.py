@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset, Mask, Vector, merge
 from armrig.excitation import telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.preprocess import hampel
 from numpy.typing import NDArray
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset, merge
 from armrig.excitation import telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.preprocess import IntegratingOutputWarning, detrend, difference, drift, retrend
 from armrig.trend import Trend
 from hypothesis import given, settings

@@ -7,7 +7,7 @@ import pytest
 from armrig.dataset import Dataset, merge
 from armrig.estimation.arx import arx
 from armrig.estimation.recursive import RarxState, rarx, rarx_start, rarx_step
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 
 
 def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.clouds import RootDraws
 from armrig.dataset import Dataset
 from armrig.draws import drawn, roots_of
 from armrig.estimation.oe import oe
 from armrig.fit import Fit
-from armrig.polynomial import filtered
-from armrig.regions import (
+from armrig.numerics.confidence_regions import (
     band,
     chosen_region,
     linearised_band,
     linearised_region,
     sampled_region,
 )
+from armrig.numerics.polynomial import filtered
+from armrig.numerics.root_draws import RootDraws
 from armrig.study import physical_model
 from armrig.uncertainty import (
     frequency_bands,

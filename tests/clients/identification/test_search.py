@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from armrig.dataset import Dataset
-from armrig.estimation.levenberg_marquardt import levenberg_marquardt
 from armrig.estimation.prediction_error import PredictionError
 from armrig.innovations import prepared
-from armrig.polynomial import filtered
-from armrig.sensitivity import by_denominator, by_numerator
+from armrig.numerics.levenberg_marquardt import levenberg_marquardt
+from armrig.numerics.polynomial import filtered
+from armrig.numerics.sensitivity import by_denominator, by_numerator
 from armrig.structure import Structure
 from numpy.typing import NDArray
 

@@ -14,7 +14,7 @@ _SCRIPT = """
 import json
 import numpy as np
 from armrig import Dataset, armax, arx, telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 
 rng = np.random.default_rng(1)
 u = telegraph(20_000, 0.3, 1.5, 3.5, seed=rng) - 2.5

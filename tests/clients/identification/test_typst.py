@@ -12,7 +12,7 @@ from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.fit import Fit
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset
 from armrig.estimation.arx import arx
-from armrig.estimation.covariance import correlated_score
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.fit import Fit
-from armrig.polynomial import filtered
+from armrig.numerics.covariance import correlated_score
+from armrig.numerics.polynomial import filtered
 from armrig.validation import residuals
 
 RUNS, N = 300, 500

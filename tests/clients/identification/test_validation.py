@@ -13,7 +13,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.preprocess import difference
 from armrig.validation import _free_covariance, compare, residuals
 from scipy.stats import chi2

@@ -10,7 +10,7 @@ from armrig import excitation
 from armrig.dataset import Dataset, merge
 from armrig.nonparametric.bla import bla
 from armrig.nonparametric.periodicity import excited
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
 P = 128

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.dataset import Dataset
 from armrig.nonparametric.correlation import correlation
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
 

@@ -9,7 +9,7 @@ import pytest
 from armrig.dataset import Dataset, merge
 from armrig.nonparametric.etfe import etfe
 from armrig.nonparametric.periodicity import period
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
 P = 200

@@ -10,7 +10,7 @@ import pytest
 from armrig.dataset import Dataset, merge
 from armrig.nonparametric.impulse import impulse_response
 from armrig.nonparametric.kernels import Evidence, Kernel, factor
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from armrig.preprocess import IntegratingOutputWarning
 from numpy.typing import NDArray
 

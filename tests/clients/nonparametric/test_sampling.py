@@ -10,7 +10,7 @@ import pytest
 from armrig.dataset import Dataset
 from armrig.excitation import step, telegraph
 from armrig.nonparametric.sampling import nearest_125, sampling_time
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 
 
 def first_order(tau: float, Ts: float, u: Any, std: float = 0.01) -> Dataset:

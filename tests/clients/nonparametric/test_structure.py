@@ -11,7 +11,7 @@ from armrig.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.nonparametric.impulse import impulse_response
 from armrig.nonparametric.structure import _extremes, structure_hints
-from armrig.polynomial import filtered
+from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from armrig.polynomial import Array, filtered, lagged
+from armrig.numerics.polynomial import Array, filtered, lagged
 
 
 def by_numerator(u: Array, P: Array, lags: Sequence[int]) -> Array:

@@ -9,8 +9,8 @@ from math import log10
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.least_squares import orthonormal
-from armrig.polynomial import Array, lagged
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array, lagged
 
 Vector = NDArray[np.float64]
 

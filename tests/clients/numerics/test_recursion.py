@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.recursion import recursion
+from armrig.numerics.recursion import recursion
 
 
 @pytest.mark.parametrize("N", [0, 1, 2, 3, 4, 8, 9, 10, 101])

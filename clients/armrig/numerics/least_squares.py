@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import qr
 
-from armrig.polynomial import Array
+from armrig.numerics.polynomial import Array
 
 # Below this share of the largest one, a direction of the scaled columns is rounding noise.
 RANK_TOLERANCE = 1e-12

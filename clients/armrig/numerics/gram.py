@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
-from armrig.polynomial import Array
+from armrig.numerics.polynomial import Array
 
 # Share of a column that those before it leave. Rounding is 1e-16 of the squares, so a variance
 # made of so small a rest keeps some five digits, and its estimate has two.

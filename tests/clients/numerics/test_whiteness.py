@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.least_squares import orthonormal
-from armrig.polynomial import lagged
-from armrig.whiteness import portmanteau, portmanteau_p_value
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import lagged
+from armrig.numerics.whiteness import portmanteau, portmanteau_p_value
 from scipy.special import chdtrc
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.polynomial import Array
+from armrig.numerics.polynomial import Array
 
 
 def fit_percent(y: Array, sse: float) -> float:

@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.clouds import RARE, REAL, Cloud, RootDraws, cloud, root_draws
+from armrig.numerics.root_draws import RARE, REAL, Cloud, RootDraws, cloud, root_draws
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

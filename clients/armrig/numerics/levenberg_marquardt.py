@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dgeqrf
 
-from armrig.least_squares import column_norms
-from armrig.polynomial import Array
+from armrig.numerics.least_squares import column_norms
+from armrig.numerics.polynomial import Array
 
 TOLERANCE = 1e-10
 MOST_STEPS = 200

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from armrig.least_squares import orthonormal
-from armrig.polynomial import evaluate, filtered, impulse, lagged, reflected, roots, stable
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import evaluate, filtered, impulse, lagged, reflected, roots, stable
 from hypothesis import assume, given
 from hypothesis import strategies as st
 

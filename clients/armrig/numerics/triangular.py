@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.linalg import qr
 
-from armrig.polynomial import Array
+from armrig.numerics.polynomial import Array
 
 
 def triangle(blocks: Iterable[Array], width: int) -> Array:

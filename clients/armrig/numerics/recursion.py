@@ -6,7 +6,7 @@ from math import isqrt
 
 import numpy as np
 
-from armrig.polynomial import Array
+from armrig.numerics.polynomial import Array
 
 
 def recursion(Phi: Array, w: Array, x0: Array) -> Array:

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armrig.polynomial import Array, filtered
-from armrig.whiteness import autoregression, joined
+from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.whiteness import autoregression, joined
 
 
 def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:

@@ -1,0 +1,1 @@
+"""Linear algebra, polynomials and statistics on arrays; nothing here knows a Dataset."""
