@@ -4,19 +4,8 @@ Colours are Okabe and Ito's, told apart by the colour-blind; line styles tell th
 white. A second panel, where a figure has one, takes its place from the lower part of `ax`.
 """
 
+from armrig.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILION, finish, sign
 from armrig.plots.answers import plot_bode, plot_fit, plot_step
-from armrig.plots.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    finish,
-    sign,
-)
 from armrig.plots.data import plot_data, plot_spectrum, plot_timing, plot_values
 from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
 from armrig.plots.greybox import plot_greybox, plot_split

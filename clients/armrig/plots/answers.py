@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.canvas import GREY, INK, NAMES, axes, finish, panels, pens, sign
 from armrig.draws import Draws, drawn
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band
-from armrig.plots.canvas import GREY, INK, NAMES, axes, finish, panels, pens, sign
 from armrig.plots.labels import Labels, gain_unit, labels_of, sources_of, tell_left_out, with_method
 from armrig.plots.poles_zeros import plot_poles_zeros
 from armrig.uncertainty import frequency_bands, step_band

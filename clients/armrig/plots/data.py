@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from armrig.jitter import jitter_us, lateness_us
-from armrig.plots.canvas import (
+from armrig.canvas import (
     BLUE,
     INK,
     NAMES,
@@ -21,6 +20,7 @@ from armrig.plots.canvas import (
     short,
     sign,
 )
+from armrig.jitter import jitter_us, lateness_us
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

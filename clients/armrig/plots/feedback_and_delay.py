@@ -6,18 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, panels, sign
 from armrig.numerics.quantities import p_relation
-from armrig.plots.canvas import (
-    BLUE,
-    GREY,
-    INK,
-    NAMES,
-    VERMILION,
-    axes,
-    finish,
-    panels,
-    sign,
-)
 from armrig.validation import BAND_99_PERCENT
 
 if TYPE_CHECKING:

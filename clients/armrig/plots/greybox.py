@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.grey_box.fit import UNITS
-from armrig.plots.canvas import (
+from armrig.canvas import (
     BLUE,
     GREY,
     INK,
@@ -20,6 +19,7 @@ from armrig.plots.canvas import (
     short,
     sign,
 )
+from armrig.grey_box.fit import UNITS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

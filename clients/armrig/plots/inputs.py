@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.plots.canvas import BLUE, INK, SKY, finish
+from armrig.canvas import BLUE, INK, SKY, finish
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

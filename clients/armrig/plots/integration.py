@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, panels, pens, short
 from armrig.integration.accuracy import Convergence, Sinusoid, all_methods
 from armrig.integration.methods import METHODS, amplification
 from armrig.integration.stability import stability_limit
 from armrig.integration.stepping import integrate
 from armrig.integration.systems import system
-from armrig.plots.canvas import BLUE, GREY, INK, VERMILION, axes, finish, panels, pens, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.plots.canvas import (
+from armrig.canvas import (
     BLUE,
     GREY,
     INK,

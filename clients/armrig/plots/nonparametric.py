@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.numerics.quantities import minus
-from armrig.plots.canvas import (
+from armrig.canvas import (
     BLUE,
     GREEN,
     GREY,
@@ -22,6 +21,7 @@ from armrig.plots.canvas import (
     sign,
     stems,
 )
+from armrig.numerics.quantities import minus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.plots.canvas import BLUE, GREY, VERMILION, axes, finish
+from armrig.canvas import BLUE, GREY, VERMILION, axes, finish
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

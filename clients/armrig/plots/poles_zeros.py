@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.cancellation import overlapping
+from armrig.canvas import GREY, INK, axes, finish, pens, sign
 from armrig.draws import Draws, drawn
 from armrig.numerics.confidence_regions import Region
 from armrig.numerics.root_draws import Cloud
-from armrig.plots.canvas import GREY, INK, axes, finish, pens, sign
 from armrig.plots.labels import Labels, labels_of, sources_of, tell_left_out
 from armrig.uncertainty import pole_regions, zero_regions
 
