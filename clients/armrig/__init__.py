@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from armrig.advising.advice import advice
-    from armrig.dataset import Dataset, merge
+    from armrig.data.dataset import Dataset, merge
+    from armrig.data.treatment import (
+        detrend,
+        difference,
+        drift,
+        hampel,
+        prefilter,
+        resample,
+        retrend,
+    )
     from armrig.estimation.armax import armax
     from armrig.estimation.arx import arx
     from armrig.estimation.bj import bj
@@ -56,15 +65,6 @@ if TYPE_CHECKING:
     from armrig.nonparametric.structure import structure_hints
     from armrig.physical_step import characteristics, step_sensitivities
     from armrig.physics import ArmParameters, arm, chassis, rehearse
-    from armrig.preprocess import (
-        detrend,
-        difference,
-        drift,
-        hampel,
-        prefilter,
-        resample,
-        retrend,
-    )
     from armrig.recording import Recording, RecordingError, load
     from armrig.rig import Rig
     from armrig.session import RigError
@@ -158,7 +158,7 @@ __all__ = [
 # `armrig --help` are quick, and who only reads a recording never loads zenoh.
 _MODULES = {
     "advising.advice": ("advice",),
-    "dataset": ("Dataset", "merge"),
+    "data.dataset": ("Dataset", "merge"),
     "estimation.armax": ("armax",),
     "estimation.arx": ("arx",),
     "estimation.bj": ("bj",),
@@ -197,7 +197,7 @@ _MODULES = {
     "nonparametric.steps": ("step_analysis",),
     "nonparametric.structure": ("structure_hints",),
     "physics": ("ArmParameters", "arm", "chassis", "rehearse"),
-    "preprocess": (
+    "data.treatment": (
         *("detrend", "difference", "drift", "hampel", "prefilter", "resample", "retrend"),
     ),
     "recording": ("Recording", "RecordingError", "load"),

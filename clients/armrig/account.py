@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.equation import form
 from armrig.fit import Fit
 from armrig.numerics.quantities import p_relation, places
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.subspace_fit import SubspaceFit
 from armrig.validation import Comparison, ResidualTest
 

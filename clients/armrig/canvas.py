@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
 
 # M. Okabe, K. Ito, "Color Universal Design", 2008; without the yellow, too pale on paper.
 BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = (

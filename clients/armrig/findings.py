@@ -13,7 +13,7 @@ from armrig.jitter import angle_of_jitter, longest_run, sampling_statistics
 from armrig.numerics.quantities import error, microseconds, percent
 
 if TYPE_CHECKING:
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.recording import Recording
 
 LEAST_RATIO, NO_RATIO = 3.0, 0.3

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.answers import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.free_response import FreeResponse
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator

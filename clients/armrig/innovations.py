@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.dataset import Dataset, Mask
+from armrig.data.dataset import Dataset, Mask
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig.structure import Structure

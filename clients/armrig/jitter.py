@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.recording import Recording
 
 Vector = NDArray[np.float64]

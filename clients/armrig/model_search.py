@@ -12,7 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
@@ -22,7 +23,6 @@ from armrig.estimation.oe import oe
 from armrig.fit import Fit
 from armrig.numerics.checks import require_integers
 from armrig.prediction import require_same_signals
-from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.validation import ResidualTest, residuals
 
 Vector = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.dataset import Dataset, Mask, Vector
+from armrig.data.dataset import Dataset, Mask, Vector
 from armrig.free_response import free_columns, transient_count
 from armrig.innovations import Unknown, errors, masked, prepared, regression, summed_input
 from armrig.numerics.least_squares import orthonormal

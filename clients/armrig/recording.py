@@ -16,7 +16,8 @@ from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
 from armrig.container import Content, read
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import difference
 from armrig.grid import Grid, grid
 from armrig.happenings import (
     Clock,
@@ -30,7 +31,6 @@ from armrig.happenings import (
     gap_of,
     timing_of,
 )
-from armrig.preprocess import difference
 from armrig.sample_rows import DamageError
 from armrig.unwrapping import outside_dead_band, turns_unknown, unwrap
 
@@ -186,7 +186,7 @@ class Recording:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show theta_1 and u against time: see `armrig.plots.plot_data`."""
-        from armrig.plots.data import plot_data
+        from armrig.data.figures import plot_data
 
         return plot_data(self, ax=ax)
 

@@ -17,7 +17,7 @@ import typst
 
 from armrig.calibration.staleness import calibrated
 from armrig.causes import Causes
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.fit import Fit
 from armrig.jitter import SamplingStatistics, Spread
 from armrig.numerics.quantities import (

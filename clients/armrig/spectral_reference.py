@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.spectral import spa
 

@@ -10,7 +10,7 @@ from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 from armrig.causes import Causes, causes
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible

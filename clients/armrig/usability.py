@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment.whitening import whitening
 from armrig.findings import (
     TOO_FEW,
     Finding,
@@ -21,7 +22,6 @@ from armrig.findings import (
     of_timing,
     of_turns,
 )
-from armrig.preprocess.whitening import whitening
 
 if TYPE_CHECKING:
     from armrig.recording import Recording

@@ -10,7 +10,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.differences import explanation, table
 from armrig.fit import Fit
 from armrig.numerics.covariance import exogenous_score
@@ -27,7 +28,6 @@ from armrig.numerics.whiteness import (
     portmanteau,
 )
 from armrig.prediction import Residuals, prediction_errors, require_same_signals
-from armrig.preprocess import INTEGRATING_OUTPUTS, difference
 from armrig.traits import Traits, traits
 
 Vector = NDArray[np.float64]

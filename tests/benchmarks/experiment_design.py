@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import armrig
 import numpy as np
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.experiment_design import PredictedStd
 from armrig.fit import Fit
 from armrig.numerics.least_squares import orthonormal

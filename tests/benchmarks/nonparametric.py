@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import armrig
 import numpy as np
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.nonparametric.sampling import nearest_125
 from armrig.numerics.polynomial import filtered
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.grey_box.model import Model, Physics
 from armrig.grey_box.response import linear_parts
 from armrig.physics import ArmParameters, chassis

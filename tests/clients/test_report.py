@@ -9,12 +9,12 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.trend import Trend
 from armrig.recording import RecordingError, load
 from armrig.report import content, report, role, treatment
 from armrig.report_figures import write_figures
 from armrig.study import Orders, Study, physical_model, study
-from armrig.trend import Trend
 from armrig.verdict import verdict
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made

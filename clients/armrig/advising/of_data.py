@@ -6,14 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
+from armrig.data.treatment.integrating import integrating
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.feedback_and_delay.granger import granger
 from armrig.input_description import describe_input
 from armrig.numerics.quantities import p_relation, percent
-from armrig.preprocess import INTEGRATING_OUTPUTS, drift, hampel
-from armrig.preprocess.integration import integrating
 from armrig.usability import Finding
 
 ORDER = 4

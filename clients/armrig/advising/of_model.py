@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from armrig.cancellation import overlapping
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.equation import verdict
 from armrig.fit import Fit
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.usability import Finding
 
 _REAL = 1e-9

@@ -25,7 +25,7 @@ from armrig.cli.options import (
 from armrig.cli.rows import row_facts
 
 if TYPE_CHECKING:
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.fit import Fit
     from armrig.nonparametric.frequency import SpectralEstimate
     from armrig.recording import Recording

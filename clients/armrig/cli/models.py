@@ -35,7 +35,7 @@ from armrig.cli.structures import (
 )
 
 if TYPE_CHECKING:
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.fit import Fit
     from armrig.model_search import SearchResult
 
@@ -86,7 +86,7 @@ def identify(
 
     Says how sure each parameter is.
     """
-    from armrig.preprocess import INTEGRATING_OUTPUTS
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
     from armrig.recording import load
 
     given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}

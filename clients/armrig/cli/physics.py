@@ -14,7 +14,7 @@ from armrig.cli.rows import row_facts
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
 
 Output = Annotated[
     Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 if TYPE_CHECKING:
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.fit import Fit
 
 Structure = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]

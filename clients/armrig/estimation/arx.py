@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
 from armrig.fit import Fit
 from armrig.numerics.checks import require_integers

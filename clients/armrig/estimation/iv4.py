@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from armrig.dataset import Dataset, Mask
+from armrig.data.dataset import Dataset, Mask
 from armrig.estimation.orders import require_samples
 from armrig.fit import Fit
 from armrig.numerics.checks import require_integers

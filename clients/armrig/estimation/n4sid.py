@@ -7,7 +7,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.orders import require_samples
 from armrig.estimation.searching import with_integrator
 from armrig.estimation.subspace import (
@@ -25,7 +26,6 @@ from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, lagged, reflected, without_integrator
 from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
-from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.structure import Structure
 from armrig.subspace_fit import SubspaceFit
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.searching import Initial, searched
 from armrig.fit import Fit
 from armrig.numerics.checks import require_integers

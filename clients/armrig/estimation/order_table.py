@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dtrtrs
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
 from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import column_norms

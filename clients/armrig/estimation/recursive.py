@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array

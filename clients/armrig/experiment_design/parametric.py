@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armrig.dataset import Dataset, Vector
+from armrig.data.dataset import Dataset, Vector
 from armrig.experiment_design.planned_model import Model, integrating_polynomial
 from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
 from armrig.free_response import free_columns, transient_count

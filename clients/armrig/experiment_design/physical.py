@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.arm import ArmParameters, zero_order_hold
 from numpy.typing import ArrayLike
 
-from armrig.dataset import Dataset, Vector
+from armrig.data.dataset import Dataset, Vector
 from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
 from armrig.free_response import free_columns
 from armrig.numerics.checks import require_numbers

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from armrig.dataset import Vector
+from armrig.data.dataset import Vector
 from armrig.numerics.checks import column
 from armrig.numerics.polynomial import stable, without_integrator
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.dataset import Dataset, Vector
+from armrig.data.dataset import Dataset, Vector
 from armrig.numerics.checks import column, require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array

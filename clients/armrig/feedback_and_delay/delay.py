@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.quantisation import quantum
 from armrig.estimation.arx import arx
 from armrig.feedback_and_delay.onset import (
     LEVEL,
@@ -21,7 +22,6 @@ from armrig.feedback_and_delay.onset import (
     onset,
 )
 from armrig.fit import Fit
-from armrig.grey_box.quantisation import quantum
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.nonparametric.integration import settled
 from armrig.numerics.checks import require_integers

@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 from armrig.fit import Fit
 

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.oe import oe
 from armrig.feedback_and_delay.granger import MOST_LAGS, Granger, granger
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, joint_p_value
-from armrig.preprocess import INTEGRATING_OUTPUTS
 from armrig.validation import ResidualTest, residuals
 
 if TYPE_CHECKING:

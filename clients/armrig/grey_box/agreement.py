@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import erfc, sqrt
 
+from armrig.data.quantisation import too_quiet
 from armrig.grey_box.fit import GreyFit
-from armrig.grey_box.quantisation import too_quiet
 from armrig.numerics.quantities import p_relation
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.grey_box.model import NAMES
 from armrig.grey_box.problem import COULOMB
 

@@ -8,12 +8,12 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.quantisation import quantum, too_quiet
 from armrig.grey_box.choices import Friction, checked_fixed_std, free_names, require_output
 from armrig.grey_box.fit import GreyFit, below_zero
 from armrig.grey_box.model import NAMES, Model, Physics
 from armrig.grey_box.problem import COULOMB, GreyBox, GreyBoxWithFriction
-from armrig.grey_box.quantisation import quantum, too_quiet
 from armrig.grey_box.uncertainty import by_experiment, named_influence, scales, uncertainty
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
 
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

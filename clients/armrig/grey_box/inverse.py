@@ -19,12 +19,12 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.quantisation import quantum
 from armrig.grey_box.choices import Friction, checked_fixed_std, free_names, require_output
 from armrig.grey_box.fit import GreyFit, below_zero
 from armrig.grey_box.model import SIGNED, Physics
 from armrig.grey_box.problem import COULOMB
-from armrig.grey_box.quantisation import quantum
 from armrig.grey_box.smoothing import LEAST_WIDTH, smoothed
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.goodness_of_fit import fit_percent

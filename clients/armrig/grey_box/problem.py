@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.grey_box.model import SIGNED, Physics
 from armrig.grey_box.response import linear_parts, sensitivity, with_friction
 from armrig.numerics.least_squares import orthonormal

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.grey_box.estimate import greybox
 from armrig.grey_box.fit import GreyFit
 from armrig.numerics.checks import require_integers

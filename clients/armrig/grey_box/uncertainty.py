@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.grey_box.model import SIGNED
 from armrig.grey_box.problem import COULOMB, Linearised
 from armrig.numerics.covariance import exogenous_score

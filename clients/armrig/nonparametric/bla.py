@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import difference
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.checks import require_integers
-from armrig.preprocess import difference
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import difference
 from armrig.nonparametric.integration import settled
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantile import two_sided
 from armrig.numerics.whiteness import autoregression, joined
-from armrig.preprocess import difference
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

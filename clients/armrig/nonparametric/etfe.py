@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import difference
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.periodicity import excited, period
-from armrig.preprocess import difference
 
 Vector = NDArray[np.float64]
 

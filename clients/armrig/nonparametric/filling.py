@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.nonparametric.impulse import impulse_response
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered

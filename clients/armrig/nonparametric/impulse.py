@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.answers import StepResponse
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel

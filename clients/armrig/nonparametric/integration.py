@@ -7,8 +7,8 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
-from armrig.preprocess import INTEGRATING_OUTPUTS, IntegratingOutputWarning, integrating
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS, IntegratingOutputWarning, integrating
 
 Complex = NDArray[np.complex128]
 Vector = NDArray[np.float64]

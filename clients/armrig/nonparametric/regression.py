@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import lagged
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import difference
 from armrig.nonparametric.filling import filled
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.impulse import impulse_response, long_enough
@@ -24,7 +25,6 @@ from armrig.nonparametric.steps import (
     step_analysis,
 )
 from armrig.nonparametric.welch import welch
-from armrig.preprocess import difference
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

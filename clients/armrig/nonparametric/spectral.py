@@ -8,14 +8,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import difference
 from armrig.nonparametric.covariances import covariances
 from armrig.nonparametric.filling import filled
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.welch import Spectra, welch
 from armrig.numerics.checks import column, require_integers
-from armrig.preprocess import difference
 
 Vector = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import difference
 from armrig.nonparametric.integration import settled
-from armrig.preprocess import difference
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

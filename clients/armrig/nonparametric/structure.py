@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
 from armrig.nonparametric.spectral import spa
 from armrig.numerics.quantile import two_sided
-from armrig.preprocess import INTEGRATING_OUTPUTS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

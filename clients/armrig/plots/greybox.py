@@ -24,7 +24,7 @@ from armrig.grey_box.fit import UNITS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.grey_box.fit import GreyFit
     from armrig.grey_box.split import SplitStudy
 

@@ -27,7 +27,7 @@ from armrig.validation import BAND_99_PERCENT, ComparisonTable, compare, residua
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.fit import Fit
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.advising.advice import Advice
 from armrig.cancellation import overlapping
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import detrend
 from armrig.estimation.arx import arx
 from armrig.numerics.polynomial import filtered
-from armrig.preprocess import detrend
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.numerics.polynomial import filtered
 
 if TYPE_CHECKING:

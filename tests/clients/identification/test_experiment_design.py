@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj

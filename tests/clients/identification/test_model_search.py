@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.model_search import search
 from armrig.numerics.polynomial import filtered

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation import multistart, searching
 from armrig.estimation.bj import bj
 from armrig.estimation.multistart import searched_minimum

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.estimation.armax import armax
 from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.subspace import Weights

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import detrend
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
@@ -17,7 +18,6 @@ from armrig.estimation.pem import pem
 from armrig.excitation import telegraph
 from armrig.fit import Fit
 from armrig.numerics.polynomial import filtered
-from armrig.preprocess import detrend
 from armrig.validation import residuals
 from numpy.typing import NDArray
 

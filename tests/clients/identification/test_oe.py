@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import Array, filtered, impulse

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.excitation import telegraph
 from armrig.feedback_and_delay.granger import granger
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold

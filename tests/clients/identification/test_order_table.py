@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.estimation.arx import arx
 from armrig.estimation.order_table import select_orders
 from armrig.excitation import telegraph

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.estimation.arx import arx
 from armrig.estimation.recursive import RarxState, rarx, rarx_start, rarx_step
 from armrig.numerics.polynomial import filtered

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.draws import drawn, roots_of
 from armrig.estimation.oe import oe
 from armrig.fit import Fit

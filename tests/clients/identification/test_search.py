@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.prediction_error import PredictionError
 from armrig.innovations import prepared
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typst
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.fit import Fit

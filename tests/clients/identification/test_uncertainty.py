@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph

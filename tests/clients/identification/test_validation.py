@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import difference
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig.preprocess import difference
 from armrig.validation import _free_covariance, compare, residuals
 from scipy.stats import chi2
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig import excitation
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.nonparametric.bla import bla
 from armrig.nonparametric.periodicity import excited
 from armrig.numerics.polynomial import filtered

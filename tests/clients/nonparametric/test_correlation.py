@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.nonparametric.correlation import correlation
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.nonparametric.etfe import etfe
 from armrig.nonparametric.periodicity import period
 from armrig.numerics.polynomial import filtered

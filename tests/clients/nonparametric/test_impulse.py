@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import IntegratingOutputWarning
 from armrig.nonparametric.impulse import impulse_response
 from armrig.nonparametric.kernels import Evidence, Kernel, factor
 from armrig.numerics.polynomial import filtered
-from armrig.preprocess import IntegratingOutputWarning
 from numpy.typing import NDArray
 
 KERNELS: tuple[Kernel, ...] = ("tc", "dc", "ss")

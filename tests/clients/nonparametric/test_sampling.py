@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.excitation import step, telegraph
 from armrig.nonparametric.sampling import nearest_125, sampling_time
 from armrig.numerics.polynomial import filtered

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.nonparametric.spectral import spa
 
 OMEGA = np.linspace(0.3, 2.8, 12)

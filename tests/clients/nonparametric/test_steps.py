@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.nonparametric.steps import step_analysis
 from numpy.typing import NDArray
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.nonparametric.impulse import impulse_response
 from armrig.nonparametric.structure import _extremes, structure_hints

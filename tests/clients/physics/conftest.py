@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.physics import ArmParameters
 from chassis_data import Make, Ts, angle, rubbing

@@ -8,7 +8,7 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from armrig.physics import ArmParameters, arm, chassis
 from chassis_data import Make, Ts, angle
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import armrig
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.grey_box.smoothing import smoothed
 from armrig.physics import ArmParameters
 from chassis_data import Make, Ts, angle

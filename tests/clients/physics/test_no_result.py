@@ -11,7 +11,7 @@ import numpy as np
 import pages
 import pytest
 from armrig.cli import main
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.grey_box.fit import NoResultError
 from armrig.grey_box.split import Split, SplitStudy
 from chassis_data import Make

@@ -9,7 +9,7 @@ import armrig
 import matplotlib as mpl
 import numpy as np
 import pytest
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 from armrig.integration.accuracy import convergence, sinusoid
 from armrig.plots.greybox import plot_greybox, plot_split
 from armrig.plots.integration import (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
+from armrig.data.treatment.wrong_samples import wrong_samples
 from armrig.numerics.checks import require_integers, require_numbers
-from armrig.preprocess.wrong_samples import wrong_samples
 
 _FALSE_ALARM = 0.05  # chance of one or more in a clean record
 _MOST = 0.1  # share of the samples beyond which they are no outliers

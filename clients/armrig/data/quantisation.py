@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.dataset import Dataset
+from armrig.data.dataset import Dataset
 
 ENOUGH_NOISE = 0.32
 """Noise, as a share of the step, from which on quantisation adds white noise of step²/12.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.dataset import Dataset
-from armrig.trend import Trend
+from armrig.data.dataset import Dataset
+from armrig.data.trend import Trend
 
 
 def difference(data: Dataset) -> Dataset:

@@ -4,16 +4,16 @@ No step fills a gap: what is missing stays missing, and what a missing sample to
 too. Each experiment is treated by itself.
 """
 
-from armrig.preprocess.drift import Drift, drift
-from armrig.preprocess.filtering import prefilter, resample
-from armrig.preprocess.integration import (
+from armrig.data.treatment.detrending import detrend, retrend
+from armrig.data.treatment.drift import Drift, drift
+from armrig.data.treatment.filtering import prefilter, resample
+from armrig.data.treatment.integrating import (
     INTEGRATING_OUTPUTS,
     IntegratingOutputWarning,
     integrating,
 )
-from armrig.preprocess.outliers import hampel
-from armrig.preprocess.rate import difference
-from armrig.preprocess.trends import detrend, retrend
+from armrig.data.treatment.outliers import hampel
+from armrig.data.treatment.rate import difference
 
 __all__ = [
     "INTEGRATING_OUTPUTS",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib import pyplot as plt

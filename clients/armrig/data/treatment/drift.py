@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.dataset import Dataset
-from armrig.preprocess.integration import integrating
-from armrig.preprocess.whitening import whitening
+from armrig.data.dataset import Dataset
+from armrig.data.treatment.integrating import integrating
+from armrig.data.treatment.whitening import whitening
 
 _ORDER = 10
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.dataset import Mask, Vector
+from armrig.data.dataset import Mask, Vector
+from armrig.data.treatment.whitening import Whitening, whitening
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
-from armrig.preprocess.whitening import Whitening, whitening
 
 Indices = NDArray[np.intp]
 

@@ -8,11 +8,11 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armrig.dataset import Dataset, Mask, Vector
+from armrig.data.dataset import Dataset, Mask, Vector
+from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
+from armrig.data.trend import Trend
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import orthonormal
-from armrig.preprocess.integration import IntegratingOutputWarning, integrating
-from armrig.trend import Trend
 
 
 def detrend(data: Dataset, order: int = 0) -> Dataset:
@@ -38,7 +38,7 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     IntegratingOutputWarning
         order=1 on an output that integrates: the line is then the answer to the input's mean,
         not a drift, and the model is wrong without it. An output integrates by its name
-        (theta_1) or by a test, see `armrig.preprocess.integrating`.
+        (theta_1) or by a test, see `armrig.data.treatment.integrating`.
 
     Raises
     ------

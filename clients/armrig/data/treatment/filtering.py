@@ -9,7 +9,7 @@ from math import isclose
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armrig.dataset import Dataset, Mask, Vector
+from armrig.data.dataset import Dataset, Mask, Vector
 from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
 

@@ -25,7 +25,7 @@ from armrig.jitter import jitter_us, lateness_us
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
     from armrig.recording import Recording
 
 
@@ -146,6 +146,6 @@ def squared(unit: str) -> str:
 
 
 def _dataset(source: Recording | Dataset) -> Dataset:
-    from armrig.dataset import Dataset
+    from armrig.data.dataset import Dataset
 
     return source if isinstance(source, Dataset) else source.dataset()

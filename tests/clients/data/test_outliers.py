@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, Mask, Vector, merge
+from armrig.data.dataset import Dataset, Mask, Vector, merge
+from armrig.data.treatment import hampel
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig.preprocess import hampel
 from numpy.typing import NDArray
 
 STD = 0.01

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import detrend, prefilter, resample, retrend
+from armrig.data.trend import Trend
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig.preprocess import detrend, prefilter, resample, retrend
-from armrig.trend import Trend
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

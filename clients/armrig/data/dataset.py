@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.trend import Trend
 from armrig.numerics.checks import column
-from armrig.trend import Trend
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -159,7 +159,7 @@ class Dataset:
             Against time, their power spectra, or how often each value was taken: see
             `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
         """
-        from armrig.plots.data import plot_data, plot_spectrum, plot_values
+        from armrig.data.figures import plot_data, plot_spectrum, plot_values
 
         kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
         if kind not in kinds:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from armrig.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merge
+from armrig.data.treatment import IntegratingOutputWarning, detrend, difference, drift, retrend
+from armrig.data.trend import Trend
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig.preprocess import IntegratingOutputWarning, detrend, difference, drift, retrend
-from armrig.trend import Trend
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from armrig.dataset import Vector
+from armrig.data.dataset import Vector
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.triangular import triangle

@@ -1,0 +1,1 @@
+"""Data to identify from, and their treatment."""
