@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from armrig.integration.exact import exact
     from armrig.integration.stability import stability_limit
     from armrig.integration.stepping import integrate
-    from armrig.jitter import sampling_statistics
     from armrig.listening import stream
     from armrig.model_file import ModelFileError, load_fit
     from armrig.model_search import SearchResult, search
@@ -65,12 +64,13 @@ if TYPE_CHECKING:
     from armrig.nonparametric.structure import structure_hints
     from armrig.physical_step import characteristics, step_sensitivities
     from armrig.physics import ArmParameters, arm, chassis, rehearse
-    from armrig.recording import Recording, RecordingError, load
+    from armrig.recordings.jitter import sampling_statistics
+    from armrig.recordings.recording import Recording, RecordingError, load
+    from armrig.recordings.usability import data_verdict
     from armrig.rig import Rig
     from armrig.session import RigError
     from armrig.study import physical_model
     from armrig.subspace_fit import SubspaceFit
-    from armrig.usability import data_verdict
     from armrig.validation import compare, residuals
 
 __all__ = [
@@ -200,16 +200,16 @@ _MODULES = {
     "data.treatment": (
         *("detrend", "difference", "drift", "hampel", "prefilter", "resample", "retrend"),
     ),
-    "recording": ("Recording", "RecordingError", "load"),
+    "recordings.recording": ("Recording", "RecordingError", "load"),
     "rig": ("Rig",),
     "session": ("RigError",),
     "study": ("physical_model",),
     "listening": ("stream",),
     "model_file": ("ModelFileError", "load_fit"),
     "model_search": ("SearchResult", "search"),
-    "jitter": ("sampling_statistics",),
+    "recordings.jitter": ("sampling_statistics",),
     "subspace_fit": ("SubspaceFit",),
-    "usability": ("data_verdict",),
+    "recordings.usability": ("data_verdict",),
     "validation": ("compare", "residuals"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}

@@ -15,10 +15,10 @@ from armrig_core.rehearsal import Rehearsal, in_words
 from numpy.typing import NDArray
 
 from armrig.progress import bar, timing_note
-from armrig.recording import load
+from armrig.recordings.recording import load
+from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig import Rig, RunEndedError
 from armrig.session import NoReplyError, RigError
-from armrig.usability import DataVerdict, data_verdict
 
 MOST_SAMPLES = 1_000_000
 """As many as the daemon takes in one run."""

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from armrig.excitation import step, telegraph
 from armrig.progress import bar, timing_note
-from armrig.recording import Recording, load
+from armrig.recordings.recording import Recording, load
 from armrig.report import report
 from armrig.report_figures import write_figures
 from armrig.rig import BusyError, RefusedError, Rig, RunEndedError

@@ -15,9 +15,9 @@ from armrig_daemon.records import Log
 from armrig_daemon.state import Action, Emit, Publish, Send
 from armrig_protocol.frame import Spoilt, Unknown, decode
 
-from armrig.container import READ, Content, read
-from armrig.recording import RecordingError
-from armrig.sample_rows import SAMPLE_DTYPE, DamageError
+from armrig.recordings.container import READ, Content, read
+from armrig.recordings.recording import RecordingError
+from armrig.recordings.sample_rows import SAMPLE_DTYPE, DamageError
 
 MOST_CHUNK = 4096
 """Bytes of steps in one chunk; with so few there cannot be many."""

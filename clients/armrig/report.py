@@ -15,11 +15,8 @@ import matplotlib as mpl
 import numpy as np
 import typst
 
-from armrig.calibration.staleness import calibrated
-from armrig.causes import Causes
 from armrig.data.dataset import Dataset
 from armrig.fit import Fit
-from armrig.jitter import SamplingStatistics, Spread
 from armrig.numerics.quantities import (
     NBSP,
     error,
@@ -33,7 +30,10 @@ from armrig.numerics.quantities import (
     power,
 )
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.recording import Recording
+from armrig.recordings.calibration.staleness import calibrated
+from armrig.recordings.jitter import SamplingStatistics, Spread
+from armrig.recordings.recording import Recording
+from armrig.recordings.timing_disturbances import Causes
 from armrig.report_figures import DETAIL_S, write_figures
 from armrig.study import STAIRCASE, STEP, Judged, Study, kind_of
 from armrig.verdict import summary, verdict

@@ -9,14 +9,14 @@ import numpy as np
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
-from armrig.causes import Causes, causes
 from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
 from armrig.fit import Fit
-from armrig.jitter import SamplingStatistics, sampling_statistics
-from armrig.recording import Recording, RecordingError
+from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
+from armrig.recordings.recording import Recording, RecordingError
+from armrig.recordings.timing_disturbances import Causes, causes
 from armrig.validation import ComparisonTable, ResidualTest, compare, residuals
 
 STEP = "step"

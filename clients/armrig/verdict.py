@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from armrig.calibration.staleness import remarks
-from armrig.jitter import angle_of_jitter, fastest_rate
 from armrig.numerics.quantities import (
     error,
     microseconds,
@@ -15,6 +13,8 @@ from armrig.numerics.quantities import (
     percent,
 )
 from armrig.numerics.whiteness import WHITE_LEVEL
+from armrig.recordings.calibration.staleness import remarks
+from armrig.recordings.jitter import angle_of_jitter, fastest_rate
 from armrig.study import Judged, Study
 
 

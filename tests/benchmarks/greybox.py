@@ -15,7 +15,7 @@ import numpy as np
 from armrig.grey_box.model import Physics
 from armrig.grey_box.response import linear_parts
 from armrig.physics import ArmParameters, chassis
-from armrig.unwrapping import outside_dead_band, unwrap
+from armrig.recordings.unwrapping import outside_dead_band, unwrap
 from armrig_daemon.emulator import plant
 from numpy.typing import NDArray
 

@@ -6,7 +6,7 @@ from math import erf, radians, sqrt, tau
 from struct import pack
 
 import numpy as np
-from armrig.calibration import Estimate, Readings, estimate
+from armrig.recordings.calibration import Estimate, Readings, estimate
 from armrig_core.arm import ArmParameters
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import applied_code, code_of, volts_of

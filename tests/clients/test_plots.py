@@ -11,7 +11,7 @@ import pytest
 from armrig import Dataset, Fit, oe, plots
 from armrig.draws import drawn
 from armrig.numerics.polynomial import filtered
-from armrig.recording import Recording, load
+from armrig.recordings.recording import Recording, load
 from armrig.spectral_reference import spectral_reference
 from armrig.study import Study, study
 from matplotlib import pyplot as plt

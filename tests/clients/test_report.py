@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.trend import Trend
-from armrig.recording import RecordingError, load
+from armrig.recordings.recording import RecordingError, load
 from armrig.report import content, report, role, treatment
 from armrig.report_figures import write_figures
 from armrig.study import Orders, Study, physical_model, study

@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from armrig.container import read
+from armrig.recordings.container import read
 from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.calibration_file import raw_path, toml_of
 from armrig_core.commands import Run

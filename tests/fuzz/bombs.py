@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import zstandard
-from armrig import container
+from armrig.recordings import container
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME
 from mcap.opcode import Opcode
@@ -23,14 +23,14 @@ MOST_MIB = 64.0
 """What reading a hostile file may cost, in MiB resident."""
 _LOAD = """
 import sys
-import armrig.recording
+import armrig.recordings.recording
 # Not getrusage: its maximum is inherited from who started us.
 peak = lambda: int(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]) / 1024
-armrig.recording.load(sys.argv[1])  # an honest one: what reading costs anyway
+armrig.recordings.recording.load(sys.argv[1])  # an honest one: what reading costs anyway
 before = peak()
 try:
-    armrig.recording.load(sys.argv[2])
-except armrig.recording.RecordingError:
+    armrig.recordings.recording.load(sys.argv[2])
+except armrig.recordings.recording.RecordingError:
     pass
 print(before, peak() - before)
 """

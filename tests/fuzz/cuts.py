@@ -16,9 +16,9 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
-from armrig import container
-from armrig.recording import RecordingError, load
-from armrig.sample_rows import DamageError
+from armrig.recordings import container
+from armrig.recordings.recording import RecordingError, load
+from armrig.recordings.sample_rows import DamageError
 from armrig_core import telemetry
 from mcap.opcode import Opcode
 

@@ -12,8 +12,8 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.calibration import decompressed, estimate
-from armrig.container import read
+from armrig.recordings.calibration import decompressed, estimate
+from armrig.recordings.container import read
 from armrig.replay import replay
 from armrig_core.calibration_file import raw_path, read_calibration
 from armrig_core.manifest import CALIBRATION_RAW
@@ -78,7 +78,7 @@ def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> 
     assert rec.calibration == read_calibration(output)
     shown = rec.theta_1[rec.valid]
     assert shown[-1] > shown[0] + 0.5, "a voltage turns towards positive angles"
-    assert armrig.calibration.remarks(rec.calibration, rec.manifest) == []
+    assert armrig.recordings.calibration.remarks(rec.calibration, rec.manifest) == []
     assert replay(rec.path).difference == ""
     content = read(rec.path)
     assert content is not None

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.recording import RecordingError
+from armrig.recordings.recording import RecordingError
 from armrig.replay import replay
 from armrig_daemon import scheduling
 from processes import Bench

@@ -8,7 +8,7 @@ from armrig.advising.of_data import of_data
 from armrig.advising.of_model import of_model
 from armrig.data.dataset import Dataset
 from armrig.fit import Fit
-from armrig.usability import Finding
+from armrig.recordings.usability import Finding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)

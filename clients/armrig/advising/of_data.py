@@ -14,7 +14,7 @@ from armrig.estimation.oe import oe
 from armrig.feedback_and_delay.granger import granger
 from armrig.input_description import describe_input
 from armrig.numerics.quantities import p_relation, percent
-from armrig.usability import Finding
+from armrig.recordings.usability import Finding
 
 ORDER = 4
 """Poles of the arm, and coefficients of its numerator."""

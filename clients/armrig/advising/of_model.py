@@ -9,7 +9,7 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.equation import verdict
 from armrig.fit import Fit
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.usability import Finding
+from armrig.recordings.usability import Finding
 
 _REAL = 1e-9
 _STD_99 = 2.58

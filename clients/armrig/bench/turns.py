@@ -33,7 +33,7 @@ from armrig.bench.programs import (
     tell,
 )
 from armrig.bench.sleeper import Done, Task
-from armrig.recording import Recording, load
+from armrig.recordings.recording import Recording, load
 from armrig.rig import Rig, RunEndedError
 from armrig.session import RigError
 

@@ -11,8 +11,8 @@ import typer
 from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
 
 if TYPE_CHECKING:
-    from armrig.calibration import Estimate
-    from armrig.recording import Recording
+    from armrig.recordings.calibration import Estimate
+    from armrig.recordings.recording import Recording
 
 _OWNER = "armrig calibrate"
 _DEAD_MAN_S = 1.0
@@ -71,7 +71,7 @@ def calibrate(
 
     Each figure comes with its standard deviation.
     """
-    from armrig.calibration import estimate
+    from armrig.recordings.calibration import estimate
 
     readings = [_meter(text) for text in meter or []]
     levels = volts or [1.0, 2.0, 3.0]
@@ -164,7 +164,7 @@ class _Player:
         self, experiment: str, seconds: float, details: dict[str, Any], make: Any
     ) -> Recording:
         from armrig.collection import Plan, collect
-        from armrig.recording import load
+        from armrig.recordings.recording import load
 
         plan = Plan(
             experiment=experiment,
@@ -210,7 +210,7 @@ def _check_turns(levels: list[float], level_seconds: float) -> None:
     """Refuse voltages that the rig does not stand, and times too short for a speed to settle."""
     from armrig_core.volts import U_MAX_V
 
-    from armrig.calibration.turning import LEAST_S, SETTLE_S
+    from armrig.recordings.calibration.rotation import LEAST_S, SETTLE_S
 
     for u in levels:
         if not 0 < u <= U_MAX_V:
@@ -253,7 +253,7 @@ def _applied(code: int, rest: Recording) -> float:
 
 
 def _loaded(path: Path | None) -> Recording | None:
-    from armrig.recording import load
+    from armrig.recordings.recording import load
 
     return None if path is None else load(path)
 
@@ -274,7 +274,7 @@ def _write(path: Path, found: Estimate, base: Any, recordings: dict[str, Recordi
     from armrig_core.calibration_file import raw_path, toml_of
 
     from armrig import __version__
-    from armrig.calibration import compressed
+    from armrig.recordings.calibration import compressed
 
     first = recordings["rest"].manifest
     uids = {str(r.manifest.device.get("uid", "")) for r in recordings.values()}

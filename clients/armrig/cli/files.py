@@ -25,7 +25,7 @@ from armrig.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 _MCAP = b"\x89MCAP0\r\n"
 
@@ -39,12 +39,12 @@ def info(
     ] = None,
 ) -> None:
     """Say what a recording holds and how well it was sampled."""
-    from armrig.calibration.staleness import calibrated, remarks
-    from armrig.causes import causes, in_words
-    from armrig.jitter import sampling_statistics
-    from armrig.outages import in_lines
-    from armrig.recording import load
-    from armrig.usability import data_verdict
+    from armrig.recordings.calibration.staleness import calibrated, remarks
+    from armrig.recordings.gap_summary import in_lines
+    from armrig.recordings.jitter import sampling_statistics
+    from armrig.recordings.recording import load
+    from armrig.recordings.timing_disturbances import causes, in_words
+    from armrig.recordings.usability import data_verdict
 
     if plot is not None:
         check_output(plot, [file])
@@ -132,7 +132,7 @@ def report(
     """
     check_output(output, files, suffix=".pdf")
     from armrig.estimating import estimating, waiting
-    from armrig.recording import load
+    from armrig.recordings.recording import load
     from armrig.report import report as typeset
     from armrig.study import Orders, study
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.fit import Fit
     from armrig.nonparametric.frequency import SpectralEstimate
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
     from armrig.validation import Comparison
 
 Output = Literal["theta_1", "alpha", "velocity"]
@@ -65,7 +65,7 @@ def validate(
     from armrig import account
     from armrig.estimating import estimating
     from armrig.model_file import load_fit
-    from armrig.recording import load
+    from armrig.recordings.recording import load
     from armrig.validation import compare as compared
     from armrig.validation import residuals
 
@@ -129,7 +129,7 @@ def compare(
     F2 compare those of --model on F.
     """
     from armrig.model_file import load_fit
-    from armrig.recording import load
+    from armrig.recordings.recording import load
     from armrig.validation import compare as compared
 
     if other is None and not model:

@@ -249,7 +249,7 @@ def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
 
 
 def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:
-    from armrig.recording import load
+    from armrig.recordings.recording import load
 
     data: Dataset = warned(load(file, calibration)).dataset(output)
     return data
@@ -259,8 +259,8 @@ def _grey_data(
     file: Path, output: Any, calibration: Path | None, model: Literal["chassis", "arm"] | None
 ) -> tuple[Dataset, Literal["chassis", "arm"]]:
     """Return the data, and of which rig they are; another one than was said is refused."""
-    from armrig.findings import alpha_moves
-    from armrig.recording import load
+    from armrig.recordings.findings import alpha_moves
+    from armrig.recordings.recording import load
 
     recording = warned(load(file, calibration))
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"

@@ -20,13 +20,13 @@ from armrig.canvas import (
     short,
     sign,
 )
-from armrig.jitter import jitter_us, lateness_us
+from armrig.recordings.jitter import jitter_us, lateness_us
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.dataset import Dataset
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 
 def plot_data(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:

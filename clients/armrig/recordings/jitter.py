@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 Vector = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from armrig import container, grid, sample_rows
-from armrig.causes import causes, in_words
-from armrig.jitter import sampling_statistics
-from armrig.recording import Recording, RecordingError, load
+from armrig.recordings import container, grid, sample_rows
+from armrig.recordings.jitter import sampling_statistics
+from armrig.recordings.recording import Recording, RecordingError, load
+from armrig.recordings.timing_disturbances import causes, in_words
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.manifest import RUN, Manifest, Outcome

@@ -18,8 +18,8 @@ import numpy as np
 from armrig_core.calibration import Figure
 from numpy.typing import NDArray
 
-from armrig.calibration.readings import CalibrationError, Readings
-from armrig.calibration.standing import FULL_COUNTS, RAIL_COUNTS
+from armrig.recordings.calibration.readings import CalibrationError, Readings
+from armrig.recordings.calibration.rest import FULL_COUNTS, RAIL_COUNTS
 
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 Vector = NDArray[np.float64]
 

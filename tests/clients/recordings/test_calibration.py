@@ -8,17 +8,17 @@ from math import degrees, erf, sqrt, tau
 
 import numpy as np
 import pytest
-from armrig.calibration import (
+from armrig.recordings.calibration import (
     CalibrationError,
     compressed,
     decompressed,
     estimate,
     remarks,
 )
-from armrig.calibration.deflection import sign_by_hand
-from armrig.calibration.driving import terminal_voltage
-from armrig.calibration.standing import mean_reading, rounding_variance, spread
-from armrig.calibration.turning import turning
+from armrig.recordings.calibration.deflection import sign_by_hand
+from armrig.recordings.calibration.motor import terminal_voltage
+from armrig.recordings.calibration.rest import mean_reading, rounding_variance, spread
+from armrig.recordings.calibration.rotation import turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from calibration_rig import calibrated, truth, unknown_rig
 from hypothesis import given, settings

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from armrig.happenings import Gap
-from armrig.outages import in_lines
+from armrig.recordings.daemon_reports import Gap
+from armrig.recordings.gap_summary import in_lines
 
 
 def _gap(t: float, count: int = 1, reason: str = "a frame was lost") -> Gap:

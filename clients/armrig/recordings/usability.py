@@ -9,7 +9,7 @@ import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.whitening import whitening
-from armrig.findings import (
+from armrig.recordings.findings import (
     TOO_FEW,
     Finding,
     converter_step,
@@ -24,7 +24,7 @@ from armrig.findings import (
 )
 
 if TYPE_CHECKING:
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 __all__ = ["DataVerdict", "Finding", "data_verdict"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from math import isnan, nan
 from typing import TYPE_CHECKING
 
-from armrig.happenings import DeviceClock, Timing
+from armrig.recordings.daemon_reports import DeviceClock, Timing
 
 if TYPE_CHECKING:
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

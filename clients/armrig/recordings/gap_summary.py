@@ -8,7 +8,7 @@ from math import floor
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from armrig.happenings import Gap
+    from armrig.recordings.daemon_reports import Gap
 
 
 def in_lines(gaps: Iterable[Gap]) -> list[str]:

@@ -11,10 +11,16 @@ from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiom
 from armrig_core.volts import U_MAX_V
 from msgspec.structs import replace
 
-from armrig.calibration.deflection import sign_by_hand, sign_of_lag
-from armrig.calibration.driving import IDEAL, Speeds, TerminalVoltage, speeds, terminal_voltage
-from armrig.calibration.readings import CalibrationError, Readings, readings_of
-from armrig.calibration.standing import (
+from armrig.recordings.calibration.deflection import sign_by_hand, sign_of_lag
+from armrig.recordings.calibration.motor import (
+    IDEAL,
+    Speeds,
+    TerminalVoltage,
+    speeds,
+    terminal_voltage,
+)
+from armrig.recordings.calibration.readings import CalibrationError, Readings, readings_of
+from armrig.recordings.calibration.rest import (
     at_rail,
     mean_reading,
     noise_before_rounding,
@@ -22,10 +28,10 @@ from armrig.calibration.standing import (
     rounding_variance,
     spread,
 )
-from armrig.calibration.turning import Turning, turning
+from armrig.recordings.calibration.rotation import Turning, turning
 
 if TYPE_CHECKING:
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 _UNSTEADY = 1.5  # residuals at constant speed over what noise and rounding explain
 _METER_MAY_ERR = 1.005  # what a common meter's reading is uncertain by

@@ -32,7 +32,13 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, DataEnd, Metadata
 from numpy.typing import NDArray
 
-from armrig.sample_rows import CHANNEL, RECORD_HEAD, SAMPLE_DTYPE, DamageError, SampleRows
+from armrig.recordings.sample_rows import (
+    CHANNEL,
+    RECORD_HEAD,
+    SAMPLE_DTYPE,
+    DamageError,
+    SampleRows,
+)
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_LIMIT = 8 << 20

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from armrig_protocol.messages import Flag
 
-from armrig.jitter import angle_of_jitter, longest_run, sampling_statistics
 from armrig.numerics.quantities import error, microseconds, percent
+from armrig.recordings.jitter import angle_of_jitter, longest_run, sampling_statistics
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.recording import Recording
+    from armrig.recordings.recording import Recording
 
 LEAST_RATIO, NO_RATIO = 3.0, 0.3
 """Signal over noise below which 30 s give inertias to some per cent only, and nothing at all."""

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from armrig.calibration.estimate import Estimate, estimate
-from armrig.calibration.readings import CalibrationError, Readings, compressed, decompressed
-from armrig.calibration.staleness import STALE_DAYS, remarks
+from armrig.recordings.calibration.estimate import Estimate, estimate
+from armrig.recordings.calibration.readings import (
+    CalibrationError,
+    Readings,
+    compressed,
+    decompressed,
+)
+from armrig.recordings.calibration.staleness import STALE_DAYS, remarks
 
 __all__ = [
     "STALE_DAYS",

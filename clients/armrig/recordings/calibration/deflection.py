@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from armrig_core.calibration import Figure
 
-from armrig.calibration.readings import Readings
+from armrig.recordings.calibration.readings import Readings
 
 CLEAR = 8.0
 """Deflections are told from noise of so many standard deviations, and a step beside."""

@@ -11,8 +11,8 @@ from armrig_core.calibration import Figure
 from armrig_core.volts import U_MAX_V
 from numpy.typing import NDArray
 
-from armrig.calibration.readings import CalibrationError
-from armrig.calibration.turning import Turning
+from armrig.recordings.calibration.readings import CalibrationError
+from armrig.recordings.calibration.rotation import Turning
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -15,11 +15,10 @@ from armrig_core.manifest import Manifest, Outcome
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
-from armrig.container import Content, read
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.grid import Grid, grid
-from armrig.happenings import (
+from armrig.recordings.container import Content, read
+from armrig.recordings.daemon_reports import (
     Clock,
     DeviceClock,
     Event,
@@ -31,8 +30,9 @@ from armrig.happenings import (
     gap_of,
     timing_of,
 )
-from armrig.sample_rows import DamageError
-from armrig.unwrapping import outside_dead_band, turns_unknown, unwrap
+from armrig.recordings.grid import Grid, grid
+from armrig.recordings.sample_rows import DamageError
+from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

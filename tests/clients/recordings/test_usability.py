@@ -10,8 +10,8 @@ import armrig
 import msgspec
 import numpy as np
 import pytest
-from armrig.recording import Recording, load
-from armrig.usability import DataVerdict, data_verdict
+from armrig.recordings.recording import Recording, load
+from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig_core.manifest import Outcome
 from armrig_core.rehearsal import Rehearsal
 from armrig_protocol.messages import Flag
