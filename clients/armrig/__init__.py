@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
     from armrig.feedback_and_delay.delay import delay
     from armrig.feedback_and_delay.open_loop import open_loop
-    from armrig.fit import Fit
     from armrig.grey_box.agreement import agreement
     from armrig.grey_box.estimate import greybox
     from armrig.grey_box.fit import GreyFit
@@ -52,8 +51,10 @@ if TYPE_CHECKING:
     from armrig.integration.stability import stability_limit
     from armrig.integration.stepping import integrate
     from armrig.listening import stream
-    from armrig.model_file import ModelFileError, load_fit
     from armrig.model_search import SearchResult, search
+    from armrig.models.fit import Fit
+    from armrig.models.model_file import ModelFileError, load_fit
+    from armrig.models.subspace_fit import SubspaceFit
     from armrig.nonparametric.bla import bla
     from armrig.nonparametric.correlation import correlation
     from armrig.nonparametric.etfe import etfe
@@ -70,7 +71,6 @@ if TYPE_CHECKING:
     from armrig.rig import Rig
     from armrig.session import RigError
     from armrig.study import physical_model
-    from armrig.subspace_fit import SubspaceFit
     from armrig.validation import compare, residuals
 
 __all__ = [
@@ -176,7 +176,7 @@ _MODULES = {
     "input_description": ("describe_input",),
     "feedback_and_delay.delay": ("delay",),
     "feedback_and_delay.open_loop": ("open_loop",),
-    "fit": ("Fit",),
+    "models.fit": ("Fit",),
     "grey_box.agreement": ("agreement",),
     "grey_box.estimate": ("greybox",),
     "grey_box.fit": ("GreyFit",),
@@ -205,10 +205,10 @@ _MODULES = {
     "session": ("RigError",),
     "study": ("physical_model",),
     "listening": ("stream",),
-    "model_file": ("ModelFileError", "load_fit"),
+    "models.model_file": ("ModelFileError", "load_fit"),
     "model_search": ("SearchResult", "search"),
     "recordings.jitter": ("sampling_statistics",),
-    "subspace_fit": ("SubspaceFit",),
+    "models.subspace_fit": ("SubspaceFit",),
     "recordings.usability": ("data_verdict",),
     "validation": ("compare", "residuals"),
 }

@@ -9,11 +9,11 @@ import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.equation import form
-from armrig.fit import Fit
+from armrig.models.equation import form
+from armrig.models.fit import Fit
+from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import p_relation, places
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.subspace_fit import SubspaceFit
 from armrig.validation import Comparison, ResidualTest
 
 if TYPE_CHECKING:

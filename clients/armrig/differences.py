@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.models.characteristics import DRAWS, SCALARS, Traits
 from armrig.numerics.quantities import minus, places
-from armrig.traits import DRAWS, SCALARS, Traits
 
 if TYPE_CHECKING:
     from armrig.validation import Comparison

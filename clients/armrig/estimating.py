@@ -10,7 +10,7 @@ from threading import Timer
 import numpy as np
 from rich.console import Console
 
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 
 AFTER_S = 1.0
 """What takes no longer needs no sign of life, in s."""

@@ -20,9 +20,9 @@ from armrig.estimation.bj import bj
 from armrig.estimation.iv4 import iv4
 from armrig.estimation.n4sid import n4sid
 from armrig.estimation.oe import oe
-from armrig.fit import Fit
+from armrig.models.fit import Fit
+from armrig.models.prediction import require_same_signals
 from armrig.numerics.checks import require_integers
-from armrig.prediction import require_same_signals
 from armrig.validation import ResidualTest, residuals
 
 Vector = NDArray[np.float64]

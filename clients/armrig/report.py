@@ -16,7 +16,7 @@ import numpy as np
 import typst
 
 from armrig.data.dataset import Dataset
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.numerics.quantities import (
     NBSP,
     error,

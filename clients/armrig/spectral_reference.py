@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.spectral import spa
 
 LONGEST = 300

@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
 from armrig.recordings.recording import Recording, RecordingError
 from armrig.recordings.timing_disturbances import Causes, causes

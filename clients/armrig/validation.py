@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.differences import explanation, table
-from armrig.fit import Fit
+from armrig.models.characteristics import Traits, traits
+from armrig.models.fit import Fit
+from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import orthonormal
@@ -27,8 +29,6 @@ from armrig.numerics.whiteness import (
     ljung_box,
     portmanteau,
 )
-from armrig.prediction import Residuals, prediction_errors, require_same_signals
-from armrig.traits import Traits, traits
 
 Vector = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ import armrig
 import numpy as np
 from armrig.data.dataset import Dataset
 from armrig.experiment_design import PredictedStd
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered
 from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold

@@ -19,9 +19,9 @@ import time
 import numpy as np
 from armrig import Dataset, Fit, armax, bj, oe, telegraph
 from armrig.estimation.prediction_error import PredictionError
-from armrig.innovations import prepared
+from armrig.models.innovations import prepared
+from armrig.models.structure import Structure
 from armrig.numerics.polynomial import filtered, reflected
-from armrig.structure import Structure
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]

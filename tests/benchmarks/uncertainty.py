@@ -29,7 +29,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from armrig import Dataset, Fit, oe, telegraph
-from armrig.draws import drawn, roots_of
+from armrig.models.parameter_draws import drawn, roots_of
+from armrig.models.uncertainty import frequency_responses, step_responses
 from armrig.numerics.confidence_regions import (
     Band,
     Region,
@@ -42,7 +43,6 @@ from armrig.numerics.confidence_regions import (
 )
 from armrig.numerics.polynomial import evaluate, filtered
 from armrig.numerics.root_draws import root_draws
-from armrig.uncertainty import frequency_responses, step_responses
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 

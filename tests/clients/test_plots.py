@@ -9,7 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.draws import drawn
+from armrig.models.parameter_draws import drawn
 from armrig.numerics.polynomial import filtered
 from armrig.recordings.recording import Recording, load
 from armrig.spectral_reference import spectral_reference

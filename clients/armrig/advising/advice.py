@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from armrig.advising.of_data import of_data
 from armrig.advising.of_model import of_model
 from armrig.data.dataset import Dataset
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.recordings.usability import Finding
 
 

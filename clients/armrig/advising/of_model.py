@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from armrig.cancellation import overlapping
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.equation import verdict
-from armrig.fit import Fit
+from armrig.models.cancellation import overlapping
+from armrig.models.equation import verdict
+from armrig.models.fit import Fit
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.usability import Finding
 

@@ -26,8 +26,8 @@ from armrig.cli.rows import row_facts
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.fit import Fit
-    from armrig.nonparametric.frequency import SpectralEstimate
+    from armrig.models.fit import Fit
+    from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
     from armrig.validation import Comparison
 
@@ -64,7 +64,7 @@ def validate(
     """
     from armrig import account
     from armrig.estimating import estimating
-    from armrig.model_file import load_fit
+    from armrig.models.model_file import load_fit
     from armrig.recordings.recording import load
     from armrig.validation import compare as compared
     from armrig.validation import residuals
@@ -128,7 +128,7 @@ def compare(
     Identify ARX and OE from F and compare them, the physics and those of --model on F2; without
     F2 compare those of --model on F.
     """
-    from armrig.model_file import load_fit
+    from armrig.models.model_file import load_fit
     from armrig.recordings.recording import load
     from armrig.validation import compare as compared
 

@@ -36,8 +36,8 @@ from armrig.cli.structures import (
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.fit import Fit
     from armrig.model_search import SearchResult
+    from armrig.models.fit import Fit
 
 Output = Annotated[
     Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")

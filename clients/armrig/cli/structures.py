@@ -8,7 +8,7 @@ import typer
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 Structure = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]
 Weights = Literal["cva", "moesp", "n4sid"]

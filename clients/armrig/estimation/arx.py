@@ -6,13 +6,13 @@ import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
-from armrig.fit import Fit
+from armrig.models.fit import Fit
+from armrig.models.prediction import arx_regression
 from armrig.numerics.checks import require_integers
 from armrig.numerics.covariance import correlated_score
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.whiteness import default_lags, portmanteau
-from armrig.prediction import arx_regression
 
 
 def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:

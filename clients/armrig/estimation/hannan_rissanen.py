@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from armrig.innovations import Experiment
+from armrig.models.innovations import Experiment
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.whiteness import autoregression, joined

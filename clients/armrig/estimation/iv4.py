@@ -9,14 +9,14 @@ import numpy as np
 
 from armrig.data.dataset import Dataset, Mask
 from armrig.estimation.orders import require_samples
-from armrig.fit import Fit
+from armrig.models.fit import Fit
+from armrig.models.prediction import arx_regression
 from armrig.numerics.checks import require_integers
 from armrig.numerics.covariance import correlated_score
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.whiteness import WHITE_LEVEL, autoregression, default_lags, joined, ljung_box
-from armrig.prediction import arx_regression
 
 _LONGEST = 40  # holes between experiments, at least the order of the autoregression
 

@@ -19,15 +19,15 @@ from armrig.estimation.subspace import (
     suggested_order,
     windows,
 )
-from armrig.innovations import Errors, Regression, errors, prepared, regression
+from armrig.models.innovations import Errors, Regression, errors, prepared, regression
+from armrig.models.structure import Structure
+from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.covariance import correlated_score
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, lagged, reflected, without_integrator
 from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
-from armrig.structure import Structure
-from armrig.subspace_fit import SubspaceFit
 
 LEAST, LONGEST = 10, 30  # samples of past and of future
 _ENOUGH = 4000  # windows to choose the horizon from

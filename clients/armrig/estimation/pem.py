@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from armrig.data.dataset import Dataset
 from armrig.estimation.searching import Initial, searched
-from armrig.fit import Fit
+from armrig.models.fit import Fit
+from armrig.models.structure import Structure
 from armrig.numerics.checks import require_integers
-from armrig.structure import Structure
 
 
 def pem(

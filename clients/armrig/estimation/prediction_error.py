@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.innovations import Errors, Experiment, Regression, errors, regression
+from armrig.models.innovations import Errors, Experiment, Regression, errors, regression
+from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MOST_STEPS, Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array, stable
-from armrig.structure import Structure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,16 +12,16 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import PredictionError, Solution
-from armrig.fit import Fit, Start
-from armrig.free_response import FreeResponse, offset_from_ramp
-from armrig.innovations import Errors, Unknown, prepared
+from armrig.models.fit import Fit, Start
+from armrig.models.free_response import FreeResponse, offset_from_ramp
+from armrig.models.innovations import Errors, Unknown, prepared
+from armrig.models.structure import Structure
 from armrig.numerics.covariance import correlated_score, exogenous_score
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
-from armrig.structure import Structure
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from armrig.free_response import free_columns
-from armrig.innovations import trend
+from armrig.models.free_response import free_columns
+from armrig.models.innovations import trend
+from armrig.models.structure import Structure
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
-from armrig.structure import Structure
 
 _HIGH_ORDER = 12
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from armrig.data.dataset import Dataset, Vector
 from armrig.experiment_design.planned_model import Model, integrating_polynomial
 from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
-from armrig.free_response import free_columns, transient_count
+from armrig.models.free_response import free_columns, transient_count
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, without_integrator
 from armrig.numerics.sensitivity import by_denominator, by_numerator

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
 from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
-from armrig.free_response import free_columns
+from armrig.models.free_response import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered

@@ -21,7 +21,7 @@ from armrig.feedback_and_delay.onset import (
     Onset,
     onset,
 )
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.nonparametric.integration import settled
 from armrig.numerics.checks import require_integers

@@ -11,7 +11,7 @@ import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 
 LEVEL = 0.01
 SECOND_ORDER = frozenset({"theta_1", "alpha"})

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
-from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.checks import require_integers

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.answers import StepResponse
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.models.responses import StepResponse
+from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.integration import settled, summation
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.nonparametric.regression import Regression, regression

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
+from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.filling import filled
-from armrig.nonparametric.frequency import SpectralEstimate
 from armrig.nonparametric.impulse import impulse_response, long_enough
 from armrig.nonparametric.integration import settled
 from armrig.nonparametric.spectral import spa

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
 from armrig.nonparametric.spectral import spa
 from armrig.numerics.quantile import two_sided

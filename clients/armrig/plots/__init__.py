@@ -6,7 +6,8 @@ white. A second panel, where a figure has one, takes its place from the lower pa
 
 from armrig.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILION, finish, sign
 from armrig.data.figures import plot_data, plot_spectrum, plot_timing, plot_values
-from armrig.plots.answers import plot_bode, plot_fit, plot_step
+from armrig.models.figures import plot_bode, plot_fit, plot_step
+from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
 from armrig.plots.greybox import plot_greybox, plot_split
 from armrig.plots.inputs import plot_input
@@ -27,7 +28,6 @@ from armrig.plots.nonparametric import (
 )
 from armrig.plots.orders import plot_orders
 from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
-from armrig.plots.poles_zeros import plot_poles_zeros
 
 __all__ = [
     "BLUE",

@@ -21,14 +21,14 @@ from armrig.canvas import (
     sign,
     stems,
 )
-from armrig.plots.labels import Labels
+from armrig.models.labels import Labels
 from armrig.validation import BAND_99_PERCENT, ComparisonTable, compare, residuals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.dataset import Dataset
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 
 def plot_compare(

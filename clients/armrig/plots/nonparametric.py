@@ -26,8 +26,8 @@ from armrig.numerics.quantities import minus
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.nonparametric.correlation import Correlation
-    from armrig.nonparametric.frequency import SpectralEstimate
     from armrig.nonparametric.impulse import ImpulseResponse
     from armrig.nonparametric.sampling import SamplingTime
     from armrig.nonparametric.steps import StepAnalysis

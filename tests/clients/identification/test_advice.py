@@ -8,8 +8,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.advising.advice import Advice
-from armrig.cancellation import overlapping
 from armrig.data.dataset import Dataset
+from armrig.models.cancellation import overlapping
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

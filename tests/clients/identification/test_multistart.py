@@ -13,9 +13,9 @@ from armrig.estimation.multistart import searched_minimum
 from armrig.estimation.oe import oe
 from armrig.estimation.prediction_error import PredictionError
 from armrig.excitation import telegraph
-from armrig.innovations import prepared
+from armrig.models.innovations import prepared
+from armrig.models.structure import Structure
 from armrig.numerics.polynomial import filtered
-from armrig.structure import Structure
 from numpy.typing import NDArray
 
 BJ = Structure(nb=4, nc=2, nd=2, nf=4, nk=1)

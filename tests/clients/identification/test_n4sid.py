@@ -12,9 +12,9 @@ from armrig.estimation.armax import armax
 from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.subspace import Weights
 from armrig.excitation import telegraph
-from armrig.model_file import load_fit
+from armrig.models.model_file import load_fit
+from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.polynomial import filtered
-from armrig.subspace_fit import SubspaceFit
 from armrig.validation import compare, residuals
 
 if TYPE_CHECKING:

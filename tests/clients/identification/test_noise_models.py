@@ -16,7 +16,7 @@ from armrig.estimation.iv4 import iv4
 from armrig.estimation.oe import oe
 from armrig.estimation.pem import pem
 from armrig.excitation import telegraph
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.validation import residuals
 from numpy.typing import NDArray

@@ -11,7 +11,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.numerics.covariance import correlated_score
 from armrig.numerics.polynomial import filtered
 from armrig.validation import residuals

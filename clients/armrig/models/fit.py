@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.answers import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
 from armrig.data.dataset import Dataset
-from armrig.free_response import FreeResponse
+from armrig.models.free_response import FreeResponse
+from armrig.models.responses import FrequencyResponse, NoiseSpectrum, Roots, StepResponse
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
 from armrig.numerics.sensitivity import by_denominator, by_numerator
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import control
     from matplotlib.figure import Figure
 
-    from armrig.summary import Summary
+    from armrig.models.summary import Summary
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -358,7 +358,7 @@ class Fit:
         it was with the model, the input offset too); NaN where the past is not yet known: at the
         beginning for a model without C, and with a noise model within `horizon` of a gap.
         """
-        from armrig.prediction import predicted
+        from armrig.models.prediction import predicted
 
         return predicted(self, data, horizon)
 
@@ -368,7 +368,7 @@ class Fit:
         They are linearised, or by draws of the parameters where that is poor: see
         `armrig.numerics.confidence_regions`.
         """
-        from armrig.summary import summary
+        from armrig.models.summary import summary
 
         return summary(self)
 
@@ -377,7 +377,7 @@ class Fit:
 
         For one of them, for several models and for axes of your own see `armrig.plots`.
         """
-        from armrig.plots.answers import plot_fit
+        from armrig.models.figures import plot_fit
 
         return plot_fit(self)
 
@@ -386,31 +386,31 @@ class Fit:
 
         The file holds the hash of the recording and the treatment of its data, too.
         """
-        from armrig.model_file import save_fit
+        from armrig.models.model_file import save_fit
 
         save_fit(self, path)
 
     def latex(self) -> str:
         """Return the equation with standard deviations as LaTeX, an `aligned` block."""
-        from armrig.typeset import latex
+        from armrig.models.markup import latex
 
         return latex(self)
 
     def typst(self) -> str:
         """Return the equation with standard deviations as a block of Typst's mathematics."""
-        from armrig.typeset import typst
+        from armrig.models.markup import typst
 
         return typst(self)
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook."""
-        from armrig.typeset import html
+        from armrig.models.markup import html
 
         return html(self)
 
     def __repr__(self) -> str:
         """Say it in a few lines, equation first."""
-        from armrig.equation import described
+        from armrig.models.equation import described
 
         return described(self)
 

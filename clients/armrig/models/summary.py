@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.cancellation import overlapping
-from armrig.draws import Draws, drawn
+from armrig.models.cancellation import overlapping
+from armrig.models.characteristics import SCALARS, Traits, traits
+from armrig.models.parameter_draws import Draws, drawn
+from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HALF_WIDTH, Region
 from armrig.numerics.quantities import minus, places
-from armrig.traits import SCALARS, Traits, traits
-from armrig.uncertainty import pole_regions, zero_regions
 
 if TYPE_CHECKING:
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 _UNITS = {
     "gain": "",

@@ -10,7 +10,7 @@ from armrig.numerics.confidence_regions import Band
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.draws import Draws
+    from armrig.models.parameter_draws import Draws
 
 Labels = Sequence[str] | None
 

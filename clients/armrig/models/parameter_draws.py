@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from armrig.numerics.polynomial import stable, without_integrator
 
 if TYPE_CHECKING:
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 
 if TYPE_CHECKING:
     import control

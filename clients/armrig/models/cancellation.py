@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armrig.numerics.whiteness import joint_p_value
 
 if TYPE_CHECKING:
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 Complex = NDArray[np.complex128]
 

@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.cancellation import overlapping
 from armrig.canvas import GREY, INK, axes, finish, pens, sign
-from armrig.draws import Draws, drawn
+from armrig.models.cancellation import overlapping
+from armrig.models.labels import Labels, labels_of, sources_of, tell_left_out
+from armrig.models.parameter_draws import Draws, drawn
+from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import Region
 from armrig.numerics.root_draws import Cloud
-from armrig.plots.labels import Labels, labels_of, sources_of, tell_left_out
-from armrig.uncertainty import pole_regions, zero_regions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 _SIZES = (9.0, 6.5, 4.0, 4.0)  # the first is the largest: models that agree show around each other
 _FARTHEST = 2.0  # what lies further out is off the figure

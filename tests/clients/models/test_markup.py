@@ -11,7 +11,7 @@ import typst
 from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 
 

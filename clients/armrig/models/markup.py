@@ -7,10 +7,10 @@ from html import escape
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from armrig.equation import form, verdict
+from armrig.models.equation import form, verdict
 
 if TYPE_CHECKING:
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 
 def latex(fit: Fit) -> str:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.draws import Draws, drawn, polynomial_of, roots_of
+from armrig.models.parameter_draws import Draws, drawn, polynomial_of, roots_of
 from armrig.numerics.confidence_regions import Band, Region, band, regions
 
 if TYPE_CHECKING:
-    from armrig.answers import FrequencyResponse, StepResponse
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
+    from armrig.models.responses import FrequencyResponse, StepResponse
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

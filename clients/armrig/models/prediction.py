@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.data.dataset import Dataset, Mask, Vector
-from armrig.free_response import free_columns, transient_count
-from armrig.innovations import Unknown, errors, masked, prepared, regression, summed_input
+from armrig.models.free_response import free_columns, transient_count
+from armrig.models.innovations import Unknown, errors, masked, prepared, regression, summed_input
+from armrig.models.structure import Structure
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
-from armrig.structure import Structure
 
 if TYPE_CHECKING:
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,18 +8,25 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.canvas import GREY, INK, NAMES, axes, finish, panels, pens, sign
-from armrig.draws import Draws, drawn
-from armrig.nonparametric.frequency import SpectralEstimate
+from armrig.models.labels import (
+    Labels,
+    gain_unit,
+    labels_of,
+    sources_of,
+    tell_left_out,
+    with_method,
+)
+from armrig.models.parameter_draws import Draws, drawn
+from armrig.models.pole_zero_figure import plot_poles_zeros
+from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.models.uncertainty import frequency_bands, step_band
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band
-from armrig.plots.labels import Labels, gain_unit, labels_of, sources_of, tell_left_out, with_method
-from armrig.plots.poles_zeros import plot_poles_zeros
-from armrig.uncertainty import frequency_bands, step_band
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 _DOTS = 40  # at which an estimate without a structure is shown
 

@@ -14,8 +14,8 @@ from armrig.data.dataset import Dataset, merge
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
-from armrig.fit import Fit
-from armrig.model_file import ModelFileError, load_fit
+from armrig.models.fit import Fit
+from armrig.models.model_file import ModelFileError, load_fit
 from armrig.numerics.polynomial import filtered
 from armrig.validation import residuals
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from armrig.numerics.whiteness import WHITE_LEVEL
 
 if TYPE_CHECKING:
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 
 def described(fit: Fit) -> str:

@@ -9,7 +9,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
-from armrig.fit import Fit
+from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st

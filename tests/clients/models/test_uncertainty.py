@@ -10,9 +10,17 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.draws import drawn, roots_of
 from armrig.estimation.oe import oe
-from armrig.fit import Fit
+from armrig.models.fit import Fit
+from armrig.models.parameter_draws import drawn, roots_of
+from armrig.models.uncertainty import (
+    frequency_bands,
+    frequency_responses,
+    pole_regions,
+    step_band,
+    step_responses,
+    zero_regions,
+)
 from armrig.numerics.confidence_regions import (
     band,
     chosen_region,
@@ -23,14 +31,6 @@ from armrig.numerics.confidence_regions import (
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.root_draws import RootDraws
 from armrig.study import physical_model
-from armrig.uncertainty import (
-    frequency_bands,
-    frequency_responses,
-    pole_regions,
-    step_band,
-    step_responses,
-    zero_regions,
-)
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 

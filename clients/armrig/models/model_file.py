@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from armrig_core.bounded import TextError, read_text
 
-from armrig.fit import Fit, Start
-from armrig.free_response import FreeResponse
-from armrig.subspace_fit import SubspaceFit
+from armrig.models.fit import Fit, Start
+from armrig.models.free_response import FreeResponse
+from armrig.models.subspace_fit import SubspaceFit
 
 FORMAT = "armrig model"
 VERSION = 1

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.draws import Draws, directions, drawn
+from armrig.models.parameter_draws import Draws, directions, drawn
+from armrig.models.uncertainty import pole_regions
 from armrig.numerics.confidence_regions import FEWEST, Band, band, linearised_band, sampled_band
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
-from armrig.uncertainty import pole_regions
 
 if TYPE_CHECKING:
-    from armrig.fit import Fit
+    from armrig.models.fit import Fit
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]

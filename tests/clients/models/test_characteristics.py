@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
+from armrig.models.characteristics import SCALARS, traits
 from armrig.study import physical_model
-from armrig.traits import SCALARS, traits
 from armrig_core.arm import ArmParameters, arm_matrices
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""A model, how sure it is, and what it answers."""
