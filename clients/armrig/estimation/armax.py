@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig.data.dataset import Dataset
-from armrig.estimation.searching import Initial, searched
+from armrig.estimation.prediction_error_fit import Initial, searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
 from armrig.numerics.checks import require_integers

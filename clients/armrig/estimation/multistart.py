@@ -8,7 +8,7 @@ import numpy as np
 
 from armrig.estimation.moved_modes import moved_modes
 from armrig.estimation.prediction_error import PredictionError
-from armrig.estimation.starts import start_values
+from armrig.estimation.start_values import start_values
 from armrig.numerics.levenberg_marquardt import Optimum
 
 Ends = list[tuple[str, Optimum]]

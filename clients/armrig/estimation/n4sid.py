@@ -10,7 +10,7 @@ import numpy as np
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.orders import require_samples
-from armrig.estimation.searching import with_integrator
+from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.subspace import (
     Weights,
     autoregressive_order,

@@ -226,7 +226,7 @@ class OrderTable:
 
     def plot(self, criterion: Criterion | None = None, *, ax: Axes | None = None) -> Axes:
         """Show the share of y that is not explained against the number of parameters."""
-        from armrig.plots.orders import plot_orders
+        from armrig.estimation.figures import plot_orders
 
         return plot_orders(self, criterion, ax=ax)
 

@@ -6,6 +6,7 @@ white. A second panel, where a figure has one, takes its place from the lower pa
 
 from armrig.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILION, finish, sign
 from armrig.data.figures import plot_data, plot_spectrum, plot_timing, plot_values
+from armrig.estimation.figures import plot_orders
 from armrig.models.figures import plot_bode, plot_fit, plot_step
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
@@ -26,7 +27,6 @@ from armrig.plots.nonparametric import (
     plot_step_analysis,
     plot_structure,
 )
-from armrig.plots.orders import plot_orders
 from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 
 __all__ = [

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation import multistart, searching
+from armrig.estimation import multistart, prediction_error_fit
 from armrig.estimation.bj import bj
 from armrig.estimation.multistart import searched_minimum
 from armrig.estimation.oe import oe
@@ -79,14 +79,14 @@ def test_what_is_clear_is_not_searched_for_elsewhere(monkeypatch: pytest.MonkeyP
 def test_much_data_is_searched_from_where_a_part_leads(monkeypatch: pytest.MonkeyPatch) -> None:
     """The minimum is that of the whole all the same, to the search's last digits."""
     rng = np.random.default_rng(2)
-    N = 2 * searching.PART + 1000
+    N = 2 * prediction_error_fit.PART + 1000
     u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5
     u[: N // 2] = 1.0  # nothing moves in the first half
     e = 0.5 * filtered([1, 0.5], [1, -0.7], rng.standard_normal(N))
     data = Dataset(u=u, y=filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + e, Ts=1)
 
     through_part = bj(data, nb=2, nc=1, nd=1, nf=2)
-    monkeypatch.setattr(searching, "PART", N)
+    monkeypatch.setattr(prediction_error_fit, "PART", N)
     at_once = bj(data, nb=2, nc=1, nd=1, nf=2)
 
     np.testing.assert_allclose(through_part.theta, at_once.theta, rtol=1e-7)
