@@ -59,10 +59,10 @@ if TYPE_CHECKING:
     from armrig.nonparametric.correlation import correlation
     from armrig.nonparametric.etfe import etfe
     from armrig.nonparametric.impulse import impulse_response
-    from armrig.nonparametric.sampling import sampling_time
+    from armrig.nonparametric.sampling_time import sampling_time
     from armrig.nonparametric.spectral import spa
-    from armrig.nonparametric.steps import step_analysis
-    from armrig.nonparametric.structure import structure_hints
+    from armrig.nonparametric.step_analysis import step_analysis
+    from armrig.nonparametric.structure_hints import structure_hints
     from armrig.physical_step import characteristics, step_sensitivities
     from armrig.physics import ArmParameters, arm, chassis, rehearse
     from armrig.recordings.jitter import sampling_statistics
@@ -192,10 +192,10 @@ _MODULES = {
     "nonparametric.correlation": ("correlation",),
     "nonparametric.etfe": ("etfe",),
     "nonparametric.impulse": ("impulse_response",),
-    "nonparametric.sampling": ("sampling_time",),
+    "nonparametric.sampling_time": ("sampling_time",),
     "nonparametric.spectral": ("spa",),
-    "nonparametric.steps": ("step_analysis",),
-    "nonparametric.structure": ("structure_hints",),
+    "nonparametric.step_analysis": ("step_analysis",),
+    "nonparametric.structure_hints": ("structure_hints",),
     "physics": ("ArmParameters", "arm", "chassis", "rehearse"),
     "data.treatment": (
         *("detrend", "difference", "drift", "hampel", "prefilter", "resample", "retrend"),

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.spectral_reference import spectral_reference
+from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.study import STEP, Study, kind_of
 
 _STYLE: Any = {

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
 from armrig.models.parameter_draws import drawn
+from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.numerics.polynomial import filtered
 from armrig.recordings.recording import Recording, load
-from armrig.spectral_reference import spectral_reference
 from armrig.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes

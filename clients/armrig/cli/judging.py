@@ -190,7 +190,7 @@ def _studied(recordings: list[Recording], *, na: int, nb: int, nf: int, nk: int)
 
 def _spectral(data: Dataset) -> list[SpectralEstimate]:
     """Return what the data themselves say of the frequency response, if they say anything."""
-    from armrig.spectral_reference import spectral_reference
+    from armrig.nonparametric.spectral_reference import spectral_reference
 
     try:
         return [spectral_reference(data)]

@@ -23,7 +23,7 @@ from armrig.feedback_and_delay.onset import (
 )
 from armrig.models.fit import Fit
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
-from armrig.nonparametric.integration import settled
+from armrig.nonparametric.integrator import settled
 from armrig.numerics.checks import require_integers
 from armrig.numerics.quantile import two_sided
 from armrig.numerics.quantities import p_relation

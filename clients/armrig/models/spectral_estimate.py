@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.nonparametric.integration import summation
+from armrig.nonparametric.integrator import summation
 
 if TYPE_CHECKING:
     import control
@@ -102,7 +102,7 @@ class SpectralEstimate:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show magnitude and phase with ±2 σ: see `armrig.plots.plot_spectral`."""
-        from armrig.plots.nonparametric import plot_spectral
+        from armrig.nonparametric.figures import plot_spectral
 
         return plot_spectral(self, ax=ax)
 

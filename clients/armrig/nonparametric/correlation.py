@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.nonparametric.integration import settled
+from armrig.nonparametric.integrator import settled
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantile import two_sided
@@ -58,7 +58,7 @@ class Correlation:
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
         """Show g and its band: see `armrig.plots.plot_correlation`."""
-        from armrig.plots.nonparametric import plot_correlation
+        from armrig.nonparametric.figures import plot_correlation
 
         return plot_correlation(self, level=level, ax=ax)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integration import settled, summation
+from armrig.nonparametric.integrator import settled, summation
 from armrig.nonparametric.periodicity import excited, period
 
 Vector = NDArray[np.float64]

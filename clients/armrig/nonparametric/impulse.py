@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.dataset import Dataset
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integration import settled, summation
+from armrig.nonparametric.fir_regression import Regression, regression
+from armrig.nonparametric.integrator import settled, summation
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
-from armrig.nonparametric.regression import Regression, regression
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import Basis, orthonormal
@@ -161,7 +161,7 @@ class ImpulseResponse:
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
         """Show g with its band about zero: see `armrig.plots.plot_impulse`."""
-        from armrig.plots.nonparametric import plot_impulse
+        from armrig.nonparametric.figures import plot_impulse
 
         return plot_impulse(self, level=level, ax=ax)
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.covariances import covariances
-from armrig.nonparametric.filling import filled
-from armrig.nonparametric.integration import settled, summation
+from armrig.nonparametric.covariance_functions import covariances
+from armrig.nonparametric.integrator import settled, summation
+from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.welch import Spectra, welch
 from armrig.numerics.checks import column, require_integers
 

@@ -9,6 +9,14 @@ from armrig.data.figures import plot_data, plot_spectrum, plot_timing, plot_valu
 from armrig.estimation.figures import plot_orders
 from armrig.models.figures import plot_bode, plot_fit, plot_step
 from armrig.models.pole_zero_figure import plot_poles_zeros
+from armrig.nonparametric.figures import (
+    plot_correlation,
+    plot_impulse,
+    plot_sampling_time,
+    plot_spectral,
+    plot_step_analysis,
+    plot_structure,
+)
 from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
 from armrig.plots.greybox import plot_greybox, plot_split
 from armrig.plots.inputs import plot_input
@@ -19,14 +27,6 @@ from armrig.plots.integration import (
     plot_stability_regions,
 )
 from armrig.plots.models import plot_compare, plot_residuals
-from armrig.plots.nonparametric import (
-    plot_correlation,
-    plot_impulse,
-    plot_sampling_time,
-    plot_spectral,
-    plot_step_analysis,
-    plot_structure,
-)
 from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 
 __all__ = [

@@ -13,10 +13,10 @@ from armrig.nonparametric.bla import bla
 from armrig.nonparametric.correlation import correlation
 from armrig.nonparametric.etfe import etfe
 from armrig.nonparametric.impulse import impulse_response
-from armrig.nonparametric.sampling import sampling_time
+from armrig.nonparametric.sampling_time import sampling_time
 from armrig.nonparametric.spectral import spa
-from armrig.nonparametric.steps import step_analysis
-from armrig.nonparametric.structure import structure_hints
+from armrig.nonparametric.step_analysis import step_analysis
+from armrig.nonparametric.structure_hints import structure_hints
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 

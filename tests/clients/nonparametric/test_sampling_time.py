@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import step, telegraph
-from armrig.nonparametric.sampling import nearest_125, sampling_time
+from armrig.nonparametric.sampling_time import nearest_125, sampling_time
 from armrig.numerics.polynomial import filtered
 
 

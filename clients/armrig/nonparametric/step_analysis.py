@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.nonparametric.integration import settled
+from armrig.nonparametric.integrator import settled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +76,7 @@ class StepAnalysis:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show the answer with its figures: see `armrig.plots.plot_step_analysis`."""
-        from armrig.plots.nonparametric import plot_step_analysis
+        from armrig.nonparametric.figures import plot_step_analysis
 
         return plot_step_analysis(self, ax=ax)
 

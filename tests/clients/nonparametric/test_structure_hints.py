@@ -10,7 +10,7 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.nonparametric.impulse import impulse_response
-from armrig.nonparametric.structure import _extremes, structure_hints
+from armrig.nonparametric.structure_hints import _extremes, structure_hints
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 

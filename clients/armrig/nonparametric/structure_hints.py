@@ -75,7 +75,7 @@ class StructureHints:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show magnitude and phase with what was read: see `armrig.plots.plot_structure`."""
-        from armrig.plots.nonparametric import plot_structure
+        from armrig.nonparametric.figures import plot_structure
 
         return plot_structure(self, ax=ax)
 

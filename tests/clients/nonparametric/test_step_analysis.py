@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.nonparametric.steps import step_analysis
+from armrig.nonparametric.step_analysis import step_analysis
 from numpy.typing import NDArray
 
 TS, TAU, GAIN = 0.01, 0.2, 3.0

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.nonparametric.correlation import Correlation
     from armrig.nonparametric.impulse import ImpulseResponse
-    from armrig.nonparametric.sampling import SamplingTime
-    from armrig.nonparametric.steps import StepAnalysis
-    from armrig.nonparametric.structure import StructureHints
+    from armrig.nonparametric.sampling_time import SamplingTime
+    from armrig.nonparametric.step_analysis import StepAnalysis
+    from armrig.nonparametric.structure_hints import StructureHints
 
 BAND_95_PERCENT = 1.96
 

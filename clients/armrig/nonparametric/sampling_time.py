@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.filling import filled
 from armrig.nonparametric.impulse import impulse_response, long_enough
-from armrig.nonparametric.integration import settled
+from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.spectral import spa
-from armrig.nonparametric.steps import (
+from armrig.nonparametric.step_analysis import (
     SHARE,
     StepAnalysis,
     crossing_time,
@@ -89,7 +89,7 @@ class SamplingTime:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show step response and spectrum with what was read: `armrig.plots.plot_sampling_time`."""
-        from armrig.plots.nonparametric import plot_sampling_time
+        from armrig.nonparametric.figures import plot_sampling_time
 
         return plot_sampling_time(self, ax=ax)
 
