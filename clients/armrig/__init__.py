@@ -39,17 +39,7 @@ if TYPE_CHECKING:
     from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
     from armrig.feedback_and_delay.delay import delay
     from armrig.feedback_and_delay.open_loop import open_loop
-    from armrig.grey_box.agreement import agreement
-    from armrig.grey_box.estimate import greybox
-    from armrig.grey_box.fit import GreyFit
-    from armrig.grey_box.inverse import inverse_dynamics
-    from armrig.grey_box.split import split_study
     from armrig.input_description import describe_input
-    from armrig.integration.accuracy import convergence, sinusoid
-    from armrig.integration.advice import recommend_step
-    from armrig.integration.exact import exact
-    from armrig.integration.stability import stability_limit
-    from armrig.integration.stepping import integrate
     from armrig.listening import stream
     from armrig.model_search import SearchResult, search
     from armrig.models.fit import Fit
@@ -63,8 +53,18 @@ if TYPE_CHECKING:
     from armrig.nonparametric.spectral import spa
     from armrig.nonparametric.step_analysis import step_analysis
     from armrig.nonparametric.structure_hints import structure_hints
-    from armrig.physical_step import characteristics, step_sensitivities
-    from armrig.physics import ArmParameters, arm, chassis, rehearse
+    from armrig.physics.grey_box.agreement import agreement
+    from armrig.physics.grey_box.estimate import greybox
+    from armrig.physics.grey_box.fit import GreyFit
+    from armrig.physics.grey_box.inverse_dynamics import inverse_dynamics
+    from armrig.physics.grey_box.split_study import split_study
+    from armrig.physics.integrators.accuracy import convergence, sinusoid
+    from armrig.physics.integrators.exact import exact
+    from armrig.physics.integrators.stability import stability_limit
+    from armrig.physics.integrators.step_choice import recommend_step
+    from armrig.physics.integrators.stepping import integrate
+    from armrig.physics.step_response import characteristics, step_sensitivities
+    from armrig.physics.systems import ArmParameters, arm, chassis, rehearse
     from armrig.recordings.jitter import sampling_statistics
     from armrig.recordings.recording import Recording, RecordingError, load
     from armrig.recordings.usability import data_verdict
@@ -177,17 +177,17 @@ _MODULES = {
     "feedback_and_delay.delay": ("delay",),
     "feedback_and_delay.open_loop": ("open_loop",),
     "models.fit": ("Fit",),
-    "grey_box.agreement": ("agreement",),
-    "grey_box.estimate": ("greybox",),
-    "grey_box.fit": ("GreyFit",),
-    "grey_box.inverse": ("inverse_dynamics",),
-    "grey_box.split": ("split_study",),
-    "integration.accuracy": ("convergence", "sinusoid"),
-    "integration.advice": ("recommend_step",),
-    "integration.exact": ("exact",),
-    "integration.stability": ("stability_limit",),
-    "integration.stepping": ("integrate",),
-    "physical_step": ("characteristics", "step_sensitivities"),
+    "physics.grey_box.agreement": ("agreement",),
+    "physics.grey_box.estimate": ("greybox",),
+    "physics.grey_box.fit": ("GreyFit",),
+    "physics.grey_box.inverse_dynamics": ("inverse_dynamics",),
+    "physics.grey_box.split_study": ("split_study",),
+    "physics.integrators.accuracy": ("convergence", "sinusoid"),
+    "physics.integrators.step_choice": ("recommend_step",),
+    "physics.integrators.exact": ("exact",),
+    "physics.integrators.stability": ("stability_limit",),
+    "physics.integrators.stepping": ("integrate",),
+    "physics.step_response": ("characteristics", "step_sensitivities"),
     "nonparametric.bla": ("bla",),
     "nonparametric.correlation": ("correlation",),
     "nonparametric.etfe": ("etfe",),
@@ -196,7 +196,7 @@ _MODULES = {
     "nonparametric.spectral": ("spa",),
     "nonparametric.step_analysis": ("step_analysis",),
     "nonparametric.structure_hints": ("structure_hints",),
-    "physics": ("ArmParameters", "arm", "chassis", "rehearse"),
+    "physics.systems": ("ArmParameters", "arm", "chassis", "rehearse"),
     "data.treatment": (
         *("detrend", "difference", "drift", "hampel", "prefilter", "resample", "retrend"),
     ),

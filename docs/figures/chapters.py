@@ -8,14 +8,14 @@ from pathlib import Path
 
 import armrig
 import matplotlib as mpl
-from armrig.integration.methods import METHODS
-from armrig.plots.integration import (
+from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
+from armrig.physics.integrators.figures import (
     plot_convergence,
     plot_solution,
     plot_stability_edge,
     plot_stability_regions,
 )
-from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
+from armrig.physics.integrators.methods import METHODS
 from armrig_core.arm import arm_matrices
 from matplotlib.axes import Axes
 

@@ -38,8 +38,8 @@ def record_all(folder: Path) -> None:
 
 def main() -> None:
     """Draw all of them."""
+    from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
     from armrig.plots import plot_bode, plot_compare
-    from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 
     p = ArmParameters()
     cases = {

@@ -12,9 +12,9 @@ from time import perf_counter
 
 import armrig
 import numpy as np
-from armrig.grey_box.model import Physics
-from armrig.grey_box.response import linear_parts
-from armrig.physics import ArmParameters, chassis
+from armrig.physics.grey_box.response import linear_parts
+from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.systems import ArmParameters, chassis
 from armrig.recordings.unwrapping import outside_dead_band, unwrap
 from armrig_daemon.emulator import plant
 from numpy.typing import NDArray

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 from armrig.data.dataset import Dataset
-from armrig.grey_box.model import Model, Physics
-from armrig.grey_box.response import linear_parts
-from armrig.physics import ArmParameters, chassis
+from armrig.physics.grey_box.response import linear_parts
+from armrig.physics.grey_box.sampled_model import Model, Physics
+from armrig.physics.systems import ArmParameters, chassis
 from armrig_daemon.emulator import plant
 from numpy.typing import NDArray
 

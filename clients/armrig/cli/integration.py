@@ -11,7 +11,7 @@ from armrig.cli.drawing import Plot, check_plot, write_plot
 from armrig.cli.options import Json, print_json, say
 
 if TYPE_CHECKING:
-    from armrig.integration.accuracy import Sinusoid
+    from armrig.physics.integrators.accuracy import Sinusoid
 
 _MOST_STEPS = 2_000_000
 _STATE = 2  # the speed, which shows more than an angle that runs away
@@ -113,7 +113,7 @@ def integrate(
 
 
 def _all(methods: Any) -> tuple[str, ...]:
-    from armrig.integration.accuracy import all_methods
+    from armrig.physics.integrators.accuracy import all_methods
 
     return all_methods(methods)
 

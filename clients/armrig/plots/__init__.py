@@ -17,17 +17,17 @@ from armrig.nonparametric.figures import (
     plot_step_analysis,
     plot_structure,
 )
-from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
-from armrig.plots.greybox import plot_greybox, plot_split
-from armrig.plots.inputs import plot_input
-from armrig.plots.integration import (
+from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
+from armrig.physics.grey_box.figures import plot_greybox, plot_split
+from armrig.physics.integrators.figures import (
     plot_convergence,
     plot_solution,
     plot_stability_edge,
     plot_stability_regions,
 )
+from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
+from armrig.plots.inputs import plot_input
 from armrig.plots.models import plot_compare, plot_residuals
-from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 
 __all__ = [
     "BLUE",

@@ -14,7 +14,7 @@ from armrig.estimation.oe import oe
 from armrig.excitation import step, telegraph
 from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
 from armrig.numerics.polynomial import filtered
-from armrig.physics import ArmParameters, arm, chassis
+from armrig.physics.systems import ArmParameters, arm, chassis
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

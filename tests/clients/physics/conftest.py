@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
-from armrig.physics import ArmParameters
+from armrig.physics.systems import ArmParameters
 from chassis_data import Make, Ts, angle, rubbing
 
 

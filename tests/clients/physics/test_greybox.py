@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.physics import ArmParameters, arm, chassis
+from armrig.physics.systems import ArmParameters, arm, chassis
 from chassis_data import Make, Ts, angle
 
 HANDOUT = ArmParameters()

@@ -12,8 +12,8 @@ import pages
 import pytest
 from armrig.cli import main
 from armrig.data.dataset import Dataset
-from armrig.grey_box.fit import NoResultError
-from armrig.grey_box.split import Split, SplitStudy
+from armrig.physics.grey_box.fit import NoResultError
+from armrig.physics.grey_box.split_study import Split, SplitStudy
 from chassis_data import Make
 
 INPUTS = {"three": [1.0, 4.0, 1.0], "ten": [1.0, 4.0] * 5, "zero": [0.0] * 500}

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from armrig.excitation import telegraph
-from armrig.grey_box.model import Physics
-from armrig.grey_box.response import (
+from armrig.physics.grey_box.response import (
     _braked,
     _braked_alone,
     linear_parts,
     sensitivity,
     with_friction,
 )
-from armrig.physics import ArmParameters, arm, chassis
+from armrig.physics.grey_box.sampled_model import Physics
+from armrig.physics.systems import ArmParameters, arm, chassis
 from armrig_core.arm import chassis_matrices, zero_order_hold
 from chassis_data import Ts, rubbing
 from numpy.typing import NDArray

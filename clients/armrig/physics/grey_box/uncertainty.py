@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.grey_box.model import SIGNED
-from armrig.grey_box.problem import COULOMB, Linearised
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import orthonormal
+from armrig.physics.grey_box.least_squares_problem import COULOMB, Linearised
+from armrig.physics.grey_box.sampled_model import SIGNED
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

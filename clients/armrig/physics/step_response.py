@@ -9,10 +9,10 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.grey_box.model import NAMES, SIGNED, Model, Physics, Sampled
-from armrig.grey_box.response import sensitivity
 from armrig.numerics.recursion import recursion
-from armrig.physics import arm
+from armrig.physics.grey_box.response import sensitivity
+from armrig.physics.grey_box.sampled_model import NAMES, SIGNED, Model, Physics, Sampled
+from armrig.physics.systems import arm
 
 Vector = NDArray[np.float64]
 SPEED = "theta_1_rate"

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.grey_box.estimate import greybox
-from armrig.grey_box.fit import GreyFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.quantities import p_relation
+from armrig.physics.grey_box.estimate import greybox
+from armrig.physics.grey_box.fit import GreyFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,7 +130,7 @@ class SplitStudy:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show the estimates with ±2 standard deviations and, below, the law 1/sqrt(N)."""
-        from armrig.plots.greybox import plot_split
+        from armrig.physics.grey_box.figures import plot_split
 
         return plot_split(self, ax=ax)
 

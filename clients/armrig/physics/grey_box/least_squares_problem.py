@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.grey_box.model import SIGNED, Physics
-from armrig.grey_box.response import linear_parts, sensitivity, with_friction
 from armrig.numerics.least_squares import orthonormal
+from armrig.physics.grey_box.response import linear_parts, sensitivity, with_friction
+from armrig.physics.grey_box.sampled_model import SIGNED, Physics
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import matrix_balance
 
-from armrig.integration.methods import Method, amplification, method_named
-from armrig.integration.systems import system
 from armrig.numerics.polynomial import Array
+from armrig.physics.integrators.linear_system import system
+from armrig.physics.integrators.methods import Method, amplification, method_named
 
 _EPS = float(np.finfo(np.float64).eps)
 _ON_CIRCLE = 1e-10  # |zeta| - 1 up to which a root is taken to lie on the circle

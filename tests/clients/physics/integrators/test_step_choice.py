@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.integration.accuracy import sinusoid
-from armrig.integration.advice import recommend_step
-from armrig.integration.methods import METHODS
+from armrig.physics.integrators.accuracy import sinusoid
+from armrig.physics.integrators.methods import METHODS
+from armrig.physics.integrators.step_choice import recommend_step
 from armrig_core.arm import ArmParameters, arm_matrices
 
 A, B, _ = arm_matrices(ArmParameters())

@@ -6,8 +6,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.grey_box.smoothing import smoothed
-from armrig.physics import ArmParameters
+from armrig.physics.grey_box.smoothing import smoothed
+from armrig.physics.systems import ArmParameters
 from chassis_data import Make, Ts, angle
 
 HANDOUT = ArmParameters()

@@ -9,10 +9,10 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.grey_box.model import SIGNED, Physics
-from armrig.grey_box.problem import COULOMB
-from armrig.grey_box.response import linear_parts
 from armrig.numerics.checks import column
+from armrig.physics.grey_box.least_squares_problem import COULOMB
+from armrig.physics.grey_box.response import linear_parts
+from armrig.physics.grey_box.sampled_model import SIGNED, Physics
 
 if TYPE_CHECKING:
     import control
@@ -173,7 +173,7 @@ class GreyFit:
 
     def plot(self, data: Dataset, *, ax: Axes | None = None) -> Axes:
         """Show measured and simulated output and, below, the error."""
-        from armrig.plots.greybox import plot_greybox
+        from armrig.physics.grey_box.figures import plot_greybox
 
         return plot_greybox(self, data, ax=ax)
 

@@ -10,15 +10,15 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.integration.accuracy import convergence, sinusoid
-from armrig.plots.greybox import plot_greybox, plot_split
-from armrig.plots.integration import (
+from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
+from armrig.physics.grey_box.figures import plot_greybox, plot_split
+from armrig.physics.integrators.accuracy import convergence, sinusoid
+from armrig.physics.integrators.figures import (
     plot_convergence,
     plot_solution,
     plot_stability_edge,
     plot_stability_regions,
 )
-from armrig.plots.physics import plot_physical_step, plot_rig, plot_sensitivities
 from armrig_core.arm import ArmParameters, arm_matrices
 from chassis_data import Make
 from matplotlib import pyplot as plt

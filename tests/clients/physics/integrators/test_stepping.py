@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.integration.accuracy import convergence, sinusoid
-from armrig.integration.methods import METHODS
-from armrig.integration.stability import stability_limit
-from armrig.integration.stepping import integrate
+from armrig.physics.integrators.accuracy import convergence, sinusoid
+from armrig.physics.integrators.methods import METHODS
+from armrig.physics.integrators.stability import stability_limit
+from armrig.physics.integrators.stepping import integrate
 from armrig_core.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
 

@@ -10,16 +10,21 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum, too_quiet
-from armrig.grey_box.choices import Friction, checked_fixed_std, free_names, require_output
-from armrig.grey_box.fit import GreyFit, below_zero
-from armrig.grey_box.model import NAMES, Model, Physics
-from armrig.grey_box.problem import COULOMB, GreyBox, GreyBoxWithFriction
-from armrig.grey_box.uncertainty import by_experiment, named_influence, scales, uncertainty
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
-from armrig.physics import chassis
+from armrig.physics.grey_box.fit import GreyFit, below_zero
+from armrig.physics.grey_box.free_parameters import (
+    Friction,
+    checked_fixed_std,
+    free_names,
+    require_output,
+)
+from armrig.physics.grey_box.least_squares_problem import COULOMB, GreyBox, GreyBoxWithFriction
+from armrig.physics.grey_box.sampled_model import NAMES, Model, Physics
+from armrig.physics.grey_box.uncertainty import by_experiment, named_influence, scales, uncertainty
+from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
 

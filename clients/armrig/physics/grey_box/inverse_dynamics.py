@@ -21,16 +21,21 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
-from armrig.grey_box.choices import Friction, checked_fixed_std, free_names, require_output
-from armrig.grey_box.fit import GreyFit, below_zero
-from armrig.grey_box.model import SIGNED, Physics
-from armrig.grey_box.problem import COULOMB
-from armrig.grey_box.smoothing import LEAST_WIDTH, smoothed
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.whiteness import default_lags, joined, ljung_box
-from armrig.physics import chassis
+from armrig.physics.grey_box.fit import GreyFit, below_zero
+from armrig.physics.grey_box.free_parameters import (
+    Friction,
+    checked_fixed_std,
+    free_names,
+    require_output,
+)
+from armrig.physics.grey_box.least_squares_problem import COULOMB
+from armrig.physics.grey_box.sampled_model import SIGNED, Physics
+from armrig.physics.grey_box.smoothing import LEAST_WIDTH, smoothed
+from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, pens
-from armrig.physical_step import characteristics, step_response, step_sensitivities
-from armrig.physics import ArmParameters
+from armrig.physics.step_response import characteristics, step_response, step_sensitivities
+from armrig.physics.systems import ArmParameters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from armrig.data.dataset import Dataset
-from armrig.grey_box.model import NAMES
-from armrig.grey_box.problem import COULOMB
+from armrig.physics.grey_box.least_squares_problem import COULOMB
+from armrig.physics.grey_box.sampled_model import NAMES
 
 Friction = Literal["viscous", "coulomb", "both"]
 _RECORDED = ("theta_1", "alpha", "velocity")

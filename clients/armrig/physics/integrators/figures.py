@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, panels, pens, short
-from armrig.integration.accuracy import Convergence, Sinusoid, all_methods
-from armrig.integration.methods import METHODS, amplification
-from armrig.integration.stability import stability_limit
-from armrig.integration.stepping import integrate
-from armrig.integration.systems import system
+from armrig.physics.integrators.accuracy import Convergence, Sinusoid, all_methods
+from armrig.physics.integrators.linear_system import system
+from armrig.physics.integrators.methods import METHODS, amplification
+from armrig.physics.integrators.stability import stability_limit
+from armrig.physics.integrators.stepping import integrate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from armrig.integration.systems import system
 from armrig.numerics.checks import require_numbers
+from armrig.physics.integrators.linear_system import system
 
 Matrix = NDArray[np.float64]
 

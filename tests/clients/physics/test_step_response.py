@@ -8,8 +8,8 @@ import armrig
 import control
 import numpy as np
 import pytest
-from armrig.physical_step import step_response
-from armrig.physics import ArmParameters, arm, chassis
+from armrig.physics.step_response import step_response
+from armrig.physics.systems import ArmParameters, arm, chassis
 
 P = ArmParameters()
 T = np.linspace(0.0, 1.0, 501)

@@ -9,11 +9,11 @@ from math import ceil, inf, sin
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.integration.exact import exact
-from armrig.integration.methods import METHODS, method_named
-from armrig.integration.stability import stability_limit
-from armrig.integration.stepping import integrate
-from armrig.integration.systems import require_positive, system
+from armrig.physics.integrators.exact import exact
+from armrig.physics.integrators.linear_system import require_positive, system
+from armrig.physics.integrators.methods import METHODS, method_named
+from armrig.physics.integrators.stability import stability_limit
+from armrig.physics.integrators.stepping import integrate
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

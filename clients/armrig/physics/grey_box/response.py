@@ -18,8 +18,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.grey_box.model import Derivative, Sampled
 from armrig.numerics.recursion import recursion
+from armrig.physics.grey_box.sampled_model import Derivative, Sampled
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig.physics import ArmParameters, arm, chassis
+from armrig.physics.systems import ArmParameters, arm, chassis
 
 
 def test_signals_have_the_handout_s_names() -> None:

@@ -8,10 +8,10 @@ from math import ceil, inf, isfinite
 
 from numpy.typing import ArrayLike
 
-from armrig.integration.accuracy import Sinusoid, all_methods, sinusoid
-from armrig.integration.methods import METHODS
-from armrig.integration.stability import stability_limit
-from armrig.integration.systems import require_positive
+from armrig.physics.integrators.accuracy import Sinusoid, all_methods, sinusoid
+from armrig.physics.integrators.linear_system import require_positive
+from armrig.physics.integrators.methods import METHODS
+from armrig.physics.integrators.stability import stability_limit
 
 _SEARCH_FROM = 0.25  # of the limit, or of the largest step: where the error is already regular
 _AIM = 0.97  # of the tolerance

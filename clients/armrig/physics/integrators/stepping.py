@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lu_factor, lu_solve
 
-from armrig.integration.methods import Method, Multistep, RungeKutta, method_named
-from armrig.integration.systems import Matrix, require_positive, system
 from armrig.numerics.checks import require_integers
 from armrig.numerics.recursion import recursion
+from armrig.physics.integrators.linear_system import Matrix, require_positive, system
+from armrig.physics.integrators.methods import Method, Multistep, RungeKutta, method_named
 
 Vector = NDArray[np.float64]
 

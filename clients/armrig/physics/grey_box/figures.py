@@ -19,14 +19,14 @@ from armrig.canvas import (
     short,
     sign,
 )
-from armrig.grey_box.fit import UNITS
+from armrig.physics.grey_box.fit import UNITS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.dataset import Dataset
-    from armrig.grey_box.fit import GreyFit
-    from armrig.grey_box.split import SplitStudy
+    from armrig.physics.grey_box.fit import GreyFit
+    from armrig.physics.grey_box.split_study import SplitStudy
 
 
 def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes:
@@ -34,7 +34,7 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
 
     Coulomb friction is left out of the simulation here; its error shows what it does.
     """
-    from armrig.grey_box.problem import COULOMB, GreyBox
+    from armrig.physics.grey_box.least_squares_problem import COULOMB, GreyBox
 
     ax, below = panels(ax, 0.38)
     for panel in (ax, below):

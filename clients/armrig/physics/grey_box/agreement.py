@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from math import erfc, sqrt
 
 from armrig.data.quantisation import too_quiet
-from armrig.grey_box.fit import GreyFit
 from armrig.numerics.quantities import p_relation
+from armrig.physics.grey_box.fit import GreyFit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,10 +6,10 @@ from math import inf
 
 import numpy as np
 import pytest
-from armrig.integration.accuracy import growth
-from armrig.integration.methods import METHODS, amplification
-from armrig.integration.stability import stability_limit
-from armrig.integration.stepping import transition
+from armrig.physics.integrators.accuracy import growth
+from armrig.physics.integrators.methods import METHODS, amplification
+from armrig.physics.integrators.stability import stability_limit
+from armrig.physics.integrators.stepping import transition
 from armrig_core.arm import ArmParameters, arm_matrices
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,0 +1,1 @@
+"""The rig's equations: as systems, sampled, integrated and fitted to data."""
