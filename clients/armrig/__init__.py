@@ -36,10 +36,14 @@ if TYPE_CHECKING:
         telegraph,
         white_noise,
     )
-    from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
+    from armrig.excitation.experiment_design import (
+        PlannedModel,
+        predicted_parameter_std,
+        predicted_std,
+    )
+    from armrig.excitation.input_description import describe_input
     from armrig.feedback_and_delay.delay import delay
     from armrig.feedback_and_delay.open_loop import open_loop
-    from armrig.input_description import describe_input
     from armrig.listening import stream
     from armrig.model_search import SearchResult, search
     from armrig.models.fit import Fit
@@ -172,8 +176,8 @@ _MODULES = {
         *("chirp", "from_csv", "multisine", "prbs", "staircase", "step", "telegraph"),
         "white_noise",
     ),
-    "experiment_design": ("PlannedModel", "predicted_parameter_std", "predicted_std"),
-    "input_description": ("describe_input",),
+    "excitation.experiment_design": ("PlannedModel", "predicted_parameter_std", "predicted_std"),
+    "excitation.input_description": ("describe_input",),
     "feedback_and_delay.delay": ("delay",),
     "feedback_and_delay.open_loop": ("open_loop",),
     "models.fit": ("Fit",),

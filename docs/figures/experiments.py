@@ -13,7 +13,7 @@ import armrig
 import matplotlib as mpl
 import msgspec
 import numpy as np
-from armrig.excitation.by_name import realisations
+from armrig.excitation.named_signals import realisations
 from armrig_core.manifest import CALIBRATION, Manifest
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of

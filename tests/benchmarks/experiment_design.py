@@ -14,7 +14,7 @@ from typing import NamedTuple
 import armrig
 import numpy as np
 from armrig.data.dataset import Dataset
-from armrig.experiment_design import PredictedStd
+from armrig.excitation.experiment_design import PredictedStd
 from armrig.models.fit import Fit
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered

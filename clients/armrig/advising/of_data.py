@@ -11,8 +11,8 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
 from armrig.data.treatment.integrating import integrating
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
+from armrig.excitation.input_description import describe_input
 from armrig.feedback_and_delay.granger import granger
-from armrig.input_description import describe_input
 from armrig.numerics.quantities import p_relation, percent
 from armrig.recordings.usability import Finding
 

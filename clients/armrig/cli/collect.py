@@ -238,7 +238,7 @@ def bla(
 
     A recording for each draw of the phases.
     """
-    from armrig.excitation.by_name import realisations
+    from armrig.excitation.named_signals import realisations
 
     realisations(3, 1, low, high, seed, periods=1)
     if seconds is not None and period is not None:

@@ -51,7 +51,7 @@ def chosen(
 ) -> list[Played]:
     """Return what to play; what is not allowed is told before a rig is asked for."""
     from armrig.excitation import from_csv
-    from armrig.excitation.by_name import SEEDED, by_name, details_of
+    from armrig.excitation.named_signals import SEEDED, by_name, details_of
 
     name = input or ("telegraph" if file is None else "csv")
     if (name == "csv") != (file is not None):

@@ -3,12 +3,12 @@
 All are float64 (N,), the same for the same seed, and none leaves the interval asked for.
 """
 
+from armrig.excitation.binary import prbs, telegraph
 from armrig.excitation.from_file import from_csv
 from armrig.excitation.levels import staircase, step
 from armrig.excitation.limits import HIGHEST_V, LOWEST_V, within
 from armrig.excitation.noise import white_noise
 from armrig.excitation.sines import chirp, multisine
-from armrig.excitation.two_level import prbs, telegraph
 
 __all__ = [
     "HIGHEST_V",

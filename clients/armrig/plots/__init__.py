@@ -7,6 +7,7 @@ white. A second panel, where a figure has one, takes its place from the lower pa
 from armrig.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILION, finish, sign
 from armrig.data.figures import plot_data, plot_spectrum, plot_timing, plot_values
 from armrig.estimation.figures import plot_orders
+from armrig.excitation.figures import plot_input
 from armrig.models.figures import plot_bode, plot_fit, plot_step
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.nonparametric.figures import (
@@ -26,7 +27,6 @@ from armrig.physics.integrators.figures import (
     plot_stability_regions,
 )
 from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
-from armrig.plots.inputs import plot_input
 from armrig.plots.models import plot_compare, plot_residuals
 
 __all__ = [

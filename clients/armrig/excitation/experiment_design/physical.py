@@ -11,7 +11,7 @@ from armrig_core.arm import ArmParameters, zero_order_hold
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
-from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
+from armrig.excitation.experiment_design.predicted_std import PredictedStd, inverted, planned_data
 from armrig.models.free_response import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal

@@ -19,7 +19,7 @@ from armrig.excitation import (
     white_noise,
     within,
 )
-from armrig.excitation.by_name import NAMES, by_name, clock_of, details_of, realisations
+from armrig.excitation.named_signals import NAMES, by_name, clock_of, details_of, realisations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

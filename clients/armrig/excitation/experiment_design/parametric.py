@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
-from armrig.experiment_design.planned_model import Model, integrating_polynomial
-from armrig.experiment_design.prediction import PredictedStd, inverted, planned_data
+from armrig.excitation.experiment_design.planned_model import Model, integrating_polynomial
+from armrig.excitation.experiment_design.predicted_std import PredictedStd, inverted, planned_data
 from armrig.models.free_response import free_columns, transient_count
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, without_integrator

@@ -11,7 +11,7 @@ from armrig.canvas import BLUE, INK, SKY, finish
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from armrig.input_description import InputDescription
+    from armrig.excitation.input_description import InputDescription
 
 _SHOWN = 1000  # samples: more of them are a bar of ink
 

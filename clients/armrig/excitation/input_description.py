@@ -64,7 +64,7 @@ class InputDescription:
 
     def plot(self) -> Figure:
         """Return a figure of the input against time, its spectrum and its levels."""
-        from armrig.plots.inputs import plot_input
+        from armrig.excitation.figures import plot_input
 
         return plot_input(self)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.excitation import multisine, prbs, staircase, step, telegraph, white_noise
-from armrig.input_description import describe_input
+from armrig.excitation.input_description import describe_input
 from armrig.numerics.power_spectrum import power_spectrum
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray

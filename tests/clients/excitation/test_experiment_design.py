@@ -12,7 +12,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import step, telegraph
-from armrig.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
+from armrig.excitation.experiment_design import PlannedModel, predicted_parameter_std, predicted_std
 from armrig.numerics.polynomial import filtered
 from armrig.physics.systems import ArmParameters, arm, chassis
 from hypothesis import given, settings

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from armrig.excitation.binary import prbs, telegraph
 from armrig.excitation.limits import Vector
 from armrig.excitation.noise import white_noise
 from armrig.excitation.sines import chirp, multisine
-from armrig.excitation.two_level import prbs, telegraph
 from armrig.numerics.checks import require_integers, require_numbers
 
 SEEDED = ("telegraph", "prbs", "white", "multisine")

@@ -1,8 +1,0 @@
-"""Standard deviations before the experiment: what a planned input would teach."""
-
-from armrig.experiment_design.parametric import predicted_std
-from armrig.experiment_design.physical import predicted_parameter_std
-from armrig.experiment_design.planned_model import PlannedModel
-from armrig.experiment_design.prediction import PredictedStd
-
-__all__ = ["PlannedModel", "PredictedStd", "predicted_parameter_std", "predicted_std"]
