@@ -6,7 +6,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from armrig.advising.advice import advice
     from armrig.data.dataset import Dataset, merge
     from armrig.data.treatment import (
         detrend,
@@ -42,10 +41,7 @@ if TYPE_CHECKING:
         predicted_std,
     )
     from armrig.excitation.input_description import describe_input
-    from armrig.feedback_and_delay.delay import delay
-    from armrig.feedback_and_delay.open_loop import open_loop
     from armrig.listening import stream
-    from armrig.model_search import SearchResult, search
     from armrig.models.fit import Fit
     from armrig.models.model_file import ModelFileError, load_fit
     from armrig.models.subspace_fit import SubspaceFit
@@ -75,7 +71,11 @@ if TYPE_CHECKING:
     from armrig.rig import Rig
     from armrig.session import RigError
     from armrig.study import physical_model
-    from armrig.validation import compare, residuals
+    from armrig.validation.advice.advice import advice
+    from armrig.validation.comparison import compare, residuals
+    from armrig.validation.feedback_and_delay.delay import delay
+    from armrig.validation.feedback_and_delay.open_loop import open_loop
+    from armrig.validation.model_search import SearchResult, search
 
 __all__ = [
     "ArmParameters",
@@ -161,7 +161,7 @@ __all__ = [
 # Each name's module is imported when the name is first asked for (PEP 562): `import armrig` and
 # `armrig --help` are quick, and who only reads a recording never loads zenoh.
 _MODULES = {
-    "advising.advice": ("advice",),
+    "validation.advice.advice": ("advice",),
     "data.dataset": ("Dataset", "merge"),
     "estimation.armax": ("armax",),
     "estimation.arx": ("arx",),
@@ -178,8 +178,8 @@ _MODULES = {
     ),
     "excitation.experiment_design": ("PlannedModel", "predicted_parameter_std", "predicted_std"),
     "excitation.input_description": ("describe_input",),
-    "feedback_and_delay.delay": ("delay",),
-    "feedback_and_delay.open_loop": ("open_loop",),
+    "validation.feedback_and_delay.delay": ("delay",),
+    "validation.feedback_and_delay.open_loop": ("open_loop",),
     "models.fit": ("Fit",),
     "physics.grey_box.agreement": ("agreement",),
     "physics.grey_box.estimate": ("greybox",),
@@ -210,11 +210,11 @@ _MODULES = {
     "study": ("physical_model",),
     "listening": ("stream",),
     "models.model_file": ("ModelFileError", "load_fit"),
-    "model_search": ("SearchResult", "search"),
+    "validation.model_search": ("SearchResult", "search"),
     "recordings.jitter": ("sampling_statistics",),
     "models.subspace_fit": ("SubspaceFit",),
     "recordings.usability": ("data_verdict",),
-    "validation": ("compare", "residuals"),
+    "validation.comparison": ("compare", "residuals"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

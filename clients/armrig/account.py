@@ -14,10 +14,10 @@ from armrig.models.fit import Fit
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import p_relation, places
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation import Comparison, ResidualTest
+from armrig.validation.comparison import Comparison, ResidualTest
 
 if TYPE_CHECKING:
-    from armrig.model_search import SearchResult
+    from armrig.validation.model_search import SearchResult
 
 _MOST_DECIMALS = 9
 _TRUST_ROBUST = "trust σ robust, not σ, or raise the orders"

@@ -17,7 +17,7 @@ from armrig.models.fit import Fit
 from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
 from armrig.recordings.recording import Recording, RecordingError
 from armrig.recordings.timing_disturbances import Causes, causes
-from armrig.validation import ComparisonTable, ResidualTest, compare, residuals
+from armrig.validation.comparison import ComparisonTable, ResidualTest, compare, residuals
 
 STEP = "step"
 """Kind of an experiment that is shown, and not identified from."""

@@ -12,7 +12,7 @@ from time import perf_counter
 import armrig
 import numpy as np
 from armrig.data.dataset import Dataset
-from armrig.feedback_and_delay.granger import granger
+from armrig.validation.feedback_and_delay.granger import granger
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 

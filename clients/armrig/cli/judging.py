@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
-    from armrig.validation import Comparison
+    from armrig.validation.comparison import Comparison
 
 Output = Literal["theta_1", "alpha", "velocity"]
 Models = Annotated[
@@ -66,8 +66,8 @@ def validate(
     from armrig.estimating import estimating
     from armrig.models.model_file import load_fit
     from armrig.recordings.recording import load
-    from armrig.validation import compare as compared
-    from armrig.validation import residuals
+    from armrig.validation.comparison import compare as compared
+    from armrig.validation.comparison import residuals
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
@@ -130,7 +130,7 @@ def compare(
     """
     from armrig.models.model_file import load_fit
     from armrig.recordings.recording import load
-    from armrig.validation import compare as compared
+    from armrig.validation.comparison import compare as compared
 
     if other is None and not model:
         msg = "give a second recording to validate with, or the models to compare, --model FILE "

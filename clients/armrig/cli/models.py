@@ -36,8 +36,8 @@ from armrig.cli.structures import (
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.model_search import SearchResult
     from armrig.models.fit import Fit
+    from armrig.validation.model_search import SearchResult
 
 Output = Annotated[
     Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")
@@ -156,7 +156,7 @@ def _searched(
     from contextlib import nullcontext
 
     from armrig.estimating import estimating
-    from armrig.model_search import FAMILIES, search
+    from armrig.validation.model_search import FAMILIES, search
 
     families = FAMILIES if structure is None else (structure,)
     pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
@@ -183,7 +183,7 @@ def _told(
 ) -> None:
     from armrig import account
     from armrig.estimating import estimating
-    from armrig.validation import compare, residuals
+    from armrig.validation.comparison import compare, residuals
 
     judged = None
     if other is not None:

@@ -26,8 +26,8 @@ from armrig.physics.integrators.figures import (
     plot_stability_edge,
     plot_stability_regions,
 )
-from armrig.plots.feedback_and_delay import plot_delay, plot_open_loop
-from armrig.plots.models import plot_compare, plot_residuals
+from armrig.validation.feedback_and_delay.figures import plot_delay, plot_open_loop
+from armrig.validation.figures import plot_compare, plot_residuals
 
 __all__ = [
     "BLUE",

@@ -15,7 +15,7 @@ from armrig.excitation import telegraph
 from armrig.models.model_file import load_fit
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.polynomial import filtered
-from armrig.validation import compare, residuals
+from armrig.validation.comparison import compare, residuals
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from armrig.advising.of_data import of_data
-from armrig.advising.of_model import of_model
 from armrig.data.dataset import Dataset
 from armrig.models.fit import Fit
 from armrig.recordings.usability import Finding
+from armrig.validation.advice.data_advice import of_data
+from armrig.validation.advice.model_advice import of_model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.excitation import telegraph
-from armrig.feedback_and_delay.granger import granger
+from armrig.validation.feedback_and_delay.granger import granger
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.oe import oe
-from armrig.feedback_and_delay.granger import MOST_LAGS, Granger, granger
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, joint_p_value
-from armrig.validation import ResidualTest, residuals
+from armrig.validation.comparison import ResidualTest, residuals
+from armrig.validation.feedback_and_delay.granger import MOST_LAGS, Granger, granger
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,7 +108,7 @@ class OpenLoop:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show the response at negative and positive lags: see `armrig.plots.plot_open_loop`."""
-        from armrig.plots.feedback_and_delay import plot_open_loop
+        from armrig.validation.feedback_and_delay.figures import plot_open_loop
 
         return plot_open_loop(self, ax=ax)
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, panels, sign
 from armrig.numerics.quantities import p_relation
-from armrig.validation import BAND_99_PERCENT
+from armrig.validation.comparison import BAND_99_PERCENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.feedback_and_delay.delay import Delay
-    from armrig.feedback_and_delay.open_loop import OpenLoop
     from armrig.nonparametric.impulse import ImpulseResponse
+    from armrig.validation.feedback_and_delay.delay import Delay
+    from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
 CHI2_95_PERCENT = 3.84  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side

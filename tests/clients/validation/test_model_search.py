@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
-from armrig.model_search import search
 from armrig.numerics.polynomial import filtered
+from armrig.validation.model_search import search
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

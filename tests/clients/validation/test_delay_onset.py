@@ -6,7 +6,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.feedback_and_delay.delay import Delay
+from armrig.validation.feedback_and_delay.delay import Delay
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 

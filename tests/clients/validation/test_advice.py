@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.advising.advice import Advice
 from armrig.data.dataset import Dataset
 from armrig.models.cancellation import overlapping
+from armrig.validation.advice.advice import Advice
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

@@ -22,7 +22,7 @@ from armrig.canvas import (
     stems,
 )
 from armrig.models.labels import Labels
-from armrig.validation import BAND_99_PERCENT, ComparisonTable, compare, residuals
+from armrig.validation.comparison import BAND_99_PERCENT, ComparisonTable, compare, residuals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -15,7 +15,7 @@ from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig.validation import _free_covariance, compare, residuals
+from armrig.validation.comparison import _free_covariance, compare, residuals
 from scipy.stats import chi2
 
 if TYPE_CHECKING:

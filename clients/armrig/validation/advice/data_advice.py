@@ -12,9 +12,9 @@ from armrig.data.treatment.integrating import integrating
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.excitation.input_description import describe_input
-from armrig.feedback_and_delay.granger import granger
 from armrig.numerics.quantities import p_relation, percent
 from armrig.recordings.usability import Finding
+from armrig.validation.feedback_and_delay.granger import granger
 
 ORDER = 4
 """Poles of the arm, and coefficients of its numerator."""

@@ -11,7 +11,7 @@ from armrig.models.characteristics import DRAWS, SCALARS, Traits
 from armrig.numerics.quantities import minus, places
 
 if TYPE_CHECKING:
-    from armrig.validation import Comparison
+    from armrig.validation.comparison import Comparison
 
 SURE = 2.58  # standard deviations of the difference, 1 %
 _MOST_DECIMALS = 6

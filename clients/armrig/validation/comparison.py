@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
-from armrig.differences import explanation, table
 from armrig.models.characteristics import Traits, traits
 from armrig.models.fit import Fit
 from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
@@ -29,6 +28,7 @@ from armrig.numerics.whiteness import (
     ljung_box,
     portmanteau,
 )
+from armrig.validation.model_differences import explanation, table
 
 Vector = NDArray[np.float64]
 

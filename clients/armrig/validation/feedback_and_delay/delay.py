@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.estimation.arx import arx
-from armrig.feedback_and_delay.onset import (
+from armrig.models.fit import Fit
+from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.nonparametric.integrator import settled
+from armrig.numerics.checks import require_integers
+from armrig.numerics.quantile import two_sided
+from armrig.numerics.quantities import p_relation
+from armrig.numerics.whiteness import WHITE_LEVEL
+from armrig.validation.feedback_and_delay.onset import (
     LEVEL,
     SECOND_ORDER,
     SURPRISING,
@@ -21,13 +28,6 @@ from armrig.feedback_and_delay.onset import (
     Onset,
     onset,
 )
-from armrig.models.fit import Fit
-from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
-from armrig.nonparametric.integrator import settled
-from armrig.numerics.checks import require_integers
-from armrig.numerics.quantile import two_sided
-from armrig.numerics.quantities import p_relation
-from armrig.numerics.whiteness import WHITE_LEVEL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -162,7 +162,7 @@ class Delay:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show impulse response and losses: see `armrig.plots.plot_delay`."""
-        from armrig.plots.feedback_and_delay import plot_delay
+        from armrig.validation.feedback_and_delay.figures import plot_delay
 
         return plot_delay(self, ax=ax)
 

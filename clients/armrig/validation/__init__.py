@@ -1,0 +1,1 @@
+"""Whether a model and its data can be trusted."""
