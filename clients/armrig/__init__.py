@@ -41,7 +41,6 @@ if TYPE_CHECKING:
         predicted_std,
     )
     from armrig.excitation.input_description import describe_input
-    from armrig.listening import stream
     from armrig.models.fit import Fit
     from armrig.models.model_file import ModelFileError, load_fit
     from armrig.models.subspace_fit import SubspaceFit
@@ -68,8 +67,9 @@ if TYPE_CHECKING:
     from armrig.recordings.jitter import sampling_statistics
     from armrig.recordings.recording import Recording, RecordingError, load
     from armrig.recordings.usability import data_verdict
-    from armrig.rig import Rig
-    from armrig.session import RigError
+    from armrig.rig.client import Rig
+    from armrig.rig.session import RigError
+    from armrig.rig.telemetry_stream import stream
     from armrig.study import physical_model
     from armrig.validation.advice.advice import advice
     from armrig.validation.comparison import compare, residuals
@@ -205,10 +205,10 @@ _MODULES = {
         *("detrend", "difference", "drift", "hampel", "prefilter", "resample", "retrend"),
     ),
     "recordings.recording": ("Recording", "RecordingError", "load"),
-    "rig": ("Rig",),
-    "session": ("RigError",),
+    "rig.client": ("Rig",),
+    "rig.session": ("RigError",),
     "study": ("physical_model",),
-    "listening": ("stream",),
+    "rig.telemetry_stream": ("stream",),
     "models.model_file": ("ModelFileError", "load_fit"),
     "validation.model_search": ("SearchResult", "search"),
     "recordings.jitter": ("sampling_statistics",),

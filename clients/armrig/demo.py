@@ -19,13 +19,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from armrig.excitation import step, telegraph
-from armrig.progress import bar, timing_note
 from armrig.recordings.recording import Recording, load
 from armrig.report import report
 from armrig.report_figures import write_figures
-from armrig.rig import BusyError, RefusedError, Rig, RunEndedError
-from armrig.scheduling import scheduling
-from armrig.session import NoReplyError, RigError
+from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
+from armrig.rig.progress import bar, timing_note
+from armrig.rig.realtime_status import scheduling
+from armrig.rig.session import NoReplyError, RigError
 from armrig.study import Study, study
 
 RIG = "demo"

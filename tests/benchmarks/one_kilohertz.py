@@ -16,12 +16,12 @@ from pathlib import Path
 
 import armrig
 import numpy as np
-from armrig.rig import Rig
+from armrig.rig.client import Rig
 from processes import Bench, Process
 
 SUBSCRIBER = """
 import json, sys, zenoh
-from armrig.rig import open_session
+from armrig.rig.client import open_session
 from armrig_core.telemetry import decode_sample
 ks = []
 def take(sample):

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from armrig.rig import Rig
-from armrig.session import RigError
+from armrig.rig.client import Rig
+from armrig.rig.session import RigError
 from processes import WITHIN_S, Bench, Process, wait_for
 from relay import Relay
 

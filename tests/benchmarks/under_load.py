@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Literal
 
 import armrig
-from armrig.rig import Rig
-from armrig.session import RigError
+from armrig.rig.client import Rig
+from armrig.rig.session import RigError
 from control import Control, Lateness
 from processes import burning
 from stand import Stand

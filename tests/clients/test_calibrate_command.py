@@ -11,10 +11,10 @@ from typing import Any
 
 import armrig
 import pytest
-from armrig import collection
 from armrig.cli import main
-from armrig.collection import Collected, Plan
 from armrig.recordings.recording import RecordingError, load
+from armrig.rig import collection
+from armrig.rig.collection import Collected, Plan
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from calibration_rig import recording_of

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.options import folded
-from armrig.collection import MOST_SAMPLES
 from armrig.estimating import estimating, waiting
-from armrig.scheduling import scheduling
+from armrig.rig.collection import MOST_SAMPLES
+from armrig.rig.realtime_status import scheduling
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig import demo
-from armrig import rig as rig_module
-from armrig.rig import RefusedError, Rig
-from armrig.session import NoReplyError, RigError
+from armrig.rig import client as rig_module
+from armrig.rig.client import RefusedError, Rig
+from armrig.rig.session import NoReplyError, RigError
 from armrig_core import commands
 from fake_daemon import FakeDaemon
 from rich.console import Console

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.options import tell
-from armrig.progress import bar
+from armrig.rig.progress import bar
 from armrig_core.manifest import Outcome
 from made_recordings import event, gap, manifest, of_the_arm, recorded, sample, written
 from rich.console import Console

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from armrig.session import open_session
+from armrig.rig.session import open_session
 from armrig_core.commands import Renew, Run
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from armrig.session import open_session
+from armrig.rig.session import open_session
 from armrig_core.commands import Renew, Run
 from armrig_core.topics import command_key
 from armrig_daemon.config import Config

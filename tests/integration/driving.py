@@ -18,7 +18,7 @@ STOPPED_S = 1.0
 _STEP_V = 5 / 1024  # of the emulated duty
 _RUNNER = """
 import sys
-from armrig.rig import Rig
+from armrig.rig.client import Rig
 with Rig(connect=sys.argv[1]) as rig:
     rig.arm("a test", Ts=float(sys.argv[4]))
     rig.run([1.0, 4.0] * (int(sys.argv[2]) // 2), pacing=sys.argv[3])

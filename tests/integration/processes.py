@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from armrig.rig import Rig
+from armrig.rig.client import Rig
 
 WITHIN_S = 10.0
 _BURNER = """

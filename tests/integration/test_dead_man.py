@@ -16,14 +16,14 @@ LATE_S = 0.5
 """What a busy machine may add; docs/safety.md has the measured times."""
 RUNNER = """
 import sys
-from armrig.rig import Rig
+from armrig.rig.client import Rig
 with Rig(connect=sys.argv[1]) as rig:
     rig.arm("a test", Ts=0.01)
     rig.run([1.0, 4.0] * int(sys.argv[2]), pacing=sys.argv[3], dead_man=float(sys.argv[4]))
 """
 HANGING = """
 import sys, time
-from armrig.rig import Rig
+from armrig.rig.client import Rig
 with Rig(connect=sys.argv[1]) as rig:
     rig.arm("a test", Ts=0.01)
     hang = lambda done, total: time.sleep(60) if done > 20 else None

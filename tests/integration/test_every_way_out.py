@@ -18,13 +18,13 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.rig import RefusedError, RunEndedError
+from armrig.rig.client import RefusedError, RunEndedError
 from processes import WITHIN_S, Bench, wait_for
 
 STOPPED_S = 1.0
 RUNNER = """
 import sys
-from armrig.rig import Rig
+from armrig.rig.client import Rig
 with Rig(connect=sys.argv[1]) as rig:
     rig.arm("a test", Ts=0.01)
     rig.run([1.0, 4.0] * int(sys.argv[2]))

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from armrig.rig import RefusedError
+from armrig.rig.client import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded
 from processes import WITHIN_S, Bench, Process, wait_for
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.rig import RefusedError, RunEndedError
+from armrig.rig.client import RefusedError, RunEndedError
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest
 from armrig_daemon.record import Recording, RecordingError

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from armrig.rig import RefusedError
+from armrig.rig.client import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded
 from processes import Bench, wait_for
 from relay import Relay

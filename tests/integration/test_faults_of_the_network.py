@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import armrig
 import pytest
-from armrig.session import NoReplyError
+from armrig.rig.session import NoReplyError
 from armrig_daemon.publish import MOST_BYTES
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
 from processes import Bench

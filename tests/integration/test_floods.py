@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from armrig.rig import RefusedError, Rig
+from armrig.rig.client import RefusedError, Rig
 from armrig_core import commands
 from processes import Bench, wait_for
 from test_dead_man import DEAD_MAN_S, LATE_S, RUNNER

@@ -11,7 +11,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.rig import RefusedError
+from armrig.rig.client import RefusedError
 from armrig_core.manifest import CONFIG
 from mcap.reader import make_reader
 from processes import WITHIN_S, Bench, Process, wait_for

@@ -163,8 +163,8 @@ class _Player:
     def _played(
         self, experiment: str, seconds: float, details: dict[str, Any], make: Any
     ) -> Recording:
-        from armrig.collection import Plan, collect
         from armrig.recordings.recording import load
+        from armrig.rig.collection import Plan, collect
 
         plan = Plan(
             experiment=experiment,

@@ -21,7 +21,7 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
     """Refuse, before any work, a figure that cannot or must not be written."""
     if path is None:
         return
-    from armrig.bench.tell import check_figure
+    from armrig.rig.bench.results import check_figure
 
     check_output(path, inputs)
     check_figure(path)

@@ -100,7 +100,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
 
     `without_arm` is for the chassis alone: a daemon that was told otherwise is not asked to play.
     """
-    from armrig.collection import Plan, collect
+    from armrig.rig.collection import Plan, collect
 
     plans = [
         Plan(

@@ -14,7 +14,7 @@ from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_tab
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Say how the daemon and its rig are."""
-    from armrig.scheduling import scheduling
+    from armrig.rig.realtime_status import scheduling
 
     with _opened(rig, connect) as opened:
         report = opened.status()
@@ -95,8 +95,8 @@ def reset(rig: RigId = "1", connect: Connect = None) -> None:
 @contextmanager
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
     """Give the rig; what its daemon refuses is told with the command that helps."""
-    from armrig.collection import with_commands
-    from armrig.rig import RefusedError, Rig
+    from armrig.rig.client import RefusedError, Rig
+    from armrig.rig.collection import with_commands
 
     with Rig(rig, connect=connect) as opened:
         try:

@@ -55,9 +55,9 @@ def bench(
     """
     from rich.console import Console
 
-    from armrig.bench.machine import machine
-    from armrig.bench.tell import Result, check_figure, lines, write_figure
-    from armrig.bench.turns import Plan, measure
+    from armrig.rig.bench.machine import machine
+    from armrig.rig.bench.results import Result, check_figure, lines, write_figure
+    from armrig.rig.bench.rounds import Plan, measure
 
     for file in (json, plot):  # not after minutes of measuring
         if file is not None:
@@ -84,7 +84,7 @@ def doctor(json: Json = False) -> None:
 
     What cannot be told or mended here is a note, and does not count.
     """
-    from armrig import doctor as looks
+    from armrig.rig import doctor as looks
 
     findings = looks.doctor()
     if json:

@@ -14,11 +14,11 @@ from armrig_core.commands import LastRun, RunAccepted, StatusReport
 from armrig_core.rehearsal import Rehearsal, in_words
 from numpy.typing import NDArray
 
-from armrig.progress import bar, timing_note
 from armrig.recordings.recording import load
 from armrig.recordings.usability import DataVerdict, data_verdict
-from armrig.rig import Rig, RunEndedError
-from armrig.session import NoReplyError, RigError
+from armrig.rig.client import Rig, RunEndedError
+from armrig.rig.progress import bar, timing_note
+from armrig.rig.session import NoReplyError, RigError
 
 MOST_SAMPLES = 1_000_000
 """As many as the daemon takes in one run."""

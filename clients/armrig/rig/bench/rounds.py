@@ -19,23 +19,14 @@ import numpy as np
 from armrig_core.endpoint import endpoint
 from numpy.typing import NDArray
 
-from armrig.bench import cyclictest, judge
-from armrig.bench.judge import Rate
-from armrig.bench.machine import PRIORITY, Machine
-from armrig.bench.programs import (
-    RIG,
-    Daemon,
-    daemon,
-    line,
-    output,
-    program,
-    subscribers,
-    tell,
-)
-from armrig.bench.sleeper import Done, Task
 from armrig.recordings.recording import Recording, load
-from armrig.rig import Rig, RunEndedError
-from armrig.session import RigError
+from armrig.rig.bench import cyclictest, targets
+from armrig.rig.bench.machine import PRIORITY, Machine
+from armrig.rig.bench.programs import RIG, Daemon, daemon, line, output, program, subscribers, tell
+from armrig.rig.bench.sleeper import Done, Task
+from armrig.rig.bench.targets import Rate
+from armrig.rig.client import Rig, RunEndedError
+from armrig.rig.session import RigError
 
 ROUNDS = 4
 EXCHANGE_MOST_HZ = 1000
@@ -96,8 +87,8 @@ def measure(plan: Plan, host: Machine, say: Say = lambda text: None) -> list[Rat
                 say(f"{turn} alone")
                 _reference(rate, ticks, host)
                 _bare(rate, ticks, host)
-                _put(rate, ticks, judge.PUT)
-                _put(rate, ticks, judge.PIPED, "piped")
+                _put(rate, ticks, targets.PUT)
+                _put(rate, ticks, targets.PIPED, "piped")
                 say(f"{turn} under full load")
                 with daemon() as running:
                     _loaded(rate, ticks, running, host, seed=n)
@@ -109,7 +100,7 @@ def burning(count: int) -> Iterator[None]:
     """Use up so many processors meanwhile."""
     with ExitStack() as stack:
         for _ in range(count):
-            stack.enter_context(program("armrig.bench.burner"))
+            stack.enter_context(program("armrig.rig.bench.burner"))
         yield
 
 
@@ -124,11 +115,11 @@ def _reference(rate: Rate, ticks: int, host: Machine) -> None:
         period_ns = 1_000_000_000 // rate.rate_hz
         task = Task(period_ns=period_ns, count=ticks, priority=PRIORITY if host.fifo else 0)
         done = _slept(task, _within_s(rate, ticks))
-        rate.add(judge.STAND_IN, np.array(done.late_ns) / 1e3)
+        rate.add(targets.STAND_IN, np.array(done.late_ns) / 1e3)
         return
     with program(*command, module=False) as process:
         said = output(process, _within_s(rate, ticks)).decode(errors="replace")
-    rate.add(judge.REFERENCE, cyclictest.lateness_us(said))
+    rate.add(targets.REFERENCE, cyclictest.lateness_us(said))
 
 
 def _cyclictest(rate: Rate, ticks: int, host: Machine, priority: int) -> list[str] | None:
@@ -152,12 +143,12 @@ def _beside(rate: Rate, ticks: int, host: Machine) -> Iterator[None]:
     with program(*command, module=False) as process:
         yield
         said = output(process, _within_s(rate, ticks)).decode(errors="replace")
-    rate.add(judge.BESIDE, cyclictest.lateness_us(said))
+    rate.add(targets.BESIDE, cyclictest.lateness_us(said))
 
 
 def _bare(rate: Rate, ticks: int, host: Machine) -> None:
     """Take the bare loop's turn."""
-    with program("armrig.bench.echo") as echo:
+    with program("armrig.rig.bench.echo") as echo:
         task = Task(
             period_ns=1_000_000_000 // rate.rate_hz,
             count=ticks,
@@ -166,14 +157,14 @@ def _bare(rate: Rate, ticks: int, host: Machine) -> None:
             port=line(echo),
         )
         done = _slept(task, _within_s(rate, ticks))
-    rate.add(judge.BARE, np.array(done.late_ns) / 1e3)
-    rate.add(judge.BARE_TRIP, np.array(done.trip_ns) / 1e3)
-    rate.add(judge.BARE_CPU, np.array(done.cpu_ns) / 1e3)
+    rate.add(targets.BARE, np.array(done.late_ns) / 1e3)
+    rate.add(targets.BARE_TRIP, np.array(done.trip_ns) / 1e3)
+    rate.add(targets.BARE_CPU, np.array(done.cpu_ns) / 1e3)
 
 
 def _slept(task: Task, within_s: float) -> Done:
     argument = msgspec.json.encode(task).decode()
-    with program("armrig.bench.sleeper", argument) as process:
+    with program("armrig.rig.bench.sleeper", argument) as process:
         return msgspec.json.decode(output(process, within_s), type=Done)
 
 
@@ -181,7 +172,7 @@ def _put(rate: Rate, ticks: int, name: str, *way: str) -> None:
     """Take the turn of the bare zenoh put, by itself or behind a pipe."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
         where = endpoint(RIG, PurePosixPath(directory))
-        with program("armrig.bench.putter", where, RIG, *way) as putter:
+        with program("armrig.rig.bench.publisher", where, RIG, *way) as putter:
             line(putter)
             with subscribers(where) as listening:
                 time.sleep(_SETTLE_S)  # until the publisher knows of its subscribers
@@ -211,20 +202,20 @@ def _loaded(rate: Rate, ticks: int, running: Daemon, host: Machine, seed: int) -
 def _exchanged(rate: Rate, recording: Recording, readings: list[tuple[int, int]]) -> None:
     gaps = [(gap.k_first, gap.count, gap.reason) for gap in recording.gaps]
     samples = recording.samples
-    rate.add(judge.DAEMON, judge.wake_lateness_us(samples, gaps, recording.Ts))
+    rate.add(targets.DAEMON, targets.wake_lateness_us(samples, gaps, recording.Ts))
     ticks_ns = samples["t_host_ns"].astype(np.int64)
-    rate.add(judge.DAEMON_CPU, judge.cpu_per_tick_us(readings, ticks_ns))
+    rate.add(targets.DAEMON_CPU, targets.cpu_per_tick_us(readings, ticks_ns))
 
 
 def _scheduled(rate: Rate, recording: Recording, heard: Sequence[NDArray[np.int64]]) -> None:
     samples = recording.samples
-    rate.add(judge.DELIVERY, (samples["t_host_ns"] - samples["t_sched_ns"]) / 1e3)
+    rate.add(targets.DELIVERY, (samples["t_host_ns"] - samples["t_sched_ns"]) / 1e3)
     k = samples["k"].astype(np.int64)
     t = np.diff(samples["t_device_us"].astype(np.int64))[np.diff(k) == 1]
-    rate.add(judge.TICK_ERROR, np.abs(t - recording.Ts * 1e6))
+    rate.add(targets.TICK_ERROR, np.abs(t - recording.Ts * 1e6))
     for triples in heard:
         ours = triples[np.isin(triples[:, 0], k)]
-        rate.add(judge.SUBSCRIBER, (ours[:, 2] - ours[:, 1]) / 1e3)
+        rate.add(targets.SUBSCRIBER, (ours[:, 2] - ours[:, 1]) / 1e3)
         rate.count("subscribers missed", k.size - np.unique(ours[:, 0]).size)
 
 
@@ -256,7 +247,7 @@ def _played(
     samples = recording.samples
     rate.count(f"{pacing} asked", u.size)
     rate.count(f"{pacing} lost", u.size - samples.size)
-    wrong = judge.misplaced(u, samples, recording.manifest.k_first, pwm_bits)
+    wrong = targets.misplaced(u, samples, recording.manifest.k_first, pwm_bits)
     rate.count(f"{pacing} misplaced", wrong)
     return recording, readings
 

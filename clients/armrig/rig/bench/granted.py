@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from armrig.bench.kernel import lock_memory, set_fifo
+from armrig.rig.bench.kernel import lock_memory, set_fifo
 
 
 def main() -> None:

@@ -15,9 +15,9 @@ from armrig_core import commands, topics
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.listening import arrivals, listen
-from armrig.replies import MalformedReplyError, refusal_of, reply_of
-from armrig.session import RigError, default_endpoint, no_daemon, no_reply, open_session
+from armrig.rig.replies import MalformedReplyError, refusal_of, reply_of
+from armrig.rig.session import RigError, default_endpoint, no_daemon, no_reply, open_session
+from armrig.rig.telemetry_stream import arrivals, listen
 
 Progress = Callable[[int, int], None]
 """Called with the samples taken and the samples asked for."""

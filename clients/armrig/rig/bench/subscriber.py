@@ -10,8 +10,8 @@ import zenoh
 from armrig_core.telemetry import decode_sample
 from armrig_core.topics import stream_key
 
-from armrig.bench.kernel import end_with_parent
-from armrig.session import open_session
+from armrig.rig.bench.kernel import end_with_parent
+from armrig.rig.session import open_session
 
 
 def main() -> None:

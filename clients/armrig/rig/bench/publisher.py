@@ -15,7 +15,7 @@ import zenoh
 from armrig_core.telemetry import SAMPLE_LENGTH, Sample, encode_sample
 from armrig_core.topics import stream_key
 
-from armrig.bench.kernel import PARENT, end_with_parent
+from armrig.rig.bench.kernel import PARENT, end_with_parent
 
 
 def session_config(endpoint: str) -> zenoh.Config:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import zenoh
-from armrig import listening
-from armrig.listening import decoded, stream
-from armrig.rig import RefusedError, Rig, RunEndedError
-from armrig.session import NoReplyError, RigError
+from armrig.rig import telemetry_stream
+from armrig.rig.client import RefusedError, Rig, RunEndedError
+from armrig.rig.session import NoReplyError, RigError
+from armrig.rig.telemetry_stream import decoded, stream
 from armrig_core import commands, protobuf, telemetry
 from armrig_core.endpoint import endpoint, socket_directory
 from armrig_core.rehearsal import Rehearsal
@@ -315,7 +315,7 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
     number: signal.Signals, where: str
 ) -> None:
     """Killed or ended in order: its last word may not arrive, so silence is looked into."""
-    program = [sys.executable, "-c", ALIVE, str(Path(__file__).parent), where]
+    program = [sys.executable, "-c", ALIVE, str(Path(__file__).parents[1]), where]
     with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as daemon:
         assert daemon.stdout is not None
         assert daemon.stdout.readline() == b"up\n"
@@ -333,16 +333,16 @@ def test_silence_of_a_living_daemon_is_waited_through(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An event may come after hours."""
-    monkeypatch.setattr(listening, "SILENCE_S", 0.0)
+    monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
     looked = threading.Event()
-    is_alive = listening._is_alive
+    is_alive = telemetry_stream._is_alive
 
     def counted(*arguments: Any) -> bool:
         found = is_alive(*arguments)
         looked.set()  # answered, so the daemon has heard of the subscriber, too
         return found
 
-    monkeypatch.setattr(listening, "_is_alive", counted)
+    monkeypatch.setattr(telemetry_stream, "_is_alive", counted)
 
     def publish() -> None:
         looked.wait()

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig import doctor
-from armrig.bench import machine
 from armrig.cli import main
-from armrig.doctor import Finding, Granted, Host, examine, is_well
+from armrig.rig import doctor
+from armrig.rig.bench import machine
+from armrig.rig.doctor import Finding, Granted, Host, examine, is_well
 
 GRANTED: dict[str, Any] = {
     "fifo": True,

@@ -15,9 +15,9 @@ import numpy as np
 from armrig_core.endpoint import endpoint
 from numpy.typing import NDArray
 
-from armrig.bench.kernel import PARENT
-from armrig.rig import Rig
-from armrig.session import NoReplyError, RigError
+from armrig.rig.bench.kernel import PARENT
+from armrig.rig.client import Rig
+from armrig.rig.session import NoReplyError, RigError
 
 RIG = "bench"
 BAUD = 1_000_000
@@ -40,7 +40,7 @@ directory = "{{directory}}"
 @contextmanager
 def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[bytes]]:
     """Run one of our modules with pipes to and from it, and end it."""
-    leash = [] if module else ["armrig.bench.leashed"]
+    leash = [] if module else ["armrig.rig.bench.leashed"]
     command = [sys.executable, "-m", *leash, *arguments]
     # A session of its own: Ctrl-C is ours, and everything is ended in order.
     process = subprocess.Popen(
@@ -122,7 +122,7 @@ class Daemon:
         """Start it and wait until it samples."""
         config = self._directory / "armrig.toml"
         config.write_text(_CONFIG.format(directory=self._directory), encoding="utf-8")
-        leash = [sys.executable, "-m", "armrig.bench.leashed"]
+        leash = [sys.executable, "-m", "armrig.rig.bench.leashed"]
         command = [*leash, sys.executable, "-m", "armrig_daemon", "run", "--config", str(config)]
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -189,7 +189,7 @@ def subscribers(where: str) -> Iterator[Subscribers]:
     with ExitStack() as stack:
         yield Subscribers(
             [
-                stack.enter_context(program("armrig.bench.subscriber", where, RIG))
+                stack.enter_context(program("armrig.rig.bench.subscriber", where, RIG))
                 for _ in range(SUBSCRIBERS)
             ]
         )
@@ -205,7 +205,9 @@ def _environment(directory: Path) -> dict[str, str]:
 def _name(process: subprocess.Popen[bytes]) -> str:
     """Return what a person calls the program: our module's name, or what is on the leash."""
     arguments = process.args if isinstance(process.args, list) else [process.args]
-    named = [str(a) for a in arguments if a not in (sys.executable, "-m", "armrig.bench.leashed")]
+    named = [
+        str(a) for a in arguments if a not in (sys.executable, "-m", "armrig.rig.bench.leashed")
+    ]
     return Path(named[0]).name
 
 

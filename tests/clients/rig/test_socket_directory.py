@@ -10,8 +10,8 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.rig import Rig
-from armrig.session import NoReplyError, RigError
+from armrig.rig.client import Rig
+from armrig.rig.session import NoReplyError, RigError
 from armrig_core.endpoint import endpoint
 from fake_daemon import FakeDaemon
 

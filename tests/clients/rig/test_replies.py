@@ -12,9 +12,9 @@ import msgspec
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.replies import MOST_BYTES, MalformedReplyError, refusal_of, reply_of
-from armrig.rig import RefusedError, Rig
-from armrig.session import MOST_RECEIVED, NoReplyError, RigError
+from armrig.rig.client import RefusedError, Rig
+from armrig.rig.replies import MOST_BYTES, MalformedReplyError, refusal_of, reply_of
+from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError
 from armrig_core.commands import Done, LeaseGranted, StatusReport
 from fake_daemon import FakeDaemon
 
@@ -127,7 +127,7 @@ def test_an_answer_that_is_beyond_all_measure_is_not_received(
     rogue: Rogue, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody has answered then."""
-    monkeypatch.setattr("armrig.rig.REPLY_S", 1.0)
+    monkeypatch.setattr("armrig.rig.client.REPLY_S", 1.0)
     rogue.body = b" " * (MOST_RECEIVED + (1 << 20))
 
     with Rig(connect=where) as rig, pytest.raises(NoReplyError, match="no reply from rig 1"):

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig import rig as rig_module
-from armrig.rig import BusyError, RefusedError, Rig
+from armrig.rig import client as rig_module
+from armrig.rig.client import BusyError, RefusedError, Rig
 from armrig_core import commands
 from fake_daemon import FakeDaemon
 

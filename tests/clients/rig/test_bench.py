@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.bench import cyclictest, judge, machine, programs, turns
-from armrig.bench.judge import Rate, Verdict, verdicts
-from armrig.bench.programs import program
-from armrig.bench.turns import ROUNDS, Plan
 from armrig.cli import main
-from armrig.session import RigError
+from armrig.rig.bench import cyclictest, machine, programs, rounds, targets
+from armrig.rig.bench.programs import program
+from armrig.rig.bench.rounds import ROUNDS, Plan
+from armrig.rig.bench.targets import Rate, Verdict, verdicts
+from armrig.rig.session import RigError
 from armrig_core.volts import applied_code, code_of, volts_of
 from made_recordings import recorded, sample, written
 
@@ -64,7 +64,7 @@ def rate(rate_hz: int = 1000, **times_us: list[float]) -> Rate:
     """Return a rate at which this was measured."""
     made = Rate(rate_hz=rate_hz)
     for name, values in times_us.items():
-        made.add(getattr(judge, name), values)
+        made.add(getattr(targets, name), values)
     return made
 
 
@@ -113,10 +113,10 @@ def test_cyclictest_runs_at_the_loops_priority() -> None:
 def test_a_tail_is_that_of_all_rounds_together() -> None:
     """Pooled, not averaged over rounds."""
     made = Rate(rate_hz=1000)
-    made.add(judge.DAEMON, np.arange(500.0))
-    made.add(judge.DAEMON, np.arange(500.0, 1001.0))
+    made.add(targets.DAEMON, np.arange(500.0))
+    made.add(targets.DAEMON, np.arange(500.0, 1001.0))
 
-    tail = made.tails()[judge.DAEMON]
+    tail = made.tails()[targets.DAEMON]
 
     assert (tail.n, tail.p50, tail.p99, tail.max) == (1001, 500.0, 990.0, 1000.0)
     assert tail.p999 == pytest.approx(999.0)
@@ -125,30 +125,30 @@ def test_a_tail_is_that_of_all_rounds_together() -> None:
 def test_ticks_that_the_host_slept_over_are_not_hidden() -> None:
     """The sample behind them is late from the first of them on; a lost frame is no lateness."""
     made = samples([0, 1, 5, 7], late_ns=20_000)
-    gaps = [(2, 3, judge.HOST_LATE), (6, 1, "a frame was lost")]
+    gaps = [(2, 3, targets.HOST_LATE), (6, 1, "a frame was lost")]
 
-    late = judge.wake_lateness_us(made, gaps, 0.001)
+    late = targets.wake_lateness_us(made, gaps, 0.001)
 
     assert late.tolist() == [20.0, 20.0, 3020.0, 20.0]
 
 
 def test_the_daemon_says_of_a_gap_what_the_benchmark_looks_for() -> None:
     """The reason is matched by its words; the daemon must not change them alone."""
-    source = Path(__file__).parents[2] / "daemon/armrig_daemon/core.py"
+    source = Path(__file__).parents[3] / "daemon/armrig_daemon/core.py"
 
-    assert f'"{judge.HOST_LATE}"' in source.read_text()
+    assert f'"{targets.HOST_LATE}"' in source.read_text()
 
 
 def test_an_input_on_its_neighbours_index_is_seen() -> None:
     """Commanded and latched values must be those of the index, to the last code."""
     u = [0.5, 1.0, 1.5, 2.0]
 
-    assert judge.misplaced(u, samples([10, 11, 13], u=[0.5, 1.0, 2.0]), 10, 10) == 0
-    assert judge.misplaced(u, samples([10, 11, 12], u=[0.5, 1.5, 1.0]), 10, 10) == 2
-    assert judge.misplaced(u, samples([9, 14], u=[0.5, 2.0]), 10, 10) == 2
+    assert targets.misplaced(u, samples([10, 11, 13], u=[0.5, 1.0, 2.0]), 10, 10) == 0
+    assert targets.misplaced(u, samples([10, 11, 12], u=[0.5, 1.5, 1.0]), 10, 10) == 2
+    assert targets.misplaced(u, samples([9, 14], u=[0.5, 2.0]), 10, 10) == 2
     off = samples([10], u=[0.5])
     off["u_applied_v"] += 5 / 1024
-    assert judge.misplaced(u, off, 10, 10) == 1
+    assert targets.misplaced(u, off, 10, 10) == 1
 
 
 def test_cpu_time_per_tick_is_taken_between_readings_inside_the_run() -> None:
@@ -156,11 +156,11 @@ def test_cpu_time_per_tick_is_taken_between_readings_inside_the_run() -> None:
     ticks_ns = np.arange(0, 1_000, 10)  # 100 of them
     readings = [(-50, 0), (5, 1_000_000), (505, 6_000_000), (985, 6_960_000), (2000, 99_000_000)]
 
-    per_tick = judge.cpu_per_tick_us(readings, ticks_ns)
+    per_tick = targets.cpu_per_tick_us(readings, ticks_ns)
 
     assert per_tick.tolist() == [100.0, 20.0]
-    assert judge.cpu_per_tick_us([], ticks_ns).size == 0
-    assert judge.cpu_per_tick_us(readings, ticks_ns[:0]).size == 0
+    assert targets.cpu_per_tick_us([], ticks_ns).size == 0
+    assert targets.cpu_per_tick_us(readings, ticks_ns[:0]).size == 0
 
 
 @pytest.mark.parametrize(
@@ -298,17 +298,17 @@ def test_without_cyclictest_its_stand_in_is_named(
     monkeypatch.setattr(cyclictest, "find", lambda: installed)
     made = Rate(rate_hz=1000)
 
-    turns._reference(made, 20, replace(machine.machine(), fifo=fifo))
+    rounds._reference(made, 20, replace(machine.machine(), fifo=fifo))
 
-    assert list(made.tails()) == [judge.STAND_IN]
-    assert made.tails()[judge.STAND_IN].n == 20
+    assert list(made.tails()) == [targets.STAND_IN]
+    assert made.tails()[targets.STAND_IN].n == 20
 
 
 def test_a_short_run_measures_all_contestants(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Table, JSON and figure of one run, with nothing lost at 100 Hz."""
-    monkeypatch.setattr("armrig.bench.turns.ROUNDS", 1)
+    monkeypatch.setattr("armrig.rig.bench.rounds.ROUNDS", 1)
     told, figure = tmp_path / "bench.json", tmp_path / "bench.png"
     arguments = ["--seconds", "1", "--rates", "100", "--json", str(told), "--plot", str(figure)]
 
@@ -317,10 +317,10 @@ def test_a_short_run_measures_all_contestants(
     out = capsys.readouterr().out
     facts = json.loads(told.read_text())
     (at_100,) = facts["rates"]
-    reference = {judge.REFERENCE, judge.STAND_IN} & set(at_100["times_us"])
-    of_cyclictest = {judge.REFERENCE, judge.BESIDE}
-    absent = of_cyclictest if judge.STAND_IN in reference else {judge.STAND_IN}
-    assert set(at_100["times_us"]) == set(judge.DEFINITIONS) - absent
+    reference = {targets.REFERENCE, targets.STAND_IN} & set(at_100["times_us"])
+    of_cyclictest = {targets.REFERENCE, targets.BESIDE}
+    absent = of_cyclictest if targets.STAND_IN in reference else {targets.STAND_IN}
+    assert set(at_100["times_us"]) == set(targets.DEFINITIONS) - absent
     assert len(reference) == 1
     assert at_100["counts"]["scheduled asked"] == at_100["counts"]["exchange asked"] == 100
     assert at_100["counts"]["scheduled misplaced"] == at_100["counts"]["exchange misplaced"] == 0
@@ -330,7 +330,7 @@ def test_a_short_run_measures_all_contestants(
     }
     for name in at_100["times_us"]:
         assert re.search(rf"^  {name} +\d+", out, re.MULTILINE)
-        assert f"{name}: {judge.DEFINITIONS[name]}" in out
+        assert f"{name}: {targets.DEFINITIONS[name]}" in out
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 

@@ -11,7 +11,7 @@ import zenoh
 from armrig_core import protobuf, telemetry, topics
 from google.protobuf.message import DecodeError
 
-from armrig.session import NoReplyError, RigError, open_session
+from armrig.rig.session import NoReplyError, RigError, open_session
 
 SILENCE_S = 1.0
 """After so long without a message the daemon is looked for, in s."""

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from armrig.bench import judge
-from armrig.bench.judge import Rate, Verdict
-from armrig.bench.machine import Machine
-from armrig.bench.turns import ROUNDS, Plan
+from armrig.rig.bench import targets
+from armrig.rig.bench.machine import Machine
+from armrig.rig.bench.rounds import ROUNDS, Plan
+from armrig.rig.bench.targets import Rate, Verdict
 
 _ABOVE_ONE = ("p50", "p99", "p99.9", "max")
 
@@ -27,7 +27,7 @@ class Result:
 
     def verdicts(self) -> list[Verdict]:
         """Return all figures that have a target."""
-        return [v for rate in self.rates for v in judge.verdicts(rate, self.plan.seconds)]
+        return [v for rate in self.rates for v in targets.verdicts(rate, self.plan.seconds)]
 
     def facts(self) -> dict[str, Any]:
         """Return all of it but the single times, for JSON."""
@@ -44,7 +44,7 @@ class Result:
                 for rate in self.rates
             ],
             "verdicts": [asdict(verdict) for verdict in self.verdicts()],
-            "definitions": judge.DEFINITIONS,
+            "definitions": targets.DEFINITIONS,
         }
 
 
@@ -71,7 +71,7 @@ def lines(result: Result) -> Iterator[str]:
         yield (f"  {v.what:38}{v.rate_hz:>6}{value:>12}{v.limit:>10g}  {met:8}{v.remark}").rstrip()
     yield ""
     measured = {name for rate in result.rates for name in rate.tails()}
-    for name, text in judge.DEFINITIONS.items():
+    for name, text in targets.DEFINITIONS.items():
         if name in measured:
             yield f"{name}: {text}"
     yield (
@@ -114,13 +114,13 @@ def write_figure(result: Result, path: Path) -> None:
     from armrig.plots import BLUE, GREEN, INK, ORANGE, VERMILION, finish
 
     late = (
-        (judge.REFERENCE, INK, "-"),
-        (judge.STAND_IN, INK, "-"),
-        (judge.BARE, BLUE, "--"),
-        (judge.DAEMON, VERMILION, "-"),
-        (judge.DELIVERY, ORANGE, ":"),
+        (targets.REFERENCE, INK, "-"),
+        (targets.STAND_IN, INK, "-"),
+        (targets.BARE, BLUE, "--"),
+        (targets.DAEMON, VERMILION, "-"),
+        (targets.DELIVERY, ORANGE, ":"),
     )
-    way = ((judge.PUT, BLUE, "--"), (judge.SUBSCRIBER, GREEN, "-"))
+    way = ((targets.PUT, BLUE, "--"), (targets.SUBSCRIBER, GREEN, "-"))
     rows = len(result.rates)
     figure = Figure(figsize=(8.0, 0.6 + 2.2 * rows), layout="constrained")
     grid = figure.subplots(rows, 2, squeeze=False)

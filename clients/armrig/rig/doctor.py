@@ -20,15 +20,7 @@ from typing import Literal
 import platformdirs
 from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
 
-from armrig.bench.machine import (
-    PRIORITY,
-    governors,
-    granted,
-    load,
-    preemption,
-    text,
-    virtual,
-)
+from armrig.rig.bench.machine import PRIORITY, governors, granted, load, preemption, text, virtual
 
 Level = Literal["good", "note", "bad"]
 

@@ -1,0 +1,1 @@
+"""What opens a session to a daemon, or measures this host."""
