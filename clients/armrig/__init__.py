@@ -67,10 +67,10 @@ if TYPE_CHECKING:
     from armrig.recordings.jitter import sampling_statistics
     from armrig.recordings.recording import Recording, RecordingError, load
     from armrig.recordings.usability import data_verdict
+    from armrig.report.study import physical_model
     from armrig.rig.client import Rig
     from armrig.rig.session import RigError
     from armrig.rig.telemetry_stream import stream
-    from armrig.study import physical_model
     from armrig.validation.advice.advice import advice
     from armrig.validation.comparison import compare, residuals
     from armrig.validation.feedback_and_delay.delay import delay
@@ -207,7 +207,7 @@ _MODULES = {
     "recordings.recording": ("Recording", "RecordingError", "load"),
     "rig.client": ("Rig",),
     "rig.session": ("RigError",),
-    "study": ("physical_model",),
+    "report.study": ("physical_model",),
     "rig.telemetry_stream": ("stream",),
     "models.model_file": ("ModelFileError", "load_fit"),
     "validation.model_search": ("SearchResult", "search"),

@@ -20,13 +20,13 @@ from rich.table import Table
 
 from armrig.excitation import step, telegraph
 from armrig.recordings.recording import Recording, load
-from armrig.report import report
-from armrig.report_figures import write_figures
+from armrig.report.document import report
+from armrig.report.figures import write_figures
+from armrig.report.study import Study, study
 from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
 from armrig.rig.progress import bar, timing_note
 from armrig.rig.realtime_status import scheduling
 from armrig.rig.session import NoReplyError, RigError
-from armrig.study import Study, study
 
 RIG = "demo"
 Ts = 0.01

@@ -13,7 +13,7 @@ from armrig.models.parameter_draws import drawn
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.numerics.polynomial import filtered
 from armrig.recordings.recording import Recording, load
-from armrig.study import Study, study
+from armrig.report.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb

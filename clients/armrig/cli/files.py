@@ -133,8 +133,8 @@ def report(
     check_output(output, files, suffix=".pdf")
     from armrig.estimating import estimating, waiting
     from armrig.recordings.recording import load
-    from armrig.report import report as typeset
-    from armrig.study import Orders, study
+    from armrig.report.document import report as typeset
+    from armrig.report.study import Orders, study
 
     recordings = [warned(load(f, calibration)) for f in files]
     with estimating("na, nb and nf"):

@@ -179,7 +179,7 @@ def compare(
 def _studied(recordings: list[Recording], *, na: int, nb: int, nf: int, nk: int) -> tuple[Any, str]:
     """Return ARX, OE and the physics on the second recording, and in words where that is."""
     from armrig.estimating import estimating
-    from armrig.study import Orders, study
+    from armrig.report.study import Orders, study
 
     with estimating("na, nb and nf"):
         done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))

@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.models.characteristics import SCALARS, traits
-from armrig.study import physical_model
+from armrig.report.study import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
 if TYPE_CHECKING:

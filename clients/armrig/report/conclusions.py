@@ -15,7 +15,7 @@ from armrig.numerics.quantities import (
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.jitter import angle_of_jitter, fastest_rate
-from armrig.study import Judged, Study
+from armrig.report.study import Judged, Study
 
 
 def verdict(study: Study) -> list[str]:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from armrig import plots
 from armrig.nonparametric.spectral_reference import spectral_reference
-from armrig.study import STEP, Study, kind_of
+from armrig.report.study import STEP, Study, kind_of
 
 _STYLE: Any = {
     "svg.fonttype": "none",

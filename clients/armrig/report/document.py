@@ -34,9 +34,9 @@ from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.recordings.timing_disturbances import Causes
-from armrig.report_figures import DETAIL_S, write_figures
-from armrig.study import STAIRCASE, STEP, Judged, Study, kind_of
-from armrig.verdict import summary, verdict
+from armrig.report.conclusions import summary, verdict
+from armrig.report.figures import DETAIL_S, write_figures
+from armrig.report.study import STAIRCASE, STEP, Judged, Study, kind_of
 
 _SCALE = "theta_1_rad_per_count"
 
@@ -65,7 +65,9 @@ def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> 
         root = Path(directory)
         write_figures(study, root)
         (root / "data.json").write_text(json.dumps(content(study, remarks)), encoding="utf-8")
-        template = resources.files("armrig").joinpath("report.typ").read_text(encoding="utf-8")
+        template = (
+            resources.files("armrig.report").joinpath("report.typ").read_text(encoding="utf-8")
+        )
         (root / "report.typ").write_text(template, encoding="utf-8")
         fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
         try:

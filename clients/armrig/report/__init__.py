@@ -1,0 +1,1 @@
+"""A study told as a document."""
