@@ -12,9 +12,9 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
+from armrig.cli.replay import replay
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
-from armrig.replay import replay
 from armrig_core.calibration_file import raw_path, read_calibration
 from armrig_core.manifest import CALIBRATION_RAW
 from processes import Bench, wait_for

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import armrig
 import pytest
+from armrig.cli.replay import replay
 from armrig.recordings.recording import RecordingError
-from armrig.replay import replay
 from armrig_daemon import scheduling
 from processes import Bench
 

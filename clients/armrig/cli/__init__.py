@@ -17,12 +17,12 @@ from armrig.cli import (
     calibrate,
     collect,
     files,
-    integration,
-    judging,
-    models,
+    host,
+    identification,
+    integrators,
     physics,
     rig,
-    tools,
+    validation,
 )
 from armrig.cli.options import tell
 
@@ -33,24 +33,24 @@ app = typer.Typer(
 )
 # In the order in which `armrig --help` tells them.
 for _command in (
-    tools.demo,
+    host.demo,
     rig.status,
     rig.watch,
     rig.stop,
     rig.reset,
     calibrate.calibrate,
-    tools.bench,
-    tools.doctor,
+    host.bench,
+    host.doctor,
     files.info,
     files.replay,
-    models.identify,
-    judging.validate,
-    judging.compare,
+    identification.identify,
+    validation.validate,
+    validation.compare,
     physics.check,
     physics.greybox,
     physics.split,
     physics.simulate,
-    integration.integrate,
+    integrators.integrate,
     files.report,
 ):
     app.command()(_command)

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from armrig.cli.collect_runs import SECONDS, Played, Run, chosen, collect_each
 from armrig.cli.options import Connect, Json, RigId
-from armrig.cli.playing import SECONDS, Played, Run, chosen, collect_each
 
 app = typer.Typer(
     help="Play an input and record what the rig does.\n\n"

@@ -94,7 +94,7 @@ def replay(file: File, json: Json = False) -> None:
 
     Exit code 1 where it differs.
     """
-    from armrig.replay import replay as decided_again
+    from armrig.cli.replay import replay as decided_again
 
     found = decided_again(file)
     if json:
@@ -131,7 +131,7 @@ def report(
     The first recording that is no step estimates, the next validates.
     """
     check_output(output, files, suffix=".pdf")
-    from armrig.estimating import estimating, waiting
+    from armrig.cli.waiting import estimating, waiting
     from armrig.recordings.recording import load
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from armrig.cli.drawing import Plot, check_plot, write_plot
+from armrig.cli.comparison_rows import row_facts
+from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import CalibrationFile, File, Json, echo, print_json, warned
-from armrig.cli.rows import row_facts
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -55,7 +55,7 @@ def check(
 ) -> None:
     """Test for open loop and for a delay (handout 3.7, 3.8)."""
     from armrig import delay, open_loop
-    from armrig.estimating import waiting
+    from armrig.cli.waiting import waiting
 
     check_plot(plot, [file])
     data = _data(file, output, calibration)
@@ -106,7 +106,7 @@ def greybox(
 ) -> None:
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
     import armrig
-    from armrig.estimating import waiting
+    from armrig.cli.waiting import waiting
     from armrig.physics.grey_box.fit import UNITS
 
     check_plot(plot, [file])
@@ -155,7 +155,7 @@ def split(
     From halves and quarters, and study the deviations.
     """
     import armrig
-    from armrig.estimating import waiting
+    from armrig.cli.waiting import waiting
 
     check_plot(plot, [file])
     cuts, fixed = _cuts(parts), _parameters(given)

@@ -21,7 +21,7 @@ def demo(
 
     Two minutes, no hardware.
     """
-    from armrig.demo import demo as run_demo
+    from armrig.cli.demo import demo as run_demo
 
     if directory.exists() and not directory.is_dir():
         msg = f"--directory {directory}: is a file; give a directory, which is made where none is"

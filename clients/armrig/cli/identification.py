@@ -7,20 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from armrig.cli.drawing import Plot, check_plot, write_plot
+from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.files import check_output
-from armrig.cli.options import (
-    SAME_DATA,
-    CalibrationFile,
-    File,
-    Json,
-    Nk,
-    print_json,
-    say,
-    tell,
-    warned,
-)
-from armrig.cli.structures import (
+from armrig.cli.model_structures import (
     NaOrNone,
     NbOrNone,
     NcOrNone,
@@ -32,6 +21,17 @@ from armrig.cli.structures import (
     check_integrator,
     chosen_orders,
     estimated,
+)
+from armrig.cli.options import (
+    SAME_DATA,
+    CalibrationFile,
+    File,
+    Json,
+    Nk,
+    print_json,
+    say,
+    tell,
+    warned,
 )
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def _searched(
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
-    from armrig.estimating import estimating
+    from armrig.cli.waiting import estimating
     from armrig.validation.model_search import FAMILIES, search
 
     families = FAMILIES if structure is None else (structure,)
@@ -181,8 +181,8 @@ def _told(
     where: Path | None,
     json: bool,
 ) -> None:
-    from armrig import account
-    from armrig.estimating import estimating
+    from armrig.cli import model_output
+    from armrig.cli.waiting import estimating
     from armrig.validation.comparison import compare, residuals
 
     judged = None
@@ -193,19 +193,19 @@ def _told(
             tell(SAME_DATA)
     if not json:
         if found is not None:
-            say("\n".join(account.of_search(found)))
-        say("\n".join(account.of_model(fit)))
+            say("\n".join(model_output.of_search(found)))
+        say("\n".join(model_output.of_model(fit)))
         if judged is not None:
             say(f"validation on {where}\n{judged[0]!r}")
-            say("\n".join(account.of_tests(judged[1])))
-        if hint := account.hint(fit):
+            say("\n".join(model_output.of_tests(judged[1])))
+        if hint := model_output.hint(fit):
             tell(hint)
         return
-    facts = account.facts_of_model(fit) | {"recording": data.source}
+    facts = model_output.facts_of_model(fit) | {"recording": data.source}
     if found is not None:
         facts["search"] = _search_facts(found)
     if other is not None and judged is not None:
-        facts["validation"] = account.facts_of_tests(other, judged[0][0], judged[1])
+        facts["validation"] = model_output.facts_of_tests(other, judged[0][0], judged[1])
     print_json(facts)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.options import folded
-from armrig.estimating import estimating, waiting
+from armrig.cli.waiting import estimating, waiting
 from armrig.rig.collection import MOST_SAMPLES
 from armrig.rig.realtime_status import scheduling
 from armrig_core import commands, telemetry

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig import demo
+from armrig.cli import demo
 from armrig.rig import client as rig_module
 from armrig.rig.client import RefusedError, Rig
 from armrig.rig.session import NoReplyError, RigError

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
-from armrig.cli.drawing import Plot, check_plot, write_plot
+from armrig.cli.comparison_rows import row_facts
+from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
@@ -22,7 +23,6 @@ from armrig.cli.options import (
     tell,
     warned,
 )
-from armrig.cli.rows import row_facts
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -62,8 +62,8 @@ def validate(
 
     Simulation, prediction, and what its residuals still hold.
     """
-    from armrig import account
-    from armrig.estimating import estimating
+    from armrig.cli import model_output
+    from armrig.cli.waiting import estimating
     from armrig.models.model_file import load_fit
     from armrig.recordings.recording import load
     from armrig.validation.comparison import compare as compared
@@ -89,19 +89,19 @@ def validate(
             lambda ax: plot_poles_zeros(fit, ax=ax),
         )
     if json:
-        facts = account.facts_of_tests(data, tables[0][0], tests)
+        facts = model_output.facts_of_tests(data, tables[0][0], tests)
         facts["ahead"] = [
             {"horizon": t.horizon, "fit_percent": t[0].fit_percent, "rms_error": t[0].rms_error}
             for t in tables[1:]
         ]
         print_json({"model": str(model), "identified_from": fit.source} | facts)
         return
-    echo(f"{account.heading(fit)}\nvalidated on {file} (recording {data.source[:12]})")
+    echo(f"{model_output.heading(fit)}\nvalidated on {file} (recording {data.source[:12]})")
     for table in tables:
         ahead = "simulated" if table.horizon is None else f"{table.horizon} ahead"
         echo(_row(f"{ahead:10}", table[0], table.unit))
     echo(f"  {tables[0].note}")
-    echo("\n".join(account.of_tests(tests)))
+    echo("\n".join(model_output.of_tests(tests)))
 
 
 def compare(
@@ -178,7 +178,7 @@ def compare(
 
 def _studied(recordings: list[Recording], *, na: int, nb: int, nf: int, nk: int) -> tuple[Any, str]:
     """Return ARX, OE and the physics on the second recording, and in words where that is."""
-    from armrig.estimating import estimating
+    from armrig.cli.waiting import estimating
     from armrig.report.study import Orders, study
 
     with estimating("na, nb and nf"):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.cli.drawing import Plot, check_plot, write_plot
+from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import Json, print_json, say
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def integrate(
     from armrig_core.arm import ArmParameters, arm_matrices
 
     from armrig import recommend_step, sinusoid, stability_limit
-    from armrig.estimating import waiting
+    from armrig.cli.waiting import waiting
 
     check_plot(plot)
     A, B, _ = arm_matrices(ArmParameters())

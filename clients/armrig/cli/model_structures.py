@@ -74,7 +74,7 @@ def estimated(
 ) -> Fit:
     """Return the model; orders that are too high for the data are refused."""
     import armrig
-    from armrig.estimating import estimating, require_finite
+    from armrig.cli.waiting import estimating, require_finite
     from armrig.estimation.orders import require_sensible
 
     asked = {name: n for name, n in orders.items() if n is not None}
