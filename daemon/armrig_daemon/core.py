@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from armrig_daemon import gaps, handshake, orders, replies, scheduling
 from armrig_daemon.asking import Step, ask, log, refuse, say_state, send
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.records import RunStarted
+from armrig_daemon.pipe import RunStarted
 from armrig_daemon.state import (
     Absent,
     Action,

@@ -6,7 +6,7 @@ from armrig_core.volts import volts_of
 from msgspec.structs import replace
 
 from armrig_daemon.asking import Step
-from armrig_daemon.records import Gap
+from armrig_daemon.pipe import Gap
 from armrig_daemon.state import Absent, Action, Emit, Sent, State
 
 NO_ANSWER = "no answer came"

@@ -31,7 +31,7 @@ from armrig_daemon.asking import (
 from armrig_daemon.budget import check, exchange_us
 from armrig_daemon.clockmap import ClockMap
 from armrig_daemon.faults import Fault, Id, in_words
-from armrig_daemon.records import Hold, Order, Play, Reset, RunStarted, Take
+from armrig_daemon.pipe import Hold, Order, Play, Reset, RunStarted, Take
 from armrig_daemon.state import Action, Asked, Emit, Exit, Lease, Phase, Repace, Run, State, Want
 from armrig_daemon.stopping import end_run, trip
 

@@ -10,9 +10,9 @@ from armrig_daemon import core
 from armrig_daemon.meter import Meter, clock_record
 from armrig_daemon.outbox import Outbox
 from armrig_daemon.pacing import Pace, change
+from armrig_daemon.pipe import RunEnded, RunStarted
+from armrig_daemon.pipe import Trace as TraceRecord
 from armrig_daemon.ports import Ports
-from armrig_daemon.records import RunEnded, RunStarted
-from armrig_daemon.records import Trace as TraceRecord
 from armrig_daemon.state import (
     Action,
     Beat,

@@ -11,7 +11,7 @@ import sys
 import msgspec
 
 from armrig_daemon.loop_process import Settings
-from armrig_daemon.records import Orders, Record, record_bytes, take_records
+from armrig_daemon.pipe import Orders, Record, record_bytes, take_records
 
 EXIT_S = 1.0
 """How long the loop may take to stop the motor and end, in s."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import msgspec
 from armrig_core import protobuf
 
-from armrig_daemon.records import Clock, Distribution, Gap, Log, State, Timing, Trace
+from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
 
 _DISTRIBUTIONS = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth")
 

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from armrig_daemon.asking import Step, answer, ask, refuse
 from armrig_daemon.handshake import begin_arming
-from armrig_daemon.records import Alive, Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
+from armrig_daemon.pipe import Alive, Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
 from armrig_daemon.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.stopping import end_run, stop
 

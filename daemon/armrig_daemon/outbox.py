@@ -6,8 +6,7 @@ from collections import deque
 
 from armrig_core.telemetry import Sample, encode_sample
 
-from armrig_daemon.ports import Ports
-from armrig_daemon.records import (
+from armrig_daemon.pipe import (
     Clock,
     Gap,
     Log,
@@ -18,6 +17,7 @@ from armrig_daemon.records import (
     record_bytes,
     sample_bytes,
 )
+from armrig_daemon.ports import Ports
 
 MOST_WAITING = 1000
 """Records that may wait for room in the pipe before those that only inform are dropped."""

@@ -11,7 +11,7 @@ from time import monotonic_ns
 from armrig_protocol.messages import Cause
 
 from armrig_daemon.faults import Id
-from armrig_daemon.records import State, Timing
+from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")
 LATENESS_MOST_MS = 100

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.directory import check_directory
 from armrig_daemon.messages import Outgoing
+from armrig_daemon.pipe import Gap, Play, RunStarted, State
 from armrig_daemon.presence import Presence, begun, renewed
 from armrig_daemon.record import Recording, RecordingError
-from armrig_daemon.records import Gap, Play, RunStarted, State
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
 _ROOM = 1 << 20  # and what a recording takes without any

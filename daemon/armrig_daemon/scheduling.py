@@ -19,7 +19,7 @@ from armrig_daemon.budget import PING_US
 from armrig_daemon.clockmap import extend, host_ns_at
 from armrig_daemon.conversion import converted, extended, is_older
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.records import Play
+from armrig_daemon.pipe import Play
 from armrig_daemon.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
 from armrig_daemon.stopping import stop, trip
 

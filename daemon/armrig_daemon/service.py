@@ -31,9 +31,7 @@ from armrig_daemon.config import Config
 from armrig_daemon.directory import left_over
 from armrig_daemon.loop_process import NO_PORT, Settings
 from armrig_daemon.messages import Outgoing, outgoing
-from armrig_daemon.publish import Command, Kind, Session
-from armrig_daemon.record import RecordingError
-from armrig_daemon.records import (
+from armrig_daemon.pipe import (
     Alive,
     Answer,
     Clock,
@@ -56,6 +54,8 @@ from armrig_daemon.records import (
     Timing,
     Trace,
 )
+from armrig_daemon.publish import Command, Kind, Session
+from armrig_daemon.record import RecordingError
 from armrig_daemon.runs import Runs, checked
 from armrig_daemon.state import Phase
 from armrig_daemon.thinning import Thinning

@@ -12,7 +12,7 @@ from armrig_protocol.messages import HelloReply
 
 from armrig_daemon.clockmap import ClockMap
 from armrig_daemon.faults import Fault
-from armrig_daemon.records import Order, Play, Record
+from armrig_daemon.pipe import Order, Play, Record
 
 
 class Phase(StrEnum):

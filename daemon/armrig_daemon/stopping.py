@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from armrig_daemon import gaps
 from armrig_daemon.asking import Step, ask, log, refuse, say_state
 from armrig_daemon.faults import Fault, in_words
-from armrig_daemon.records import Order, RunEnded
+from armrig_daemon.pipe import Order, RunEnded
 from armrig_daemon.state import Absent, Emit, Phase, Repace, State, Want
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from armrig_daemon.records import Log
+from armrig_daemon.pipe import Log
 
 AGAIN_NS = 1_000_000_000
 """How long lines that differ in their numbers only are held back, in ns."""

@@ -12,7 +12,7 @@ from bisect import bisect_left
 from collections import defaultdict
 from itertools import accumulate
 
-from armrig_daemon.records import Distribution
+from armrig_daemon.pipe import Distribution
 
 _STEPS = 32  # a power of two is cut into so many: values are known to 1/32, that is 3 %
 _MOST_MISSED = 10_000  # more than any run survives; bounds the work after a suspend

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from armrig_daemon.records import Leased, Order, Orders, Play, Take
+from armrig_daemon.pipe import Leased, Order, Orders, Play, Take
 from armrig_daemon.state import (
     Action,
     Beat,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop import Loop
-from armrig_daemon.records import Orders, Record, take_records
+from armrig_daemon.pipe import Orders, Record, take_records
 from armrig_daemon.state import Event, LinkUp, Ordered, Received, Rules
 
 Lateness = Callable[[], int]

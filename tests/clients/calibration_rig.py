@@ -13,7 +13,7 @@ from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.board import driven, volts
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.records import Play, RunStarted, Take
+from armrig_daemon.pipe import Play, RunStarted, Take
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag
 from made_recordings import manifest, recorded, sample

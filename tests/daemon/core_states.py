@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig_daemon import core
-from armrig_daemon.records import Hold, Order, Play, Take
+from armrig_daemon.pipe import Hold, Order, Play, Take
 from armrig_daemon.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode

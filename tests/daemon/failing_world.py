@@ -22,7 +22,7 @@ from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop import Loop
-from armrig_daemon.records import Record, record_bytes, take_records
+from armrig_daemon.pipe import Record, record_bytes, take_records
 
 _LINE, _ORDERS, _RECORDS = 100, 101, 102
 _MOST_CALLS = 100_000

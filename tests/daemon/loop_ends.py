@@ -6,7 +6,7 @@ import os
 import subprocess
 
 from armrig_daemon.loop_child import LoopChild
-from armrig_daemon.records import Orders, take_orders
+from armrig_daemon.pipe import Orders, take_orders
 
 
 class LoopEnds:

@@ -9,8 +9,8 @@ import pytest
 from armrig_daemon import core
 from armrig_daemon.asking import unanswered
 from armrig_daemon.config import Config
-from armrig_daemon.records import Log
-from armrig_daemon.records import State as StateRecord
+from armrig_daemon.pipe import Log
+from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.state import Action, Beat, Emit, Event, LinkDown, LinkUp, Received, State, Tick
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Keepalive

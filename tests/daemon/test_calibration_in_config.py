@@ -13,7 +13,7 @@ from armrig_core.calibration_file import raw_path, toml_of
 from armrig_core.commands import Run
 from armrig_core.manifest import CALIBRATION_RAW
 from armrig_daemon.config import Config, ConfigError, load
-from armrig_daemon.records import RunStarted, State
+from armrig_daemon.pipe import RunStarted, State
 from armrig_daemon.runs import Runs
 
 SAMPLES = b"samples"

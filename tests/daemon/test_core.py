@@ -9,7 +9,7 @@ from armrig_daemon import core, trace
 from armrig_daemon.asking import motor
 from armrig_daemon.faults import Fault, Id
 from armrig_daemon.gaps import MOST_ABSENT, account, note
-from armrig_daemon.records import Gap, Log, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Gap, Log, Play, RunEnded, RunStarted
 from armrig_daemon.state import (
     Absent,
     Heard,

@@ -13,7 +13,7 @@ from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.faults import Id
-from armrig_daemon.records import (
+from armrig_daemon.pipe import (
     Alive,
     Answer,
     Gap,
@@ -28,7 +28,7 @@ from armrig_daemon.records import (
     RunStarted,
     Take,
 )
-from armrig_daemon.records import State as StateRecord
+from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.state import LinkDown, LinkUp, Phase, Received
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed

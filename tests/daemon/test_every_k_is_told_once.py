@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 from armrig_core.telemetry import Sample, decode_sample
 from armrig_daemon import core
-from armrig_daemon.records import Gap, Play, Reset, RunEnded
+from armrig_daemon.pipe import Gap, Play, Reset, RunEnded
 from armrig_daemon.state import LinkDown, LinkUp, Phase, Publish, Received, Send, State, Tick
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode

@@ -6,7 +6,7 @@ import pytest
 from armrig_core import protobuf
 from armrig_daemon.faults import REMEDIES, Id
 from armrig_daemon.messages import outgoing
-from armrig_daemon.records import Log, State
+from armrig_daemon.pipe import Log, State
 from armrig_daemon.state import LinkDown
 from virtual_bench import Bench
 

@@ -6,8 +6,8 @@ import pytest
 from armrig_daemon import handshake
 from armrig_daemon.asking import config
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.records import Answer, Log, Reset, RunEnded, Take
-from armrig_daemon.records import State as StateRecord
+from armrig_daemon.pipe import Answer, Log, Reset, RunEnded, Take
+from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.state import Beat, Exit, Phase, Repace, Run, State, Tick, Want
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import (

@@ -13,7 +13,7 @@ import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.loop_child import LoopChild, start
 from armrig_daemon.loop_process import Settings
-from armrig_daemon.records import Host, Record, record_bytes
+from armrig_daemon.pipe import Host, Record, record_bytes
 from armrig_protocol.decoder import Received, feed
 from armrig_protocol.messages import Estop
 

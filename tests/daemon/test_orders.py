@@ -6,18 +6,7 @@ import pytest
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.records import (
-    Answer,
-    Halt,
-    Hold,
-    Order,
-    Play,
-    Quit,
-    Release,
-    Reset,
-    RunEnded,
-    Take,
-)
+from armrig_daemon.pipe import Answer, Halt, Hold, Order, Play, Quit, Release, Reset, RunEnded, Take
 from armrig_daemon.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
 from armrig_protocol.messages import ClearFault, Hello, Stop
 from armrig_protocol.messages import State as DeviceState

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon.records import Alive, Host, Log, Play, record_bytes
+from armrig_daemon.pipe import Alive, Host, Log, Play, record_bytes
 from loop_ends import LoopEnds
 
 PLAY = Play(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)) * 1000)

@@ -15,8 +15,8 @@ from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.compact import compact
 from armrig_daemon.directory import LeftOver, check_directory, left_over
 from armrig_daemon.messages import Outgoing, outgoing
+from armrig_daemon.pipe import Gap
 from armrig_daemon.record import Recording, RecordingError
-from armrig_daemon.records import Gap
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 

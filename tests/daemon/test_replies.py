@@ -8,8 +8,8 @@ from armrig_core.volts import code_of
 from armrig_daemon import scheduling
 from armrig_daemon.clockmap import ClockMap
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.records import Gap, Log, Play, RunEnded
-from armrig_daemon.records import State as StateRecord
+from armrig_daemon.pipe import Gap, Log, Play, RunEnded
+from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.state import Beat, Exit, LinkDown, Phase, Publish, RoundTrip, Sent, State, Want
 from armrig_daemon.state import Heard as HeardFrame
 from armrig_protocol.messages import (

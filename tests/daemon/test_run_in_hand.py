@@ -12,7 +12,7 @@ from armrig_core.manifest import OUTCOME, outcome_of
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.messages import Outgoing, outgoing
-from armrig_daemon.records import Gap, RunStarted, State
+from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.runs import Runs
 from mcap.reader import make_reader
 

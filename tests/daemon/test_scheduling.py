@@ -8,7 +8,7 @@ from armrig_daemon import gaps, scheduling
 from armrig_daemon.asking import MOST_BEATS, send
 from armrig_daemon.budget import PING_US
 from armrig_daemon.faults import Fault, Id
-from armrig_daemon.records import Answer, Gap, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Answer, Gap, Play, RunEnded, RunStarted
 from armrig_daemon.state import (
     Absent,
     Emit,

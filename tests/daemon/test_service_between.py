@@ -20,9 +20,9 @@ from armrig_core.topics import command_key
 from armrig_daemon import publish
 from armrig_daemon.config import Config
 from armrig_daemon.orders import BY_HAND, not_newer
+from armrig_daemon.pipe import Alive, Answer, Halt, Play, RunEnded, RunStarted, State
 from armrig_daemon.presence import begun
 from armrig_daemon.publish import Kind, Session
-from armrig_daemon.records import Alive, Answer, Halt, Play, RunEnded, RunStarted, State
 from armrig_daemon.service import Service
 from loop_ends import LoopEnds
 

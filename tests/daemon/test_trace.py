@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 from armrig_daemon import core, trace
-from armrig_daemon.records import Answer, Hold, Play, RunStarted, Trace
+from armrig_daemon.pipe import Answer, Hold, Play, RunStarted, Trace
 from armrig_daemon.state import (
     Beat,
     Emit,

@@ -8,7 +8,7 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.records import Answer, Hold, Take
+from armrig_daemon.pipe import Answer, Hold, Take
 from armrig_daemon.state import Phase
 from armrig_daemon.virtual import VirtualRig
 

@@ -13,7 +13,7 @@ from armrig_core.telemetry import Sample
 from armrig_daemon.asking import MOST_BEATS
 from armrig_daemon.gaps import MOST_ABSENT
 from armrig_daemon.outbox import MOST_WAITING
-from armrig_daemon.records import (
+from armrig_daemon.pipe import (
     Answer,
     Gap,
     Halt,
@@ -28,7 +28,7 @@ from armrig_daemon.records import (
     RunStarted,
     Take,
 )
-from armrig_daemon.records import State as StateRecord
+from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.state import State as CoreState
 from armrig_protocol.decoder import LONGEST
 from armrig_protocol.messages import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from random import Random
 from struct import pack
 
-from armrig_daemon.records import (
+from armrig_daemon.pipe import (
     Answer,
     Halt,
     Hold,
@@ -17,7 +17,7 @@ from armrig_daemon.records import (
     RunEnded,
     Take,
 )
-from armrig_daemon.records import State as StateRecord
+from armrig_daemon.pipe import State as StateRecord
 
 from simulator.options import Options
 

@@ -16,7 +16,7 @@ from unittest.mock import patch
 from armrig_daemon import asking, core, gaps, handshake, orders, replies, scheduling, stopping
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
-from armrig_daemon.records import Answer
+from armrig_daemon.pipe import Answer
 from armrig_daemon.state import Emit, Lease, Phase, Rules, Run
 from armrig_protocol import cobs, decoder, frame
 from armrig_protocol.frame import Spoilt, Unknown

@@ -15,7 +15,7 @@ from armrig_core.calibration import Calibration
 from armrig_daemon.asking import say_state
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop import Loop
-from armrig_daemon.records import Alive, Gap, Order, Quit, Record
+from armrig_daemon.pipe import Alive, Gap, Order, Quit, Record
 from armrig_daemon.state import (
     Emit,
     Event,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from armrig_core.telemetry import Sample, decode_sample
 from armrig_daemon.outbox import Outbox
-from armrig_daemon.records import Record, take_records
+from armrig_daemon.pipe import Record, take_records
 
 if TYPE_CHECKING:
     from simulator.rig import Rig

@@ -11,7 +11,7 @@ import numpy as np
 from armrig_core.manifest import INPUT, RUN, manifest_of
 from armrig_core.volts import code_of
 from armrig_daemon import core, trace
-from armrig_daemon.records import Log
+from armrig_daemon.pipe import Log
 from armrig_daemon.state import Action, Emit, Publish, Send
 from armrig_protocol.frame import Spoilt, Unknown, decode
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, encode_sample
-from armrig_daemon.records import (
+from armrig_daemon.pipe import (
     Answer,
     Gap,
     Halt,
