@@ -30,9 +30,9 @@ from armrig_protocol.messages import (
 )
 from msgspec import Meta
 
-from armrig_daemon.budget import check
+from armrig_daemon.core.budget import check
+from armrig_daemon.core.state import Rules
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.state import Rules
 from armrig_daemon.tables import TableError, convert
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from armrig_core.commands import REQUESTS, Leased, Run
 
-from armrig_daemon.orders import NOT_HELD
+from armrig_daemon.core.orders import NOT_HELD
 
 LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, Leased))
 """Names of the commands that carry a lease."""

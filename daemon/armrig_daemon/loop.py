@@ -6,14 +6,8 @@ device, no clock and no pipe: those are its `Ports`.
 
 from __future__ import annotations
 
-from armrig_daemon import core
-from armrig_daemon.meter import Meter, clock_record
-from armrig_daemon.outbox import Outbox
-from armrig_daemon.pacing import Pace, change
-from armrig_daemon.pipe import RunEnded, RunStarted
-from armrig_daemon.pipe import Trace as TraceRecord
-from armrig_daemon.ports import Ports
-from armrig_daemon.state import (
+from armrig_daemon.core import step
+from armrig_daemon.core.state import (
     Action,
     Beat,
     Emit,
@@ -27,7 +21,13 @@ from armrig_daemon.state import (
     State,
     Tick,
 )
-from armrig_daemon.trace import Chunk, Trace
+from armrig_daemon.core.trace import Chunk, Trace
+from armrig_daemon.meter import Meter, clock_record
+from armrig_daemon.outbox import Outbox
+from armrig_daemon.pacing import Pace, change
+from armrig_daemon.pipe import RunEnded, RunStarted
+from armrig_daemon.pipe import Trace as TraceRecord
+from armrig_daemon.ports import Ports
 
 
 class Loop:
@@ -36,7 +36,7 @@ class Loop:
     def __init__(self, rules: Rules, ports: Ports) -> None:
         """Start with the first tick one period from now."""
         self.ports = ports
-        self.state: State = core.start(rules)
+        self.state: State = step.start(rules)
         self.ended = False
         now = ports.now_ns()
         self._pace = Pace(rules.ts_us * 1000, now + rules.ts_us * 1000, 0)
@@ -64,7 +64,7 @@ class Loop:
         pace, ports = self._pace, self.ports
         now = ports.now_ns()
         while now < until_ns and not self.ended and self._pace is pace:
-            wake = core.wake_ns(self.state)
+            wake = step.wake_ns(self.state)
             events = ports.wait(until_ns if wake > until_ns else max(wake, now))
             now = ports.now_ns()
             if events:
@@ -90,7 +90,7 @@ class Loop:
                 self._outbox.put(clock)
 
     def _step(self, now_ns: int, events: list[Event]) -> None:
-        self.state, actions = core.step(self.state, now_ns, events)
+        self.state, actions = step.step(self.state, now_ns, events)
         trace = self._trace
         if trace is not None:
             trace.note(now_ns, events, actions)

@@ -19,10 +19,10 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 
 from armrig_daemon import realtime
+from armrig_daemon.core.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
 from armrig_daemon.link import Link, LinkError, latency_timer_ms
 from armrig_daemon.loop import Loop
 from armrig_daemon.pipe import Host, Log, Quit, record_bytes, take_orders
-from armrig_daemon.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
 
 NO_PORT = 2
 """Exit code where the port could not be opened; why has been said."""

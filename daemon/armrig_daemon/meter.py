@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig_core.telemetry import Sample
 
-from armrig_daemon.clockmap import ClockMap, estimate
+from armrig_daemon.core.clockmap import ClockMap, estimate
 from armrig_daemon.pipe import Clock, Timing
 from armrig_daemon.timing import Histogram
 

@@ -25,9 +25,11 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
-from armrig_daemon import loop_child, orders, pressure, readings, realtime
-from armrig_daemon.budget import check
+from armrig_daemon import loop_child, pressure, readings, realtime
 from armrig_daemon.config import Config
+from armrig_daemon.core import orders
+from armrig_daemon.core.budget import check
+from armrig_daemon.core.state import Phase
 from armrig_daemon.directory import left_over
 from armrig_daemon.loop_process import NO_PORT, Settings
 from armrig_daemon.messages import Outgoing, outgoing
@@ -57,7 +59,6 @@ from armrig_daemon.pipe import (
 from armrig_daemon.publish import Command, Kind, Session
 from armrig_daemon.record import RecordingError
 from armrig_daemon.runs import Runs, checked
-from armrig_daemon.state import Phase
 from armrig_daemon.thinning import Thinning
 
 ANSWER_S = 3.0

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from armrig_daemon.core.state import Event, LinkUp, Ordered, Received, Rules
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop import Loop
 from armrig_daemon.pipe import Orders, Record, take_records
-from armrig_daemon.state import Event, LinkUp, Ordered, Received, Rules
 
 Lateness = Callable[[], int]
 """How much later than the deadline the host wakes, in ns."""

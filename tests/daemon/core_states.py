@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from armrig_daemon import core
+from armrig_daemon.core import step
+from armrig_daemon.core.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
 from armrig_daemon.pipe import Hold, Order, Play, Take
-from armrig_daemon.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Message
@@ -49,7 +49,7 @@ class Decided:
     """What the core decided on one event."""
 
     def __init__(self, state: State, now_ns: int, event: Event) -> None:
-        self.state, self.actions = core.step(state, now_ns, [event])
+        self.state, self.actions = step.step(state, now_ns, [event])
 
     def of(self, kind: type) -> list:  # type: ignore[type-arg]
         """Return the actions of a kind."""

@@ -6,12 +6,22 @@ from collections.abc import Callable
 from random import Random
 
 import pytest
-from armrig_daemon import core
-from armrig_daemon.asking import unanswered
 from armrig_daemon.config import Config
+from armrig_daemon.core import step
+from armrig_daemon.core.requests import unanswered
+from armrig_daemon.core.state import (
+    Action,
+    Beat,
+    Emit,
+    Event,
+    LinkDown,
+    LinkUp,
+    Received,
+    State,
+    Tick,
+)
 from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
-from armrig_daemon.state import Action, Beat, Emit, Event, LinkDown, LinkUp, Received, State, Tick
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Keepalive
 from core_states import Decided, heard
@@ -30,7 +40,7 @@ class _Line:
         self.logs: list[Log] = []
         self.states: list[StateRecord] = []
         self._brings, self._beats = brings, beats
-        self.state = core.start(Config().rules())
+        self.state = step.start(Config().rules())
         self._step(LinkUp())
 
     def run_for(self, ms: int) -> None:
@@ -40,11 +50,11 @@ class _Line:
             self._step(Tick(self.now // (10 * MS), self.now))
             if data := self._brings():
                 self._step(Received(data))
-            if self._beats and self.now >= core.wake_ns(self.state):
+            if self._beats and self.now >= step.wake_ns(self.state):
                 self._step(Beat())
 
     def _step(self, event: Event) -> None:
-        self.state, actions = core.step(self.state, self.now, [event])
+        self.state, actions = step.step(self.state, self.now, [event])
         self._take(actions)
 
     def _take(self, actions: list[Action]) -> None:

@@ -11,8 +11,9 @@ import pytest
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Device, Limits, Timing
+from armrig_daemon.core.faults import Id
+from armrig_daemon.core.state import LinkDown, LinkUp, Phase, Received
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.faults import Id
 from armrig_daemon.pipe import (
     Alive,
     Answer,
@@ -29,7 +30,6 @@ from armrig_daemon.pipe import (
     Take,
 )
 from armrig_daemon.pipe import State as StateRecord
-from armrig_daemon.state import LinkDown, LinkUp, Phase, Received
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode

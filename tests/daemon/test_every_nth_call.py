@@ -23,10 +23,10 @@ from armrig_core.manifest import Manifest
 from armrig_core.telemetry import Sample, decode_sample, encode_sample
 from armrig_daemon import record
 from armrig_daemon.config import Config
+from armrig_daemon.core.state import Phase
 from armrig_daemon.messages import Outgoing
 from armrig_daemon.pipe import Answer, Gap, Log, Play, RunEnded, RunStarted, Take
 from armrig_daemon.record import Recording, RecordingError
-from armrig_daemon.state import Phase
 from failing_disk import Disk
 from failing_world import WAYS, World
 from virtual_bench import LEASE, MS, codes

@@ -9,9 +9,9 @@ from itertools import pairwise
 import pytest
 from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config, Device, Timing
+from armrig_daemon.core.state import Ordered, Phase
 from armrig_daemon.pipe import Clock, Gap, Halt, Log, Play, RunEnded, RunStarted, Take
 from armrig_daemon.pipe import Timing as TimingRecord
-from armrig_daemon.state import Ordered, Phase
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Event, Flag, Ping, Setpoints, Stop

@@ -19,7 +19,7 @@ from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key
 from armrig_daemon import publish
 from armrig_daemon.config import Config
-from armrig_daemon.orders import BY_HAND, not_newer
+from armrig_daemon.core.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import Alive, Answer, Halt, Play, RunEnded, RunStarted, State
 from armrig_daemon.presence import begun
 from armrig_daemon.publish import Kind, Session

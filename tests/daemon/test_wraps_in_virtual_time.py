@@ -6,8 +6,8 @@ import time
 
 import pytest
 from armrig_core.volts import code_of, volts_of
+from armrig_daemon.core.state import Phase
 from armrig_daemon.pipe import Gap, Play, RunEnded, RunStarted
-from armrig_daemon.state import Phase
 from virtual_bench import LEASE, MS, Bench, codes
 
 TS_US = 10_000

@@ -10,7 +10,7 @@ import armrig
 import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.recording import RecordingError
-from armrig_daemon import scheduling
+from armrig_daemon.core import setpoints
 from processes import Bench
 
 
@@ -33,7 +33,7 @@ def test_a_real_run_is_decided_once_more_to_the_last_bit(
     assert found.frames > (10 if pacing == "scheduled" else 390)
     assert found.seconds > 1.9
     if pacing == "scheduled":
-        monkeypatch.setattr(scheduling, "PING_US", 10_000_000)
+        monkeypatch.setattr(setpoints, "PING_US", 10_000_000)
         assert "now decides nothing" in replay(path).difference
 
 

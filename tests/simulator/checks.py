@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections import Counter
 
 from armrig_core.telemetry import Sample
-from armrig_daemon.asking import MOST_BEATS
-from armrig_daemon.gaps import MOST_ABSENT
+from armrig_daemon.core.gaps import MOST_ABSENT
+from armrig_daemon.core.requests import MOST_BEATS
+from armrig_daemon.core.state import State as CoreState
 from armrig_daemon.outbox import MOST_WAITING
 from armrig_daemon.pipe import (
     Answer,
@@ -29,7 +30,6 @@ from armrig_daemon.pipe import (
     Take,
 )
 from armrig_daemon.pipe import State as StateRecord
-from armrig_daemon.state import State as CoreState
 from armrig_protocol.decoder import LONGEST
 from armrig_protocol.messages import (
     CODE_FULL_SCALE,

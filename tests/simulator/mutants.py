@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
 
-from armrig_daemon import asking, core, gaps, handshake, orders, replies, scheduling, stopping
+from armrig_daemon.core import device_state, gaps, orders, replies, setpoints, step, stopping
+from armrig_daemon.core import requests as core_requests
+from armrig_daemon.core.state import Emit, Lease, Phase, Rules, Run
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
 from armrig_daemon.pipe import Answer
-from armrig_daemon.state import Emit, Lease, Phase, Rules, Run
 from armrig_protocol import cobs, decoder, frame
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import ARRAYS, MESSAGES, Cause
@@ -177,16 +178,16 @@ def _only_said(state: Any, now_ns: int, *, driving: bool) -> Any:
 
 def _out_of_fault(state: Any, now_ns: int, order: Any) -> Any:
     if state.phase is Phase.FAULT and state.device is not None and state.asked is None:
-        return handshake.begin_arming(replace(state, lease=None), now_ns, order)
+        return device_state.begin_arming(replace(state, lease=None), now_ns, order)
     return _take_order(state, now_ns, order)
 
 
 def _all_beats(state: Any, now_ns: int, data: bytes) -> Any:
-    with patch.object(asking, "MOST_BEATS", 1 << 20):
+    with patch.object(core_requests, "MOST_BEATS", 1 << 20):
         return _send(state, now_ns, data)
 
 
-_send = asking.send
+_send = core_requests.send
 
 
 def _kept(pending: bytes, data: bytes) -> Any:
@@ -205,11 +206,11 @@ def _no_retry(state: Any, now_ns: int) -> Any:
 
 def _said_once(state: Any, now_ns: int, asked: Any, fault: Any) -> Any:
     if state.fault == fault:
-        return state, asking.refuse(asked.order, fault.cause)
+        return state, core_requests.refuse(asked.order, fault.cause)
     return _latch(state, now_ns, asked, fault)
 
 
-_latch = handshake._latch
+_latch = device_state._latch
 NO_AGE = _put(Rules, "age_ns", lambda *_, **__: AGES)
 NO_RANGE = _all(
     _put(orders, "_out_of_range", lambda *_: ""), _put(Rules, "allows", lambda *_: True)
@@ -313,12 +314,14 @@ MUTANTS = (
     ),
     Mutant(
         name="stale, and no STOP",
-        plant=_put(core, "_stale", _only_said),
+        plant=_put(step, "_stale", _only_said),
         breaks=frozenset({"S4"}),
     ),
     Mutant(
         name="a trip that does not latch",
-        plant=_all(*(_put(m, "trip", _unlatched) for m in (core, replies, handshake, scheduling))),
+        plant=_all(
+            *(_put(m, "trip", _unlatched) for m in (step, replies, device_state, setpoints))
+        ),
         breaks=frozenset({"S6"}),
     ),
     Mutant(
@@ -330,20 +333,20 @@ MUTANTS = (
     ),
     Mutant(
         name="a queue without a bound",
-        plant=_all(*(_put(m, "send", _all_beats) for m in (core, asking, scheduling))),
+        plant=_all(*(_put(m, "send", _all_beats) for m in (step, core_requests, setpoints))),
         breaks=frozenset({"R1"}),
         faults=("delay from_device", "loss from_device"),
         first=1028,
     ),
     Mutant(
         name="a decoder that keeps all",
-        plant=_put(core, "feed", _kept),
+        plant=_put(step, "feed", _kept),
         breaks=frozenset({"R1"}),
         faults=("garbage from_device",),
     ),
     Mutant(
         name="a request that is not sent again",
-        plant=_put(handshake, "retry", _no_retry),
+        plant=_put(device_state, "retry", _no_retry),
         breaks=frozenset({"T1", "S2", "S3", "S4", "S6"}),
     ),
     Mutant(
@@ -354,13 +357,13 @@ MUTANTS = (
     ),
     Mutant(
         name="an echo ahead of what was sent counts",
-        plant=_put(scheduling, "is_ahead", lambda *_: False),
+        plant=_put(setpoints, "is_ahead", lambda *_: False),
         breaks=frozenset({"S4"}),
         faults=("old_frames",),
     ),
     Mutant(
         name="a latched device that is known again, and not said to be",
-        plant=_put(handshake, "_latch", _said_once),
+        plant=_put(device_state, "_latch", _said_once),
         breaks=frozenset({"T1"}),
         faults=("delay to_device",),
     ),

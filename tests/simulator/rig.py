@@ -12,11 +12,8 @@ from traceback import extract_tb
 from typing import Any, NamedTuple
 
 from armrig_core.calibration import Calibration
-from armrig_daemon.asking import say_state
-from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.loop import Loop
-from armrig_daemon.pipe import Alive, Gap, Order, Quit, Record
-from armrig_daemon.state import (
+from armrig_daemon.core.requests import say_state
+from armrig_daemon.core.state import (
     Emit,
     Event,
     LinkDown,
@@ -28,6 +25,9 @@ from armrig_daemon.state import (
     ServiceGone,
     Tick,
 )
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.loop import Loop
+from armrig_daemon.pipe import Alive, Gap, Order, Quit, Record
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from armrig_core.manifest import INPUT, RUN, manifest_of
 from armrig_core.volts import code_of
-from armrig_daemon import core, trace
+from armrig_daemon.core import step as core_step
+from armrig_daemon.core import trace
+from armrig_daemon.core.state import Action, Emit, Publish, Send
 from armrig_daemon.pipe import Log
-from armrig_daemon.state import Action, Emit, Publish, Send
 from armrig_protocol.frame import Spoilt, Unknown, decode
 
 from armrig.recordings.container import READ, Content, read
@@ -101,7 +102,7 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
     for n, step in enumerate(_steps(chunks), 1):
         now_ns = step.now_ns
         first = now_ns if first is None else first
-        state, actions = core.step(state, now_ns, step.events)
+        state, actions = core_step.step(state, now_ns, step.events)
         sent = tuple(a.data for a in actions if isinstance(a, Send))
         if sent != step.sent:
             difference = f"step {n}, {(now_ns - first) / 1e9:.4f} s: "

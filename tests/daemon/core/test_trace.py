@@ -5,9 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from armrig_daemon import core, trace
-from armrig_daemon.pipe import Answer, Hold, Play, RunStarted, Trace
-from armrig_daemon.state import (
+from armrig_daemon.core import step as core_step
+from armrig_daemon.core import trace
+from armrig_daemon.core.state import (
     Beat,
     Emit,
     LinkDown,
@@ -19,6 +19,7 @@ from armrig_daemon.state import (
     ServiceGone,
     Tick,
 )
+from armrig_daemon.pipe import Answer, Hold, Play, RunStarted, Trace
 from virtual_bench import LEASE, Bench, codes
 
 VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
@@ -55,7 +56,7 @@ def test_a_run_is_decided_once_more_as_it_was(scheduled: bool) -> None:
     steps = [step for chunk in chunks for step in trace.steps_of(chunk.steps)]
     assert all(a.now_ns <= b.now_ns for a, b in pairwise(steps))
     for step in steps:
-        state, actions = core.step(state, step.now_ns, step.events)
+        state, actions = core_step.step(state, step.now_ns, step.events)
         assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
     assert sum(len(step.sent) for step in steps) > (10 if scheduled else 150)
     kinds = {type(e) for step in steps for e in step.events}
@@ -72,7 +73,7 @@ def test_another_input_is_found_out() -> None:
     state = trace.restored(chunks[0].state, wrong)
     differs = []
     for step in (s for chunk in chunks for s in trace.steps_of(chunk.steps)):
-        state, actions = core.step(state, step.now_ns, step.events)
+        state, actions = core_step.step(state, step.now_ns, step.events)
         differs.append(tuple(a.data for a in actions if isinstance(a, Send)) != step.sent)
 
     assert any(differs)
@@ -116,7 +117,7 @@ def test_who_reads_a_recording_does_not_hold_the_rig_by_it() -> None:
     state = trace.restored(chunks[0].state, codes(*VOLTS))
     refused = []
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
-        state, actions = core.step(state, step.now_ns, step.events)
+        state, actions = core_step.step(state, step.now_ns, step.events)
         refused += [
             a.record.error
             for a in actions
@@ -157,7 +158,7 @@ def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
     state = trace.restored(chunks[0].state, codes(*VOLTS))
     told, published = state.told, []
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
-        state, actions = core.step(state, step.now_ns, step.events)
+        state, actions = core_step.step(state, step.now_ns, step.events)
         published += [a.sample for a in actions if isinstance(a, Publish)]
     assert told >= first  # else nothing was tried
     assert [s.k for s in published] == list(range(told + 1, first + len(VOLTS)))

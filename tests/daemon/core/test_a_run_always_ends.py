@@ -6,8 +6,8 @@ Also where nothing is left that could confirm the stop.
 from __future__ import annotations
 
 import pytest
+from armrig_daemon.core.state import LinkDown, LinkUp, Phase
 from armrig_daemon.pipe import Play, Reset, RunEnded
-from armrig_daemon.state import LinkDown, LinkUp, Phase
 from virtual_bench import LEASE, Bench, codes
 
 

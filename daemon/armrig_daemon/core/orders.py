@@ -7,11 +7,11 @@ from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.asking import Step, answer, ask, refuse
-from armrig_daemon.handshake import begin_arming
+from armrig_daemon.core.device_state import begin_arming
+from armrig_daemon.core.requests import Step, answer, ask, refuse
+from armrig_daemon.core.state import Exit, Phase, Rules, State, Want
+from armrig_daemon.core.stopping import end_run, stop
 from armrig_daemon.pipe import Alive, Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
-from armrig_daemon.state import Exit, Phase, Rules, State, Want
-from armrig_daemon.stopping import end_run, stop
 
 NOT_HELD = "not the lease in force: arm first"
 """What is said to who commands without holding the rig."""

@@ -20,10 +20,10 @@ from armrig_protocol.messages import (
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.faults import REMEDIES
+from armrig_daemon.core.faults import REMEDIES
+from armrig_daemon.core.state import Action, Asked, Came, Emit, Heard, Rules, Send, State, Want
 from armrig_daemon.pipe import Answer, Halt, Log, Order, Release
 from armrig_daemon.pipe import State as StateRecord
-from armrig_daemon.state import Action, Asked, Came, Emit, Heard, Rules, Send, State, Want
 
 Step = tuple[State, list[Action]]
 """What each part of the core returns: the next state, and what is to be done."""

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import pytest
 from armrig_core.telemetry import Sample, decode_sample
-from armrig_daemon import core
+from armrig_daemon.core import step
+from armrig_daemon.core.state import LinkDown, LinkUp, Phase, Publish, Received, Send, State, Tick
 from armrig_daemon.pipe import Gap, Play, Reset, RunEnded
-from armrig_daemon.state import LinkDown, LinkUp, Phase, Publish, Received, Send, State, Tick
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Exchange, Flag
@@ -96,7 +96,7 @@ def test_an_unplugged_line_while_the_stop_is_awaited_ends_the_run() -> None:
 
 
 def _take(state: State, now_ns: int, message: DeviceSample) -> list[Publish]:
-    _, actions = core.step(state, now_ns, [Received(b"\0" + encode(message))])
+    _, actions = step.step(state, now_ns, [Received(b"\0" + encode(message))])
     return [a for a in actions if isinstance(a, Publish)]
 
 
@@ -111,7 +111,7 @@ def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
 
     assert len(_take(state, now, late)) == 1
     told = replace(state, told=sent.k, sent=(sent, *state.sent))
-    after, actions = core.step(told, now, [Received(b"\0" + encode(late))])
+    after, actions = step.step(told, now, [Received(b"\0" + encode(late))])
     assert [a for a in actions if isinstance(a, Publish)] == []
     assert after.sent == state.sent
 
@@ -136,7 +136,7 @@ def test_a_run_that_has_stopped_but_not_ended_is_not_sampled_by_the_host(ended: 
     state = replace(stopped, run=None) if ended else stopped
     now = bench.ports.now + 10 * MS
 
-    _, actions = core.step(state, now, [Tick(state.k + 1, now)])
+    _, actions = step.step(state, now, [Tick(state.k + 1, now)])
 
     frames = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert any(isinstance(m, Exchange) for m in frames) == ended

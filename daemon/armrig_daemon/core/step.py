@@ -15,11 +15,10 @@ from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon import gaps, handshake, orders, replies, scheduling
-from armrig_daemon.asking import Step, ask, log, refuse, say_state, send
-from armrig_daemon.faults import Fault, Id
-from armrig_daemon.pipe import RunStarted
-from armrig_daemon.state import (
+from armrig_daemon.core import device_state, gaps, orders, replies, setpoints
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.requests import Step, ask, log, refuse, say_state, send
+from armrig_daemon.core.state import (
     Absent,
     Action,
     Beat,
@@ -39,7 +38,8 @@ from armrig_daemon.state import (
     Tick,
     Want,
 )
-from armrig_daemon.stopping import end_run, stop, trip
+from armrig_daemon.core.stopping import end_run, stop, trip
+from armrig_daemon.pipe import RunStarted
 
 ARMED_NS = 10_000_000_000
 """How long the rig may be held armed without a command, at 0 V, in ns."""
@@ -66,7 +66,7 @@ def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
 def wake_ns(state: State) -> int:
     """Return when the core wants a `Beat`, should nothing happen before."""
     if state.asked is not None:
-        return handshake.retry_ns(state.asked)
+        return device_state.retry_ns(state.asked)
     return state.any_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
@@ -125,9 +125,9 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
 
 def _beat(state: State, now_ns: int) -> Step:
     if state.asked is not None:
-        return handshake.retry(state, now_ns)
+        return device_state.retry(state, now_ns)
     drives = state.device_state == _RUN
-    if not state.link_up or (drives and scheduling.is_stopping(state)):
+    if not state.link_up or (drives and setpoints.is_stopping(state)):
         return replace(state, any_ns=now_ns), []  # nothing that would feed its watchdog
     return send(state, now_ns, encode(Keepalive(0, state.seq)))
 
@@ -144,7 +144,7 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
         return state, done
     if state.device is None:
         if state.asked is not None:
-            return handshake.retry(state, now_ns)  # where a line is never quiet there is no beat
+            return device_state.retry(state, now_ns)  # where a line is never quiet there is no beat
         # A HELLO that a STOP has overtaken must not be the last one (T1).
         return ask(state, now_ns, Want.HELLO)
     rules, driving = state.rules, state.phase in _DRIVING
@@ -163,7 +163,7 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
         state, actions = _stale(state, now_ns, driving=driving)
         return state, done + actions
     if self_paced:
-        state, actions = scheduling.tick(state, now_ns)
+        state, actions = setpoints.tick(state, now_ns)
         return state, done + actions
     if state.run is not None and state.run.scheduled and state.run.k_first >= 0:
         return state, done  # it has stopped, but not ended: our count goes on behind its last

@@ -9,7 +9,7 @@ from itertools import islice
 from random import Random
 
 import pytest
-from armrig_daemon.clockmap import (
+from armrig_daemon.core.clockmap import (
     ClockMap,
     Link,
     estimate,

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from armrig_daemon import clockmap
-from armrig_daemon.clockmap import ClockMap, Link
+from armrig_daemon.core import clockmap
+from armrig_daemon.core.clockmap import ClockMap, Link
 
 LINK = Link(request_ns=120_000, answer_ns=230_000, resolution_us=4, tau_ns=7_000_000_000)
 PRIOR = 1 / 9  # a drift of 3000 ppm, in (ns/µs)⁻²

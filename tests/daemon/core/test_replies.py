@@ -5,13 +5,23 @@ from __future__ import annotations
 import pytest
 from armrig_core.telemetry import Sample
 from armrig_core.volts import code_of
-from armrig_daemon import scheduling
-from armrig_daemon.clockmap import ClockMap
-from armrig_daemon.faults import Fault, Id
+from armrig_daemon.core import setpoints
+from armrig_daemon.core.clockmap import ClockMap
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.state import (
+    Beat,
+    Exit,
+    LinkDown,
+    Phase,
+    Publish,
+    RoundTrip,
+    Sent,
+    State,
+    Want,
+)
+from armrig_daemon.core.state import Heard as HeardFrame
 from armrig_daemon.pipe import Gap, Log, Play, RunEnded
 from armrig_daemon.pipe import State as StateRecord
-from armrig_daemon.state import Beat, Exit, LinkDown, Phase, Publish, RoundTrip, Sent, State, Want
-from armrig_daemon.state import Heard as HeardFrame
 from armrig_protocol.messages import (
     TYPES,
     Ack,
@@ -437,28 +447,28 @@ def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
     older, newer = HeardFrame(0xFFFF, 11), HeardFrame(0, 22)
     waiting = replace(state, beats=(older, newer), fresh_ns=5)
 
-    assert scheduling.heard(waiting, 0xFFFE) == waiting
+    assert setpoints.heard(waiting, 0xFFFE) == waiting
     half_a_round_away = replace(waiting, beats=(older,))
-    assert scheduling.heard(half_a_round_away, 0x7FFF) == half_a_round_away
-    assert scheduling.heard(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
-    assert scheduling.heard(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
+    assert setpoints.heard(half_a_round_away, 0x7FFF) == half_a_round_away
+    assert setpoints.heard(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
+    assert setpoints.heard(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
 
 
 def test_a_run_that_is_over_already_is_not_completed_again() -> None:
     """Whoever says so."""
     bench = rested()
 
-    assert scheduling.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])
+    assert setpoints.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])
 
 
 def test_a_queue_without_a_device_starts_nothing() -> None:
     """It is gone: what it held says nothing any more."""
     bench = armed()
     now = bench.ports.now
-    filling, _ = scheduling.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
+    filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
 
-    gone, actions = scheduling.counted(replace(filling, device=None), now, 0, 2)
-    there, (start,) = scheduling.counted(filling, now, 0, 2)
+    gone, actions = setpoints.counted(replace(filling, device=None), now, 0, 2)
+    there, (start,) = setpoints.counted(filling, now, 0, 2)
 
     assert (gone.asked, actions) == (None, [])
     assert there.asked is not None
@@ -470,9 +480,9 @@ def test_a_start_carries_the_length_of_the_run() -> None:
     """The device ends by itself, whatever becomes of us."""
     bench = armed()
     now = bench.ports.now
-    filling, _ = scheduling.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
+    filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
 
-    started, _ = scheduling.counted(filling, now, 0, 2)
+    started, _ = setpoints.counted(filling, now, 0, 2)
 
     assert started.asked is not None
     (start,) = Decided(started, now + 50 * MS, Beat()).sent

@@ -6,11 +6,11 @@ from math import isnan
 
 import pytest
 from armrig_core.volts import volts_of
-from armrig_daemon import clockmap, comparing
-from armrig_daemon.budget import PING_US
-from armrig_daemon.clockmap import ClockMap
-from armrig_daemon.conversion import converted, extended
-from armrig_daemon.state import Sent, State
+from armrig_daemon.core import clock_comparison, clockmap
+from armrig_daemon.core.budget import PING_US
+from armrig_daemon.core.clockmap import ClockMap
+from armrig_daemon.core.conversion import converted, extended
+from armrig_daemon.core.state import Sent, State
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Flag, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
@@ -37,7 +37,7 @@ def test_a_pong_gives_its_own_two_stamps() -> None:
     """The time of both frames on the wire is taken off."""
     pong = Pong(3, 0, NOW - 2_000_000, 1000, 1060)
 
-    after = comparing.by_pong(_fresh(), NOW, pong)
+    after = clock_comparison.by_pong(_fresh(), NOW, pong)
 
     h1, h4 = pong.host_ns + _on_the_wire_ns(Ping), NOW - _on_the_wire_ns(Pong)
     assert after.clock == clockmap.update(ClockMap(), h1, 1000, 1060, h4)
@@ -54,7 +54,7 @@ def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
     assert state.device.skew_us == 104
     sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
 
-    after = comparing.by_sample(state, NOW, sent, device_sample(state, t_us=t_us))
+    after = clock_comparison.by_sample(state, NOW, sent, device_sample(state, t_us=t_us))
 
     h1, h4 = sent.sent_ns + _on_the_wire_ns(Exchange), NOW - _on_the_wire_ns(DeviceSample)
     assert after.clock == clockmap.update(ClockMap(), h1, rx, tx, h4)
@@ -65,7 +65,7 @@ def test_the_device_s_clock_is_followed_through_its_wraps() -> None:
     """From the last comparison on, not from 0."""
     state = _fresh(device_us=7 * WRAP + 100)
 
-    after = comparing.by_pong(state, NOW, Pong(3, 0, NOW - 2_000_000, 200, 260))
+    after = clock_comparison.by_pong(state, NOW, Pong(3, 0, NOW - 2_000_000, 200, 260))
 
     assert after.device_us == 7 * WRAP + 260
 
@@ -78,10 +78,10 @@ def test_samples_compare_the_clocks_no_more_often_than_pings_would(
     for lack in (0, 1):
         state = _fresh(compared_ns=NOW - since_ns + lack)
         sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
-        after = comparing.by_sample(state, NOW, sent, device_sample(state, t_us=5000))
+        after = clock_comparison.by_sample(state, NOW, sent, device_sample(state, t_us=5000))
         assert (after != state) == (compares and not lack)
     gone = replace(state, device=None, compared_ns=0)
-    assert comparing.by_sample(gone, NOW, sent, device_sample(state, t_us=5000)) == gone
+    assert clock_comparison.by_sample(gone, NOW, sent, device_sample(state, t_us=5000)) == gone
 
 
 @pytest.mark.parametrize(

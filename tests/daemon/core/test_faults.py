@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 from armrig_core import protobuf
-from armrig_daemon.faults import REMEDIES, Id
+from armrig_daemon.core.faults import REMEDIES, Id
+from armrig_daemon.core.state import LinkDown
 from armrig_daemon.messages import outgoing
 from armrig_daemon.pipe import Log, State
-from armrig_daemon.state import LinkDown
 from virtual_bench import Bench
 
 

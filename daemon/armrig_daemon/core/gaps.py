@@ -5,9 +5,9 @@ from __future__ import annotations
 from armrig_core.volts import volts_of
 from msgspec.structs import replace
 
-from armrig_daemon.asking import Step
+from armrig_daemon.core.requests import Step
+from armrig_daemon.core.state import Absent, Action, Emit, Sent, State
 from armrig_daemon.pipe import Gap
-from armrig_daemon.state import Absent, Action, Emit, Sent, State
 
 NO_ANSWER = "no answer came"
 MOST_ABSENT = 1000  # pieces of one outage that are told apart; the rest is one gap

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.budget import check, exchange_us, scheduled_us
+from armrig_daemon.core.budget import check, exchange_us, scheduled_us
 
 
 def test_the_budget_is_that_of_request_conversions_and_answer() -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.volts import applied_code, code_of, volts_of
-from armrig_daemon import gaps, scheduling
-from armrig_daemon.asking import MOST_BEATS, send
-from armrig_daemon.budget import PING_US
-from armrig_daemon.faults import Fault, Id
-from armrig_daemon.pipe import Answer, Gap, Play, RunEnded, RunStarted
-from armrig_daemon.state import (
+from armrig_daemon.core import gaps, setpoints
+from armrig_daemon.core.budget import PING_US
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.requests import MOST_BEATS, send
+from armrig_daemon.core.state import (
     Absent,
     Emit,
     Heard,
@@ -24,7 +23,8 @@ from armrig_daemon.state import (
     Tick,
     Want,
 )
-from armrig_daemon.stopping import trip
+from armrig_daemon.core.stopping import trip
+from armrig_daemon.pipe import Answer, Gap, Play, RunEnded, RunStarted
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
@@ -115,7 +115,7 @@ def test_as_many_frames_are_sent_as_there_is_room_for(
     """Whole ones, at most eight at once, and the rest of a run."""
     state = _state(samples, base=base, held=held, sent=sent)
 
-    after, actions = scheduling.refill(state, NOW)
+    after, actions = setpoints.refill(state, NOW)
 
     assert _frames(actions) == frames
     assert after.queue is not None
@@ -127,7 +127,7 @@ def test_what_the_device_does_not_show_in_time_is_sent_again(after_ns: int, agai
     """Go-back-N, from what it has; then the time counts anew."""
     state = _state(100, base=0, held=24, sent=100, moved_ns=NOW - after_ns)
 
-    after, actions = scheduling.refill(state, NOW)
+    after, actions = setpoints.refill(state, NOW)
 
     assert _frames(actions) == ([(24, N), (48, N), (72, N), (96, 4)] if again else [])
     assert after.queue is not None
@@ -141,7 +141,7 @@ def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved
     state = _state(100, base=0, held=24, sent=sent, moved_ns=7)
     with_nothing_late = replace(state, queue=replace(state.queue, moved_ns=7))  # type: ignore[type-var]
 
-    after, _ = scheduling.refill(with_nothing_late, 7 + 30 * MS)
+    after, _ = setpoints.refill(with_nothing_late, 7 + 30 * MS)
 
     assert after.queue is not None
     assert after.queue.moved_ns == (7 + 30 * MS if moved_ns == NOW else 7)
@@ -155,9 +155,9 @@ def test_nothing_is_sent_where_nothing_is_to_be_played(change: dict[str, object]
     """Least of all to a device that is to stop."""
     state = replace(_state(), **change)
 
-    assert scheduling.refill(state, NOW) == (state, [])
+    assert setpoints.refill(state, NOW) == (state, [])
     stopping = awaiting(_state(), Want.STOP)
-    assert scheduling.refill(stopping, NOW) == (stopping, [])
+    assert setpoints.refill(stopping, NOW) == (stopping, [])
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: b
     run = Run("r", codes(*volts), -1, scheduled=True)
     limited = replace(state, run=run, rules=replace(state.rules, slew=SMALL + 1))
 
-    after, actions = scheduling.refill(limited, NOW)
+    after, actions = setpoints.refill(limited, NOW)
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert (after.fault is not None) == trips
@@ -186,7 +186,7 @@ def test_a_run_begins_by_filling_at_0_v() -> None:
     """Nothing of it has a k yet; its order is answered when it has started."""
     state = replace(_state(), run=None, queue=None)
 
-    after, actions = scheduling.begin(state, NOW, ORDER)
+    after, actions = setpoints.begin(state, NOW, ORDER)
 
     assert after.run == Run("r", ORDER.codes, -1, scheduled=True)
     assert after.run.due == 0
@@ -207,13 +207,13 @@ def test_a_run_starts_when_its_queue_is_full_but_for_a_frame(
     """Or holds the whole run."""
     state = _state(samples, sent=samples)
 
-    after, _ = scheduling.counted(state, NOW, 0, queued)
+    after, _ = setpoints.counted(state, NOW, 0, queued)
 
     asks = after.asked is not None and after.asked.want is Want.START
     assert asks == starts
     if after.asked is not None:
         assert after.asked.order == ORDER
-    busy, _ = scheduling.counted(awaiting(state, Want.ARM), NOW, 0, queued)
+    busy, _ = setpoints.counted(awaiting(state, Want.ARM), NOW, 0, queued)
     assert busy.asked is not None
     assert busy.asked.want is Want.ARM
 
@@ -223,7 +223,7 @@ def test_a_queue_that_does_not_fill_in_2_s_is_given_up(after_ns: int, gives_up: 
     """In good order: a STOP, and whoever asked is told in its effect."""
     state = _state(sent=512, moved_ns=NOW + after_ns)
 
-    after, _ = scheduling.counted(state, NOW + after_ns, 0, 3)
+    after, _ = setpoints.counted(state, NOW + after_ns, 0, 3)
 
     stops = after.asked is not None and after.asked.want is Want.STOP
     assert stops == gives_up
@@ -240,7 +240,7 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
     """Growth alone winds the clock of the retries; nothing counts as unsent that it has."""
     state = _state(50, base=0, held=24, sent=50, moved_ns=7)
 
-    after, _ = scheduling.counted(replace(state, phase=Phase.FAULT), NOW, base, queued)
+    after, _ = setpoints.counted(replace(state, phase=Phase.FAULT), NOW, base, queued)
 
     assert after.queue is not None
     known = (after.queue.base, after.queue.held, after.queue.sent, after.queue.moved_ns)
@@ -251,14 +251,14 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
 def test_without_a_run_nothing_is_counted(gone: str) -> None:
     """A sample at rest says that 0 are held, of nothing."""
     state = replace(_state(), **{gone: None})
-    assert scheduling.counted(state, NOW, 5, 6) == (state, [])
+    assert setpoints.counted(state, NOW, 5, 6) == (state, [])
 
 
 def test_what_the_device_holds_makes_room_for_more() -> None:
     """In the same step."""
     state = replace(_state(held=512, sent=512), phase=Phase.ACTIVE)
 
-    _, actions = scheduling.counted(state, NOW, 48, 464)
+    _, actions = setpoints.counted(state, NOW, 48, 464)
 
     assert _frames(actions) == [(512, N), (536, N)]
 
@@ -271,7 +271,7 @@ def test_the_device_is_asked_for_its_clock_so_often(since_ns: int, pings: int) -
     """PING carries its own time, and is remembered."""
     state = _running(ping_ns=NOW - since_ns)
 
-    after, actions = scheduling.tick(state, NOW)
+    after, actions = setpoints.tick(state, NOW)
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert [m.host_ns for m in sent if isinstance(m, Ping)] == [NOW] * pings
@@ -282,8 +282,8 @@ def test_a_device_that_drives_on_after_a_trip_is_told_to_stop_on_and_on() -> Non
     """S6: and gets neither setpoint nor PING meanwhile."""
     latched = _running(phase=Phase.FAULT, ping_ns=0)
 
-    after, actions = scheduling.tick(latched, NOW)
-    waiting = scheduling.tick(after, NOW)
+    after, actions = setpoints.tick(latched, NOW)
+    waiting = setpoints.tick(after, NOW)
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert [type(m) for m in sent] == [Stop]
@@ -295,8 +295,8 @@ def test_a_device_is_to_stop_after_a_trip_or_a_stop(want: Want | None) -> None:
     """And for no other reason."""
     state = _state() if want is None else awaiting(_state(), want)
 
-    assert scheduling.is_stopping(state) == (want is Want.STOP)
-    assert scheduling.is_stopping(replace(state, phase=Phase.FAULT))
+    assert setpoints.is_stopping(state) == (want is Want.STOP)
+    assert setpoints.is_stopping(replace(state, phase=Phase.FAULT))
 
 
 def test_a_tick_in_a_scheduled_run_looks_after_it() -> None:
@@ -334,7 +334,7 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
         state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
     )
 
-    after, actions = scheduling.sample(state, NOW + 3, sample)
+    after, actions = setpoints.sample(state, NOW + 3, sample)
 
     (published,) = [a for a in actions if isinstance(a, Publish)]
     s = published.sample
@@ -360,7 +360,7 @@ def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: boo
     )
     sample = sample._replace(t_us=sample.t_us & 0xFFFFFFFF)
 
-    after, actions = scheduling.sample(state, NOW, sample)
+    after, actions = setpoints.sample(state, NOW, sample)
 
     assert bool(actions) == taken
     assert (after == state) != taken
@@ -373,7 +373,7 @@ def test_only_samples_that_are_still_to_come_belong_to_the_run(k: int) -> None:
     u = applied_code(CODES[k], 10)
     sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
 
-    _, actions = scheduling.sample(state, NOW, sample)
+    _, actions = setpoints.sample(state, NOW, sample)
 
     assert bool([a for a in actions if isinstance(a, Publish)]) == (k in (10, 99))
 
@@ -386,9 +386,7 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     first = replace(state, run=replace(state.run, k_first=k_first), told=-1)
     u = applied_code(CODES[0], 10)
 
-    _, actions = scheduling.sample(
-        first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN))
-    )
+    _, actions = setpoints.sample(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
 
     assert [a.sample.k for a in actions if isinstance(a, Publish)] == [0] * (k_first == 0)
 
@@ -402,7 +400,7 @@ def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, objec
     sample = device_sample(state, k=10, flags=int(Flag.RUN))
     without = replace(state, **change)
 
-    assert scheduling.sample(without, NOW, sample) == (without, [])
+    assert setpoints.sample(without, NOW, sample) == (without, [])
 
 
 @pytest.mark.parametrize("bits", [8, 10, 16])
@@ -414,7 +412,7 @@ def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -
     state = replace(state, device=state.device._replace(pwm_bits=bits))
     u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
 
-    after, actions = scheduling.sample(
+    after, actions = setpoints.sample(
         state, NOW, device_sample(state, k=10, u_k=u, flags=int(Flag.RUN))
     )
 
@@ -432,7 +430,7 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
     state = replace(state, device=state.device._replace(pwm_bits=10))
     assert applied_code(CODES[10], 10) != CODES[10]
 
-    after, _ = scheduling.sample(
+    after, _ = setpoints.sample(
         state, NOW, device_sample(state, k=10, u_k=CODES[10], flags=int(Flag.RUN))
     )
 
@@ -443,7 +441,7 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
 def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
     """One that was under way when the run ended."""
     state = _running()
-    after, _ = scheduling.sample(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
+    after, _ = setpoints.sample(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
 
     assert after.fault is None
 
@@ -452,7 +450,7 @@ def test_the_end_tells_of_all_samples_that_never_came() -> None:
     """L2: each with the voltage of its own setpoint, as the duty gives it."""
     state = _running(due=97)
 
-    after, actions = scheduling.complete(state, NOW)
+    after, actions = setpoints.complete(state, NOW)
 
     assert actions == []
     bits = 10
@@ -464,12 +462,12 @@ def test_the_end_tells_of_all_samples_that_never_came() -> None:
     assert after.outcome == "complete"
     assert after.run is not None
     assert after.run.due == 100
-    assert scheduling.complete(replace(state, outcome="stopped"), NOW)[0].outcome == "stopped"
+    assert setpoints.complete(replace(state, outcome="stopped"), NOW)[0].outcome == "stopped"
 
 
 def test_without_a_device_a_lost_sample_had_the_code_itself() -> None:
     """How it rounds is not known any more."""
-    after, _ = scheduling.complete(_running(due=98, device=None), NOW)
+    after, _ = setpoints.complete(_running(due=98, device=None), NOW)
 
     assert [a.code for a in after.absent] == CODES[98:100]
 
@@ -479,7 +477,7 @@ def test_an_outage_longer_than_what_is_told_apart_is_told_by_its_end() -> None:
     state = _running(due=0, samples=1000)
     state = replace(state, run=replace(state.run, codes=codes(1.0) * 1500))  # type: ignore[type-var]
 
-    after, _ = scheduling.complete(state, NOW)
+    after, _ = setpoints.complete(state, NOW)
 
     assert len(after.absent) == gaps.MOST_ABSENT
     assert after.absent[0].k == 200 + 500

@@ -26,12 +26,12 @@ from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon import comparing, gaps, handshake, scheduling
-from armrig_daemon.asking import Step, ask, log, say_state, send
-from armrig_daemon.conversion import converted, extended, is_older
-from armrig_daemon.faults import Fault, Id
-from armrig_daemon.state import Action, Phase, Publish, RoundTrip, Sent, State, Want
-from armrig_daemon.stopping import end_run, trip
+from armrig_daemon.core import clock_comparison, device_state, gaps, setpoints
+from armrig_daemon.core.conversion import converted, extended, is_older
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.requests import Step, ask, log, say_state, send
+from armrig_daemon.core.state import Action, Phase, Publish, RoundTrip, Sent, State, Want
+from armrig_daemon.core.stopping import end_run, trip
 
 _TYPES = {
     Want.HELLO: TYPES[Hello],
@@ -50,9 +50,9 @@ def take(state: State, now_ns: int, message: Message) -> Step:
         case DeviceSample():
             return _sample(state, now_ns, message)
         case HelloReply():
-            return handshake.hello(state, now_ns, message)
+            return device_state.hello(state, now_ns, message)
         case ConfigReply():
-            return handshake.configured(state, now_ns, message)
+            return device_state.configured(state, now_ns, message)
         case Ack():
             return _ack(state, now_ns, message)
         case DeviceEvent():
@@ -67,8 +67,8 @@ def _pong(state: State, now_ns: int, pong: Pong) -> Step:
         return state, []  # an old one: it says nothing of now
     round_trip = RoundTrip(now_ns - pong.host_ns)
     state = replace(state, fresh_ns=max(state.fresh_ns, pong.host_ns))
-    state = comparing.by_pong(state, now_ns, pong)
-    state, done = handshake.seen(state, now_ns, pong.state)
+    state = clock_comparison.by_pong(state, now_ns, pong)
+    state, done = device_state.seen(state, now_ns, pong.state)
     return state, [round_trip, *done]
 
 
@@ -95,18 +95,18 @@ def _rebooted(state: State, now_ns: int) -> Step:
 def _ack(state: State, now_ns: int, ack: Ack) -> Step:
     asked = state.asked
     if asked is None or ack.of_seq != asked.seq:
-        return handshake.seen(state, now_ns, ack.state)
+        return device_state.seen(state, now_ns, ack.state)
     if ack.code == Code.OK:
         if ack.of_type == _TYPES[asked.want]:
             state = replace(state, fresh_ns=max(state.fresh_ns, asked.sent_ns))
-        return handshake.seen(state, now_ns, ack.state)
+        return device_state.seen(state, now_ns, ack.state)
     if ack.code == Code.STALE:
         if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
             # Old frames hold it there, played again, and HELLO has to wait: STOP has not.
             return send(state, now_ns, encode(Stop(0, state.seq)))
         return state, []  # it will be sent again, with a newer seq
-    text = f"the device refuses {asked.want}: {handshake.name_of(ack.code)}"
-    return handshake.failed(state, now_ns, text)
+    text = f"the device refuses {asked.want}: {device_state.name_of(ack.code)}"
+    return device_state.failed(state, now_ns, text)
 
 
 def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
@@ -119,7 +119,7 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
         state = replace(state, device_state=event.state)
         fault = Fault(Id.DEVICE, f"the device stopped by itself: {cause}{detail}")
         return trip(state, now_ns, fault)
-    return handshake.seen(state, now_ns, event.state, ended=event.cause == Cause.END)
+    return device_state.seen(state, now_ns, event.state, ended=event.cause == Cause.END)
 
 
 def _place(sent: tuple[Sent, ...], k: int) -> int | None:
@@ -136,7 +136,7 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
     if state.scheduled and m.flags & _RUN:
         return _self_paced(state, now_ns, m)
     at, device = _place(state.sent, m.k), state.device
-    if at is None or device is None or scheduling.is_ahead(state, m.echo):
+    if at is None or device is None or setpoints.is_ahead(state, m.echo):
         return state, []  # nothing of ours: an old burst, or an echo of another host
     if state.sampled_ns and is_older(state.t_us, m.t_us):
         return state, []  # of an earlier k with this number: the device's clock never goes back
@@ -161,10 +161,10 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
         applied=m.u_k,
         told=sent.k,
     )
-    state = comparing.by_sample(state, now_ns, sent, m)
-    state, actions = handshake.seen(state, now_ns, m.state)
+    state = clock_comparison.by_sample(state, now_ns, sent, m)
+    state, actions = device_state.seen(state, now_ns, m.state)
     done += actions
-    state, actions = scheduling.counted(state, now_ns, 0, m.queued)
+    state, actions = setpoints.counted(state, now_ns, 0, m.queued)
     done += actions
     if m.u_k != expected and state.phase is not Phase.FAULT:
         text = f"the device applied code {m.u_k} where {sent.code} was commanded"
@@ -174,10 +174,10 @@ def _sample(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
-    state, done = handshake.seen(scheduling.heard(state, m.echo), now_ns, m.state)
-    state, actions = scheduling.sample(state, now_ns, m)
+    state, done = device_state.seen(setpoints.heard(state, m.echo), now_ns, m.state)
+    state, actions = setpoints.sample(state, now_ns, m)
     done += actions
-    if scheduling.is_ahead(state, m.echo) and state.phase in (Phase.ARMED, Phase.ACTIVE):
+    if setpoints.is_ahead(state, m.echo) and state.phase in (Phase.ARMED, Phase.ACTIVE):
         # It has made our own frames stale, and will look like one of them once we have sent it.
         cause = f"the device has heard frame {m.echo}, and the next of ours is {state.seq}"
         state, actions = trip(state, now_ns, Fault(Id.STATE, cause))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Limits
-from armrig_daemon.faults import Fault, Id
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
 from armrig_daemon.pipe import Answer, Halt, Hold, Order, Play, Quit, Release, Reset, RunEnded, Take
-from armrig_daemon.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
 from armrig_protocol.messages import ClearFault, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
 from core_states import HOLD, PLAY, TAKE, Decided, armed, awaiting, driven, ordered, rested

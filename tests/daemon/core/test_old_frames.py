@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from armrig_core.calibration import Calibration
-from armrig_daemon import core, replies, scheduling
-from armrig_daemon.faults import Id
-from armrig_daemon.state import Asked, Heard, Phase, Rules, Send, State, Want
+from armrig_daemon.core import replies, setpoints, step
+from armrig_daemon.core.faults import Id
+from armrig_daemon.core.state import Asked, Heard, Phase, Rules, Send, State, Want
 from armrig_protocol.decoder import feed
 from armrig_protocol.messages import Ack, Code, Flag, Sample, Stop
 from armrig_protocol.messages import State as DeviceState
@@ -28,12 +28,12 @@ RULES = Rules(
 def _with_beats(*seqs: int) -> State:
     """Return a state that has sent these frames, one a ms, and seen no echo of them."""
     beats = tuple(Heard(seq, 1_000_000 * i) for i, seq in enumerate(seqs, 1))
-    return replace(core.start(RULES), scheduled=True, beats=beats, seq=(seqs[-1] + 1) & 0xFFFF)
+    return replace(step.start(RULES), scheduled=True, beats=beats, seq=(seqs[-1] + 1) & 0xFFFF)
 
 
 def test_the_echo_of_a_frame_of_ours_proves_a_round_trip() -> None:
     """Also across the wrap of seq; what was sent later is not proven yet."""
-    state = scheduling.heard(_with_beats(65_534, 65_535, 0, 1), 0)
+    state = setpoints.heard(_with_beats(65_534, 65_535, 0, 1), 0)
 
     assert state.fresh_ns == 3_000_000
     assert [b.seq for b in state.beats] == [1]
@@ -43,8 +43,8 @@ def test_an_echo_ahead_of_all_that_was_sent_proves_nothing() -> None:
     """It is of an earlier session: the device may not hear us at all (S4)."""
     before = _with_beats(60, 61, 62, 63)
 
-    assert scheduling.heard(before, 64) == before
-    assert scheduling.heard(before, 334) == before
+    assert setpoints.heard(before, 64) == before
+    assert setpoints.heard(before, 334) == before
 
 
 def _sample(echo: int) -> Sample:
@@ -76,7 +76,7 @@ def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
 def test_a_device_that_drives_and_takes_no_hello_is_stopped() -> None:
     """Old frames hold it in RUN and make HELLO stale: STOP takes effect whatever its seq (S2)."""
     asked = Asked(Want.HELLO, 0, 1, 1, 0, False, None)
-    before = replace(core.start(RULES), phase=Phase.FAULT, link_up=True, asked=asked, seq=2)
+    before = replace(step.start(RULES), phase=Phase.FAULT, link_up=True, asked=asked, seq=2)
     stale = Ack(DeviceState.RUN, 9, 1, Code.STALE, 1)
 
     after, actions = replies.take(before, 5_000_000, stale)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 from armrig_daemon.config import Config
+from armrig_daemon.core.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Answer, Halt, Play, RunEnded, Take
-from armrig_daemon.state import LinkDown, LinkUp, Phase
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode

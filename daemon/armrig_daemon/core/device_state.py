@@ -16,8 +16,11 @@ from armrig_protocol.messages import (
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon import scheduling
-from armrig_daemon.asking import (
+from armrig_daemon.core import setpoints
+from armrig_daemon.core.budget import check, exchange_us
+from armrig_daemon.core.clockmap import ClockMap
+from armrig_daemon.core.faults import Fault, Id, in_words
+from armrig_daemon.core.requests import (
     MANY_TRIES,
     Step,
     answer,
@@ -28,12 +31,20 @@ from armrig_daemon.asking import (
     say_state,
     unanswered,
 )
-from armrig_daemon.budget import check, exchange_us
-from armrig_daemon.clockmap import ClockMap
-from armrig_daemon.faults import Fault, Id, in_words
+from armrig_daemon.core.state import (
+    Action,
+    Asked,
+    Emit,
+    Exit,
+    Lease,
+    Phase,
+    Repace,
+    Run,
+    State,
+    Want,
+)
+from armrig_daemon.core.stopping import end_run, trip
 from armrig_daemon.pipe import Hold, Order, Play, Reset, RunStarted, Take
-from armrig_daemon.state import Action, Asked, Emit, Exit, Lease, Phase, Repace, Run, State, Want
-from armrig_daemon.stopping import end_run, trip
 
 _RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
 _OTHER_RETRY_NS = 50_000_000
@@ -125,7 +136,7 @@ def seen(state: State, now_ns: int, device_state: int, *, ended: bool = False) -
     idle = device_state == DeviceState.IDLE and before == DeviceState.RUN
     if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
         # The device has come to k_stop; what it sampled before has arrived before this.
-        state, done = scheduling.complete(state, now_ns)
+        state, done = setpoints.complete(state, now_ns)
         state, actions = rest(state, now_ns, None)
         return state, done + actions
     expected = _EXPECTED.get(state.phase)
@@ -162,7 +173,7 @@ def _reached(state: State, now_ns: int, asked: Asked) -> Step:
 def _armed(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
     if isinstance(order, Play):
-        return scheduling.begin(state, now_ns, order)
+        return setpoints.begin(state, now_ns, order)
     if not isinstance(order, Take):
         return trip(state, now_ns, Fault(Id.INTERNAL, "armed without an owner"))
     rules = state.rules

@@ -5,12 +5,12 @@ from __future__ import annotations
 import msgspec
 import pytest
 from armrig_core.volts import code_of
-from armrig_daemon import core, trace
-from armrig_daemon.asking import motor
-from armrig_daemon.faults import Fault, Id
-from armrig_daemon.gaps import MOST_ABSENT, account, note
-from armrig_daemon.pipe import Gap, Log, Play, RunEnded, RunStarted
-from armrig_daemon.state import (
+from armrig_daemon.core import step as core_step
+from armrig_daemon.core import trace
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.gaps import MOST_ABSENT, account, note
+from armrig_daemon.core.requests import motor
+from armrig_daemon.core.state import (
     Absent,
     Heard,
     LinkUp,
@@ -24,7 +24,8 @@ from armrig_daemon.state import (
     Tick,
     Want,
 )
-from armrig_daemon.stopping import end_run
+from armrig_daemon.core.stopping import end_run
+from armrig_daemon.pipe import Gap, Log, Play, RunEnded, RunStarted
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
@@ -49,7 +50,7 @@ def test_at_the_start_nothing_is_known() -> None:
     """No device, no time, no sample; Ts is that of the rules."""
     rules = rested().loop.state.rules
 
-    state = core.start(rules)
+    state = core_step.start(rules)
 
     assert (state.rules, state.ts_us) == (rules, rules.ts_us)
     assert state.came == (0, 0)
@@ -66,13 +67,13 @@ def test_the_core_wants_to_be_woken_for_its_request_or_for_the_device_s_watchdog
     """A third of the watchdog after the last frame, so that two may be lost."""
     state = replace(rested().loop.state, any_ns=1000)
 
-    assert core.wake_ns(state) == 1000 + 100 * MS // 3
-    assert core.wake_ns(awaiting(state, Want.STOP, sent_ns=7)) == 7 + 20 * MS
+    assert core_step.wake_ns(state) == 1000 + 100 * MS // 3
+    assert core_step.wake_ns(awaiting(state, Want.STOP, sent_ns=7)) == 7 + 20 * MS
 
 
 def test_before_the_first_tick_none_was_missed() -> None:
     """Wherever k begins, and however long ago the start was."""
-    state = core.start(rested().loop.state.rules)
+    state = core_step.start(rested().loop.state.rules)
 
     first = Decided(state, 10_000 * MS, Tick(7, 9_999 * MS)).state
 

@@ -10,8 +10,8 @@ from armrig_core.calibration import Calibration
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import HelloReply
 
-from armrig_daemon.clockmap import ClockMap
-from armrig_daemon.faults import Fault
+from armrig_daemon.core.clockmap import ClockMap
+from armrig_daemon.core.faults import Fault
 from armrig_daemon.pipe import Order, Play, Record
 
 

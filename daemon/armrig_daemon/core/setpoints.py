@@ -13,15 +13,15 @@ from armrig_protocol.messages import SETPOINTS_PER_FRAME, Flag, Ping, Setpoints
 from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 
-from armrig_daemon import gaps
-from armrig_daemon.asking import Step, ask, log, send
-from armrig_daemon.budget import PING_US
-from armrig_daemon.clockmap import extend, host_ns_at
-from armrig_daemon.conversion import converted, extended, is_older
-from armrig_daemon.faults import Fault, Id
+from armrig_daemon.core import gaps
+from armrig_daemon.core.budget import PING_US
+from armrig_daemon.core.clockmap import extend, host_ns_at
+from armrig_daemon.core.conversion import converted, extended, is_older
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.requests import Step, ask, log, send
+from armrig_daemon.core.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
+from armrig_daemon.core.stopping import stop, trip
 from armrig_daemon.pipe import Play
-from armrig_daemon.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
-from armrig_daemon.stopping import stop, trip
 
 _RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
 _ARMED, _FAULT = Phase.ARMED, Phase.FAULT

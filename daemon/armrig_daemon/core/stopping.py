@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from armrig_daemon import gaps
-from armrig_daemon.asking import Step, ask, log, refuse, say_state
-from armrig_daemon.faults import Fault, in_words
+from armrig_daemon.core import gaps
+from armrig_daemon.core.faults import Fault, in_words
+from armrig_daemon.core.requests import Step, ask, log, refuse, say_state
+from armrig_daemon.core.state import Absent, Emit, Phase, Repace, State, Want
 from armrig_daemon.pipe import Order, RunEnded
-from armrig_daemon.state import Absent, Emit, Phase, Repace, State, Want
 
 
 def end_run(state: State, now_ns: int) -> Step:

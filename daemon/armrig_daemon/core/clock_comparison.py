@@ -7,9 +7,9 @@ from armrig_protocol.messages import Exchange, Message, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 
-from armrig_daemon import clockmap
-from armrig_daemon.budget import BITS_PER_BYTE, PING_US
-from armrig_daemon.state import Sent, State
+from armrig_daemon.core import clockmap
+from armrig_daemon.core.budget import BITS_PER_BYTE, PING_US
+from armrig_daemon.core.state import Sent, State
 
 
 def by_pong(state: State, now_ns: int, pong: Pong) -> State:

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from armrig_daemon.pipe import Leased, Order, Orders, Play, Take
-from armrig_daemon.state import (
+from armrig_daemon.core.state import (
     Action,
     Beat,
     Event,
@@ -26,6 +25,7 @@ from armrig_daemon.state import (
     State,
     Tick,
 )
+from armrig_daemon.pipe import Leased, Order, Orders, Play, Take
 
 CHUNK = 3000
 """Bytes of steps that are handed over together: with its state a chunk fits into 4096."""
