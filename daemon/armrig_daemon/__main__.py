@@ -20,7 +20,7 @@ from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
 from armrig_daemon.config import Config, Device
-from armrig_daemon.realtime import end_with_parent
+from armrig_daemon.loop.realtime import end_with_parent
 
 _START_S = 5.0
 

@@ -10,7 +10,7 @@ import sys
 
 import msgspec
 
-from armrig_daemon.loop_process import Settings
+from armrig_daemon.loop.process import Settings
 from armrig_daemon.pipe import Orders, Record, record_bytes, take_records
 
 EXIT_S = 1.0
@@ -84,7 +84,7 @@ def start(settings: Settings) -> LoopChild:
         with contextlib.suppress(OSError):  # a smaller pipe only holds fewer seconds
             fcntl.fcntl(fd, _F_SETPIPE_SZ, _PIPE_BYTES)
     arguments = [str(orders_out), str(records_in), msgspec.json.encode(settings).decode()]
-    program = [sys.executable, "-m", "armrig_daemon.loop_process", *arguments]
+    program = [sys.executable, "-m", "armrig_daemon.loop.process", *arguments]
     try:
         process = subprocess.Popen(program, pass_fds=(orders_out, records_in))
     finally:

@@ -25,13 +25,14 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
-from armrig_daemon import loop_child, pressure, readings, realtime
+from armrig_daemon import loop_child, pressure, readings
 from armrig_daemon.config import Config
 from armrig_daemon.core import orders
 from armrig_daemon.core.budget import check
 from armrig_daemon.core.state import Phase
 from armrig_daemon.directory import left_over
-from armrig_daemon.loop_process import NO_PORT, Settings
+from armrig_daemon.loop import realtime
+from armrig_daemon.loop.process import NO_PORT, Settings
 from armrig_daemon.messages import Outgoing, outgoing
 from armrig_daemon.pipe import (
     Alive,

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from armrig_daemon.core.state import Event, LinkUp, Ordered, Received, Rules
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.loop import Loop
+from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Orders, Record, take_records
 
 Lateness = Callable[[], int]

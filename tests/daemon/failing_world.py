@@ -16,12 +16,12 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-from armrig_daemon import link, loop_process
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.loop import Loop
+from armrig_daemon.loop import link, process
+from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Record, record_bytes, take_records
 
 _LINE, _ORDERS, _RECORDS = 100, 101, 102
@@ -58,10 +58,10 @@ class World:
         self._records = bytearray()
         self._opened = False
         with self._installed():
-            port = loop_process.Settings(
+            port = process.Settings(
                 rules=rules, port="tty", baud=rules.baud, priority=0, cpu=None, spin_ns=0
             )
-            self.loop = Loop(rules, loop_process.ProcessPorts(port, _ORDERS, _RECORDS))
+            self.loop = Loop(rules, process.ProcessPorts(port, _ORDERS, _RECORDS))
 
     def order(self, at_ns: int, order: Any) -> None:
         """Let the service ask for something at a time, not before those asked for earlier."""
@@ -85,7 +85,7 @@ class World:
         idle = SimpleNamespace(collect=int, freeze=int, get_stats=list)
         with (
             mock.patch.multiple(
-                loop_process,
+                process,
                 realtime=clock,
                 os=calls,
                 gc=idle,

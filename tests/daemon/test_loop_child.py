@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from armrig_daemon.config import Config
+from armrig_daemon.loop.process import Settings
 from armrig_daemon.loop_child import LoopChild, start
-from armrig_daemon.loop_process import Settings
 from armrig_daemon.pipe import Host, Record, record_bytes
 from armrig_protocol.decoder import Received, feed
 from armrig_protocol.messages import Estop
@@ -98,7 +98,7 @@ def test_a_loop_that_fails_says_estop_three_times_and_dies(
 def test_the_loop_waits_for_neither_of_its_pipes(child: LoopChild) -> None:
     """L2: one that is full drops; a loop that waited for the service would miss its ticks."""
     arguments = Path(f"/proc/{child._process.pid}/cmdline").read_bytes().split(b"\0")
-    module = arguments.index(b"armrig_daemon.loop_process")
+    module = arguments.index(b"armrig_daemon.loop.process")
 
     for name in arguments[module + 1 : module + 3]:
         told = Path(f"/proc/{child._process.pid}/fdinfo/{name.decode()}").read_text()

@@ -13,7 +13,7 @@ from armrig_core.telemetry import Sample
 from armrig_daemon.core.gaps import MOST_ABSENT
 from armrig_daemon.core.requests import MOST_BEATS
 from armrig_daemon.core.state import State as CoreState
-from armrig_daemon.outbox import MOST_WAITING
+from armrig_daemon.loop.outbox import MOST_WAITING
 from armrig_daemon.pipe import (
     Answer,
     Gap,

@@ -26,7 +26,7 @@ from armrig_daemon.core.state import (
     Tick,
 )
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.loop import Loop
+from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Alive, Gap, Order, Quit, Record
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace

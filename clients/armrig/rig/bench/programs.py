@@ -156,7 +156,7 @@ class Daemon:
         for stat in Path("/proc").glob("[0-9]*/stat"):
             with suppress(OSError):
                 parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
-                named = b"armrig_daemon.loop_process" in (stat.parent / "cmdline").read_bytes()
+                named = b"armrig_daemon.loop.process" in (stat.parent / "cmdline").read_bytes()
                 if parent == self._process.pid and named:
                     return int(stat.parent.name)
         return None

@@ -8,11 +8,11 @@ import tty
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon import realtime
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
-from armrig_daemon.link import READ
-from armrig_daemon.loop_process import ProcessPorts, Settings
+from armrig_daemon.loop import realtime
+from armrig_daemon.loop.link import READ
+from armrig_daemon.loop.process import ProcessPorts, Settings
 from armrig_daemon.pipe import Alive, Halt, Play, Reset, record_bytes
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop

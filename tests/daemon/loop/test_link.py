@@ -7,7 +7,7 @@ import select
 from collections.abc import Callable, Iterator
 
 import pytest
-from armrig_daemon.link import READ, Link, LinkError
+from armrig_daemon.loop.link import READ, Link, LinkError
 
 
 @pytest.fixture

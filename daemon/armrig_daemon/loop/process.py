@@ -1,4 +1,4 @@
-"""The loop as a program of its own: `python -m armrig_daemon.loop_process FD FD`, by the service.
+"""The loop as a program of its own: `python -m armrig_daemon.loop.process FD FD`, by the service.
 
 One Python thread and nothing heavy: it must never wait for the interpreter's lock.
 """
@@ -18,10 +18,10 @@ from armrig_core.waiting import Waiter, sleep_until
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 
-from armrig_daemon import realtime
 from armrig_daemon.core.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
-from armrig_daemon.link import Link, LinkError, latency_timer_ms
-from armrig_daemon.loop import Loop
+from armrig_daemon.loop import realtime
+from armrig_daemon.loop.link import Link, LinkError, latency_timer_ms
+from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Host, Log, Quit, record_bytes, take_orders
 
 NO_PORT = 2

@@ -22,12 +22,12 @@ from armrig_daemon.core.state import (
     Tick,
 )
 from armrig_daemon.core.trace import Chunk, Trace
-from armrig_daemon.meter import Meter, clock_record
-from armrig_daemon.outbox import Outbox
-from armrig_daemon.pacing import Pace, change
+from armrig_daemon.loop.meter import Meter, clock_record
+from armrig_daemon.loop.outbox import Outbox
+from armrig_daemon.loop.pacing import Pace, change
+from armrig_daemon.loop.ports import Ports
 from armrig_daemon.pipe import RunEnded, RunStarted
 from armrig_daemon.pipe import Trace as TraceRecord
-from armrig_daemon.ports import Ports
 
 
 class Loop:

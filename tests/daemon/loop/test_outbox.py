@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, decode_sample
-from armrig_daemon.outbox import MOST_WAITING, Outbox
+from armrig_daemon.loop.outbox import MOST_WAITING, Outbox
 from armrig_daemon.pipe import Gap, Log, Record, RunEnded, take_records
 from hypothesis import given
 from hypothesis import strategies as st

@@ -6,6 +6,7 @@ from collections import deque
 
 from armrig_core.telemetry import Sample, encode_sample
 
+from armrig_daemon.loop.ports import Ports
 from armrig_daemon.pipe import (
     Clock,
     Gap,
@@ -17,7 +18,6 @@ from armrig_daemon.pipe import (
     record_bytes,
     sample_bytes,
 )
-from armrig_daemon.ports import Ports
 
 MOST_WAITING = 1000
 """Records that may wait for room in the pipe before those that only inform are dropped."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from armrig_core.telemetry import Sample
 
 from armrig_daemon.core.clockmap import ClockMap, estimate
+from armrig_daemon.loop.timing import Histogram
 from armrig_daemon.pipe import Clock, Timing
-from armrig_daemon.timing import Histogram
 
 _SECOND_NS = 1_000_000_000
 

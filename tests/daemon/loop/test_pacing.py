@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_daemon.pacing import Pace, change
+from armrig_daemon.loop.pacing import Pace, change
 from hypothesis import given
 from hypothesis import strategies as st
 

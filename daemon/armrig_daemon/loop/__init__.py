@@ -1,0 +1,1 @@
+"""The process that drives the rig: it does, and decides nothing."""
