@@ -44,7 +44,7 @@ def run(
 ) -> None:
     """Run the daemon until SIGTERM or Ctrl-C; the motor ends at 0 V."""
     from armrig_daemon import config as configuration
-    from armrig_daemon.service import Service
+    from armrig_daemon.service.service import Service
 
     overrides: dict[str, dict[str, Any]] = {}
     # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.

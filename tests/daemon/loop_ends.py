@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 
-from armrig_daemon.loop_child import LoopChild
 from armrig_daemon.pipe import Orders, take_orders
+from armrig_daemon.service.child import LoopChild
 
 
 class LoopEnds:

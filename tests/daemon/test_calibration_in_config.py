@@ -14,7 +14,7 @@ from armrig_core.commands import Run
 from armrig_core.manifest import CALIBRATION_RAW
 from armrig_daemon.config import Config, ConfigError, load
 from armrig_daemon.pipe import RunStarted, State
-from armrig_daemon.runs import Runs
+from armrig_daemon.service.runs import Runs
 
 SAMPLES = b"samples"
 MADE = Made(

@@ -21,12 +21,12 @@ import msgspec
 import pytest
 from armrig_core.manifest import Manifest
 from armrig_core.telemetry import Sample, decode_sample, encode_sample
-from armrig_daemon import record
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import Phase
-from armrig_daemon.messages import Outgoing
 from armrig_daemon.pipe import Answer, Gap, Log, Play, RunEnded, RunStarted, Take
-from armrig_daemon.record import Recording, RecordingError
+from armrig_daemon.service import recorder
+from armrig_daemon.service.protobuf_out import Outgoing
+from armrig_daemon.service.recorder import Recording, RecordingError
 from failing_disk import Disk
 from failing_world import WAYS, World
 from virtual_bench import LEASE, MS, codes
@@ -193,8 +193,8 @@ def recorded(directory: Path, disk: Disk) -> Recording | None:
     """Record 2 s on a disk, each batch flushed and synced; check what is left and what is told."""
     with (
         disk.installed(),
-        mock.patch.object(record, "FLUSH_S", 0.0),
-        mock.patch.object(record, "SYNC_S", 0.0),
+        mock.patch.object(recorder, "FLUSH_S", 0.0),
+        mock.patch.object(recorder, "SYNC_S", 0.0),
     ):
         path = disk.path(directory / "run.mcap")
         try:

@@ -1,4 +1,4 @@
-"""What may happen to the directory of the recordings, beside what `test_record.py` tries."""
+"""What may happen to the directory of the recordings, beside what `test_recorder.py` tries."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from armrig.rig.client import RefusedError, RunEndedError
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest
-from armrig_daemon.record import Recording, RecordingError
+from armrig_daemon.service.recorder import Recording, RecordingError
 from driving import STOPPED_S, check_every_k, check_volts, driven
 from processes import Bench, wait_for
 

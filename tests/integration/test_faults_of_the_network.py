@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import armrig
 import pytest
 from armrig.rig.session import NoReplyError
-from armrig_daemon.publish import MOST_BYTES
+from armrig_daemon.service.publish import MOST_BYTES
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
 from processes import Bench
 

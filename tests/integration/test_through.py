@@ -19,9 +19,9 @@ from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.messages import Outgoing
 from armrig_daemon.pipe import Play, RunStarted, Take
-from armrig_daemon.record import Recording
+from armrig_daemon.service.protobuf_out import Outgoing
+from armrig_daemon.service.recorder import Recording
 from armrig_daemon.virtual import VirtualRig
 from numpy.typing import NDArray
 

@@ -6,8 +6,8 @@ import pytest
 from armrig_core import protobuf
 from armrig_daemon.core.faults import REMEDIES, Id
 from armrig_daemon.core.state import LinkDown
-from armrig_daemon.messages import outgoing
 from armrig_daemon.pipe import Log, State
+from armrig_daemon.service.protobuf_out import outgoing
 from virtual_bench import Bench
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from armrig_daemon.config import Config
-from armrig_daemon.service import Service
+from armrig_daemon.service.service import Service
 
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -37,7 +37,7 @@ def test_who_comes_while_the_service_looks_does_not_silence_who_comes_later(
 
     service._wake()
     with monkeypatch.context() as patch:
-        patch.setattr("armrig_daemon.service.os.read", interrupted)
+        patch.setattr("armrig_daemon.service.service.os.read", interrupted)
         service._woken()
     service._wake()
 

@@ -6,7 +6,7 @@ from math import inf
 
 import pytest
 from armrig_core.commands import Renew, Run
-from armrig_daemon.presence import begun, renewed
+from armrig_daemon.service.presence import begun, renewed
 
 LEASE = "a" * 32
 RUN = Run(lease=LEASE, n=3, u=[1.0], dead_man=2.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.service import _print
+from armrig_daemon.service.service import _print
 
 
 def test_a_line_of_the_log_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,13 +17,13 @@ from armrig.rig.session import open_session
 from armrig_core.commands import Renew, Run
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key
-from armrig_daemon import publish
 from armrig_daemon.config import Config
 from armrig_daemon.core.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import Alive, Answer, Halt, Play, RunEnded, RunStarted, State
-from armrig_daemon.presence import begun
-from armrig_daemon.publish import Kind, Session
-from armrig_daemon.service import Service
+from armrig_daemon.service import publish
+from armrig_daemon.service.presence import begun
+from armrig_daemon.service.publish import Kind, Session
+from armrig_daemon.service.service import Service
 from loop_ends import LoopEnds
 
 LEASE = "a" * 32
@@ -118,7 +118,7 @@ def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is refused within its time; an answer that comes later is nobody's."""
-    monkeypatch.setattr("armrig_daemon.service.ANSWER_S", -1.0)
+    monkeypatch.setattr("armrig_daemon.service.service.ANSWER_S", -1.0)
     replies = between.ask(RUN)
     between.service._take_commands()
     (play,) = between.loop.orders()
@@ -177,7 +177,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", full)
+    monkeypatch.setattr("armrig_daemon.service.recorder.os.fdatasync", full)
     between.begin_run()
     between.service._take([_sample(0)])
     assert select.select([between.service._wake_fd], [], [], 5)[0]

@@ -24,11 +24,11 @@ from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
 from numpy.typing import NDArray
 
 from armrig_daemon.config import Config, Limits
-from armrig_daemon.directory import check_directory
-from armrig_daemon.messages import Outgoing
 from armrig_daemon.pipe import Gap, Play, RunStarted, State
-from armrig_daemon.presence import Presence, begun, renewed
-from armrig_daemon.record import Recording, RecordingError
+from armrig_daemon.service.directory import check_directory
+from armrig_daemon.service.presence import Presence, begun, renewed
+from armrig_daemon.service.protobuf_out import Outgoing
+from armrig_daemon.service.recorder import Recording, RecordingError
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
 _ROOM = 1 << 20  # and what a recording takes without any

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from armrig_daemon import rate
-from armrig_daemon.publish import Command, Kind, Session
-from armrig_daemon.rate import BURST
+from armrig_daemon.service import token_bucket
+from armrig_daemon.service.publish import Command, Kind, Session
+from armrig_daemon.service.token_bucket import BURST
 
 WITHIN_S = 5.0
 SPREAD_S = 0.5
@@ -174,7 +174,7 @@ class _Asking:
 @pytest.fixture
 def unfilled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no token come again, so that however slow the machine is a burst is all."""
-    monkeypatch.setattr(rate, "PER_S", 0)
+    monkeypatch.setattr(token_bucket, "PER_S", 0)
 
 
 @pytest.mark.usefixtures("unfilled")
@@ -199,7 +199,7 @@ def test_a_flood_is_answered_up_to_a_bound(
             _until(lambda: asking.sent - asking.answers.total() < MOST_AT_ONCE)
         _until(lambda: asking.answers.total() == asking.sent)
 
-    assert asking.answers == {"": BURST, rate.refusal(name): asking.sent - BURST}
+    assert asking.answers == {"": BURST, token_bucket.refusal(name): asking.sent - BURST}
     assert let_in[name] == (0 if name == "schema" else BURST)
 
 

@@ -14,9 +14,9 @@ from armrig.rig.session import open_session
 from armrig_core.commands import Renew, Run
 from armrig_core.topics import command_key
 from armrig_daemon.config import Config
-from armrig_daemon.presence import begun
-from armrig_daemon.publish import Session
-from armrig_daemon.service import Service
+from armrig_daemon.service.presence import begun
+from armrig_daemon.service.publish import Session
+from armrig_daemon.service.service import Service
 
 LEASE = "a" * 32
 PERIOD_S = 2.0

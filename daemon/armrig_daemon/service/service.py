@@ -1,7 +1,7 @@
 """The service: starts the loop, publishes and records what it says, hands it what is asked.
 
 One thread of ours beside the recording's writer; zenoh's threads put commands into queues, or turn
-them away at the `door`. It may wait for disk and network, for the loop never waits for it.
+them away by `admission`. It may wait for disk and network, for the loop never waits for it.
 """
 
 from __future__ import annotations
@@ -25,15 +25,12 @@ from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
-from armrig_daemon import loop_child, pressure, readings
 from armrig_daemon.config import Config
 from armrig_daemon.core import orders
 from armrig_daemon.core.budget import check
 from armrig_daemon.core.state import Phase
-from armrig_daemon.directory import left_over
 from armrig_daemon.loop import realtime
 from armrig_daemon.loop.process import NO_PORT, Settings
-from armrig_daemon.messages import Outgoing, outgoing
 from armrig_daemon.pipe import (
     Alive,
     Answer,
@@ -57,10 +54,13 @@ from armrig_daemon.pipe import (
     Timing,
     Trace,
 )
-from armrig_daemon.publish import Command, Kind, Session
-from armrig_daemon.record import RecordingError
-from armrig_daemon.runs import Runs, checked
-from armrig_daemon.thinning import Thinning
+from armrig_daemon.service import child, pressure, readings
+from armrig_daemon.service.directory import left_over
+from armrig_daemon.service.protobuf_out import Outgoing, outgoing
+from armrig_daemon.service.publish import Command, Kind, Session
+from armrig_daemon.service.recorder import RecordingError
+from armrig_daemon.service.runs import Runs, checked
+from armrig_daemon.service.thinning import Thinning
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
@@ -121,7 +121,7 @@ class Service:
     def run(self) -> int:
         """Run until SIGTERM, SIGINT or the loop's end."""
         config = self._config
-        self._loop = loop_child.start(
+        self._loop = child.start(
             Settings(
                 rules=replace(config.rules(), service_ns=SILENCE_NS),
                 port=config.device.port,

@@ -16,7 +16,7 @@ from armrig_core import protobuf
 from armrig_core.commands import REQUESTS, Refused, Renew, Status, Stop, json_schema
 from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
 
-from armrig_daemon import door, rate
+from armrig_daemon.service import admission, token_bucket
 
 MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
@@ -42,7 +42,7 @@ def kind_of(name: str) -> Kind:
     """Return the kind of a command, whether there is such a one or not."""
     if name in (Stop.name, Renew.name, Status.name):
         return Kind(name)
-    return Kind.LEASED if name in door.LEASED else Kind.OTHER
+    return Kind.LEASED if name in admission.LEASED else Kind.OTHER
 
 
 def _denied(what: str, flow: str, messages: list[str]) -> dict[str, Any]:
@@ -138,7 +138,7 @@ class Session:
         self.lease = b""  # the one in force; without it no command of a holder is let in
         self._waiting = {kind: queue.Queue[Command](MOST_WAITING) for kind in Kind}
         self._wake = wake
-        self._buckets: dict[str, rate.Bucket] = {}
+        self._buckets: dict[str, token_bucket.Bucket] = {}
         self._session = zenoh.open(session_config(endpoint))
         self._publishers = {
             stream: self._session.declare_publisher(
@@ -184,7 +184,7 @@ class Session:
 
     def _serve(self, query: zenoh.Query) -> None:
         if self._is_too_many(_SCHEMA):
-            _refuse(query, rate.refusal(_SCHEMA))
+            _refuse(query, token_bucket.refusal(_SCHEMA))
             return
         with query:
             for key, data in self._served.items():
@@ -195,22 +195,22 @@ class Session:
         name = _name(query)
         if name in _URGENT:
             query.drop()  # it comes on its own way, too
-        elif name not in door.LEASED and self._is_too_many(name):
-            _refuse(query, rate.refusal(name))
+        elif name not in admission.LEASED and self._is_too_many(name):
+            _refuse(query, token_bucket.refusal(name))
         else:
             self._let_in(query)
 
     def _is_too_many(self, name: str) -> bool:
         """Count a question that needs no lease. Only zenoh's thread of its queryable asks."""
         kind = name if name in _COUNTED else ""  # all that there are not are of one kind
-        left = rate.take(self._buckets.get(kind, rate.Bucket()), time.monotonic())
+        left = token_bucket.take(self._buckets.get(kind, token_bucket.Bucket()), time.monotonic())
         if left is not None:
             self._buckets[kind] = left
         return left is None
 
     def _let_in(self, query: zenoh.Query) -> None:
         command = Command(_name(query), query)
-        error = door.refusal(command.name, command.payload, self.lease)
+        error = admission.refusal(command.name, command.payload, self.lease)
         if error:
             command.refuse(error)
             return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.commands import TRY_AGAIN
-from armrig_daemon.rate import BURST, PER_S, Bucket, refusal, take
+from armrig_daemon.service.token_bucket import BURST, PER_S, Bucket, refusal, take
 from hypothesis import given
 from hypothesis import strategies as st
 

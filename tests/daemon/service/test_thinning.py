@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig_daemon.pipe import Log
-from armrig_daemon.thinning import AGAIN_NS, MOST_KINDS, Thinning
+from armrig_daemon.service.thinning import AGAIN_NS, MOST_KINDS, Thinning
 
 MS = 1_000_000
 

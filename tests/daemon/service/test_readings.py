@@ -6,7 +6,7 @@ from math import nan
 
 import pytest
 from armrig_core.telemetry import Sample
-from armrig_daemon.readings import Readings, objection, seen, theta_1_rad
+from armrig_daemon.service.readings import Readings, objection, seen, theta_1_rad
 from armrig_protocol.messages import Flag
 
 MS = 1_000_000

@@ -22,9 +22,9 @@ from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome
 from armrig_core.topics import RECORDED, topic
 from mcap.writer import CompressionType, Writer
 
-from armrig_daemon.compact import compact
-from armrig_daemon.directory import sync_directory
-from armrig_daemon.messages import Outgoing
+from armrig_daemon.service.compact import compact
+from armrig_daemon.service.directory import sync_directory
+from armrig_daemon.service.protobuf_out import Outgoing
 
 CHUNK = 128 * 1024
 FLUSH_S = 0.1

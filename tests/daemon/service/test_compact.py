@@ -6,7 +6,7 @@ import random
 from pathlib import Path
 
 import pytest
-from armrig_daemon.compact import CHUNK, compact
+from armrig_daemon.service.compact import CHUNK, compact
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader

@@ -8,7 +8,7 @@ import pytest
 from armrig_core.commands import Run
 from armrig_core.rehearsal import rehearse
 from armrig_daemon.config import Arm, Config, Limits
-from armrig_daemon.runs import Runs
+from armrig_daemon.service.runs import Runs
 
 REQUEST = Run(lease="a" * 32, n=1, u=[0.0] * 10 + [4.0] * 90)
 

@@ -12,11 +12,11 @@ import pytest
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.compact import compact
-from armrig_daemon.directory import LeftOver, check_directory, left_over
-from armrig_daemon.messages import Outgoing, outgoing
 from armrig_daemon.pipe import Gap
-from armrig_daemon.record import Recording, RecordingError
+from armrig_daemon.service.compact import compact
+from armrig_daemon.service.directory import LeftOver, check_directory, left_over
+from armrig_daemon.service.protobuf_out import Outgoing, outgoing
+from armrig_daemon.service.recorder import Recording, RecordingError
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -195,7 +195,7 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
         compact(source, target)
         directory.rename(elsewhere)
 
-    monkeypatch.setattr("armrig_daemon.record.compact", moved)
+    monkeypatch.setattr("armrig_daemon.service.recorder.compact", moved)
     recording = _recording(directory / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
     recording.finish("complete", 0)
@@ -235,7 +235,7 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_too(
 
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
-    monkeypatch.setattr("armrig_daemon.record.os.fsync", full)
+    monkeypatch.setattr("armrig_daemon.service.recorder.os.fsync", full)
     recording.finish("complete", 0)
     recording.join(5)
 
@@ -251,7 +251,7 @@ def test_whatever_fails_in_the_writer_is_told(
     def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr("armrig_daemon.record.compact", broken)
+    monkeypatch.setattr("armrig_daemon.service.recorder.compact", broken)
     recording = _recording(tmp_path / "run.mcap")
     recording.finish("complete", 0)
     recording.join(5)
@@ -278,8 +278,8 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
 ) -> None:
     """Neither who begins a recording nor who ends it; what found no room is counted."""
     answers = threading.Event()
-    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", lambda _: answers.wait())
-    monkeypatch.setattr("armrig_daemon.record.QUEUE", 3)
+    monkeypatch.setattr("armrig_daemon.service.recorder.os.fdatasync", lambda _: answers.wait())
+    monkeypatch.setattr("armrig_daemon.service.recorder.QUEUE", 3)
     recording = _recording(tmp_path / "run.mcap")
     for k in range(9):
         recording.add([_sample(k)])
@@ -310,7 +310,7 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("armrig_daemon.record.os.fdatasync", full)
+    monkeypatch.setattr("armrig_daemon.service.recorder.os.fdatasync", full)
     assert changed.wait(5)
     recording.add([_sample(k) for k in range(50, 60)])
     recording.finish("complete", 0)
@@ -342,7 +342,7 @@ def test_half_a_chunk_that_found_no_more_room_is_cut_off(
         if room_again:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    monkeypatch.setattr("armrig_daemon.record.os.ftruncate", freed)
+    monkeypatch.setattr("armrig_daemon.service.recorder.os.ftruncate", freed)
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
     try:
         recording.add([_sample(k) for k in range(50, 100)])
@@ -368,7 +368,7 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
         names = sorted(p.name for p in tmp_path.iterdir())
         synced.append((path.name, path.is_dir() or path.read_bytes().endswith(_MAGIC), names))
 
-    monkeypatch.setattr("armrig_daemon.record.os.fsync", noted)
+    monkeypatch.setattr("armrig_daemon.service.recorder.os.fsync", noted)
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
     recording.finish("complete", 0)
@@ -390,7 +390,7 @@ def test_no_room_for_the_compact_copy_keeps_the_first(
         target.write_bytes(source.read_bytes()[:100])
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("armrig_daemon.record.compact", full)
+    monkeypatch.setattr("armrig_daemon.service.recorder.compact", full)
     recording = _recording(tmp_path / "run.mcap")
 
     recording.add([_sample(k) for k in range(50)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 from armrig_core.commands import REQUESTS, Renew, Run, Set
-from armrig_daemon.door import LEASED, MOST_BYTES, refusal
+from armrig_daemon.service.admission import LEASED, MOST_BYTES, refusal
 
 LEASE = "0123456789abcdef" * 2
 OTHER = "f" * 32

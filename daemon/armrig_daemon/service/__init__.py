@@ -1,0 +1,1 @@
+"""What stands around the loop: publishing, recording, who may command."""
