@@ -16,6 +16,7 @@ check: .venv/dev
 	$(BIN)/python -m armrig_protocol.generate --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python tests/rooms.py
 
 # Every branch of the core and of the device's state machine; what adds nothing to that is left out.
 coverage: .venv/dev
