@@ -184,7 +184,9 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
 
     between.service._woken()
 
-    assert between.loop.orders() == [Halt()]
+    (halt,) = between.loop.orders()
+    assert isinstance(halt, Halt)
+    assert "No space left on device" in halt.reason
     between.service._runs.end("stopped")
     between.service._runs.finished(5)
 
