@@ -1,0 +1,78 @@
+"""What a parameter costs: criteria of choice between models, and the one-standard-error rule.
+
+References
+----------
+.. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.4.
+.. [2] T. Hastie, R. Tibshirani, J. Friedman, *The Elements of Statistical Learning*, 2nd ed.,
+   2009, section 7.10 (one standard error).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armrig.numerics.polynomial import Array
+
+BATCHES = 30  # of the validation data, for the standard error of a mean of dependent samples
+
+
+def deviance(loss: ArrayLike, N: int) -> Array:
+    """Return -2 log likelihood of N Gaussian residuals whose mean square is `loss`."""
+    least = np.finfo(np.float64).tiny
+    return np.asarray(N * (np.log(2 * np.pi * np.maximum(loss, least)) + 1))
+
+
+def aic(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
+    """Return Akaike's criterion of d parameters, -2 log likelihood + 2 d, for Gaussian e."""
+    return np.asarray(deviance(loss, N) + 2 * np.asarray(d))
+
+
+def mdl(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
+    """Return Rissanen's criterion (BIC), -2 log likelihood + d log N, for Gaussian e."""
+    return np.asarray(deviance(loss, N) + np.asarray(d) * float(np.log(N)))
+
+
+def fpe(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
+    """Return Akaike's final prediction error, loss (1 + d/N) / (1 - d/N); inf where d >= N."""
+    share = np.asarray(d) / N
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = np.asarray(loss) * (1 + share) / (1 - share)
+    return np.where(share < 1, error, np.inf)
+
+
+def batch_means(x: Array) -> Array:
+    """Return the means of successive batches of x (N,), 30 of them or as many as samples."""
+    return np.array([part.mean() for part in np.array_split(x, min(BATCHES, x.size))])
+
+
+def standard_error(means: Array) -> Array:
+    """Return that of the mean of batch means (..., K), along the last axis; 0 for one batch.
+
+    Samples that depend on their neighbours have a mean that scatters more than s / sqrt(N);
+    batches longer than the memory do not depend on each other.
+    """
+    K = means.shape[-1]
+    if K < 2:
+        return np.zeros(means.shape[:-1])
+    return np.asarray(np.std(means, axis=-1, ddof=1) / np.sqrt(K))
+
+
+def simplest_as_good(excess: Array, std: Array, parameters: ArrayLike) -> int:
+    """Return which model has the fewest parameters among those as good as the best.
+
+    As good is a model whose excess over the best loss is at most its standard error. Of several
+    with as few parameters it is the one of the least excess.
+
+    Parameters
+    ----------
+    excess : ndarray (n,)
+        Loss of each model less that of the best, so 0 for the best; NaN where there is none.
+    std : ndarray (n,)
+        Standard error of `excess`, 0 for the best.
+    parameters : array_like (n,)
+        Number of parameters of each model.
+    """
+    d = np.asarray(parameters)
+    as_good = np.flatnonzero(excess <= std).tolist()
+    return int(min(as_good, key=lambda i: (d[i], excess[i])))

@@ -1,0 +1,84 @@
+"""Criteria of choice, and the simplest model within one standard error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.numerics.criteria import (
+    aic,
+    batch_means,
+    deviance,
+    fpe,
+    mdl,
+    simplest_as_good,
+    standard_error,
+)
+
+
+def test_the_deviance_is_that_of_the_gaussian_density() -> None:
+    """-2 log of the density of N residuals, at the variance that makes it largest."""
+    e = np.random.default_rng(1).standard_normal(50)
+    loss = float(np.mean(e**2))
+
+    log_density = -0.5 * np.log(2 * np.pi * loss) - e**2 / (2 * loss)
+
+    assert deviance(loss, e.size) == pytest.approx(-2 * np.sum(log_density))
+
+
+def test_a_parameter_costs_two_or_the_logarithm_of_the_samples() -> None:
+    """AIC and MDL, of one model and of several at once."""
+    assert aic(0.5, 3, 100) - aic(0.5, 2, 100) == pytest.approx(2)
+    assert mdl(0.5, 3, 100) - mdl(0.5, 2, 100) == pytest.approx(np.log(100))
+    loss, d = np.array([0.5, 0.1]), np.array([2, 3])
+    np.testing.assert_array_equal(aic(loss, d, 9), [aic(0.5, 2, 9), aic(0.1, 3, 9)])
+    np.testing.assert_array_equal(mdl(loss, d, 9), [mdl(0.5, 2, 9), mdl(0.1, 3, 9)])
+
+
+def test_a_perfect_model_has_a_finite_criterion() -> None:
+    """The logarithm of a loss of 0 is taken of the smallest number."""
+    assert np.isfinite(aic(0.0, 2, 10))
+
+
+def test_the_final_prediction_error_has_no_bound_with_as_many_parameters_as_samples() -> None:
+    """Beyond d = N the formula turns negative, which would be the best of all."""
+    found = fpe(np.ones(4), np.array([0, 5, 10, 11]), 10)
+
+    np.testing.assert_allclose(found, [1.0, 3.0, np.inf, np.inf])
+    assert fpe(0.0, 10, 10) == np.inf
+
+
+def test_an_undetermined_model_has_no_criterion() -> None:
+    """NaN stays NaN."""
+    assert np.isnan([aic(np.nan, 2, 10), mdl(np.nan, 2, 10), fpe(np.nan, 2, 10)]).all()
+
+
+def test_batches_allow_for_samples_that_depend_on_their_neighbours() -> None:
+    """The mean of an autoregression scatters by its deviation over runs, not by s / sqrt(N)."""
+    from scipy.signal import lfilter
+
+    e = np.random.default_rng(2).standard_normal((400, 3000))
+    x = lfilter([1.0], [1.0, -0.8], e)
+
+    told = np.array([float(standard_error(batch_means(row))) for row in x])
+
+    true = np.std(x.mean(axis=1))
+    assert np.sqrt(np.mean(told**2)) == pytest.approx(true, rel=0.12)
+    assert true > 2 * np.std(x) / np.sqrt(3000)
+
+
+def test_one_batch_has_no_standard_error() -> None:
+    """It is told as 0; several rows are told one by one."""
+    assert standard_error(np.array([1.0])) == 0
+    np.testing.assert_allclose(standard_error(np.array([[1.0, 3.0], [2.0, 2.0]])), [1.0, 0.0])
+    assert batch_means(np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
+    assert batch_means(np.arange(300.0)).size == 30
+
+
+def test_the_simplest_within_one_standard_error_is_chosen() -> None:
+    """Of as few parameters the better one, and never one that is undetermined."""
+    excess = np.array([0.0, 0.1, 0.2, 0.05, np.nan])
+    std = np.array([0.0, 0.2, 0.1, 0.1, np.nan])
+
+    assert simplest_as_good(excess, std, [5, 3, 1, 4, 0]) == 1
+    assert simplest_as_good(excess, std, [5, 3, 1, 3, 0]) == 3
+    assert simplest_as_good(excess, std, [2, 3, 1, 3, 0]) == 0
