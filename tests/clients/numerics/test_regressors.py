@@ -1,0 +1,64 @@
+"""Regressors that know their holes."""
+
+from __future__ import annotations
+
+import numpy as np
+from armrig.numerics.regressors import arx_rows, complete, in_blocks, past
+from hypothesis import given
+from hypothesis import strategies as st
+
+NAN = np.nan
+
+
+def test_what_lies_before_the_first_sample_is_not_known() -> None:
+    """Lag 0 is the sample itself; a lag beyond the data is nowhere known."""
+    x = np.array([1.0, 2.0, 3.0])
+
+    np.testing.assert_array_equal(past(x, [0, 1, 3]), [[1, NAN, NAN], [2, 1, NAN], [3, 2, NAN]])
+    np.testing.assert_array_equal(past(x, [7]), np.full((3, 1), NAN))
+    assert past(x, []).shape == (3, 0)
+
+
+def test_a_row_is_complete_where_every_column_is_known() -> None:
+    """Vectors and matrices side by side."""
+    M = np.array([[1.0, NAN], [2.0, 2.0], [3.0, 3.0]])
+    y = np.array([1.0, 1.0, NAN])
+
+    assert complete(M, y).tolist() == [False, True, False]
+    assert complete(M[:, :0], y).tolist() == [True, True, False]
+
+
+@given(
+    st.integers(0, 3),
+    st.integers(1, 3),
+    st.integers(0, 4),
+    st.sets(st.integers(0, 19), max_size=5),
+)
+def test_a_row_is_usable_if_all_that_it_looks_back_on_was_measured(
+    na: int, nb: int, nk: int, missing: set[int]
+) -> None:
+    """Row by row, by the indices that it needs."""
+    rng = np.random.default_rng(3)
+    u, y = rng.standard_normal((2, 20))
+    y[list(missing)] = NAN
+
+    rows = arx_rows(u, y, na=na, lags=range(nk, nk + nb))
+
+    for t in range(20):
+        outputs, inputs = range(t - na, t + 1), range(t - nk - nb + 1, t - nk + 1)
+        known = min(*outputs, *inputs) >= 0 and not missing & set(outputs)
+        assert rows.usable[t] == known
+        if known:
+            expected = [*(-y[t - k] for k in range(1, na + 1)), *(u[i] for i in inputs[::-1])]
+            np.testing.assert_array_equal(rows.Phi[t], expected)
+    np.testing.assert_array_equal(rows.y, y)
+
+
+def test_blocks_of_rows_are_the_matrix_again() -> None:
+    """The last block has what is left."""
+    M = np.arange(14.0).reshape(7, 2)
+
+    blocks = list(in_blocks(M, 3))
+
+    assert [b.shape[0] for b in blocks] == [3, 3, 1]
+    np.testing.assert_array_equal(np.vstack(blocks), M)
