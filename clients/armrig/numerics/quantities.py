@@ -68,3 +68,8 @@ def p_relation(p: float) -> str:
 def p_value(p: float) -> str:
     """Return a p value, to stand in a table."""
     return "–" if np.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def plural(n: int, noun: str) -> str:
+    """Return a number with its noun: 1 sample, 2 samples."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
