@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.nonparametric.integrator import summation
+from armrig.numerics.polynomial import summation
 
 if TYPE_CHECKING:
     import control

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integrator import settled, summation
+from armrig.nonparametric.integrator import settled
 from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.checks import require_integers
+from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integrator import settled, summation
+from armrig.nonparametric.integrator import settled
 from armrig.nonparametric.periodicity import excited, period
+from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]
 

@@ -13,11 +13,12 @@ from armrig.data.dataset import Dataset
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.fir_regression import Regression, regression
-from armrig.nonparametric.integrator import settled, summation
+from armrig.nonparametric.integrator import settled
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.polynomial import summation
 from armrig.numerics.quantile import two_sided
 from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, joined, ljung_box
 

@@ -4,14 +4,8 @@ from __future__ import annotations
 
 import warnings
 
-import numpy as np
-from numpy.typing import NDArray
-
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, IntegratingOutputWarning, integrating
-
-Complex = NDArray[np.complex128]
-Vector = NDArray[np.float64]
 
 
 def settled(data: Dataset, integrator: bool | None, what: str) -> bool:
@@ -37,9 +31,3 @@ def settled(data: Dataset, integrator: bool | None, what: str) -> bool:
             stacklevel=3,
         )
     return False
-
-
-def summation(omega: Vector, Ts: float) -> Complex:
-    """Return Ts / (1 - exp(-i omega Ts)), from the rate (y(t) - y(t-1))/Ts to y; inf at 0."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(omega == 0, np.inf, Ts / (1 - np.exp(-1j * omega * Ts)))

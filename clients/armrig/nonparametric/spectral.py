@@ -12,10 +12,11 @@ from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.covariance_functions import covariances
-from armrig.nonparametric.integrator import settled, summation
+from armrig.nonparametric.integrator import settled
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.welch import Spectra, welch
 from armrig.numerics.checks import column, require_integers
+from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 # Real as a rule; complex where a derivative is checked by a complex step.
 Array = NDArray[Any]
+Complex = NDArray[np.complex128]
 
 
 def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
@@ -48,6 +49,12 @@ def roots(p: ArrayLike) -> Array:
 def without_integrator(F: Array) -> Array:
     """Return F / (1 - q^-1) for an F with a root at 1."""
     return np.asarray(np.cumsum(F)[:-1])
+
+
+def summation(omega: Array, Ts: float) -> Complex:
+    """Return Ts / (1 - exp(-i omega Ts)), from the rate (y(t) - y(t-1))/Ts to y; inf at 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(omega == 0, np.inf, Ts / (1 - np.exp(-1j * omega * Ts)))
 
 
 def stable(p: ArrayLike) -> bool:

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import evaluate, filtered, impulse, lagged, reflected, roots, stable
+from armrig.numerics.polynomial import (
+    evaluate,
+    filtered,
+    impulse,
+    lagged,
+    reflected,
+    roots,
+    stable,
+    summation,
+)
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
@@ -52,3 +61,14 @@ def test_columns_that_depend_on_others_are_left_out() -> None:
     assert basis.rank == 2
     np.testing.assert_allclose(M @ basis.coefficients(a - 2 * b), a - 2 * b, atol=1e-12)
     np.testing.assert_allclose(basis.without(a - 2 * b), 0, atol=1e-12)
+
+
+def test_the_summation_is_the_response_from_a_rate_to_its_sum() -> None:
+    """Ts / (1 - q^-1) on the unit circle, without a bound at 0."""
+    Ts, omega = 0.01, np.array([0.0, 3.0, 200.0])
+
+    S = summation(omega, Ts)
+
+    assert S[0] == np.inf
+    x = np.exp(-1j * omega[1:] * Ts)
+    np.testing.assert_allclose(S[1:] * evaluate([1, -1], x), Ts)
