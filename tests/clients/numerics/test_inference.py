@@ -1,0 +1,115 @@
+"""From residuals and their sensitivity to covariance, loss and verdict."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.numerics.inference import Inference, Score, infer
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import filtered
+
+N, D = 400, 3
+THETA = np.array([1.0, -2.0, 0.5])
+
+
+def regression(seed: int, C: list[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, Inference]:
+    """Return Phi, y, theta and the inference of y = Phi theta + C(q) e, in two experiments."""
+    rng = np.random.default_rng(seed)
+    Phi = np.column_stack([filtered([1.0], [1.0, -0.8], x) for x in rng.standard_normal((D, N))])
+    y = Phi @ THETA + filtered(C, [1.0], rng.standard_normal(N))
+    theta = np.linalg.lstsq(Phi, y, rcond=None)[0]
+    e, blocks = np.split(y - Phi @ theta, [150]), np.split(Phi, [150])
+    return Phi, y, theta, infer(e, blocks, score="exogenous", y=y)
+
+
+def test_the_figures_of_least_squares_are_the_textbooks() -> None:
+    """Lambda (Phi^T Phi)^-1 with N - d degrees of freedom."""
+    Phi, y, theta, found = regression(1, [1.0])
+
+    sse = float(np.sum((y - Phi @ theta) ** 2))
+    expected = sse / (N - D) * np.linalg.inv(Phi.T @ Phi)
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-10)
+    assert found.noise_variance == pytest.approx(sse / (N - D))
+    assert found.loss == pytest.approx(sse / N)
+    assert found.N == N
+    assert found.fit_percent == pytest.approx(100 * (1 - np.sqrt(sse / N) / np.std(y)))
+
+
+@pytest.mark.parametrize("score", ["exogenous", "correlated"])
+def test_the_robust_form_holds_for_coloured_noise(score: Score) -> None:
+    """In 300 runs the estimates scatter by the robust deviations, and by more than the classic."""
+    estimates, robust, classic = [], [], []
+    for seed in range(300):
+        Phi, y, theta, _ = regression(seed, [1.0, 0.9, 0.8])
+        found = infer([y - Phi @ theta], [Phi], score=score, test=None)
+        estimates.append(theta)
+        robust.append(np.diag(found.covariance_robust))
+        classic.append(np.diag(found.covariance))
+
+    scatter = np.std(estimates, axis=0)
+    np.testing.assert_allclose(np.sqrt(np.mean(robust, axis=0)), scatter, rtol=0.15)
+    assert (np.sqrt(np.mean(classic, axis=0)) < 0.8 * scatter).all()
+
+
+def test_missing_residuals_are_as_if_they_had_never_been() -> None:
+    """Rows without a residual count neither as samples nor in a sum."""
+    Phi, y, theta, _ = regression(2, [1.0])
+    e = y - Phi @ theta
+    there = np.arange(N) >= 40  # a hole at the start moves no pair of neighbours apart
+
+    holed = infer(
+        [np.where(there, e, np.nan)], [np.where(there[:, None], Phi, 0.0)], score="correlated", y=y
+    )
+    cut = infer([e[there]], [Phi[there]], score="correlated", y=y[there])
+
+    assert holed.N == cut.N
+    assert holed.fit_percent == cut.fit_percent
+    np.testing.assert_allclose(holed.covariance, cut.covariance, rtol=1e-12)
+    np.testing.assert_allclose(holed.covariance_robust, cut.covariance_robust, rtol=1e-12)
+    assert holed.whiteness == pytest.approx(cut.whiteness, rel=1e-9)
+
+
+def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
+    """Columns projected out, told by their span or by their number."""
+    Phi, y, theta, plain = regression(3, [1.0])
+    e = y - Phi @ theta
+    span = orthonormal(np.ones((N, 1))).Q
+
+    by_span = infer([e], [Phi], spans=[span], score="exogenous")
+    by_number = infer([e], [Phi], nuisance=1, score="exogenous")
+
+    assert by_span.noise_variance == by_number.noise_variance
+    assert by_span.noise_variance == pytest.approx(plain.noise_variance * (N - D) / (N - D - 1))
+
+
+def test_coloured_residuals_are_found_out_and_white_ones_are_not() -> None:
+    """By both tests; without one there is no verdict, nor for rounding noise."""
+    for C, white in (([1.0], True), ([1.0, 0.9], False)):
+        Phi, y, theta, found = regression(4, C)
+        e = [y - Phi @ theta]
+        assert (found.whiteness > 0.01) == white
+        p = infer(e, [Phi], score="exogenous", test="ljung-box").whiteness
+        assert (p > 0.01) == white
+        assert np.isnan(infer(e, [Phi], score="exogenous", test=None).whiteness)
+        assert np.isnan(infer(e, [Phi], score="exogenous", rounding=1e9).whiteness)
+
+
+def test_other_parameters_have_the_covariance_that_their_derivatives_carry_on() -> None:
+    """J C J^T in both forms."""
+    *_, found = regression(5, [1.0])
+    J = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
+
+    other = found.transformed(J)
+
+    np.testing.assert_allclose(other.covariance, J @ found.covariance @ J.T)
+    np.testing.assert_allclose(other.covariance_robust, J @ found.covariance_robust @ J.T)
+    assert other.loss == found.loss
+
+
+def test_as_many_parameters_as_samples_leave_no_noise_to_tell() -> None:
+    """The message says how many there are of each."""
+    Phi, y, theta, _ = regression(6, [1.0])
+    e = (y - Phi @ theta)[:4]
+
+    with pytest.raises(ValueError, match=r"4 samples .* 3 parameters and 1 unknowns"):
+        infer([e], [Phi[:4]], nuisance=1, score="exogenous")
