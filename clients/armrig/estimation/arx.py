@@ -7,12 +7,10 @@ import numpy as np
 from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
 from armrig.models.fit import Fit
-from armrig.models.prediction import arx_regression
 from armrig.numerics.checks import require_integers
-from armrig.numerics.covariance import correlated_score
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.whiteness import default_lags, portmanteau
+from armrig.numerics.regressors import arx_rows
 
 
 def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
@@ -50,38 +48,33 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
     orders = f"na={na}, nb={nb}, nk={nk}"
     skipped = max(na, nb + nk - 1)
     require_samples(orders, needed=na + nb + skipped + 1, got=data.N)
-    parts = [arx_regression(part, na=na, nb=nb, nk=nk) for part in data.experiments()]
-    Phi = np.vstack([p.Phi[p.usable] for p in parts])
-    y = np.concatenate([p.y[p.usable] for p in parts])
+    lags = range(nk, nk + nb)
+    parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
+    usable = np.concatenate([p.usable for p in parts])
+    y = np.concatenate([p.y for p in parts])[usable]
     require_samples(f"{orders} with the gaps left out", needed=na + nb + 1, got=y.size)
 
-    basis = orthonormal(Phi)
+    basis = orthonormal(np.vstack([p.Phi for p in parts])[usable])
     if basis.rank < na + nb:
         msg = f"{orders}: the data determine only {basis.rank} of {na + nb} parameters; "
         msg += "lower the orders or excite with a richer input"
         raise ValueError(msg)
     theta = basis.coefficients(y)
-    residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
-    sse = float(sum(np.nansum(e**2) for e in residuals))
-    noise_variance = sse / (y.size - na - nb)
-
-    bread = basis.W @ basis.W.T
     blocks = [np.where(p.usable[:, None], p.Phi, 0.0) for p in parts]
-    none = [np.zeros((p.y.size, 0)) for p in parts]
-    scores = [Psi * np.nan_to_num(e)[:, None] for Psi, e in zip(blocks, residuals, strict=True)]
-    middle = correlated_score(scores) * y.size / (y.size - na - nb)
+    residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
+    found = infer(residuals, blocks, score="correlated", y=data.y, basis=basis.spread(usable))
     return Fit(
         structure="arx",
         A=np.append(1.0, theta[:na]),
         B=np.append(np.zeros(nk), theta[na:]),
         nk=nk,
-        covariance=noise_variance * bread,
-        covariance_robust=bread @ middle @ bread,
-        noise_variance=noise_variance,
-        loss=sse / y.size,
-        N=y.size,
+        covariance=found.covariance,
+        covariance_robust=found.covariance_robust,
+        noise_variance=found.noise_variance,
+        loss=found.loss,
+        N=found.N,
         Ts=data.Ts,
-        fit_percent=fit_percent(y, sse),
-        whiteness=portmanteau(residuals, blocks, none, default_lags(y.size)),
+        fit_percent=found.fit_percent,
+        whiteness=found.whiteness,
         **data.origin(),
     )

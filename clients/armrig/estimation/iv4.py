@@ -12,11 +12,11 @@ from armrig.estimation.orders import require_samples
 from armrig.models.fit import Fit
 from armrig.models.prediction import arx_regression
 from armrig.numerics.checks import require_integers
-from armrig.numerics.covariance import correlated_score
 from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
-from armrig.numerics.whiteness import WHITE_LEVEL, autoregression, default_lags, joined, ljung_box
+from armrig.numerics.whiteness import WHITE_LEVEL, autoregression, joined
 
 _LONGEST = 40  # holes between experiments, at least the order of the autoregression
 
@@ -84,11 +84,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
 
     Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
     theta, inverse, instruments, e = _solved(Z, [_filtered(L, block) for block in whole], orders)
-    filtered_variance = sum(float(np.nansum(x**2)) for x in e) / (_count(e) - d)
-    scores = [np.nan_to_num(q * x[:, None]) for q, x in zip(instruments, e, strict=True)]
-    middle = correlated_score(scores) * _count(e) / (_count(e) - d)
-    lags = default_lags(_count(e))
-    white = ljung_box(joined(e, lags), lags)
+    found = infer(e, instruments, score="correlated", test="ljung-box").transformed(inverse)
     sse = sum(float(np.nansum((block[:, -1] - block[:, :-1] @ theta) ** 2)) for block in whole)
     said = "filtered by the autoregression of its noise the residual is coloured: trust std_robust"
     return Fit(
@@ -96,21 +92,17 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         A=np.append(1.0, theta[:na]),
         B=np.append(np.zeros(nk), theta[na:]),
         nk=nk,
-        covariance=filtered_variance * inverse @ inverse.T,
-        covariance_robust=inverse @ middle @ inverse.T,
+        covariance=found.covariance,
+        covariance_robust=found.covariance_robust,
         noise_variance=sse / (N - d),
         loss=sse / N,
         N=N,
         Ts=data.Ts,
         fit_percent=fit_percent(y, sse),
-        whiteness=white,
-        warnings=(said,) if white < WHITE_LEVEL else (),
+        whiteness=found.whiteness,
+        warnings=(said,) if found.whiteness < WHITE_LEVEL else (),
         **data.origin(),
     )
-
-
-def _count(e: Sequence[Array]) -> int:
-    return sum(int(np.count_nonzero(np.isfinite(x))) for x in e)
 
 
 def _instruments(

@@ -23,11 +23,10 @@ from armrig.models.innovations import Errors, Regression, errors, prepared, regr
 from armrig.models.structure import Structure
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
-from armrig.numerics.covariance import correlated_score
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, lagged, reflected, without_integrator
-from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
+from armrig.numerics.whiteness import WHITE_LEVEL
 
 LEAST, LONGEST = 10, 30  # samples of past and of future
 _ENOUGH = 4000  # windows to choose the horizon from
@@ -203,28 +202,18 @@ def _figures(
     """Return loss, covariance bound and verdict of the one-step errors."""
     blocks = [np.hstack([g.unknown.without(g.X), p.Psi]) for g, p in zip(given, parts, strict=True)]
     residuals = [np.where(r, p.e, np.nan) for r, p in zip(rows, parts, strict=True)]
-    M = sum(int(np.count_nonzero(r)) for r in rows)
-    sse = sum(float(p.e @ p.e) for p in parts)
-    degrees = M - blocks[0].shape[1] - sum(g.unknown.rank for g in given)
-    require_samples("the order", needed=M - degrees + 1, got=M)
-    bread_basis = orthonormal(np.vstack(blocks))
-    bread = bread_basis.W @ bread_basis.W.T
-    scores = [P * p.e[:, None] for P, p in zip(blocks, parts, strict=True)]
-    robust = bread @ (correlated_score(scores) * M / degrees) @ bread
-    to_full = with_integrator(n)
     spans = [g.unknown.span for g in given]
-    covariance = to_full @ (sse / degrees * bread) @ to_full.T
-    white = portmanteau(residuals, blocks, spans, default_lags(M), Q=bread_basis.Q)
-    y = data.y[np.concatenate(rows)]
+    found = infer(residuals, blocks, score="correlated", spans=spans, y=data.y)
+    found = found.transformed(with_integrator(n))
     return {
-        "covariance": covariance,
-        "covariance_robust": to_full @ robust @ to_full.T,
-        "noise_variance": sse / degrees,
-        "loss": sse / M,
-        "N": M,
-        "fit_percent": fit_percent(y, sse),
-        "whiteness": white,
-        "warnings": (*said, *_warnings(data, n, A, covariance, white)),
+        "covariance": found.covariance,
+        "covariance_robust": found.covariance_robust,
+        "noise_variance": found.noise_variance,
+        "loss": found.loss,
+        "N": found.N,
+        "fit_percent": found.fit_percent,
+        "whiteness": found.whiteness,
+        "warnings": (*said, *_warnings(data, n, A, found.covariance, found.whiteness)),
     }
 
 

@@ -16,12 +16,10 @@ from armrig.models.fit import Fit, Start
 from armrig.models.free_response import FreeResponse, offset_from_ramp
 from armrig.models.innovations import Errors, Unknown, prepared
 from armrig.models.structure import Structure
-from armrig.numerics.covariance import correlated_score, exogenous_score
-from armrig.numerics.goodness_of_fit import fit_percent
-from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.inference import Inference, infer
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
+from armrig.numerics.whiteness import WHITE_LEVEL
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
 
@@ -131,38 +129,11 @@ def _fit(
     name: str,
 ) -> Fit:
     n, best = problem.structure, ends[0][1]
-    rows = [x.rows for x in problem.experiments]
-    M = sum(int(np.count_nonzero(r)) for r in rows)
     p = problem.named(solution.ab, best.theta)
-    residuals = [np.where(r, s.e, np.nan) for r, s in zip(rows, solution.parts, strict=True)]
-    edges = np.cumsum([r.size for r in rows])[:-1]
-    Psi = solution.Psi
-    blocks = np.split(Psi, edges)
-    unknown = [g.unknown for g in solution.given]
-    degrees = M - Psi.shape[1] - sum(x.rank for x in unknown)
-    if degrees < 1:
-        msg = f"{name}: {M} samples leave nothing to tell the noise by; lower the orders, or "
-        msg += "record longer"
-        raise ValueError(msg)
-    sse = float(solution.e @ solution.e)
-    noise_variance = sse / degrees
-    basis = orthonormal(Psi)
-    bread = basis.W @ basis.W.T
-    if n.white:
-        middle = exogenous_score(blocks, residuals)
-    else:
-        scores = [P * s.e[:, None] for P, s in zip(blocks, solution.parts, strict=True)]
-        middle = correlated_score(scores)
-    robust = bread @ (middle * M / degrees) @ bread
-    to_full = with_integrator(n)
-    y = data.y[np.concatenate(rows)]
-    white = float("nan")
-    if sse > rounding_floor(problem):
-        spans = [x.span for x in unknown]
-        white = portmanteau(residuals, blocks, spans, default_lags(M), Q=basis.Q)
+    found = _inference(data, problem, solution)
     agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
     starts = tuple(
-        Start(name=start, loss=o.cost / M, iterations=o.iterations, converged=o.converged)
+        Start(name=start, loss=o.cost / found.N, iterations=o.iterations, converged=o.converged)
         for start, o in ends
     )
     free = [
@@ -182,24 +153,37 @@ def _fit(
         nk=n.nk,
         integrator=bool(n.integrator),
         offset=bool(n.trend),
-        covariance=to_full @ (noise_variance * bread) @ to_full.T,
-        covariance_robust=to_full @ robust @ to_full.T,
-        noise_variance=noise_variance,
-        loss=sse / M,
-        N=M,
+        covariance=found.covariance,
+        covariance_robust=found.covariance_robust,
+        noise_variance=found.noise_variance,
+        loss=found.loss,
+        N=found.N,
         Ts=data.Ts,
-        fit_percent=fit_percent(y, sse),
-        whiteness=white,
+        fit_percent=found.fit_percent,
+        whiteness=found.whiteness,
         converged=best.converged,
         starts=starts if len(starts) > 1 else (),
         agreed=agreed,
         free=tuple(free),
         warnings=(
-            *_warnings(best, starts, white, basis, agreed=agreed),
-            *_of_gaps(unknown, M),
+            *_warnings(best, starts, found, agreed=agreed),
+            *_gap_warnings([g.unknown for g in solution.given], found.N),
         ),
         **data.origin(),
     )
+
+
+def _inference(data: Dataset, problem: PredictionError, solution: Solution) -> Inference:
+    """Return what the residuals tell of theta, an integrator's coefficients included."""
+    rows = [x.rows for x in problem.experiments]
+    return infer(
+        [np.where(r, s.e, np.nan) for r, s in zip(rows, solution.parts, strict=True)],
+        np.split(solution.Psi, np.cumsum([r.size for r in rows])[:-1]),
+        score="exogenous" if problem.structure.white else "correlated",
+        spans=[g.unknown.span for g in solution.given],
+        y=data.y,
+        rounding=rounding_floor(problem),
+    ).transformed(with_integrator(problem.structure))
 
 
 def with_integrator(n: Structure) -> Array:
@@ -236,23 +220,24 @@ def _free_response(
 
 
 def _warnings(
-    best: Optimum, starts: tuple[Start, ...], whiteness: float, basis: Basis, *, agreed: bool
+    best: Optimum, starts: tuple[Start, ...], found: Inference, *, agreed: bool
 ) -> Iterator[str]:
     if not best.converged:
         yield f"the search did not converge in {best.iterations} steps"
     if not agreed:
         yield f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
-    d = basis.W.shape[0]
-    if basis.rank < d:
-        yield f"the data determine only {basis.rank} of {d} parameters: the orders are too high"
-    if whiteness < WHITE_LEVEL:
+    d = found.basis.W.shape[0]
+    if found.basis.rank < d:
+        rank = f"{found.basis.rank} of {d}"
+        yield f"the data determine only {rank} parameters: the orders are too high"
+    if found.whiteness < WHITE_LEVEL:
         yield "the residuals are coloured: trust std_robust, or raise the orders"
 
 
-def _of_gaps(unknown: list[Unknown], M: int) -> Iterator[str]:
+def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[str]:
     """Warn where C was fitted to many stretches: see `PredictionError`."""
     pulses = [Q.shape[1] for past in unknown for _, Q in past.noise][1:]
-    if sum(pulses) > MANY_PULSES * M:
+    if sum(pulses) > MANY_PULSES * N:
         yield (
             f"the noise's past is unknown anew in {len(pulses)} places: A, C and D may be off by "
             "up to half a standard deviation, and the test of whiteness alarms too often"

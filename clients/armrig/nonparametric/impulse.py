@@ -16,7 +16,7 @@ from armrig.nonparametric.fir_regression import Regression, regression
 from armrig.nonparametric.integrator import settled
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.numerics.checks import column, require_integers
-from armrig.numerics.covariance import exogenous_score
+from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import summation
 from armrig.numerics.quantile import two_sided
@@ -334,12 +334,15 @@ def _plain(rows: Regression) -> Estimate:
     d = basis.W.shape[0]
     _require_rank(basis, d, "lags")
     g = basis.coefficients(np.concatenate(rows.targets))
-    residuals = rows.residuals(g)
-    degrees = rows.N - d - rows.nuisance
-    sse = float(sum(np.nansum(e**2) for e in residuals))
-    bread = basis.W @ basis.W.T
-    score = exogenous_score(rows.blocks, residuals) * rows.N / degrees
-    return g, bread @ score @ bread, sse / degrees, {}
+    found = infer(
+        rows.residuals(g),
+        rows.blocks,
+        score="exogenous",
+        nuisance=rows.nuisance,
+        basis=basis,
+        test=None,
+    )
+    return g, found.covariance_robust, found.noise_variance, {}
 
 
 def _regularised(rows: Regression, kernel: Kernel, m: int) -> Estimate:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from armrig.numerics.polynomial import Array
@@ -34,6 +35,12 @@ class Basis:
     def without(self, y: Array) -> Array:
         """Return y less its projection on the columns of M."""
         return np.asarray(y - self.Q @ (self.Q.T @ y))
+
+    def spread(self, rows: NDArray[np.bool_]) -> Basis:
+        """Return the basis of the matrix with M in these of its rows and zeros in the others."""
+        Q = np.zeros((rows.size, self.rank))
+        Q[rows] = self.Q
+        return Basis(Q=Q, W=self.W)
 
 
 def column_norms(M: Array) -> Array:

@@ -63,6 +63,17 @@ def test_columns_that_depend_on_others_are_left_out() -> None:
     np.testing.assert_allclose(basis.without(a - 2 * b), 0, atol=1e-12)
 
 
+def test_rows_of_zeros_change_a_basis_only_by_rows_of_zeros() -> None:
+    """The coefficients stay, and what stands in those rows counts for nothing."""
+    rng = np.random.default_rng(1)
+    M, y, rows = rng.standard_normal((20, 2)), rng.standard_normal(30), np.arange(30) % 3 != 1
+
+    basis = orthonormal(M).spread(rows)
+
+    assert not basis.Q[~rows].any()
+    np.testing.assert_array_equal(basis.coefficients(y), orthonormal(M).coefficients(y[rows]))
+
+
 def test_the_summation_is_the_response_from_a_rate_to_its_sum() -> None:
     """Ts / (1 - q^-1) on the unit circle, without a bound at 0."""
     Ts, omega = 0.01, np.array([0.0, 3.0, 200.0])

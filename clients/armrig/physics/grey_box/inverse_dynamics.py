@@ -21,10 +21,8 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
-from armrig.numerics.covariance import exogenous_score
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.whiteness import default_lags, joined, ljung_box
 from armrig.physics.grey_box.fit import GreyFit, below_zero
 from armrig.physics.grey_box.free_parameters import (
     Friction,
@@ -104,11 +102,16 @@ def inverse_dynamics(
     beta = basis.coefficients(whole.target[kept])
     e = basis.without(whole.target[kept])
     residuals, blocks = _by_experiment(whole, e, kept)
-    inflation = e.size / (e.size - columns)
-    bread = basis.W @ basis.W.T
-    score = exogenous_score(blocks, residuals) * inflation
     values, slope = _parameters(beta, names)
-    C = slope @ (bread @ score @ bread) @ slope.T
+    found = infer(
+        residuals,
+        blocks,
+        score="exogenous",
+        y=whole.target,
+        basis=basis.spread(kept),
+        test="ljung-box",
+    ).transformed(slope)
+    C, bread = found.covariance_robust, basis.W @ basis.W.T
     # Where a fixed parameter is another one, so is the right side of the balance.
     held = _held(names)
     moved = whole.moved[kept]
@@ -119,7 +122,6 @@ def inverse_dynamics(
         for c in (C, C + carried @ carried.T)
     )
     offset = 0.0 if COULOMB in names else float(-beta[-1] / beta[0] / p.torque_per_volt)
-    sse = float(e @ e)
     return GreyFit(
         method="inverse dynamics",
         names=names,
@@ -142,12 +144,12 @@ def inverse_dynamics(
         fixed_std=given,
         initial=(),
         offset=(offset,) * len(data.starts),
-        noise_variance=sse / (e.size - columns),
-        loss=sse / e.size,
-        fit_percent=fit_percent(whole.target[kept], sse),
-        whiteness=ljung_box(joined(residuals, 30), default_lags(e.size)),
+        noise_variance=found.noise_variance,
+        loss=found.loss,
+        fit_percent=found.fit_percent,
+        whiteness=found.whiteness,
         quantum=quantum(data),
-        N=int(e.size),
+        N=found.N,
         Ts=data.Ts,
         physics=Physics(model=chassis, fixed=p, output="theta_1"),
         warnings=tuple(below_zero(values, std)),
