@@ -107,7 +107,7 @@ def greybox(
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
     import armrig
     from armrig.cli.waiting import waiting
-    from armrig.physics.grey_box.fit import UNITS
+    from armrig.physics.grey_box.parameters import UNITS
 
     check_plot(plot, [file])
     fixed = _parameters(given)

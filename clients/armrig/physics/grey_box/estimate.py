@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from armrig_core.arm import ArmParameters
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum, too_quiet
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.inference import Inference, infer
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.quantities import p_relation
-from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, portmanteau
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.physics.grey_box.fit import GreyFit, below_zero
 from armrig.physics.grey_box.free_parameters import (
     Friction,
@@ -21,9 +21,16 @@ from armrig.physics.grey_box.free_parameters import (
     free_names,
     require_output,
 )
-from armrig.physics.grey_box.least_squares_problem import COULOMB, GreyBox, GreyBoxWithFriction
-from armrig.physics.grey_box.sampled_model import NAMES, Model, Physics
-from armrig.physics.grey_box.uncertainty import by_experiment, named_influence, scales, uncertainty
+from armrig.physics.grey_box.least_squares_problem import GreyBox, GreyBoxWithFriction
+from armrig.physics.grey_box.parameters import COULOMB, NAMES
+from armrig.physics.grey_box.sampled_model import Model, Physics
+from armrig.physics.grey_box.uncertainty import (
+    by_experiment,
+    determined,
+    named_influence,
+    named_std,
+    scales,
+)
 from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
@@ -147,66 +154,76 @@ def _fit(
         values[COULOMB] = float(best.theta[len(plain.names)])
     _require_seen(names, np.linalg.norm(at.Psi, axis=0) > _UNSEEN * at.size)
     valid_y = data.y[data.valid]
-    noisy = best.cost > ROUNDING * float(valid_y @ valid_y)
-    converged = best.converged or not noisy
-    warnings = [] if converged else [f"no convergence in {best.iterations} steps"]
+    rounding = ROUNDING * float(valid_y @ valid_y)
+    converged = best.converged or best.cost <= rounding
     held = tuple(x for x in NAMES if x not in names)
-    M = at.e.size
-    degrees = M - len(names) - sum(Q.shape[1] for Q in at.spans)
-    sse = best.cost
-    noise_variance = sse / degrees
+    basis = determined(at.Psi)
     residuals, blocks, spans = by_experiment(plain.experiments, at)
-    by_held = problem.at(best.theta, held).Psi
-    u = uncertainty(at.Psi, by_held, residuals, blocks, noise_variance, M / degrees)
-    scale_held = scales(held, {x: getattr(plain.physics.fixed, x) for x in held})
-    carried = u.influence @ np.diag([fixed_std.get(x, 0.0) for x in held] / scale_held)
-    scale = scales(names, values)
-    covariances = [
-        part * np.outer(scale, scale)
-        for part in (u.noise, u.noise + carried @ carried.T, u.robust + carried @ carried.T)
-    ]
-    noise_std, std, robust_std = (
-        dict(zip(names, np.sqrt(np.maximum(np.diag(c), 0.0)).tolist(), strict=True))
-        for c in covariances
+    found = infer(
+        residuals,
+        blocks,
+        score="exogenous",
+        spans=spans,
+        y=data.y,
+        basis=basis.spread(data.valid),
+        rounding=rounding,
     )
-    lags = default_lags(M)
-    white = portmanteau(residuals, blocks, spans, lags) if noisy else float("nan")
-    step = quantum(data)
-    warnings += below_zero(values, std)
-    warnings += [w for w in (too_quiet(step, noise_variance),) if w]
-    if white < WHITE_LEVEL:
-        warnings.append(
-            f"the residuals are coloured (p {p_relation(white)}, level {100 * WHITE_LEVEL:g} %): "
-            "something of the rig is not in the model (friction?), or the noise is not white; "
-            "prefer std_robust"
+    influence = -basis.W @ (basis.Q.T @ problem.at(best.theta, held).Psi)
+    scale_held = scales(held, {x: getattr(plain.physics.fixed, x) for x in held})
+    carried = influence @ np.diag([fixed_std.get(x, 0.0) for x in held] / scale_held)
+    scale = scales(names, values)
+    noise, whole, robust = (
+        part * np.outer(scale, scale)
+        for part in (
+            found.covariance,
+            found.covariance + carried @ carried.T,
+            found.covariance_robust + carried @ carried.T,
         )
+    )
+    std = named_std(names, whole)
+    step = quantum(data)
     return GreyFit(
         method="output error",
         names=names,
         values=values,
         std=std,
-        std_noise=noise_std,
-        std_robust=robust_std,
-        covariance=covariances[1],
-        covariance_robust=covariances[2],
-        condition=u.condition,
-        influence=named_influence(names, held, u.influence),
+        std_noise=named_std(names, noise),
+        std_robust=named_std(names, robust),
+        covariance=whole,
+        covariance_robust=robust,
+        condition=float(np.linalg.cond(at.Psi / np.linalg.norm(at.Psi, axis=0))),
+        influence=named_influence(names, held, influence),
         fixed=plain.physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
         fixed_std=fixed_std,
         initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
         offset=tuple(float(x[-1]) for x in at.free),
-        noise_variance=noise_variance,
-        loss=sse / M,
-        fit_percent=fit_percent(valid_y, sse),
-        whiteness=white,
+        noise_variance=found.noise_variance,
+        loss=found.loss,
+        fit_percent=found.fit_percent,
+        whiteness=found.whiteness,
         quantum=step,
-        N=M,
+        N=found.N,
         Ts=data.Ts,
         converged=converged,
         physics=plain.physics,
-        warnings=tuple(warnings),
+        warnings=(
+            *([] if converged else [f"no convergence in {best.iterations} steps"]),
+            *below_zero(values, std),
+            *_noise_warnings(step, found),
+        ),
         **data.origin(),
     )
+
+
+def _noise_warnings(step: float, found: Inference) -> Iterator[str]:
+    if quiet := too_quiet(step, found.noise_variance):
+        yield quiet
+    if found.whiteness < WHITE_LEVEL:
+        yield (
+            f"the residuals are coloured (p {p_relation(found.whiteness)}, level "
+            f"{100 * WHITE_LEVEL:g} %): something of the rig is not in the model (friction?), or "
+            "the noise is not white; prefer std_robust"
+        )
 
 
 def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armrig.canvas import (
     BLUE,
@@ -19,23 +21,88 @@ from armrig.canvas import (
     short,
     sign,
 )
-from armrig.physics.grey_box.fit import UNITS
+from armrig.numerics.quantities import plural
+from armrig.physics.grey_box.least_squares_problem import GreyBox
+from armrig.physics.grey_box.parameters import COULOMB, UNITS
+from armrig.physics.grey_box.sampled_model import Physics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.dataset import Dataset
-    from armrig.physics.grey_box.fit import GreyFit
-    from armrig.physics.grey_box.split_study import SplitStudy
+
+Vector = NDArray[np.float64]
 
 
-def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes:
+class Estimate(Protocol):
+    """What is shown of a grey-box estimate."""
+
+    @property
+    def physics(self) -> Physics:
+        """The model."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that were free."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimates by name."""
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name."""
+
+
+class Parts(Protocol):
+    """What is shown of the estimates from k parts of the data."""
+
+    @property
+    def k(self) -> int:
+        """Number of parts."""
+
+    @property
+    def N(self) -> Vector:
+        """Samples in each part, (k,)."""
+
+    @property
+    def values(self) -> Vector:
+        """Estimates, (k,)."""
+
+    @property
+    def std(self) -> Vector:
+        """Standard deviations, (k,)."""
+
+    @property
+    def pooled(self) -> tuple[float, float]:
+        """Weighted mean and its standard deviation."""
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the estimates among each other."""
+
+
+class Study(Protocol):
+    """What is shown of estimates from ever smaller parts of the data."""
+
+    @property
+    def parameter(self) -> str:
+        """Which parameter."""
+
+    @property
+    def splits(self) -> Sequence[Parts]:
+        """Estimates from so many parts."""
+
+    @property
+    def source(self) -> str:
+        """Hash of the recording, or ""."""
+
+
+def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axes:
     """Show measured and simulated output, initial state and offset refitted, and below the error.
 
     Coulomb friction is left out of the simulation here; its error shows what it does.
     """
-    from armrig.physics.grey_box.least_squares_problem import COULOMB, GreyBox
-
     ax, below = panels(ax, 0.38)
     for panel in (ax, below):
         shade(panel, data)
@@ -56,7 +123,7 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
     return sign(ax, data.source)
 
 
-def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
+def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     """Show each part's estimate with ±2 standard deviations and, below, those against N."""
     ax, below = panels(axes(ax), 0.5, sharex=False)
     unit = UNITS.get(study.parameter, "")
@@ -69,7 +136,7 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
         edge = (place[0] - 0.4, place[-1] + 0.4)
         ax.fill_between(edge, value - 2 * std, value + 2 * std, color=VERMILION, alpha=0.2, lw=0)
         ax.plot(edge, [value, value], color=VERMILION, ls="--", lw=1.0)
-        ticks.append((float(place.mean()), f"{s.k} part{'s' * (s.k > 1)}"))
+        ticks.append((float(place.mean()), plural(s.k, "part")))
         x += s.k + 1
     ax.set_xticks([t for t, _ in ticks], [name for _, name in ticks])
     ax.set_ylabel(label)

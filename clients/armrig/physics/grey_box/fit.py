@@ -10,9 +10,9 @@ from armrig_core.arm import ArmParameters
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.checks import column
-from armrig.physics.grey_box.least_squares_problem import COULOMB
+from armrig.physics.grey_box.parameters import COULOMB, SIGNED, UNITS
 from armrig.physics.grey_box.response import linear_parts
-from armrig.physics.grey_box.sampled_model import SIGNED, Physics
+from armrig.physics.grey_box.sampled_model import Physics
 
 if TYPE_CHECKING:
     import control
@@ -22,18 +22,6 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-UNITS = {
-    "J_1": "kg m²",
-    "J_2": "kg m²",
-    "N": "",
-    "K_lin": "Nm/rad",
-    "R_m": "Ω",
-    "K_m": "Nm/A",
-    "b_1": "Nms/rad",
-    COULOMB: "Nm",
-}
-
-
 _TOLD = 2.0  # standard deviations that a parameter must be from 0
 _WAY_OUT = (
     "free fewer parameters, begin nearer to them, or record longer with an input that changes often"

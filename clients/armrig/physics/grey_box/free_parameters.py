@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 
 from armrig.data.dataset import Dataset
-from armrig.physics.grey_box.least_squares_problem import COULOMB
-from armrig.physics.grey_box.sampled_model import NAMES
+from armrig.physics.grey_box.parameters import COULOMB, NAMES
 
 Friction = Literal["viscous", "coulomb", "both"]
 _RECORDED = ("theta_1", "alpha", "velocity")

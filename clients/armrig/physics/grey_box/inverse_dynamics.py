@@ -30,8 +30,8 @@ from armrig.physics.grey_box.free_parameters import (
     free_names,
     require_output,
 )
-from armrig.physics.grey_box.least_squares_problem import COULOMB
-from armrig.physics.grey_box.sampled_model import SIGNED, Physics
+from armrig.physics.grey_box.parameters import COULOMB, SIGNED
+from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.grey_box.smoothing import LEAST_WIDTH, smoothed
 from armrig.physics.systems import chassis
 

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal
+from armrig.physics.grey_box.parameters import SIGNED
 from armrig.physics.grey_box.response import linear_parts, sensitivity, with_friction
-from armrig.physics.grey_box.sampled_model import SIGNED, Physics
+from armrig.physics.grey_box.sampled_model import Physics
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-COULOMB = "T_c"
-"""Name of the Coulomb friction of the chassis, in Nm."""
 # How the voltage T_c R_m / (N K_m) that stands for the friction goes with the logarithms.
 _VOLTAGE_POWERS = {"R_m": 1.0, "N": -1.0, "K_m": -1.0}
 _LEAST_START_V = 0.01  # of the search for the friction

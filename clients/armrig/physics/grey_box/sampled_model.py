@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,15 +11,14 @@ from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 from scipy.linalg import expm, expm_frechet
 
+from armrig.physics.grey_box.parameters import SIGNED
+
 if TYPE_CHECKING:
     import control
 
 Matrix = NDArray[np.float64]
 Model = Callable[[ArmParameters], "control.StateSpace"]
 
-NAMES = tuple(f.name for f in fields(ArmParameters))
-SIGNED = frozenset({"b_1"})
-"""Parameters that may be 0: estimated as they are, not as logarithms."""
 _STEP = 1e-3  # of a logarithm; the fourth-order difference is then good to some 1e-12
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import require_integers
-from armrig.numerics.quantities import p_relation
+from armrig.numerics.quantities import p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
 
@@ -108,7 +108,7 @@ class SplitStudy:
                 word = "agree" if s.p_value >= _LEVEL else "DIFFER"
                 lines.append(
                     f"The {s.k} parts {word} at a level of {100 * _LEVEL:g} % (chi² {s.chi2:.2f} "
-                    f"with {s.k - 1} degree{'s' * (s.k > 2)} of freedom, p "
+                    f"with {plural(s.k - 1, 'degree')} of freedom, p "
                     f"{p_relation(s.p_value)}); they scatter by {s.scatter:.2g}, where "
                     f"{sqrt(float(np.mean(s.std**2))):.2g} is reported."
                 )

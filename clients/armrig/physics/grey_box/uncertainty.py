@@ -3,61 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.numerics.covariance import exogenous_score
-from armrig.numerics.least_squares import orthonormal
-from armrig.physics.grey_box.least_squares_problem import COULOMB, Linearised
-from armrig.physics.grey_box.sampled_model import SIGNED
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.physics.grey_box.least_squares_problem import Linearised
+from armrig.physics.grey_box.parameters import COULOMB, SIGNED
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Uncertainty:
-    """Covariances of the coordinates."""
-
-    noise: Matrix
-    """For white residuals, (d, d)."""
-    robust: Matrix
-    """The sandwich form, (d, d)."""
-    influence: Matrix
-    """Derivatives of the estimates by what is held fixed, (d, held)."""
-    condition: float
-    """Of the scaled derivatives."""
-
-
-def uncertainty(
-    Psi: Matrix,
-    by_held: Matrix,
-    residuals: list[Vector],
-    blocks: list[Matrix],
-    noise_variance: float,
-    inflation: float,
-) -> Uncertainty:
-    """Return the covariances of the coordinates.
-
-    Where a fixed parameter is off by d, the estimate moves by -(Psi^T Psi)^-1 Psi^T Psi_fixed d.
-    """
+def determined(Psi: Matrix) -> Basis:
+    """Return the basis of the derivatives, or refuse parameters that stand in for each other."""
     basis = orthonormal(Psi)
     if basis.rank < Psi.shape[1]:
         msg = f"the data determine only {basis.rank} of {Psi.shape[1]} parameters, some stand in "
         msg += "for each other: hold more of them fixed"
         raise ValueError(msg)
-    bread = basis.W @ basis.W.T
-    norms = np.linalg.norm(Psi, axis=0)
-    return Uncertainty(
-        noise=noise_variance * bread,
-        robust=bread @ (exogenous_score(blocks, residuals) * inflation) @ bread,
-        influence=-basis.W @ (basis.Q.T @ by_held),
-        condition=float(np.linalg.cond(Psi / norms)),
-    )
+    return basis
 
 
 def by_experiment(
@@ -86,6 +53,12 @@ def _spread(rows: Matrix, valid: NDArray[np.bool_]) -> Matrix:
 def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
     """Return d parameter / d coordinate."""
     return np.array([1.0 if x in SIGNED | {COULOMB} else values[x] for x in names])
+
+
+def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
+    """Return standard deviations by name."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return dict(zip(names, std.tolist(), strict=True))
 
 
 def named_influence(
