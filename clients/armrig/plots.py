@@ -10,11 +10,11 @@ from armrig.estimation.figures import plot_orders
 from armrig.excitation.figures import plot_input
 from armrig.models.figures import plot_bode, plot_fit, plot_step
 from armrig.models.pole_zero_figure import plot_poles_zeros
+from armrig.models.spectral_figure import plot_spectral
 from armrig.nonparametric.figures import (
     plot_correlation,
     plot_impulse,
     plot_sampling_time,
-    plot_spectral,
     plot_step_analysis,
     plot_structure,
 )

@@ -102,7 +102,7 @@ class SpectralEstimate:
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show magnitude and phase with ±2 σ: see `armrig.plots.plot_spectral`."""
-        from armrig.nonparametric.figures import plot_spectral
+        from armrig.models.spectral_figure import plot_spectral
 
         return plot_spectral(self, ax=ax)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armrig.canvas import (
     BLUE,
@@ -26,14 +25,11 @@ from armrig.numerics.quantities import minus
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.nonparametric.correlation import Correlation
     from armrig.nonparametric.impulse import ImpulseResponse
     from armrig.nonparametric.sampling_time import SamplingTime
     from armrig.nonparametric.step_analysis import StepAnalysis
     from armrig.nonparametric.structure_hints import StructureHints
-
-BAND_95_PERCENT = 1.96
 
 
 def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
@@ -84,66 +80,6 @@ def plot_correlation(result: Correlation, *, level: float = 0.99, ax: Axes | Non
     ax.legend(loc="best")
     finish(ax)
     return sign(ax, result.source)
-
-
-def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes:
-    """Show magnitude, phase and, where it is known, coherence, with 95 % bands."""
-    ax, below = panels(ax, 0.36)
-    shown = (ax, below)
-    w, G = estimate.omega, estimate.G
-    known = np.isfinite(G) & (w > 0) & (np.abs(G) > 0)
-    w, magnitude = w[known], np.abs(G[known])
-    phase = np.degrees(estimate.phase[known])
-    # Unwrapped from the lowest frequency, begun between -360° and 0°.
-    phase = phase - 360 * np.ceil(phase[0] / 360) if phase.size else phase
-    lines = w.size < 200 and estimate.coherence is None
-    style: dict[str, Any] = {"marker": "o", "ms": 2.5, "lw": 0.6} if lines else {"lw": 1.1}
-    std, across = estimate.std_magnitude[known], np.degrees(estimate.std_phase[known])
-    if np.isfinite(std).any():
-        width = BAND_95_PERCENT * np.nan_to_num(std)
-        low = np.maximum(magnitude - width, 0.03 * magnitude)
-        ax.fill_between(w, low, magnitude + width, color=SKY, alpha=0.45, lw=0, label="95 %")
-        reach = np.minimum(BAND_95_PERCENT * np.nan_to_num(across), 180)
-        below.fill_between(w, phase - reach, phase + reach, color=SKY, alpha=0.45, lw=0)
-    ax.plot(w, magnitude, color=BLUE, label=estimate.method.split(",")[0], **style)
-    below.plot(w, phase, color=BLUE, **style)
-    if estimate.nonlinear_std is not None and np.isfinite(estimate.nonlinear_std).any():
-        for x, name, colour, dash in (
-            (
-                estimate.nonlinear_std[known],
-                "nonlinear distortion (one realisation)",
-                VERMILION,
-                "--",
-            ),
-            (_of(estimate.noise_only_std, known), "noise", GREEN, ":"),
-        ):
-            ax.plot(w, np.where(x > 0, x, np.nan), color=colour, ls=dash, lw=1.0, label=name)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    below.set_xscale("log")
-    if estimate.nonlinear_std is not None:
-        ax.set_ylim(top=20 * ax.get_ylim()[1])  # room for the legend
-    if phase.size:
-        ticks = 90 * np.arange(np.floor(phase.min() / 90), np.ceil(phase.max() / 90) + 1)
-        below.set_yticks(ticks[:: max(1, ticks.size // 6)])
-        below.set_ylim(phase.min() - 60, phase.max() + 60)
-    ax.set_ylabel(f"$|G|$ [{_gain(estimate)}]")
-    below.set_ylabel("arg $G$ [°]")
-    if estimate.coherence is not None:
-        other = ax.twinx()
-        other.set_axes_locator(ax.get_axes_locator())
-        other.plot(w, estimate.coherence[known], color=GREY, lw=0.8, ls="--")
-        other.set_ylim(0, 1.02)
-        other.set_ylabel("coherence (dashed)", color=GREY)
-        other.tick_params(colors=GREY)
-        other.spines["top"].set_visible(False)
-    below.set_xlabel(r"$\omega$ [rad/s]")
-    ax.legend(
-        loc="lower left" if estimate.nonlinear_std is None else "upper right", fontsize="small"
-    )
-    _plain_minor(*shown)
-    finish(*shown, xlim=(float(w[0]), float(w[-1])) if w.size > 1 else None)
-    return sign(ax, estimate.source)
 
 
 def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
@@ -255,14 +191,6 @@ def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
     return sign(ax, s.source)
 
 
-def _plain_minor(*shown: Axes) -> None:
-    """Write no number between decades."""
-    from matplotlib.ticker import NullFormatter
-
-    for ax in shown:
-        ax.xaxis.set_minor_formatter(NullFormatter())
-
-
 def _within(ax: Axes, text: str) -> None:
     """Write the label of an x axis inside, where another panel stands below."""
     ax.text(0.995, 0.02, text, transform=ax.transAxes, ha="right", va="bottom", fontsize="small")
@@ -270,10 +198,6 @@ def _within(ax: Axes, text: str) -> None:
 
 def _name(output: str) -> str:
     return NAMES.get(output, output)
-
-
-def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]:
-    return np.full(int(np.count_nonzero(known)), np.nan) if x is None else np.asarray(x[known])
 
 
 def _gain(result: Any, *, rate: bool = False) -> str:
