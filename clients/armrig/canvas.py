@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -11,17 +11,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from armrig.data.dataset import Dataset
-
 # M. Okabe, K. Ito, "Color Universal Design", 2008; without the yellow, too pale on paper.
-BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY = (
-    *("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"),
-)
+BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
+PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 INK, GREY = "#222222", "#777777"
 COLOURS = (VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY)
 DASHES: tuple[Any, ...] = ("--", "-", "-.", ":", (0, (6, 1.5, 1.5, 1.5)), (0, (3, 1)))
 NAMES = {"theta_1": r"$\theta_1$", "alpha": r"$\alpha$", "velocity": r"$\dot\theta_1$"}
 MISSING = "#BBBBBB"
+
+
+class Sampled(Protocol):
+    """What has a value at each sample, some of them missing: a `Dataset`, for example."""
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(N,), False where the value is missing."""
+
+    @property
+    def Ts(self) -> float:
+        """Sampling time, in s."""
 
 
 def axes(ax: Axes | None) -> Axes:
@@ -71,7 +80,7 @@ def sign(ax: Axes, *sources: str) -> Axes:
     return ax
 
 
-def shade(ax: Axes, data: Dataset) -> None:
+def shade(ax: Axes, data: Sampled) -> None:
     """Shade the time in which y is missing."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~data.valid, [False]]).astype(int)))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):

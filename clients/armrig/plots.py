@@ -5,7 +5,7 @@ white. A second panel, where a figure has one, takes its place from the lower pa
 """
 
 from armrig.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILION, finish, sign
-from armrig.data.figures import plot_data, plot_spectrum, plot_timing, plot_values
+from armrig.data.figures import plot_data, plot_spectrum, plot_values
 from armrig.estimation.figures import plot_orders
 from armrig.excitation.figures import plot_input
 from armrig.models.figures import plot_bode, plot_fit, plot_step
@@ -26,6 +26,7 @@ from armrig.physics.integrators.figures import (
     plot_stability_edge,
     plot_stability_regions,
 )
+from armrig.recordings.figures import plot_timing
 from armrig.validation.feedback_and_delay.figures import plot_delay, plot_open_loop
 from armrig.validation.figures import plot_compare, plot_residuals
 

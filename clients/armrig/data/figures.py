@@ -1,40 +1,70 @@
-"""Figures of what was recorded: data and timing."""
+"""Figures of data: against time, their spectra, and how often each value was taken."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armrig.canvas import (
-    BLUE,
-    INK,
-    NAMES,
-    SKY,
-    VERMILION,
-    axes,
-    finish,
-    named,
-    panels,
-    shade,
-    short,
-    sign,
-)
-from armrig.recordings.jitter import jitter_us, lateness_us
+from armrig.canvas import BLUE, INK, NAMES, Sampled, finish, named, panels, shade, sign
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.data.dataset import Dataset
-    from armrig.recordings.recording import Recording
+Vector = NDArray[np.float64]
 
 
-def plot_data(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
+class Signals(Sampled, Protocol):
+    """Input and output at N instants; a `Dataset` is one. Its fields say more."""
+
+    @property
+    def u(self) -> Vector:
+        """Input (N,)."""
+
+    @property
+    def y(self) -> Vector:
+        """Output (N,), NaN where it is missing."""
+
+    @property
+    def t(self) -> Vector:
+        """Time (N,), in s."""
+
+    @property
+    def output(self) -> str:
+        """Name of y."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of y."""
+
+    @property
+    def input_unit(self) -> str:
+        """Unit of u."""
+
+    @property
+    def source(self) -> str:
+        """Hash of the recording, or ""."""
+
+    def experiments(self) -> Iterable[Signals]:
+        """Iterate over the experiments."""
+
+
+@runtime_checkable
+class HasSignals(Protocol):
+    """What signals can be taken from; a `Recording` is one."""
+
+    def dataset(self) -> Signals:
+        """Return its signals."""
+
+
+def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     """Show output and, below it, input against time; where the output is missing is shaded.
 
     A recording shows theta_1.
     """
-    data = _dataset(source)
+    data = _signals(source)
     ax, below = panels(ax, 0.28)
     for panel in (ax, below):
         shade(panel, data)
@@ -48,7 +78,7 @@ def plot_data(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
     return sign(ax, data.source)
 
 
-def plot_spectrum(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
+def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     """Show the power density of the output and, below it, of the input, both axes logarithmic.
 
     Averaged over the stretches without a gap, see `armrig.numerics.power_spectrum`. What
@@ -56,7 +86,7 @@ def plot_spectrum(source: Recording | Dataset, *, ax: Axes | None = None) -> Axe
     """
     from armrig.numerics.power_spectrum import power_spectrum
 
-    data = _dataset(source)
+    data = _signals(source)
     ax, below = panels(ax, 0.5)
     for panel, signals, colour, label, unit in (
         (ax, [d.y for d in data.experiments()], BLUE, data.output, data.unit),
@@ -78,12 +108,12 @@ def plot_spectrum(source: Recording | Dataset, *, ax: Axes | None = None) -> Axe
     return sign(ax, data.source)
 
 
-def plot_values(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
+def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     """Show how often each value of the output and, below it, of the input was taken.
 
     The counts are logarithmic: a single sample far from all others, an outlier, shows.
     """
-    data = _dataset(source)
+    data = _signals(source)
     ax, below = panels(ax, 0.5, sharex=False)
     for panel, values, colour, label in (
         (ax, data.y[data.valid], BLUE, named(data.output, data.unit)),
@@ -98,54 +128,10 @@ def plot_values(source: Recording | Dataset, *, ax: Axes | None = None) -> Axes:
     return sign(ax, data.source)
 
 
-def plot_timing(
-    recording: Recording,
-    *,
-    quantity: Literal["jitter", "lateness"] = "jitter",
-    ax: Axes | None = None,
-) -> Axes:
-    """Show the histogram of a time, both axes logarithmic, with its p50, p99 and maximum.
-
-    Parameters
-    ----------
-    quantity : {"jitter", "lateness"}
-        |interval - Ts| on the device's clock, or how late the host asked for each sample.
-    """
-    ax = axes(ax)
-    if quantity == "jitter":
-        x, label = jitter_us(recording), r"$|\Delta t - T_s|$ on the device's clock [µs]"
-    else:
-        x, label = lateness_us(recording), "host's lateness [µs]"
-    # What is less than the clock resolves is shown at the left edge.
-    floor = 0.5 if quantity == "jitter" else 0.1
-    marks = np.percentile(x, (50, 99, 100)) if x.size else ()
-    x = np.maximum(x, floor)
-    top = max(float(x.max(initial=floor)) * 1.3, floor * 20)
-    edges = np.geomspace(floor, top, 41)
-    # The device's clock ticks in µs: no bin between two ticks, or the histogram shows its own comb.
-    bins = np.unique(np.round(edges)) + 0.5 if quantity == "jitter" else edges
-    bins = np.insert(bins, 0, floor) if bins[0] > floor else bins
-    ax.hist(x, bins=bins.tolist(), color=SKY, edgecolor=BLUE, lw=0.5)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlim(floor, top)
-    ax.set_ylim(0.6, max(ax.get_ylim()[1] * 6, 20.0))
-    for name, value, dash in zip(("p50", "p99", "max"), marks, (":", "--", "-"), strict=False):
-        text = f"{name} {short(value)} µs"
-        ax.axvline(max(value, floor), color=VERMILION, ls=dash, lw=1.1, label=text)
-    ax.set_xlabel(label)
-    ax.set_ylabel("samples")
-    ax.legend(loc="upper center", ncols=3, handlelength=1.2, columnspacing=0.9, borderpad=0.3)
-    finish(ax)
-    return sign(ax, recording.sha256)
-
-
 def squared(unit: str) -> str:
     """Return a unit's square and a space, for an axis; nothing where there is no unit."""
     return f"({unit})² " if "/" in unit else f"{unit}² " if unit else ""
 
 
-def _dataset(source: Recording | Dataset) -> Dataset:
-    from armrig.data.dataset import Dataset
-
-    return source if isinstance(source, Dataset) else source.dataset()
+def _signals(source: Signals | HasSignals) -> Signals:
+    return source.dataset() if isinstance(source, HasSignals) else source
