@@ -109,6 +109,18 @@ def test_a_run_that_shows_no_turns_is_refused_with_the_way_out(
     assert "three turns or more: see --volts" in str(refused.value)
 
 
+def test_a_voltage_at_which_one_sample_shows_an_angle_is_refused() -> None:
+    """One sample has no speed."""
+    readings = made_turns(noise=32.0, omega=(3.7, 1.9))
+    last = np.flatnonzero(readings.u == readings.u[-1])
+    theta_1 = readings.theta_1.copy()
+    theta_1[last] = 0.0
+    theta_1[last[-1]] = 30_000.0
+
+    with pytest.raises(CalibrationError, match="too few angles at one of the voltages"):
+        turning(replace(readings, theta_1=theta_1), 64.0)
+
+
 def test_a_worn_track_is_told() -> None:
     """Where it shows a rail in the middle of a turn, the straight line is no calibration."""
     readings = made_turns(noise=32.0)
@@ -232,6 +244,18 @@ def test_a_meter_gives_the_line_through_its_readings() -> None:
     assert terminal_voltage([], 0.01) is None
     with pytest.raises(CalibrationError, match="read it at another code, too"):
         terminal_voltage([(1.0, 1.0), (1.0, 1.1)], 0.01)
+
+
+def test_a_line_through_readings_close_together_keeps_its_digits() -> None:
+    """Its matrix is not squared: of sixteen digits six are lost to the codes, not twelve."""
+    codes = (4.99999, 5.0)
+
+    found = terminal_voltage([(u, 0.1 + 0.9 * u) for u in codes], 0.01)
+
+    assert found is not None
+    assert found.offset.value == pytest.approx(0.1, abs=1e-8)
+    assert found.gain.value == pytest.approx(0.9, abs=1e-9)
+    assert found.gain.std == pytest.approx(0.01 * sqrt(2) / 1e-5, rel=1e-9)
 
 
 def test_a_driver_that_gives_more_than_the_rig_stands_is_told_with_the_limit_to_set() -> None:

@@ -10,7 +10,9 @@ import numpy as np
 from armrig_core.calibration import Figure
 from armrig_core.volts import U_MAX_V
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
+from armrig.numerics.least_squares import orthonormal
 from armrig.recordings.calibration.readings import CalibrationError
 from armrig.recordings.calibration.rotation import Turning
 
@@ -89,9 +91,10 @@ def terminal_voltage(
     if np.ptp(u) == 0:
         msg = f"all readings of the meter are at {u[0]:g} V: read it at another code, too"
         raise CalibrationError(msg)
-    X = np.column_stack([np.ones(u.size), u])
-    inverse = np.linalg.inv(X.T @ X)
-    return TerminalVoltage(line=inverse @ X.T @ y, covariance=meter_std_v**2 * inverse)
+    basis = orthonormal(np.column_stack([np.ones(u.size), u]))
+    return TerminalVoltage(
+        line=basis.coefficients(y), covariance=meter_std_v**2 * basis.W @ basis.W.T
+    )
 
 
 def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
@@ -107,11 +110,12 @@ def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
     if np.unique(v).size < 2:
         return None
     J = np.column_stack([np.eye(omega.size) * turned.direction * 2 * pi / d, -omega / d])[moved]
-    omega = omega[moved]
-    W = np.linalg.inv(J @ turned.covariance @ J.T)
+    # L L^T is the covariance of the speeds; L^-1 makes their errors independent and equal.
+    L = np.linalg.cholesky(J @ turned.covariance @ J.T)
     X = np.column_stack([v, np.ones(v.size)])
-    P = np.linalg.inv(X.T @ W @ X)
-    slope, intercept = P @ X.T @ W @ omega
+    basis = orthonormal(solve_triangular(L, X, lower=True))
+    slope, intercept = basis.coefficients(solve_triangular(L, omega[moved], lower=True))
+    P = basis.W @ basis.W.T
     stands = -intercept / slope  # in volts of the code
     gradient = np.array([-stands / slope, -1 / slope])
     offset, gain = terminal.line

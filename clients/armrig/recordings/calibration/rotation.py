@@ -18,6 +18,7 @@ import numpy as np
 from armrig_core.calibration import Figure
 from numpy.typing import NDArray
 
+from armrig.numerics.least_squares import orthonormal
 from armrig.recordings.calibration.readings import CalibrationError, Readings
 from armrig.recordings.calibration.rest import FULL_COUNTS, RAIL_COUNTS
 
@@ -118,7 +119,12 @@ def turning(readings: Readings, step: float) -> Turning:
     m = settled.volts.size
     var_d = float(covariance[-1, -1])
     low_edge, high_edge = _edges(
-        *(place, counts, live, (low + high) / 2, float(x[-1])), 6 * sqrt(variance) + step
+        place,
+        counts,
+        live,
+        centre=(low + high) / 2,
+        d=float(x[-1]),
+        clear=6 * sqrt(variance) + step,
     )
     return Turning(
         direction=direction,
@@ -190,16 +196,13 @@ def _fitted(
     X[np.arange(t.size), level] = 1.0
     X[np.arange(t.size), m + level] = t
     X[:, -1] = -direction * n[rows]
-    scale = np.linalg.norm(X, axis=0)
-    if (scale == 0).any() or t.size <= 2 * m + 1:
+    basis = orthonormal(X)
+    if basis.rank < X.shape[1] or t.size <= X.shape[1]:
         msg = f"theta_1 shows too few angles at one of the voltages: {_WAY_OUT}"
         raise CalibrationError(msg)
-    Q, R = np.linalg.qr(X / scale)
-    inverse = np.linalg.inv(R) / scale[:, None]
-    x = inverse @ (Q.T @ settled.counts[rows])
-    residuals = settled.counts[rows] - X @ x
-    variance = float(residuals @ residuals) / (t.size - x.size)
-    return x, variance * inverse @ inverse.T, variance
+    residuals = basis.without(settled.counts[rows])
+    variance = float(residuals @ residuals) / (t.size - basis.rank)
+    return basis.coefficients(settled.counts[rows]), variance * basis.W @ basis.W.T, variance
 
 
 def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tuple[Vector, Vector]:
@@ -211,7 +214,7 @@ def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tupl
 
 
 def _edges(
-    place: Vector, counts: Vector, live: Mask, centre: float, d: float, clear: float
+    place: Vector, counts: Vector, live: Mask, *, centre: float, d: float, clear: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return between which places the track begins, and between which it ends."""
     # Where the wiper comes back, the first reading may be from anywhere: it says neither.
