@@ -116,11 +116,21 @@ class Dataset:
         y_[~valid_] = np.nan
         for array in (u_, y_, valid_):
             array.flags.writeable = False
-        values: tuple[Any, ...] = (u_, y_, float(Ts), valid_, starts_)
-        values += (output, unit, input_unit, source)
-        values = (*values, tuple(history), tuple(trends))
-        for name, value in zip(self.__slots__, values, strict=True):
-            object.__setattr__(self, name, value)
+        values = {
+            "u": u_,
+            "y": y_,
+            "Ts": float(Ts),
+            "valid": valid_,
+            "starts": starts_,
+            "output": output,
+            "unit": unit,
+            "input_unit": input_unit,
+            "source": source,
+            "history": tuple(history),
+            "trends": tuple(trends),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)  # the only way into a frozen dataclass
 
     @property
     def N(self) -> int:
@@ -140,8 +150,8 @@ class Dataset:
     @property
     def digest(self) -> str:
         """Fingerprint of the numbers, to tell estimation data from validation data."""
-        parts = (self.u, self.y, self.valid, np.array([self.Ts]), np.array(self.starts))
-        return hashlib.blake2b(b"".join(p.tobytes() for p in parts), digest_size=8).hexdigest()
+        arrays = (self.u, self.y, self.valid, np.array([self.Ts]), np.array(self.starts))
+        return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
 
     def origin(self) -> dict[str, Any]:
         """Return what a model from these data says of them, as the fields of a `Fit`."""
@@ -226,11 +236,10 @@ class Dataset:
             There is no such experiment, or none was asked for.
         """
         parts = list(self.experiments())
-        for i in which or (-1,):
-            if not 0 <= i < len(parts):
-                msg = f"select{which} needs numbers from 0 to {len(parts) - 1}: there are "
-                msg += f"{len(parts)} experiments"
-                raise ValueError(msg)
+        if not which or not all(0 <= i < len(parts) for i in which):
+            msg = f"select{which} needs numbers from 0 to {len(parts) - 1}: there are "
+            msg += f"{len(parts)} experiments"
+            raise ValueError(msg)
         chosen = [parts[i].replaced(step=None, history=self.history) for i in which]
         step = f"selected experiments {', '.join(map(str, which))} of {len(parts)}"
         return merge(chosen).replaced(step=step, history=self.history)
@@ -267,13 +276,14 @@ class Dataset:
 
     def __repr__(self) -> str:
         """Say it in one line."""
-        parts = [f"{self.N} samples at {self.Ts:g} s", f"output {self.output}"]
-        parts[1] += f" [{self.unit}]" if self.unit else ""
+        unit = f" [{self.unit}]" if self.unit else ""
+        parts = [f"{self.N} samples at {self.Ts:g} s", f"output {self.output}{unit}"]
         if self.missing:
             parts.append(f"{self.missing} missing ({100 * self.missing / self.N:.1f} %)")
         if len(self.starts) > 1:
             parts.append(f"{len(self.starts)} experiments")
-        parts += [f"history: {'; '.join(self.history)}"] if self.history else []
+        if self.history:
+            parts.append(f"history: {'; '.join(self.history)}")
         return f"<Dataset: {'; '.join(parts)}>"
 
 
@@ -304,8 +314,10 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
             msg = f"merge needs one {name}, got {values}; treat the data alike before merging"
             raise ValueError(msg)
     offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
-    taken = any(d.trends for d in parts)
-    trends = [d.trends or (Trend(),) * len(d.starts) for d in parts] if taken else []
+    trends: list[Trend] = []
+    if any(d.trends for d in parts):
+        for d in parts:
+            trends += d.trends or [Trend() for _ in d.starts]
     return Dataset(
         u=np.concatenate([d.u for d in parts]),
         y=np.concatenate([d.y for d in parts]),
@@ -317,7 +329,7 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
         input_unit=parts[0].input_unit,
         source="+".join(dict.fromkeys(d.source for d in parts if d.source)),
         history=_joined_history(parts),
-        trends=[trend for of_part in trends for trend in of_part],
+        trends=trends,
     )
 
 

@@ -58,14 +58,21 @@ _PASSED_OVER = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
 _INDEX_HEAD = Struct("<HI")  # of a message index: channel, length of what follows
 # What may stand before the end of the data; a changed opcode must not make a chunk disappear.
 _DATA = (
-    *(Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK),
-    *(Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.DATA_END),
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.MESSAGE,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.ATTACHMENT,
+    Opcode.METADATA,
+    Opcode.DATA_END,
 )
 _NAME_LIMIT, _MESSAGE_HEAD = 100, 2 + 4 + 8 + 8  # B; channel, sequence, log and publish time
 _WORK, _KEPT = "units of work with records", "B of messages other than samples"
 _UNPACKED = "B in its chunks, unpacked"
 _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 1, 10  # measured, roughly
-# Bytes that a message costs us beyond its payload once it is told as what it is; measured.
+# Bytes that a message costs us beyond its payload once it is parsed; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 READ = STREAMS
 """What most readers want; the core's steps are for who decides a run once more."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import nan
 from typing import Any
 
@@ -78,9 +78,9 @@ class Timing:
     collections: int
     """Garbage collections of the loop since it was started: each is a stall."""
     cpu_pressure_percent: float
-    """Share of the second in which some task of the host waited for a processor; NaN: not told."""
+    """Share of the second in which some task of the host waited for a processor; NaN: unknown."""
     run_queue: int
-    """Tasks of the host that were runnable; -1: not told."""
+    """Tasks of the host that were runnable; -1: unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,24 +115,23 @@ class Clock:
         return (host_ns - self.zero_ns) / 1e9
 
 
-def check_whole_numbers(*told: Manifest | Outcome) -> None:
+def check_whole_numbers(record: Manifest | Outcome) -> None:
     """Raise ValueError where a whole number needs more than 64 bit: no time, index or count does.
 
     Python reads 400 digits as gladly, and then fails wherever they meet a float. And where what
     is nested lies deeper than anything we write: whoever prints it would exceed the recursion.
     """
-    for part in told:
-        for name in part.__struct_fields__:
-            value = getattr(part, name)
-            if isinstance(value, int) and not -(2**63) <= value < 2**63:
-                msg = f"{name} does not fit into 64 bit"
+    for name in record.__struct_fields__:
+        value = getattr(record, name)
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            msg = f"{name} does not fit into 64 bit"
+            raise ValueError(msg)
+        depth, layer = 0, [value]
+        while layer := [v for outer in layer for v in _within(outer)]:
+            depth += 1
+            if depth > _DEPTH_LIMIT:
+                msg = f"{name} is nested more than {_DEPTH_LIMIT} deep"
                 raise ValueError(msg)
-            depth, layer = 0, [value]
-            while layer := [v for outer in layer for v in _within(outer)]:
-                depth += 1
-                if depth > _DEPTH_LIMIT:
-                    msg = f"{name} is nested more than {_DEPTH_LIMIT} deep"
-                    raise ValueError(msg)
 
 
 def _within(value: Any) -> Iterable[Any]:
@@ -162,27 +161,33 @@ def event_of(message: Any, clock: Clock) -> Event:
 
 def timing_of(message: Any, clock: Clock) -> Timing:
     """Return the timing in a protobuf message."""
-
-    def distribution(part: Any) -> Distribution:
-        return Distribution(**{name: getattr(part, name) for name in Distribution.__slots__})
-
     return Timing(
         t=clock.seconds(message.t_host_ns),
-        wake_lateness_us=distribution(message.wake_lateness_us),
-        device_tick_error_us=distribution(message.device_tick_error_us),
-        link_round_trip_us=distribution(message.link_round_trip_us),
-        queue_depth=distribution(message.queue_depth),
-        collections=_told(message, "collections", 0),
-        cpu_pressure_percent=_told(message, "cpu_pressure_percent", nan),
-        run_queue=_told(message, "run_queue", -1),
+        wake_lateness_us=_distribution(message.wake_lateness_us),
+        device_tick_error_us=_distribution(message.device_tick_error_us),
+        link_round_trip_us=_distribution(message.link_round_trip_us),
+        queue_depth=_distribution(message.queue_depth),
+        collections=_field_or(message, "collections", 0),
+        cpu_pressure_percent=_field_or(message, "cpu_pressure_percent", nan),
+        run_queue=_field_or(message, "run_queue", -1),
     )
 
 
-def _told(message: Any, name: str, otherwise: float) -> Any:
+def _distribution(message: Any) -> Distribution:
+    return Distribution(**{f.name: getattr(message, f.name) for f in fields(Distribution)})
+
+
+def _field_or(message: Any, name: str, otherwise: float) -> Any:
     return getattr(message, name) if message.HasField(name) else otherwise
 
 
 def device_clock_of(message: Any, clock: Clock) -> DeviceClock:
     """Return the comparison of the clocks in a protobuf message."""
-    fields = {name: getattr(message, name) for name in DeviceClock.__slots__ if name != "t"}
-    return DeviceClock(t=clock.seconds(message.t_host_ns), **fields)
+    return DeviceClock(
+        t=clock.seconds(message.t_host_ns),
+        offset_ns=message.offset_ns,
+        offset_std_ns=message.offset_std_ns,
+        drift_ppm=message.drift_ppm,
+        drift_std_ppm=message.drift_std_ppm,
+        bound_ns=message.bound_ns,
+    )

@@ -249,7 +249,9 @@ def load(path: str | Path, calibration: Calibration | str | Path | None = None) 
         outcome = content.metadata.get(records.OUTCOME)
         ended = None if outcome is None else records.outcome_of(outcome)
         attached = _calibration(content)
-        check_whole_numbers(manifest, *([ended] if ended else []))
+        check_whole_numbers(manifest)
+        if ended is not None:
+            check_whole_numbers(ended)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         msg = f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
         raise RecordingError(msg) from err
@@ -305,7 +307,7 @@ def _assembled(
         clock=tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
         truncated=bool(content.damage),
         cut_off=content.cut_off,
-        damage=content.damage and content.damage + saved,
+        damage=content.damage + saved if content.damage else "",
     )
     for array in (*(getattr(recording, name) for name in _ARRAYS), samples):
         array.flags.writeable = False

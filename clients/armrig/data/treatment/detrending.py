@@ -66,7 +66,7 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         u[rows] -= taken.u(t)
         y[rows] -= taken.y(t)
         trends.append(data.trends[k] + taken if data.trends else taken)
-    what = ("the mean", "a straight line")[order]
+    what = "the mean" if order == 0 else "a straight line"
     each = "" if len(trends) == 1 else " of each experiment"
     despite = f", although {reason}" if reason else ""
     return data.replaced(
@@ -107,19 +107,22 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
         msg = "there is no trend to put back: detrend was not applied to these data, or they were "
         msg += f"filtered after it (history: {done}); keep the data from before that step"
         raise ValueError(msg)
-    of_u, of_y = np.zeros(data.N), np.zeros(data.N)
+    u_trend, y_trend = np.zeros(data.N), np.zeros(data.N)
     for trend, part, start in zip(data.trends, data.experiments(), data.starts, strict=True):
-        of_u[start : start + part.N] = trend.u(part.t)
-        of_y[start : start + part.N] = trend.y(part.t)
+        u_trend[start : start + part.N] = trend.u(part.t)
+        y_trend[start : start + part.N] = trend.y(part.t)
     if y is None:
         return data.replaced(
-            u=data.u + of_u, y=data.y + of_y, trends=(), step="put the trend back on u and y"
+            u=data.u + u_trend,
+            y=data.y + y_trend,
+            trends=(),
+            step="put the trend back on u and y",
         )
     taken = column("y", y)
     if taken.size != data.N:
         msg = f"y has {taken.size} samples and the data have {data.N}; give one for each instant"
         raise ValueError(msg)
-    return taken + of_y
+    return taken + y_trend
 
 
 def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:
@@ -129,5 +132,6 @@ def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:
     # Least squares about the middle of the known times: level and slope do not disturb each other.
     middle = float(np.mean(t[where]))
     basis = orthonormal(np.vander(t[where] - middle, order + 1, increasing=True))
-    level, slope = (*basis.coefficients(x[where]), 0.0)[:2]
-    return float(level - slope * middle), float(slope)
+    coefficients = basis.coefficients(x[where])
+    level, slope = float(coefficients[0]), float(coefficients[1]) if order == 1 else 0.0
+    return level - slope * middle, slope

@@ -69,10 +69,10 @@ def drift(data: Dataset, order: int = _ORDER) -> tuple[Drift, ...]:
         msg = f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
         msg += "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
         raise ValueError(msg)
-    return tuple(_of_experiment(part, order) for part in data.experiments())
+    return tuple(_drift_of(part, order) for part in data.experiments())
 
 
-def _of_experiment(part: Dataset, n: int) -> Drift:
+def _drift_of(part: Dataset, n: int) -> Drift:
     needed = 4 * n + 10
     if part.N - part.missing < needed:
         msg = f"an experiment has {part.N - part.missing} samples; a drift by a model of order {n} "

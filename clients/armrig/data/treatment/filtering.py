@@ -159,7 +159,7 @@ def resample(data: Dataset, Ts: float) -> Dataset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Filter:
-    """One filter L(q), as it is applied and as it is told."""
+    """One filter L(q), and its name in the history."""
 
     apply: Callable[[Vector], Vector]
     """From rest."""
@@ -169,10 +169,8 @@ class _Filter:
 
 
 def _rational(numerator: ArrayLike | None, denominator: ArrayLike) -> _Filter:
-    b, a = (
-        column("numerator", () if numerator is None else numerator),
-        column("denominator", denominator),
-    )
+    b = column("numerator", () if numerator is None else numerator)
+    a = column("denominator", denominator)
     if a[0] == 0 or not stable(a):
         msg = f"the filter's denominator {a.tolist()} must begin with a number that is not 0 and "
         msg += "have its roots inside the unit circle; differences are made with difference(data)"
@@ -198,18 +196,18 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
         raise ValueError(msg)
     edges: float | tuple[float, float]
     if low == 0:
-        kind, edges, told = "lowpass", high / nyquist, f"low-pass to {high:g}"
+        kind, edges, name = "lowpass", high / nyquist, f"low-pass to {high:g}"
     elif high >= nyquist:
-        kind, edges, told = "highpass", low / nyquist, f"high-pass from {low:g}"
+        kind, edges, name = "highpass", low / nyquist, f"high-pass from {low:g}"
     else:
         kind, edges = "bandpass", (low / nyquist, high / nyquist)
-        told = f"band-pass from {low:g} to {high:g}"
+        name = f"band-pass from {low:g} to {high:g}"
     # Sections, not polynomials: these lose their poles to rounding where a band is low and narrow.
     sections = butter(order, edges, kind, output="sos")
     return _Filter(
         apply=lambda x: np.asarray(sosfilt(sections, x)),
         gain=float(np.prod(sections[:, :3].sum(axis=1) / sections[:, 3:].sum(axis=1))),
-        name=f"a Butterworth {told} rad/s of order {order}",
+        name=f"a Butterworth {name} rad/s of order {order}",
     )
 
 
