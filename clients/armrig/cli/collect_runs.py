@@ -51,7 +51,7 @@ def chosen(
 ) -> list[Played]:
     """Return what to play; what is not allowed is told before a rig is asked for."""
     from armrig.excitation import from_csv
-    from armrig.excitation.named_signals import SEEDED, by_name, details_of
+    from armrig.excitation.named_signals import SEEDED, details_of, named_signal
 
     name = input or ("telegraph" if file is None else "csv")
     if (name == "csv") != (file is not None):
@@ -72,12 +72,12 @@ def chosen(
         details: dict[str, Any] = {"input": "csv", "file": file.name}
         return [Played(experiment, lambda _, Ts: from_csv(file, Ts), details, None)]
     figures = {"a": a, "low": low, "high": high}
-    by_name(name, 3, 0.01, seed=seed, **figures)
+    named_signal(name, 3, 0.01, seed=seed, **figures)
     named = [(experiment, seed), (f"{experiment}-validation", seed + 1)][: 1 + validation]
     return [
         Played(
             told,
-            lambda N, Ts, seed=seed: by_name(name, N, Ts, seed=seed, **figures),  # type: ignore[misc]
+            lambda N, Ts, seed=seed: named_signal(name, N, Ts, seed=seed, **figures),  # type: ignore[misc]
             details_of(name, seed=seed, **figures),
             SECONDS if seconds is None else seconds,
         )

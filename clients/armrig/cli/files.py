@@ -40,10 +40,10 @@ def info(
 ) -> None:
     """Say what a recording holds and how well it was sampled."""
     from armrig.recordings.calibration.staleness import calibrated, remarks
-    from armrig.recordings.gap_summary import in_lines
+    from armrig.recordings.gap_summary import gap_lines
     from armrig.recordings.jitter import sampling_statistics
     from armrig.recordings.recording import load
-    from armrig.recordings.timing_disturbances import causes, in_words
+    from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
     from armrig.recordings.usability import data_verdict
 
     if plot is not None:
@@ -56,7 +56,7 @@ def info(
         facts = {"sha256": rec.sha256, "manifest": rec.manifest, "outcome": rec.outcome}
         facts |= {"samples": int(rec.samples.size), "missing": rec.missing, "invalid": rec.hidden}
         facts |= {"truncated": rec.truncated, "damage": rec.damage, "sampling": timing}
-        facts |= {"causes": causes(rec), "calibration": rec.calibration}
+        facts |= {"causes": disturbances(rec), "calibration": rec.calibration}
         facts |= {"remarks": remarks(rec.calibration, rec.manifest)}
         facts |= {"verdict": data_verdict(rec).facts()}
         print_json(facts | {"gaps": rec.gaps, "events": rec.events})
@@ -82,8 +82,8 @@ def info(
         *(("remark", text) for text in remarks(rec.calibration, rec.manifest)),
         ("jitter", _microseconds(jitter, 0)),
         ("lateness", _lateness(lateness, manifest.pacing)),
-        *in_words(causes(rec)),
-        *(("gap", text) for text in in_lines(rec.gaps)),
+        *disturbance_rows(disturbances(rec)),
+        *(("gap", text) for text in gap_lines(rec.gaps)),
         *(("damage", rec.damage) for _ in range(rec.truncated)),
         ("verdict", data_verdict(rec).in_a_line),
     )

@@ -17,7 +17,7 @@ SEEDED = ("telegraph", "prbs", "white", "multisine")
 NAMES = (*SEEDED, "chirp")
 
 
-def by_name(
+def named_signal(
     name: str, N: int, Ts: float, *, a: float, low: float, high: float, seed: int
 ) -> Vector:
     """Return the input (N,) of a name, in V.
@@ -60,7 +60,7 @@ def by_name(
 
 
 def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> dict[str, Any]:
-    """Return what makes an input of `by_name` again, to be kept with the recording."""
+    """Return what makes an input of `named_signal` again, to be kept with the recording."""
     details: dict[str, Any] = {"input": name}
     details |= {"a": a} if name in ("telegraph", "prbs") else {}
     details |= {"low": low, "high": high}

@@ -1,4 +1,4 @@
-"""What is found in a recording's data, one thing looked at after the other, in words."""
+"""What is checked in a recording's data, and what was found."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _AT_REST = 6  # steps of the converter by which readings of a joint that stands 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One thing that was looked at."""
+    """What one check found."""
 
     level: Literal["good", "warning", "unusable"]
     """Whether it stands in the way of identification."""
     about: str
-    """What was looked at: run, input, angle, arm, signal, samples, timing or turns."""
+    """What was checked: run, input, angle, arm, signal, samples, timing or turns."""
     text: str
     """What was found and, where it is not good, what to do."""
 
@@ -52,8 +52,8 @@ def _unusable(about: str, text: str) -> Finding:
     return Finding(level="unusable", about=about, text=text)
 
 
-def of_run(r: Recording) -> Iterator[Finding]:
-    """Look at how the run ended, and at whether the file is whole."""
+def check_run(r: Recording) -> Iterator[Finding]:
+    """Check how the run ended, and whether the file is whole."""
     if r.cut_off:
         text = f"the file is cut off: it holds {r.N * r.Ts:g} s of {r.asked_s:g} s"
         yield _warning("run", text)
@@ -64,8 +64,8 @@ def of_run(r: Recording) -> Iterator[Finding]:
         yield _warning("run", f"the run ended early: {why}")
 
 
-def of_input(r: Recording) -> Iterator[Finding]:
-    """Look at whether the input moves at all."""
+def check_input(r: Recording) -> Iterator[Finding]:
+    """Check whether the input moves at all."""
     u = r.u[np.isfinite(r.u)]
     if not u.size or np.ptp(u) == 0:
         text = "the input never moves: it shows a gain at most; play one that switches"
@@ -74,8 +74,8 @@ def of_input(r: Recording) -> Iterator[Finding]:
         yield _good("input", f"{u.min():.3g} to {u.max():.3g} V")
 
 
-def of_angle(r: Recording) -> Iterator[Finding]:
-    """Look at how much of theta_1 is hidden, and for how long on end."""
+def check_angle(r: Recording) -> Iterator[Finding]:
+    """Check how much of theta_1 is hidden, and for how long on end."""
     came = r.samples.size
     if not r.valid.any():
         text = f"none of {came} samples shows theta_1: broken wire, or it stands in the dead band; "
@@ -92,10 +92,10 @@ def of_angle(r: Recording) -> Iterator[Finding]:
         yield _good("angle", text)
 
 
-def of_arm(r: Recording) -> Iterator[Finding]:
-    """Look at alpha, which has no dead band to pass through; without the arm it must rest."""
+def check_arm(r: Recording) -> Iterator[Finding]:
+    """Check alpha, which has no dead band to pass through; without the arm it must rest."""
     if _is_greybox(r):
-        yield from _of_removed_arm(r)
+        yield from _check_removed_arm(r)
         return
     clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
     if clipped:
@@ -109,25 +109,25 @@ def alpha_moves(r: Recording) -> bool:
     return counts.size > 0 and int(np.ptp(counts)) > _AT_REST * converter_step(r)
 
 
-def _of_removed_arm(r: Recording) -> Iterator[Finding]:
+def _check_removed_arm(r: Recording) -> Iterator[Finding]:
     moved = alpha_moves(r)
     rehearsed = r.manifest.rehearsal
-    told = rehearsed is not None and rehearsed.alpha_rad > 0
-    if moved and told:
+    configured_on = rehearsed is not None and rehearsed.alpha_rad > 0
+    if moved and configured_on:
         text = "alpha moves, and the daemon was told that the arm is on: take the rotating part "
         yield _unusable("arm", text + "off (handout, figure 6) and set [arm] removed = true")
     elif moved:
         text = "alpha moves, although the rotating part is to be off: see that it is"
         yield _warning("arm", text)
-    elif told:
+    elif configured_on:
         text = "alpha rests, but the daemon's configuration still has the arm on: set [arm] "
         yield _warning("arm", text + "removed = true, or its rehearsal is of another rig")
     else:
         yield _good("arm", "the rotating part is off")
 
 
-def of_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
-    """Look at what theta_1 does against its noise and the step of the converter, in rad."""
+def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
+    """Check what theta_1 does against its noise and the step of the converter, in rad."""
     ratio = signal / noise
     text = f"theta_1 moves by {error(signal, 'rad')} rms within a second, its noise is "
     text += f"{error(noise, 'rad')}, {noise / step:.2g} steps of the converter: "
@@ -140,8 +140,8 @@ def of_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
         yield _good("signal", text)
 
 
-def of_samples(r: Recording) -> Iterator[Finding]:
-    """Look at how many samples came."""
+def check_samples(r: Recording) -> Iterator[Finding]:
+    """Check how many samples came."""
     came = r.samples.size
     if came < TOO_FEW:
         yield _unusable("samples", f"{came} samples are no data; record {TOO_FEW} or more")
@@ -154,8 +154,8 @@ def of_samples(r: Recording) -> Iterator[Finding]:
         yield _good("samples", f"{r.missing} of {r.N} samples are missing, and marked so")
 
 
-def of_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
-    """Look at what the jitter did to theta_1, in rad, against its noise."""
+def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
+    """Check what the jitter did to theta_1, in rad, against its noise."""
     timing = sampling_statistics(r)
     if not np.isfinite(timing.std_us):
         return
@@ -169,8 +169,8 @@ def of_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
         yield _good("timing", text)
 
 
-def of_turns(r: Recording) -> Iterator[Finding]:
-    """Look at where the number of turns was lost."""
+def check_turns(r: Recording) -> Iterator[Finding]:
+    """Check where the number of turns was lost."""
     if r.turns_unknown:
         at = ", ".join(f"{r.t[i]:.2f}" for i in r.turns_unknown[:3])
         more = ", …" if len(r.turns_unknown) > 3 else ""

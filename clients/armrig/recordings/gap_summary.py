@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from armrig.recordings.daemon_reports import Gap
 
 
-def in_lines(gaps: Iterable[Gap]) -> list[str]:
+def gap_lines(gaps: Iterable[Gap]) -> list[str]:
     """Return what is missing, at most one line a second; the counts are whole."""
-    return [_in_a_line(list(some)) for _, some in groupby(gaps, key=lambda gap: floor(gap.t))]
+    return [_gap_line(list(some)) for _, some in groupby(gaps, key=lambda gap: floor(gap.t))]
 
 
-def _in_a_line(gaps: list[Gap]) -> str:
+def _gap_line(gaps: list[Gap]) -> str:
     count = sum(gap.count for gap in gaps)
     samples = f"{count} sample{'s' * (count != 1)}"
     reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))

@@ -78,8 +78,8 @@ def grid(
 
     It begins with the run, at the manifest's `k_first`, and ends with the last sample that was
     due: that of a complete run is the manifest's, a run that was stopped counts its own, and where
-    the file was cut off it is the last that is told of. A manifest without `k_first` is older:
-    then the grid is from the first sample to the last.
+    the file was cut off it is the last of those in its samples and gap records. A manifest without
+    `k_first` is older: then the grid is from the first sample to the last.
 
     Parameters
     ----------
@@ -98,11 +98,11 @@ def grid(
             msg = f"its samples run from k={begin} to {end - 1}, those of the run from {first} to "
             msg += f"{last - 1}"
             raise ValueError(msg)
-        told = [end, *(k_gap + count for k_gap, count in gaps), first]
+        ends = [end, *(k_gap + count for k_gap, count in gaps), first]
         if outcome is not None:
             whole = outcome.outcome == "complete"
-            told.append(last if whole else first + outcome.samples + outcome.missing)
-        begin, end = first, min(max(told), last)
+            ends.append(last if whole else first + outcome.samples + outcome.missing)
+        begin, end = first, min(max(ends), last)
     missing_limit = _MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
     if end - begin - k.size > missing_limit or end - begin > ROWS_LIMIT:
         msg = f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "

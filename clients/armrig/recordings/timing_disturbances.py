@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Causes:
+class Disturbances:
     """What the host did meanwhile, and how the device's clock ran."""
 
     seconds: int
@@ -22,9 +22,9 @@ class Causes:
     collections: int
     """Garbage collections of the loop, from the first report to the last."""
     cpu_pressure_percent: float
-    """Share of the worst second in which some task waited for a processor; NaN: not told."""
+    """Share of the worst second in which some task waited for a processor; NaN: unknown."""
     run_queue: int
-    """Most tasks that were runnable; -1: not told."""
+    """Most tasks that were runnable; -1: unknown."""
     round_trip_us: float
     """Longest round trip to the device, in µs; NaN: none was reported."""
     drift_ppm: float
@@ -35,11 +35,11 @@ class Causes:
     """Standard deviation of the offset between the clocks at the end, in µs."""
 
 
-def causes(recording: Recording) -> Causes:
+def disturbances(recording: Recording) -> Disturbances:
     """Return what disturbed the timing of a recording."""
     timing, last = recording.timing, recording.clock[-1] if recording.clock else _UNKNOWN
     pressures = [t.cpu_pressure_percent for t in timing if not isnan(t.cpu_pressure_percent)]
-    return Causes(
+    return Disturbances(
         seconds=len(timing),
         collections=timing[-1].collections - timing[0].collections if timing else 0,
         cpu_pressure_percent=max(pressures, default=nan),
@@ -60,7 +60,7 @@ def _round_trips(timing: Sequence[Timing]) -> list[float]:
     return [t.link_round_trip_us.max for t in timing if t.link_round_trip_us.n]
 
 
-def in_words(found: Causes) -> list[tuple[str, str]]:
+def disturbance_rows(found: Disturbances) -> list[tuple[str, str]]:
     """Return what was found as rows of a name and a sentence; none where nothing was reported."""
     rows = []
     if found.seconds:

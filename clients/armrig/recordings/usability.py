@@ -12,15 +12,15 @@ from armrig.data.treatment.whitening import whitening
 from armrig.recordings.findings import (
     TOO_FEW,
     Finding,
+    check_angle,
+    check_arm,
+    check_input,
+    check_run,
+    check_samples,
+    check_signal,
+    check_timing,
+    check_turns,
     converter_step,
-    of_angle,
-    of_arm,
-    of_input,
-    of_run,
-    of_samples,
-    of_signal,
-    of_timing,
-    of_turns,
 )
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class DataVerdict:
     recording: str
     """Hash of the recording."""
     findings: tuple[Finding, ...]
-    """All that was looked at."""
+    """What each check found."""
     signal_rad: float
     """Effective value of theta_1 about a straight line over each second, in rad."""
     noise_rad: float
@@ -114,14 +114,14 @@ def data_verdict(recording: Recording) -> DataVerdict:
     noise = max(_noise(seen), step / 12**0.5) if seen else float("nan")
     signal = _signal(seen, noise) if seen else float("nan")
     findings = [
-        *of_run(recording),
-        *of_samples(recording),
-        *of_input(recording),
-        *of_angle(recording),
-        *of_arm(recording),
-        *(of_signal(signal, noise, step) if seen else ()),
-        *(of_timing(recording, seen, noise) if seen else ()),
-        *of_turns(recording),
+        *check_run(recording),
+        *check_samples(recording),
+        *check_input(recording),
+        *check_angle(recording),
+        *check_arm(recording),
+        *(check_signal(signal, noise, step) if seen else ()),
+        *(check_timing(recording, seen, noise) if seen else ()),
+        *check_turns(recording),
     ]
     return DataVerdict(
         recording=recording.sha256,

@@ -33,7 +33,7 @@ from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
-from armrig.recordings.timing_disturbances import Causes
+from armrig.recordings.timing_disturbances import Disturbances
 from armrig.report.conclusions import summary, verdict
 from armrig.report.figures import DETAIL_S, write_figures
 from armrig.report.study import STAIRCASE, STEP, Judged, Study, kind_of
@@ -212,8 +212,8 @@ def _timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
     ]
 
 
-def _causes_rows(found: Sequence[Causes]) -> list[list[str]]:
-    def row(name: str, value: Callable[[Causes], str]) -> list[str]:
+def _causes_rows(found: Sequence[Disturbances]) -> list[list[str]]:
+    def row(name: str, value: Callable[[Disturbances], str]) -> list[str]:
         return [name, *(value(c) if c.seconds else "–" for c in found)]
 
     return [

@@ -16,7 +16,7 @@ from armrig.estimation.orders import require_sensible
 from armrig.models.fit import Fit
 from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
 from armrig.recordings.recording import Recording, RecordingError
-from armrig.recordings.timing_disturbances import Causes, causes
+from armrig.recordings.timing_disturbances import Disturbances, disturbances
 from armrig.validation.comparison import ComparisonTable, ResidualTest, compare, residuals
 
 STEP = "step"
@@ -76,7 +76,7 @@ class Study:
     """The models simulated on the validation data, in the same order."""
     timing: tuple[SamplingStatistics, ...]
     """Of each recording, times in µs."""
-    causes: tuple[Causes, ...]
+    causes: tuple[Disturbances, ...]
     """What disturbed the timing of each recording."""
     omega: NDArray[np.float64]
     """Frequencies of `deviation`, in rad/s."""
@@ -164,7 +164,7 @@ def study(
             validation, *(f for _, f in models), physics, labels=("ARX", "OE", "physics")
         ),
         timing=tuple(sampling_statistics(r) for r in recordings),
-        causes=tuple(causes(r) for r in recordings),
+        causes=tuple(disturbances(r) for r in recordings),
         omega=omega,
         deviation=np.array([np.abs(g - G[-1]) / np.abs(G[-1]) for g in G[:-1]]),
     )

@@ -19,7 +19,7 @@ from armrig.excitation import (
     white_noise,
     within,
 )
-from armrig.excitation.named_signals import NAMES, by_name, clock_of, details_of, realisations
+from armrig.excitation.named_signals import NAMES, clock_of, details_of, named_signal, realisations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -310,9 +310,9 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
     """And made again by its details."""
     figures = {"a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
 
-    u = by_name(name, 700, 0.01, **figures)  # type: ignore[arg-type]
+    u = named_signal(name, 700, 0.01, **figures)  # type: ignore[arg-type]
     details = details_of(name, **figures)  # type: ignore[arg-type]
-    again = by_name(details.pop("input"), 700, 0.01, **(figures | details))
+    again = named_signal(details.pop("input"), 700, 0.01, **(figures | details))
 
     assert u.shape == (700,)
     assert 1 <= u.min() < u.max() <= 2
@@ -323,13 +323,13 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
 def test_an_input_that_has_no_name_is_refused() -> None:
     """With those that there are."""
     with pytest.raises(ValueError, match=r"input 'noise': there are telegraph, prbs, white"):
-        by_name("noise", 10, 0.01, a=0.05, low=1, high=2, seed=1)
+        named_signal("noise", 10, 0.01, a=0.05, low=1, high=2, seed=1)
 
 
 def test_a_prbs_by_name_switches_as_often_as_a_telegraph() -> None:
     """In ten thousand samples, within a tenth."""
     switches = [
-        np.count_nonzero(np.diff(by_name(n, 10_000, 0.01, a=0.05, low=1, high=2, seed=1)))
+        np.count_nonzero(np.diff(named_signal(n, 10_000, 0.01, a=0.05, low=1, high=2, seed=1)))
         for n in ("telegraph", "prbs")
     ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig.recordings.daemon_reports import Gap
-from armrig.recordings.gap_summary import in_lines
+from armrig.recordings.gap_summary import gap_lines
 
 
 def _gap(t: float, count: int = 1, reason: str = "a frame was lost") -> Gap:
@@ -12,15 +12,15 @@ def _gap(t: float, count: int = 1, reason: str = "a frame was lost") -> Gap:
 
 def test_a_gap_alone_is_told_as_it_is() -> None:
     """Where, how many, why."""
-    assert in_lines([_gap(3.25, 7)]) == ["7 samples at 3.250 s, a frame was lost"]
-    assert in_lines([]) == []
+    assert gap_lines([_gap(3.25, 7)]) == ["7 samples at 3.250 s, a frame was lost"]
+    assert gap_lines([]) == []
 
 
 def test_the_gaps_of_a_second_share_a_line() -> None:
     """With their number, the samples that are missing, and each reason once."""
     gaps = [_gap(0.5), *(_gap(2 + i / 100) for i in range(50)), _gap(2.9, 3, "the host was late")]
 
-    assert in_lines(gaps) == [
+    assert gap_lines(gaps) == [
         "1 sample at 0.500 s, a frame was lost",
         "53 samples in 51 gaps from 2.000 s to 2.900 s, a frame was lost, the host was late",
     ]

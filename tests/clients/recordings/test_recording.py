@@ -20,7 +20,7 @@ import zstandard
 from armrig.recordings import container, grid, sample_rows
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.recording import Recording, RecordingError, load
-from armrig.recordings.timing_disturbances import causes, in_words
+from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.manifest import RUN, Manifest, Outcome
@@ -855,7 +855,7 @@ SMALL = recorded([sample(k) for k in range(30)], flush_every=10)
 SMALL_DIRECTORY = TemporaryDirectory(prefix="armrig-tests-")
 
 
-def test_the_causes_of_jitter_are_told_with_the_clock(tmp_path: Path) -> None:
+def test_what_disturbed_the_timing_is_listed_with_the_clock(tmp_path: Path) -> None:
     """Collections are counted within the recording; of pressure and queue the worst second."""
     reports = [timing(k) for k in (110, 120, 130)]
     for report, done, pressure, waiting in zip(
@@ -870,18 +870,18 @@ def test_the_causes_of_jitter_are_told_with_the_clock(tmp_path: Path) -> None:
 
     rec = load(written(tmp_path, recorded([*map(sample, range(100, 140)), *reports, clock])))
 
-    found = causes(rec)
+    found = disturbances(rec)
     assert (found.seconds, found.collections, found.run_queue) == (3, 2, 5)
     assert found.cpu_pressure_percent == 12.5
     assert found.round_trip_us == 4500.0
     assert rec.clock[0].t == pytest.approx(20 * TS, abs=1e-4)
-    said = dict(in_words(found))
+    said = dict(disturbance_rows(found))
     assert "longest round trip 4.50 ms" in said["causes"]
     assert said["device clock"].startswith("12.0 ± 0.5 ppm fast")
 
 
-def test_a_recording_without_reports_has_no_causes(tmp_path: Path) -> None:
+def test_a_recording_without_reports_has_no_disturbances(tmp_path: Path) -> None:
     """Nothing is claimed of what was not watched."""
     rec = load(written(tmp_path, recorded([*map(sample, range(10))])))
 
-    assert in_words(causes(rec)) == []
+    assert disturbance_rows(disturbances(rec)) == []

@@ -203,7 +203,7 @@ def estimate(
         turned=turned,
         speeds=None if turned is None else speeds(turned, terminal or IDEAL),
         terminal=terminal,
-        warnings=(*_warnings(theta_1, alpha, step, turned, sign), *_too_much(terminal)),
+        warnings=(*_warnings(theta_1, alpha, step, turned, sign), *_overvoltage(terminal)),
     )
 
 
@@ -219,7 +219,7 @@ def _require_on_track(still: Readings) -> None:
             raise CalibrationError(msg)
 
 
-def _too_much(terminal: TerminalVoltage | None) -> list[str]:
+def _overvoltage(terminal: TerminalVoltage | None) -> list[str]:
     """Return what to do about a driver that gives more than the rig stands."""
     offset, gain = (terminal or IDEAL).line
     most = offset + gain * U_MAX_V
@@ -234,20 +234,21 @@ def _too_much(terminal: TerminalVoltage | None) -> list[str]:
 def _warnings(
     theta_1: Figure, alpha: Figure, step: int, turned: Turning | None, sign: int
 ) -> list[str]:
-    said = [
+    found = [
         f"{name} moved while it was to rest: its readings spread by {s.value:.0f} counts, "
         f"{degrees(s.value * tau / 65536):.1f}°"
         for name, s in (("theta_1", theta_1), ("alpha", alpha))
         if s.value > _MOVED * step
     ]
     if not sign:
-        said.append("the arm was not seen to deflect: alpha's sign is the one configured")
+        found.append("the arm was not seen to deflect: alpha's sign is the one configured")
     if turned is not None:
         expected = sqrt(theta_1.value**2 + rounding_variance(step, 0.0))
         off = sqrt(turned.residual_variance)
         if off > _UNSTEADY * expected:
-            said.append(
+            found.append(
                 f"theta_1 is {off:.0f} counts rms off a constant speed, where its noise explains "
-                f"{expected:.0f}: its angle of a count is less certain than told"
+                f"{expected:.0f}: the angle of a count is less certain than its standard deviation "
+                "says"
             )
-    return said
+    return found

@@ -8,7 +8,7 @@ from armrig_core.calibration import Calibration
 from armrig_core.manifest import Manifest
 
 STALE_DAYS = 30
-"""A calibration that is older than this when a recording is made is told to be stale."""
+"""A calibration that is older than this when a recording is made is stale."""
 
 
 def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
@@ -31,24 +31,24 @@ def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
             "The rig was not calibrated: its angles rest on configured values that nobody has "
             "measured (see `armrig calibrate`)."
         ]
-    said = []
+    found = []
     uid = str(manifest.device.get("uid", ""))
     if uid != made.device_uid:
-        said.append(
+        found.append(
             f"The calibration is of another device: it was made on {made.device_uid or 'none'}, "
             f"the recording on {uid or 'one that does not say'}."
         )
     elif manifest.rig != made.rig:
-        said.append(f"The calibration is of rig {made.rig}, the recording of rig {manifest.rig}.")
+        found.append(f"The calibration is of rig {made.rig}, the recording of rig {manifest.rig}.")
     age = _age(made.date, manifest.started)
     if age is None:
-        said.append("The age of the calibration is not known.")
+        found.append("The age of the calibration is not known.")
     elif age > timedelta(days=STALE_DAYS):
-        said.append(
+        found.append(
             f"The calibration was {age.days} days old, and {STALE_DAYS} are allowed: calibrate "
             "the rig again."
         )
-    return said
+    return found
 
 
 def calibrated(calibration: Calibration | None) -> str:
