@@ -5,9 +5,10 @@ from __future__ import annotations
 from itertools import cycle
 from typing import TYPE_CHECKING, Any, Protocol
 
-import numpy as np
+from armrig.numerics.stretches import stretches
 
 if TYPE_CHECKING:
+    import numpy as np
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
@@ -82,9 +83,9 @@ def sign(ax: Axes, *sources: str) -> Axes:
 
 def shade(ax: Axes, data: Sampled) -> None:
     """Shade the time in which y is missing."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~data.valid, [False]]).astype(int)))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        ax.axvspan((begin - 0.5) * data.Ts, (end - 0.5) * data.Ts, color=MISSING, alpha=0.5, lw=0)
+    for gap in stretches(~data.valid):
+        begin, end = (gap.start - 0.5) * data.Ts, (gap.stop - 0.5) * data.Ts
+        ax.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
 
 
 def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -10,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.checks import column
-from armrig.numerics.polynomial import Array
 from armrig.numerics.power_spectrum import power_spectrum
+from armrig.numerics.regressors import in_blocks
 from armrig.numerics.triangular import triangle
 
 if TYPE_CHECKING:
@@ -168,7 +167,7 @@ def _halves(u: Vector) -> tuple[Vector, ...]:
 def _excitation(u: Vector, highest: int) -> tuple[int, float]:
     """Return the order and the least eigenvalue of the covariance matrix of so many samples."""
     windows = np.lib.stride_tricks.sliding_window_view(u, highest)
-    R = triangle(_blocks(windows), highest) / np.sqrt(windows.shape[0])
+    R = triangle(in_blocks(windows, _ROWS), highest) / np.sqrt(windows.shape[0])
     order, weakest = 0, 0.0
     for n in range(1, highest + 1):
         # The first n columns of M have the leading triangle of R: every order from one QR.
@@ -177,11 +176,6 @@ def _excitation(u: Vector, highest: int) -> tuple[int, float]:
             break
         order, weakest = n, float(sizes[-1]) ** 2
     return order, weakest
-
-
-def _blocks(windows: Array) -> Iterator[Array]:
-    for a in range(0, windows.shape[0], _ROWS):
-        yield windows[a : a + _ROWS]
 
 
 def _levels(u: Vector) -> tuple[Vector, Vector, bool]:

@@ -10,7 +10,8 @@ import numpy as np
 from armrig_protocol.messages import Flag
 
 from armrig.numerics.quantities import error, microseconds, percent
-from armrig.recordings.jitter import angle_of_jitter, longest_run, sampling_statistics
+from armrig.numerics.stretches import longest
+from armrig.recordings.jitter import angle_of_jitter, sampling_statistics
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -81,7 +82,7 @@ def check_angle(r: Recording) -> Iterator[Finding]:
         text = f"none of {came} samples shows theta_1: broken wire, or it stands in the dead band; "
         yield _unusable("angle", text + "look at `armrig watch` while you turn the chassis by hand")
         return
-    share, unseen = r.hidden / came, longest_run(r.present & ~r.valid) * r.Ts
+    share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
     text = f"{percent(100 * share)} of the samples have no theta_1 (dead band, and the one after)"
     if unseen > LONGEST_UNSEEN_S:
         text = f"theta_1 is at a rail for {unseen:.1f} s on end: the chassis stands in the dead "

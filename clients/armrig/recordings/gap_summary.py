@@ -7,6 +7,8 @@ from itertools import groupby
 from math import floor
 from typing import TYPE_CHECKING
 
+from armrig.numerics.quantities import plural
+
 if TYPE_CHECKING:
     from armrig.recordings.daemon_reports import Gap
 
@@ -18,7 +20,7 @@ def gap_lines(gaps: Iterable[Gap]) -> list[str]:
 
 def _gap_line(gaps: list[Gap]) -> str:
     count = sum(gap.count for gap in gaps)
-    samples = f"{count} sample{'s' * (count != 1)}"
+    samples = plural(count, "sample")
     reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))
     if len(gaps) == 1:
         return f"{samples} at {gaps[0].t:.3f} s, {reasons}"

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.numerics.stretches import longest
+
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.recordings.recording import Recording
@@ -97,7 +99,7 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
         lateness=_spread(lateness_us(recording)),
         samples=int(recording.samples.size),
         missing=recording.missing,
-        longest_gap=longest_run(~recording.present),
+        longest_gap=longest(~recording.present),
     )
 
 
@@ -113,12 +115,6 @@ def angle_of_jitter(timing: SamplingStatistics, data: Dataset) -> float:
 def fastest_rate(data: Dataset) -> float:
     """Return the rate of y that 99 % of its differences stay below, in y's unit per s."""
     return float(np.nanpercentile(np.abs(np.diff(data.y)) / data.Ts, 99))
-
-
-def longest_run(marked: NDArray[np.bool_]) -> int:
-    """Return how many are marked in a row at most."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _spread(x: Vector) -> Spread:

@@ -6,7 +6,7 @@ import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import lagged
+from armrig.numerics.regressors import complete, past
 
 # Outputs that integrate by construction, whatever a test on a short record says.
 INTEGRATING_OUTPUTS = frozenset({"theta_1"})
@@ -42,13 +42,12 @@ def integrating(data: Dataset) -> str:
     for part in data.experiments():
         change = np.diff(part.y, prepend=np.nan)
         trend = np.column_stack([np.ones(part.N), np.arange(part.N) / max(part.N, 1)])
-        columns = [lagged(part.y, [1]), trend, lagged(change, lags), lagged(part.u, lags)]
-        rows.append(np.hstack(columns)[_TEST_LAGS + 1 :])
-        targets.append(change[_TEST_LAGS + 1 :])
-    Phi, target = np.vstack(rows), np.concatenate(targets)
-    usable = np.isfinite(target) & np.isfinite(Phi).all(axis=1)
-    Phi, target = Phi[usable], target[usable]
-    basis = orthonormal(Phi)
+        Phi = np.hstack([past(part.y, [1]), trend, past(change, lags), past(part.u, lags)])
+        usable = complete(Phi, change)
+        rows.append(Phi[usable])
+        targets.append(change[usable])
+    target = np.concatenate(targets)
+    basis = orthonormal(np.vstack(rows))
     degrees = target.size - basis.rank
     if degrees < 10 or not basis.W[0].any():
         return ""  # too little to tell, or y is constant

@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from armrig.data.dataset import Vector
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
+from armrig.numerics.regressors import complete, in_blocks
 from armrig.numerics.triangular import triangle
 
 _ROWS = 5_000
@@ -71,11 +72,11 @@ def _all_blocks(parts: Sequence[tuple[Vector, Vector]], n: int, slope: bool) -> 
     for u, y in parts:
         if y.size <= n:
             continue
-        ys, us = (sliding_window_view(x, n + 1)[:, ::-1] for x in (y, u))
-        for a in range(0, ys.shape[0], _ROWS):
-            past, driven = ys[a : a + _ROWS], us[a : a + _ROWS]
-            whole = np.isfinite(past).all(axis=1)
-            t = np.arange(a + n, a + n + past.shape[0], dtype=np.float64)
-            columns = [-past[:, 1:], driven, np.ones((t.size, 1))]
-            columns += [t[:, None]] if slope else []
-            yield np.hstack([*columns, past[:, :1]])[whole]
+        # Windows of y and u, not their lagged copies: hampel comes here in each of its rounds.
+        outputs, inputs = (sliding_window_view(x, n + 1)[:, ::-1] for x in (y, u))
+        times = np.arange(n, y.size, dtype=np.float64)[:, None]
+        blocks = (in_blocks(M, _ROWS) for M in (outputs, inputs, times))
+        for ys, us, t in zip(*blocks, strict=True):
+            columns = [-ys[:, 1:], us, np.ones_like(t)]
+            columns += [t] if slope else []
+            yield np.hstack([*columns, ys[:, :1]])[complete(ys)]

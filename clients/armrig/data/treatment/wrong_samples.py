@@ -11,6 +11,7 @@ from armrig.data.dataset import Mask, Vector
 from armrig.data.treatment.whitening import Whitening, whitening
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
+from armrig.numerics.stretches import pieces
 
 Indices = NDArray[np.intp]
 
@@ -126,4 +127,5 @@ def _columns(model: Whitening, rows: Indices, samples: Indices) -> Array:
 def _groups(indices: Indices, n: int) -> Iterator[Indices]:
     """Yield runs of indices that are no more than n apart: no residual sees two of them."""
     if indices.size:
-        yield from np.split(indices, np.flatnonzero(np.diff(indices) > n) + 1)
+        for group in pieces(np.diff(indices) > n):
+            yield indices[group]

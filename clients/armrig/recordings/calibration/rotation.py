@@ -19,6 +19,7 @@ from armrig_core.calibration import Figure
 from numpy.typing import NDArray
 
 from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.stretches import constant
 from armrig.recordings.calibration.readings import CalibrationError, Readings
 from armrig.recordings.calibration.rest import FULL_COUNTS, RAIL_COUNTS
 
@@ -142,17 +143,15 @@ def turning(readings: Readings, step: float) -> Turning:
 def _settled(readings: Readings) -> _Settled:
     """Return the samples at voltages above 0 that were held for long enough."""
     u, t = readings.u, readings.t
-    begins = np.flatnonzero(np.r_[True, np.diff(u) != 0])
-    ends = np.r_[begins[1:], u.size]
     held = [
-        (int(b), int(e))
-        for b, e in zip(begins, ends, strict=True)
-        if u[b] > 0 and t[e - 1] - t[b] > SETTLE_S + LEAST_S
+        part
+        for part in constant(u)
+        if u[part.start] > 0 and t[part.stop - 1] - t[part.start] > SETTLE_S + LEAST_S
     ]
     if not held:
         msg = f"no voltage was held for more than {SETTLE_S + LEAST_S:g} s: {_WAY_OUT}"
         raise CalibrationError(msg)
-    rows = [np.arange(b, e)[t[b:e] - t[b] > SETTLE_S] for b, e in held]
+    rows = [np.arange(part.start, part.stop)[t[part] - t[part.start] > SETTLE_S] for part in held]
     level = np.repeat(np.arange(len(rows)), [r.size for r in rows])
     chosen = np.concatenate(rows)
     counts = readings.theta_1[chosen]
@@ -161,7 +160,7 @@ def _settled(readings: Readings) -> _Settled:
         t=t[chosen],
         counts=counts,
         live=counts >= RAIL_COUNTS,
-        volts=u[[b for b, _ in held]],
+        volts=u[[part.start for part in held]],
     )
 
 
