@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
-from armrig.excitation.experiment_design.planned_model import Model, integrating_polynomial
+from armrig.excitation.experiment_design.planned_model import ModelWithNoise, integrating_polynomial
 from armrig.excitation.experiment_design.predicted_std import PredictedStd, inverted, planned_data
 from armrig.models.free_response import free_columns, transient_count
 from armrig.numerics.least_squares import orthonormal
@@ -18,7 +18,7 @@ from armrig.numerics.sensitivity import by_denominator, by_numerator
 
 
 def predicted_std(
-    model: Model,
+    model: ModelWithNoise,
     u: ArrayLike | Dataset,
     *,
     noise_variance: float | None = None,
@@ -86,7 +86,9 @@ def predicted_std(
     return inverted(np.vstack(rows), variance, names, theta, planned, to_full)
 
 
-def _gradient(model: Model, part: Dataset, variance: float, *, estimate: bool) -> Iterator[Array]:
+def _gradient(
+    model: ModelWithNoise, part: Dataset, variance: float, *, estimate: bool
+) -> Iterator[Array]:
     """Yield rows whose squares add up to lambda M, for one experiment.
 
     The columns belong to a, b, c, d, f; with an integrator to the coefficients without it. One in
@@ -130,7 +132,7 @@ def _gradient(model: Model, part: Dataset, variance: float, *, estimate: bool) -
         yield _by_noise(model, np.sqrt(variance * np.arange(N, 0.0, -1.0)), Psi.shape[1])
 
 
-def _by_noise(model: Model, weight: Vector, width: int) -> Array:
+def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
     """Return the impulse responses from e to the gradient, row j weighted by the times it occurs.
 
     With psi_e(t) = sum_j s_j e(t-j) the expected sum of psi_e psi_e^T over N samples from rest is
@@ -148,7 +150,7 @@ def _by_noise(model: Model, weight: Vector, width: int) -> Array:
     return np.asarray(s * weight[:, None])
 
 
-def _parameters(model: Model) -> tuple[tuple[str, ...], Vector, Array]:
+def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
     """Return names, values, and the derivatives of them by those that are estimated."""
     parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
     parts |= {"d": model.D[1:], "f": model.F[1:]}

@@ -15,7 +15,7 @@ from armrig.excitation.experiment_design.predicted_std import PredictedStd, inve
 from armrig.models.free_response import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.polynomial import Array, filtered
 
 _LOG_STEP = 1e-4  # of a parameter's logarithm: truncation 1e-9, rounding less
 
@@ -74,24 +74,38 @@ def predicted_parameter_std(
     planned = planned_data(u, Ts)
     rows = []
     for part in planned.experiments():
-        columns = []
-        for name in free:
-            value = getattr(p, name)
-            up, down = (
-                _output(model(replace(p, **{name: value * np.exp(h)})), part.u, Ts, output)
-                for h in (_LOG_STEP, -_LOG_STEP)
-            )
-            columns.append((up - down) / (2 * _LOG_STEP * value))
-        Psi, Z = np.column_stack(columns), np.zeros((part.N, 0))
+        Psi, Z = _gradient(model, p, free, part, output), np.zeros((part.N, 0))
         if initial == "estimate":
-            _, F = _transfer(model(p), Ts, output)
-            offset = _output(model(p), np.ones(part.N), Ts, output)
-            states = free_columns(F, part.N, count=F.size - 1, drift=False)
-            Z = np.column_stack([states, offset])
+            Z = _free_part(model(p), part, output)
         rows.append(orthonormal(Z[part.valid]).without(Psi[part.valid]))
     theta = np.array([getattr(p, name) for name in free])
-    whole = np.vstack(rows)
-    return inverted(whole, noise_variance, tuple(free), theta, planned, np.eye(len(free)))
+    return inverted(np.vstack(rows), noise_variance, tuple(free), theta, planned, np.eye(len(free)))
+
+
+def _gradient(
+    model: Callable[[ArmParameters], Any],
+    p: ArmParameters,
+    free: Sequence[str],
+    part: Dataset,
+    output: str,
+) -> Array:
+    """Return the derivatives of the output by the free parameters, (N, d)."""
+    columns = []
+    for name in free:
+        value = getattr(p, name)
+        up, down = (
+            _output(model(replace(p, **{name: value * np.exp(h)})), part.u, part.Ts, output)
+            for h in (_LOG_STEP, -_LOG_STEP)
+        )
+        columns.append((up - down) / (2 * _LOG_STEP * value))
+    return np.column_stack(columns)
+
+
+def _free_part(system: Any, part: Dataset, output: str) -> Array:
+    """Return what initial state and offset of the input can add to the output, (N, n + 1)."""
+    _, F = _transfer(system, part.Ts, output)
+    states = free_columns(F, part.N, count=F.size - 1, drift=False)
+    return np.column_stack([states, _output(system, np.ones(part.N), part.Ts, output)])
 
 
 def _transfer(system: Any, Ts: float, output: str) -> tuple[Vector, Vector]:

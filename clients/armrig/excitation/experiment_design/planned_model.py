@@ -12,7 +12,7 @@ from armrig.numerics.checks import column
 from armrig.numerics.polynomial import stable, without_integrator
 
 
-class Model(Protocol):
+class ModelWithNoise(Protocol):
     """What is asked of a model: a `Fit` has it, and so has `PlannedModel`."""
 
     @property
@@ -92,6 +92,6 @@ class PlannedModel:
         return int(np.argmax(self.B != 0))
 
 
-def integrating_polynomial(model: Model) -> str:
+def integrating_polynomial(model: ModelWithNoise) -> str:
     """Return "A" or "F", whichever has the known factor 1 - q^-1, or "" where none has."""
     return "" if not model.integrator else "A" if model.A.size > 1 else "F"
