@@ -106,8 +106,7 @@ class Dataset:
             msg = f"Ts={Ts!r} must be finite and > 0, in s"
             raise ValueError(msg)
         starts_ = tuple(int(s) for s in starts)
-        ordered = all(a < b for a, b in zip(starts_, (*starts_[1:], N), strict=True))
-        if not starts_ or starts_[0] != 0 or not ordered:
+        if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
             msg = f"starts={starts_} must begin with 0 and rise strictly, below N={N}"
             raise ValueError(msg)
         if len(trends) not in (0, len(starts_)):

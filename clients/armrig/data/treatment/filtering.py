@@ -112,7 +112,7 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     ValueError
         Ts is no whole multiple of the data's, an experiment is too short, or all would be missing.
     """
-    from scipy.signal import firwin, upfirdn
+    from scipy.signal import firwin
 
     require_numbers(Ts=Ts)
     factor = round(Ts / data.Ts) if 0 < Ts < np.inf else 0
@@ -124,20 +124,16 @@ def resample(data: Dataset, Ts: float) -> Dataset:
         return data
     half = _SIDE * factor
     h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER))
-    us, ys, masks, trends = [], [], [], []
+    us, ys, masks = [], [], []
     for i, part in enumerate(data.experiments()):
         if 2 * half + 1 > part.N:
             msg = f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
             msg += f"{2 * half + 1}: leave it out with select, or take a shorter Ts"
             raise ValueError(msg)
-        # Row j of the decimated convolution is centred on sample j factor - half.
-        level = float(np.mean(part.y[part.valid])) if part.valid.any() else 0.0
-        y = np.where(part.valid, part.y - level, 0.0)
-        rows = slice(2 * _SIDE, (part.N - 1) // factor + 1)
-        us.append(upfirdn(h, part.u, down=factor)[rows])
-        ys.append(upfirdn(h, y, down=factor)[rows] + level)
-        masks.append(_known_for(part.valid, 2 * half + 1)[2 * half :: factor])
-        trends += [t.later(half * data.Ts) for t in data.trends[i : i + 1]]
+        u, y, valid = _decimated(part, h, factor)
+        us.append(u)
+        ys.append(y)
+        masks.append(valid)
     valid = np.concatenate(masks)
     if not valid.any():
         msg = f"no stretch of y without a gap has {2 * half + 1} samples, as the anti-alias filter "
@@ -151,9 +147,24 @@ def resample(data: Dataset, Ts: float) -> Dataset:
         y=np.concatenate(ys),
         valid=valid,
         starts=tuple(int(s) for s in np.cumsum([0, *(m.size for m in masks[:-1])])),
-        trends=tuple(trends),
+        trends=tuple(trend.later(half * data.Ts) for trend in data.trends),
         Ts=factor * data.Ts,
         step=step,
+    )
+
+
+def _decimated(part: Dataset, h: Vector, factor: int) -> tuple[Vector, Vector, Mask]:
+    """Return u, y and valid of an experiment behind the filter h, every factor-th sample."""
+    from scipy.signal import upfirdn
+
+    level = float(np.mean(part.y[part.valid])) if part.valid.any() else 0.0
+    y = np.where(part.valid, part.y - level, 0.0)
+    # Row j of the decimated convolution is centred on sample j factor - half.
+    rows = slice(2 * _SIDE, (part.N - 1) // factor + 1)
+    return (
+        upfirdn(h, part.u, down=factor)[rows],
+        upfirdn(h, y, down=factor)[rows] + level,
+        _known_for(part.valid, h.size)[h.size - 1 :: factor],
     )
 
 

@@ -167,15 +167,8 @@ def estimate(
     CalibrationError
         The recordings cannot say it: the shaft did not turn on, or stood in the dead band.
     """
-    still = readings_of(rest)
+    still = _at_rest(rest)
     run = None if turns is None else readings_of(turns)
-    if (still.u != 0).any():
-        msg = "the recording at rest was driven: it must be at 0 V throughout"
-        raise CalibrationError(msg)
-    if still.N < 2:
-        msg = f"a rest of {still.N} samples: record a second or more"
-        raise CalibrationError(msg)
-    _require_on_track(still)
     runs = [still] if run is None else [still, run]
     step = resolution(*(r.theta_1 for r in runs), *(r.alpha for r in runs))
     turned = None if run is None else turning(run, step)
@@ -187,9 +180,10 @@ def estimate(
         # readings are the same converter's.
         noise_1 = noise_2 = noise_before_rounding(turned.residual_variance, step)
     alpha_zero = mean_reading(still.alpha, step, noise_2)
-    by_hand = None if deflected is None else readings_of(deflected)
-    scale = (base or Calibration()).alpha.rad_per_count
-    sign = 0 if by_hand is None else sign_by_hand(by_hand, alpha_zero, scale)
+    sign = 0
+    if deflected is not None:
+        scale = (base or Calibration()).alpha.rad_per_count
+        sign = sign_by_hand(readings_of(deflected), alpha_zero, scale)
     if not sign and run is not None:
         sign = sign_of_lag(run, alpha.value, step)
     terminal = terminal_voltage(meter, meter_std_v)
@@ -207,8 +201,15 @@ def estimate(
     )
 
 
-def _require_on_track(still: Readings) -> None:
-    """Refuse a rest that shows no angle."""
+def _at_rest(rest: Recording | Readings) -> Readings:
+    """Return the readings at rest; refuse a rest that was driven, or shows no angle."""
+    still = readings_of(rest)
+    if (still.u != 0).any():
+        msg = "the recording at rest was driven: it must be at 0 V throughout"
+        raise CalibrationError(msg)
+    if still.N < 2:
+        msg = f"a rest of {still.N} samples: record a second or more"
+        raise CalibrationError(msg)
     for name, counts, way_out in (
         ("theta_1", still.theta_1, "turn the chassis out of the dead band"),
         ("alpha", still.alpha, "see to its wires, and that the arm hangs free"),
@@ -217,6 +218,7 @@ def _require_on_track(still: Readings) -> None:
             msg = f"{name} reads {counts.mean():.0f} of 65535 at rest, an end of its range: "
             msg += f"{way_out}, then record the rest again"
             raise CalibrationError(msg)
+    return still
 
 
 def _overvoltage(terminal: TerminalVoltage | None) -> list[str]:
