@@ -65,7 +65,8 @@ if TYPE_CHECKING:
     from armrig.physics.step_response import characteristics, step_sensitivities
     from armrig.physics.systems import ArmParameters, arm, chassis, rehearse
     from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.recording import Recording, RecordingError, load
+    from armrig.recordings.loading import load
+    from armrig.recordings.recording import Recording, RecordingError
     from armrig.recordings.usability import data_verdict
     from armrig.report.study import physical_model
     from armrig.rig.client import Rig
@@ -204,7 +205,8 @@ _MODULES = {
     "data.treatment": (
         *("detrend", "difference", "drift", "hampel", "prefilter", "resample", "retrend"),
     ),
-    "recordings.recording": ("Recording", "RecordingError", "load"),
+    "recordings.loading": ("load",),
+    "recordings.recording": ("Recording", "RecordingError"),
     "rig.client": ("Rig",),
     "rig.session": ("RigError",),
     "report.study": ("physical_model",),

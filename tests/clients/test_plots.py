@@ -12,7 +12,8 @@ from armrig import Dataset, Fit, oe, plots
 from armrig.models.parameter_draws import drawn
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.numerics.polynomial import filtered
-from armrig.recordings.recording import Recording, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes

@@ -23,13 +23,14 @@ MOST_MIB = 64.0
 """What reading a hostile file may cost, in MiB resident."""
 _LOAD = """
 import sys
+import armrig.recordings.loading
 import armrig.recordings.recording
 # Not getrusage: its maximum is inherited from who started us.
 peak = lambda: int(open("/proc/self/status").read().split("VmHWM:")[1].split()[0]) / 1024
-armrig.recordings.recording.load(sys.argv[1])  # an honest one: what reading costs anyway
+armrig.recordings.loading.load(sys.argv[1])  # an honest one: what reading costs anyway
 before = peak()
 try:
-    armrig.recordings.recording.load(sys.argv[2])
+    armrig.recordings.loading.load(sys.argv[2])
 except armrig.recordings.recording.RecordingError:
     pass
 print(before, peak() - before)

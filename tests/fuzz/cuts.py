@@ -17,7 +17,8 @@ from random import Random
 
 import numpy as np
 from armrig.recordings import container
-from armrig.recordings.recording import RecordingError, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import RecordingError
 from armrig.recordings.sample_rows import DamageError
 from armrig_core import telemetry
 from mcap.opcode import Opcode

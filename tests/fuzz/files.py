@@ -13,7 +13,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from armrig.recordings.recording import Recording, RecordingError, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording, RecordingError
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration
 from armrig_core.manifest import CALIBRATION, OUTCOME, RUN, Manifest, Outcome

@@ -163,7 +163,7 @@ class _Player:
     def _played(
         self, experiment: str, seconds: float, details: dict[str, Any], make: Any
     ) -> Recording:
-        from armrig.recordings.recording import load
+        from armrig.recordings.loading import load
         from armrig.rig.collection import Plan, collect
 
         plan = Plan(
@@ -253,7 +253,7 @@ def _applied(code: int, rest: Recording) -> float:
 
 
 def _loaded(path: Path | None) -> Recording | None:
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
 
     return None if path is None else load(path)
 

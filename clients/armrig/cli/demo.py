@@ -19,7 +19,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from armrig.excitation import step, telegraph
-from armrig.recordings.recording import Recording, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
 from armrig.report.document import report
 from armrig.report.figures import write_figures
 from armrig.report.study import Study, study

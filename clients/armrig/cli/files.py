@@ -42,7 +42,7 @@ def info(
     from armrig.recordings.calibration.staleness import calibrated, remarks
     from armrig.recordings.gap_summary import gap_lines
     from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
     from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
     from armrig.recordings.usability import data_verdict
 
@@ -132,7 +132,7 @@ def report(
     """
     check_output(output, files, suffix=".pdf")
     from armrig.cli.waiting import estimating, waiting
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study
 

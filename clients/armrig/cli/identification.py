@@ -87,7 +87,7 @@ def identify(
     Says how sure each parameter is.
     """
     from armrig.data.treatment import INTEGRATING_OUTPUTS
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
 
     given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}
     orders: dict[str, int | None] = {}

@@ -249,7 +249,7 @@ def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
 
 
 def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
 
     data: Dataset = warned(load(file, calibration)).dataset(output)
     return data
@@ -260,7 +260,7 @@ def _grey_data(
 ) -> tuple[Dataset, Literal["chassis", "arm"]]:
     """Return the data, and of which rig they are; another one than was said is refused."""
     from armrig.recordings.findings import alpha_moves
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
 
     recording = warned(load(file, calibration))
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"

@@ -65,7 +65,7 @@ def validate(
     from armrig.cli import model_output
     from armrig.cli.waiting import estimating
     from armrig.models.model_file import load_fit
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
     from armrig.validation.comparison import compare as compared
     from armrig.validation.comparison import residuals
 
@@ -129,7 +129,7 @@ def compare(
     F2 compare those of --model on F.
     """
     from armrig.models.model_file import load_fit
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
     from armrig.validation.comparison import compare as compared
 
     if other is None and not model:

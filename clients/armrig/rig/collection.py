@@ -14,7 +14,7 @@ from armrig_core.commands import LastRun, RunAccepted, StatusReport
 from armrig_core.rehearsal import Rehearsal, in_words
 from numpy.typing import NDArray
 
-from armrig.recordings.recording import load
+from armrig.recordings.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig, RunEndedError
 from armrig.rig.progress import bar, timing_note

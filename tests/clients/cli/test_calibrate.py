@@ -12,7 +12,8 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.recordings.recording import RecordingError, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import RecordingError
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
 from armrig_core.calibration import Calibration, Driver, Potentiometer

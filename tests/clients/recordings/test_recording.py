@@ -19,7 +19,8 @@ import pytest
 import zstandard
 from armrig.recordings import container, grid, sample_rows
 from armrig.recordings.jitter import sampling_statistics
-from armrig.recordings.recording import Recording, RecordingError, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording, RecordingError
 from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer

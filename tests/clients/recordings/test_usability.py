@@ -10,7 +10,8 @@ import armrig
 import msgspec
 import numpy as np
 import pytest
-from armrig.recordings.recording import Recording, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig_core.manifest import Outcome
 from armrig_core.rehearsal import Rehearsal

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.trend import Trend
-from armrig.recordings.recording import RecordingError, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import RecordingError
 from armrig.report.conclusions import verdict
 from armrig.report.document import content, report, role, treatment
 from armrig.report.figures import write_figures

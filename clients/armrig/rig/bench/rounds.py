@@ -19,7 +19,8 @@ import numpy as np
 from armrig_core.endpoint import endpoint
 from numpy.typing import NDArray
 
-from armrig.recordings.recording import Recording, load
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
 from armrig.rig.bench import cyclictest, targets
 from armrig.rig.bench.machine import PRIORITY, Machine
 from armrig.rig.bench.programs import RIG, Daemon, daemon, line, output, program, subscribers, tell
