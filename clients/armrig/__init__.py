@@ -62,21 +62,22 @@ if TYPE_CHECKING:
     from armrig.physics.integrators.stability import stability_limit
     from armrig.physics.integrators.step_choice import recommend_step
     from armrig.physics.integrators.stepping import integrate
+    from armrig.physics.physical_model import physical_model
     from armrig.physics.step_response import characteristics, step_sensitivities
     from armrig.physics.systems import ArmParameters, arm, chassis, rehearse
     from armrig.recordings.jitter import sampling_statistics
     from armrig.recordings.loading import load
     from armrig.recordings.recording import Recording, RecordingError
     from armrig.recordings.usability import data_verdict
-    from armrig.report.study import physical_model
     from armrig.rig.client import Rig
     from armrig.rig.session import RigError
     from armrig.rig.telemetry_stream import stream
     from armrig.validation.advice.advice import advice
-    from armrig.validation.comparison import compare, residuals
+    from armrig.validation.comparison import compare
     from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop
     from armrig.validation.model_search import SearchResult, search
+    from armrig.validation.residuals import residuals
 
 __all__ = [
     "ArmParameters",
@@ -209,14 +210,15 @@ _MODULES = {
     "recordings.recording": ("Recording", "RecordingError"),
     "rig.client": ("Rig",),
     "rig.session": ("RigError",),
-    "report.study": ("physical_model",),
+    "physics.physical_model": ("physical_model",),
     "rig.telemetry_stream": ("stream",),
     "models.model_file": ("ModelFileError", "load_fit"),
     "validation.model_search": ("SearchResult", "search"),
     "recordings.jitter": ("sampling_statistics",),
     "models.subspace_fit": ("SubspaceFit",),
     "recordings.usability": ("data_verdict",),
-    "validation.comparison": ("compare", "residuals"),
+    "validation.comparison": ("compare",),
+    "validation.residuals": ("residuals",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

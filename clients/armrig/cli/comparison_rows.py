@@ -7,7 +7,7 @@ from typing import Any
 
 def row_facts(row: Any) -> dict[str, Any]:
     """Return one model's row of a comparison, its figures included."""
-    t = row.traits
+    t = row.characteristics
     figures = {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()}
     poles = [[z.real, z.imag] for z in t.poles.tolist()]
     return {

@@ -183,7 +183,8 @@ def _told(
 ) -> None:
     from armrig.cli import model_output
     from armrig.cli.waiting import estimating
-    from armrig.validation.comparison import compare, residuals
+    from armrig.validation.comparison import compare
+    from armrig.validation.residuals import residuals
 
     judged = None
     if other is not None:

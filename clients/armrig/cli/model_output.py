@@ -14,7 +14,8 @@ from armrig.models.fit import Fit
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import p_relation, places
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation.comparison import Comparison, ResidualTest
+from armrig.validation.comparison import Comparison
+from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
     from armrig.validation.model_search import SearchResult

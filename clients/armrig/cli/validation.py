@@ -67,7 +67,7 @@ def validate(
     from armrig.models.model_file import load_fit
     from armrig.recordings.loading import load
     from armrig.validation.comparison import compare as compared
-    from armrig.validation.comparison import residuals
+    from armrig.validation.residuals import residuals
 
     check_plot(plot, [file, model])
     fit = load_fit(model)

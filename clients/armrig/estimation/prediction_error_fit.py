@@ -12,7 +12,8 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import PredictionError, Solution
-from armrig.models.fit import Fit, Start
+from armrig.models.estimate import Start
+from armrig.models.fit import Fit
 from armrig.models.free_response import FreeResponse, offset_from_ramp
 from armrig.models.innovations import Errors, Unknown, prepared
 from armrig.models.structure import Structure

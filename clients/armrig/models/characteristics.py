@@ -5,7 +5,6 @@ from __future__ import annotations
 from cmath import exp
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,7 @@ from armrig.numerics.confidence_regions import FEWEST, Band, band, linearised_ba
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
 
 if TYPE_CHECKING:
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -36,7 +35,7 @@ _RISE = 1 - 1 / np.e
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Traits:
+class ModelCharacteristics:
     """What a model answers, in a few figures; of the rate where y integrates."""
 
     integrating: bool
@@ -69,8 +68,7 @@ class Traits:
     """What was drawn; None where nothing was estimated, or its covariance is not known."""
 
 
-@lru_cache(maxsize=32)
-def traits(fit: Fit) -> Traits:
+def model_characteristics(model: Model) -> ModelCharacteristics:
     """Return the figures of a model and their standard deviations.
 
     Frequencies are read off |G|, on a grid of 600 points up to Nyquist and then between them, and
@@ -80,29 +78,29 @@ def traits(fit: Fit) -> Traits:
     Ranges are value ± 1.96 std, unless 400 draws of the parameters show that to be poor (see
     `armrig.numerics.confidence_regions`).
     """
-    integrating = _integrates(fit)
-    own = _scalars(fit, fit.theta, integrating=integrating)
-    s = _continuous(fit, integrating=integrating)
+    integrating = _integrates(model)
+    own = _scalars(model, model.theta, integrating=integrating)
+    s = _continuous(model, integrating=integrating)
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = fit.poles().std / (np.abs(fit.poles().values) * fit.Ts)  # ds = dz / (z Ts)
+        spread = model.poles().std / (np.abs(model.poles().values) * model.Ts)  # ds = dz / (z Ts)
     order = np.argsort(np.abs(s))
-    std = _deviations(fit, integrating=integrating)
-    draws = drawn(fit, n=DRAWS)
-    sampled = np.array([r.method == "sampled" for r in pole_regions(fit)], dtype=bool)
-    return Traits(
+    std = _deviations(model, integrating=integrating)
+    draws = drawn(model, n=DRAWS)
+    sampled = np.array([r.method == "sampled" for r in pole_regions(model)], dtype=bool)
+    return ModelCharacteristics(
         integrating=integrating,
         poles=s[order],
         poles_std=spread[order],
         poles_sampled=sampled[order],
         std=std,
-        ranges=_ranges(fit, own, std, draws, integrating=integrating),
+        ranges=_ranges(model, own, std, draws, integrating=integrating),
         draws=draws,
         **own,
     )
 
 
 def _ranges(
-    fit: Fit,
+    model: Model,
     own: dict[str, float],
     std: dict[str, float],
     draws: Draws | None,
@@ -112,7 +110,7 @@ def _ranges(
     if draws is None:
         return {name: band(own[name], std[name], None) for name in SCALARS}
     with np.errstate(all="ignore"):
-        rows = [_scalars(fit, theta, integrating=integrating) for theta in draws.theta]
+        rows = [_scalars(model, theta, integrating=integrating) for theta in draws.theta]
     return {name: _range(own[name], std[name], np.array([r[name] for r in rows])) for name in own}
 
 
@@ -126,8 +124,8 @@ def _range(value: float, std: float, samples: Vector) -> Band:
     return band(value, std, there) if np.isfinite(std) else sampled_band(there)
 
 
-def _deviations(fit: Fit, *, integrating: bool) -> dict[str, float]:
-    covariance = np.asarray(fit.trusted_covariance)
+def _deviations(model: Model, *, integrating: bool) -> dict[str, float]:
+    covariance = np.asarray(model.trusted_covariance)
     if not np.isfinite(covariance).all():
         return dict.fromkeys(SCALARS, float("nan"))
     if not covariance.any():
@@ -135,46 +133,46 @@ def _deviations(fit: Fit, *, integrating: bool) -> dict[str, float]:
     # Along the columns of W, W W^T = P, each a step of one deviation: by single coefficients the
     # derivatives are large, and cancel in g^T P g down to their rounding.
     variance = np.zeros(len(SCALARS))
-    for column in directions(fit).T:
+    for column in directions(model).T:
         if not column.any():
             continue
         above, below = (
-            np.array(list(_scalars(fit, fit.theta + d, integrating=integrating).values()))
+            np.array(list(_scalars(model, model.theta + d, integrating=integrating).values()))
             for d in (_STEP * column, -_STEP * column)
         )
         variance += ((above - below) / (2 * _STEP)) ** 2
     return dict(zip(SCALARS, np.sqrt(variance).tolist(), strict=True))
 
 
-def _continuous(fit: Fit, *, integrating: bool) -> Complex:
+def _continuous(model: Model, *, integrating: bool) -> Complex:
     """Return the poles in 1/s, log(z)/Ts, NaN where there is none."""
-    z = fit.poles().values
+    z = model.poles().values
     with np.errstate(divide="ignore", invalid="ignore"):
-        s = np.where((np.abs(z.imag) < 1e-9) & (z.real <= 0), np.nan, np.log(z) / fit.Ts)
+        s = np.where((np.abs(z.imag) < 1e-9) & (z.real <= 0), np.nan, np.log(z) / model.Ts)
     if integrating:
         s[np.argmin(np.abs(z - 1))] = 0.0
     return np.asarray(s)
 
 
-def _integrates(fit: Fit) -> bool:
+def _integrates(model: Model) -> bool:
     """Tell whether y integrates: by construction, or by a pole at 1 as far as it can be told."""
-    return fit.integrator or bool(np.any(np.abs(roots(fit.denominator) - 1) < 5e-3))
+    return model.integrator or bool(np.any(np.abs(roots(model.denominator) - 1) < 5e-3))
 
 
-def _scalars(fit: Fit, theta: Vector, *, integrating: bool) -> dict[str, float]:
-    B, F = _polynomials(fit, theta)
+def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, float]:
+    B, F = _polynomials(model, theta)
     if integrating:
-        F = (without_integrator(F) if fit.integrator else _without_one(F)) * fit.Ts
+        F = (without_integrator(F) if model.integrator else _without_one(F)) * model.Ts
     gain = float(np.sum(B) / np.sum(F))
-    nyquist = np.pi / fit.Ts
+    nyquist = np.pi / model.Ts
     omega = np.geomspace(_LOWEST * nyquist, nyquist, _POINTS)
 
-    x = np.exp(-1j * omega * fit.Ts)
+    x = np.exp(-1j * omega * model.Ts)
     of_grid = np.asarray(np.abs(evaluate(B, x) / evaluate(F, x)) ** 2)
     b, f = B[::-1].tolist(), F[::-1].tolist()
 
     def power(w: float) -> float:
-        at = exp(-1j * w * fit.Ts)
+        at = exp(-1j * w * model.Ts)
         return abs(_horner(b, at)) ** 2 / max(abs(_horner(f, at)) ** 2, 1e-300)
 
     y = filtered(B, F, np.ones(_length(F)))
@@ -184,7 +182,7 @@ def _scalars(fit: Fit, theta: Vector, *, integrating: bool) -> dict[str, float]:
         "antiresonance": _extreme(omega, of_grid, power, sign=-1),
         "bandwidth": _crossing(omega, of_grid, gain**2 / 2, falling=True),
         "rise_time": _crossing(
-            fit.Ts * np.arange(y.size, dtype=np.float64), y / gain, _RISE, falling=False
+            model.Ts * np.arange(y.size, dtype=np.float64), y / gain, _RISE, falling=False
         ),
         "overshoot": 100 * (float(np.max(y / gain)) - 1),
     }
@@ -196,10 +194,10 @@ def _without_one(F: Vector) -> Vector:
     return np.atleast_1d(np.real(np.poly(np.delete(z, np.argmin(np.abs(z - 1))))))
 
 
-def _polynomials(fit: Fit, theta: Vector) -> tuple[Vector, Vector]:
+def _polynomials(model: Model, theta: Vector) -> tuple[Vector, Vector]:
     """Return B and the denominator A F with other coefficients."""
-    a, b, f = (theta[fit.slice_of(letter)] for letter in "abf")
-    B = np.concatenate([np.zeros(fit.nk), b])
+    a, b, f = (theta[model.slice_of(letter)] for letter in "abf")
+    B = np.concatenate([np.zeros(model.nk), b])
     return B, np.convolve(np.append(1.0, a), np.append(1.0, f))
 
 

@@ -16,6 +16,7 @@ from armrig.models.labels import (
     tell_left_out,
     with_method,
 )
+from armrig.models.model import Model
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import SpectralEstimate
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from armrig.models.fit import Fit
 
 _DOTS = 40  # at which an estimate without a structure is shown
 
@@ -85,7 +85,7 @@ def plot_bode(
 
 
 def plot_step(
-    *fits: Fit, n: int | None = None, labels: Labels = None, ax: Axes | None = None
+    *models: Model, n: int | None = None, labels: Labels = None, ax: Axes | None = None
 ) -> Axes:
     """Show the answer to a unit step, with 95 % bands, linearised or, where that is poor, by draws.
 
@@ -97,27 +97,27 @@ def plot_step(
     ax = axes(ax)
     curves: list[NDArray[np.float64]] = []
     sampled: dict[str, Draws | None] = {}
-    for fit, name, (colour, dash) in zip(fits, labels_of(fits, labels), pens(), strict=False):
-        answer = fit.step_response(n or max(50, round(1 / fit.Ts)))
+    for model, name, (colour, dash) in zip(models, labels_of(models, labels), pens(), strict=False):
+        answer = model.step_response(n or max(50, round(1 / model.Ts)))
         curves.append(answer.y)
         if np.nan_to_num(answer.std).any():
-            draws = drawn(fit)
-            band = step_band(fit, answer, draws)
+            draws = drawn(model)
+            band = step_band(model, answer, draws)
             sampled |= {name: draws} if band.method == "sampled" else {}
             name = with_method(name, band)
             ax.fill_between(answer.t, band.low, band.high, color=colour, alpha=0.25, lw=0)
         ax.plot(answer.t, answer.y, color=colour, ls=dash, label=name)
     ax.set_xlabel("$t$ [s]")
-    ax.set_ylabel(f"{NAMES.get(fits[0].output, fits[0].output)} [{gain_unit(fits)}]")
+    ax.set_ylabel(f"{NAMES.get(models[0].output, models[0].output)} [{gain_unit(models)}]")
     ax.legend(loc="best")
     ax.margins(x=0)
     _limited(ax, np.concatenate(curves))
     finish(ax)
-    tell_left_out(ax, sampled, models=len(fits))
-    return sign(ax, *sources_of(fits))
+    tell_left_out(ax, sampled, models=len(models))
+    return sign(ax, *sources_of(models))
 
 
-def plot_fit(fit: Fit) -> Figure:
+def plot_fit(model: Model) -> Figure:
     """Return a figure of one model: frequency and step response, poles and zeros."""
     from matplotlib import pyplot as plt
 
@@ -134,9 +134,9 @@ def plot_fit(fit: Fit) -> Figure:
         hspace=0.5,
         wspace=0.3,
     )
-    plot_bode(fit, ax=figure.add_subplot(grid[:, 0]))
-    plot_step(fit, ax=figure.add_subplot(grid[0, 1]))
-    plot_poles_zeros(fit, ax=figure.add_subplot(grid[1, 1]))
+    plot_bode(model, ax=figure.add_subplot(grid[:, 0]))
+    plot_step(model, ax=figure.add_subplot(grid[0, 1]))
+    plot_poles_zeros(model, ax=figure.add_subplot(grid[1, 1]))
     return figure
 
 
@@ -195,7 +195,7 @@ def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
     """Return frequencies up to the model's Nyquist, G there, and its bands if it has any."""
-    if hasattr(model, "structure"):
+    if isinstance(model, Model):
         w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
         answer = model.frequency_response(w)
         if not np.nan_to_num(answer.std_magnitude).any():

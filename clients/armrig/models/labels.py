@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from armrig.models.model import Model
 from armrig.numerics.confidence_regions import Band
 
 if TYPE_CHECKING:
@@ -16,17 +17,14 @@ Labels = Sequence[str] | None
 
 
 def labels_of(models: Sequence[Any], labels: Labels) -> list[str]:
-    """Return the labels given, or structure and orders of each model."""
+    """Return the labels given, or what each model calls itself."""
     if labels is not None:
         return list(labels)
-    names = []
-    for model in models:
-        orders = getattr(model, "orders", None)
-        named = (
-            f"{model.structure.upper()}[{' '.join(map(str, orders.values()))}]" if orders else ""
-        )
-        names.append(named or str(getattr(model, "name", "model")))
-    return names
+    # A system of python-control has a name.
+    return [
+        model.label if isinstance(model, Model) else str(getattr(model, "name", "model"))
+        for model in models
+    ]
 
 
 def sources_of(models: Sequence[Any]) -> list[str]:

@@ -5,31 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from html import escape
 from math import isfinite
-from typing import TYPE_CHECKING
 
-from armrig.models.equation import form, verdict
-
-if TYPE_CHECKING:
-    from armrig.models.fit import Fit
+from armrig.models.equation import form, letters, whiteness_sentence
+from armrig.models.estimate import Estimate
 
 
-def latex(fit: Fit) -> str:
+def latex(fit: Estimate) -> str:
     r"""Return the model as an `aligned` block, each coefficient with its standard deviation."""
     equation = form(fit).replace(") e(t)", r")\,e(t)").replace("1/D(q)", r"\frac{1}{D(q)}")
     for ratio in ("B(q)/F(q)", "C(q)/D(q)"):
         equation = equation.replace(ratio, rf"\frac{{{ratio[:4]}}}{{{ratio[5:]}}}")
     equation = equation.replace(") y(t)", r")\,y(t)").replace(" u(t)", r"\,u(t)")
     rows = [equation.replace(" = ", " &= ")]
-    rows += [rf"{letter}(q) &= {_polynomial(fit, letter, _LATEX)}" for letter in _letters(fit)]
+    rows += [rf"{letter}(q) &= {_polynomial(fit, letter, _LATEX)}" for letter in letters(fit)]
     body = " \\\\\n".join(rows)
     return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
 
-def typst(fit: Fit) -> str:
+def typst(fit: Estimate) -> str:
     """Return the model as a block of Typst's mathematics, as `latex` does."""
     equation = form(fit).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
     rows = [equation.replace(" = ", " &= ")]
-    rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in _letters(fit)]
+    rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in letters(fit)]
     return "$ " + " \\\n  ".join(rows) + " $"
 
 
@@ -57,11 +54,7 @@ _TYPST = _Notation(
 )
 
 
-def _letters(fit: Fit) -> list[str]:
-    return [letter for letter in "ABCDF" if letter == "B" or getattr(fit, letter).size > 1]
-
-
-def _polynomial(fit: Fit, letter: str, notation: _Notation) -> str:
+def _polynomial(fit: Estimate, letter: str, notation: _Notation) -> str:
     part = fit.slice_of(letter.lower())
     first = fit.nk if letter == "B" else 1
     text = "" if letter == "B" else "1"
@@ -85,7 +78,7 @@ def _number(x: float, digits: int, notation: _Notation) -> str:
     return notation.times_ten.format(mantissa=mantissa, exponent=int(exponent))
 
 
-def html(fit: Fit) -> str:
+def html(fit: Estimate) -> str:
     """Return equation, coefficients and verdict as HTML; the equation is for MathJax."""
     rows = "".join(
         f"<tr><td>{name}</td><td>{value:.5g}</td><td>{std:.2g}</td><td>{robust:.2g}</td></tr>"
@@ -93,13 +86,12 @@ def html(fit: Fit) -> str:
             fit.names, fit.theta, fit.std, fit.std_robust, strict=True
         )
     )
-    orders = ", ".join(f"{name}={n}" for name, n in fit.orders.items())
     said = "".join(f"<li>{escape(warning)}</li>" for warning in fit.warnings)
     return (
-        f"<p><b>{fit.structure.upper()}({orders})</b>, Ts {fit.Ts:g} s, N {fit.N}</p>"
+        f"<p><b>{fit.heading}</b>, Ts {fit.Ts:g} s, N {fit.N}</p>"
         f"$$\n{latex(fit)}\n$$"
         "<table><tr><th>coefficient</th><th>estimate</th><th>std</th><th>std_robust</th></tr>"
         f"{rows}</table>"
         f"<p>Fit {fit.fit_percent:.2f} % one step ahead on estimation data, loss {fit.loss:.4g}; "
-        f"{escape(verdict(fit))}.</p>" + (f"<ul>{said}</ul>" if said else "")
+        f"{escape(whiteness_sentence(fit))}.</p>" + (f"<ul>{said}</ul>" if said else "")
     )

@@ -1,11 +1,9 @@
-"""A model as a JSON file: every number to its last digit, and the recording that it is of."""
+"""A model is read from its JSON file, every number to its last digit."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import fields
-from importlib.metadata import version
-from math import isfinite
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,12 @@ from typing import Any
 import numpy as np
 from armrig_core.bounded import TextError, read_text
 
-from armrig.models.fit import Fit, Start
+from armrig.models.estimate import Start
+from armrig.models.fit import Fit
 from armrig.models.free_response import FreeResponse
+from armrig.models.model_writing import FORMAT, VERSION
 from armrig.models.subspace_fit import SubspaceFit
 
-FORMAT = "armrig model"
-VERSION = 1
 MOST_BYTES = 1 << 26
 """Longest file, in B: a model of 1000 parameters has less."""
 _KINDS = {"n4sid": SubspaceFit}
@@ -29,22 +27,6 @@ _FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
 
 class ModelFileError(ValueError):
     """The file holds no model that this version can read."""
-
-
-def save_fit(fit: Fit, path: str | PathLike[str]) -> Path:
-    """Write a model as JSON and return the path.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-    """
-    content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
-    content |= {f.name: _plain(getattr(fit, f.name)) for f in fields(fit)}
-    path = Path(path)
-    text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
-    return path
 
 
 def load_fit(path: str | PathLike[str]) -> Fit:
@@ -105,21 +87,6 @@ def _restored(content: dict[str, Any]) -> Fit:
     )
     values |= {name: tuple(values[name]) for name in ("warnings", "history")}
     return kind(**values)
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON has it; what is not finite as "nan", "inf" or "-inf"."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, Start | FreeResponse):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, list | tuple):
-        return [_plain(x) for x in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not isfinite(value):
-        return str(value)
-    return value
 
 
 def _numbers(values: Any) -> Any:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from armrig.numerics.polynomial import stable, without_integrator
 
 if TYPE_CHECKING:
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Draws:
         return ", ".join(f"{n} of {self.asked} {what}" for n, what in counted if n)
 
 
-def drawn(fit: Fit, *, n: int = COUNT, rng: np.random.Generator | None = None) -> Draws | None:
+def drawn(model: Model, *, n: int = COUNT, rng: np.random.Generator | None = None) -> Draws | None:
     """Return n draws of theta from N(theta, P), P the covariance that the verdict trusts.
 
     With P = W W^T they are theta + W x, x standard normal: in pairs x and -x, and scaled so that
@@ -73,21 +73,21 @@ def drawn(fit: Fit, *, n: int = COUNT, rng: np.random.Generator | None = None) -
     Draws or None
         None where nothing was estimated, or P is not known.
     """
-    P = fit.trusted_covariance
+    P = model.trusted_covariance
     if not (np.isfinite(P).all() and P.any()):
         return None
     rng = np.random.default_rng(SEED) if rng is None else rng
-    W = directions(fit)
+    W = directions(model)
     model_is_stable = all(
-        stable(_without(fit, letter, getattr(fit, letter.upper()))) for letter in "af"
+        stable(_without(model, letter, getattr(model, letter.upper()))) for letter in "af"
     )
     kept: list[Matrix] = []
     asked = unstable = degenerate = 0
     while asked < MOST * n and sum(len(x) for x in kept) < n:
-        theta = fit.theta + _normal(n, W.shape[1], rng) @ W.T
+        theta = model.theta + _normal(n, W.shape[1], rng) @ W.T
         finite = np.isfinite(theta).all(axis=1)
-        finite &= np.abs(theta[:, fit.slice_of("b").start]) > 0
-        inside = finite & _stable(fit, theta, finite) if model_is_stable else finite
+        finite &= np.abs(theta[:, model.slice_of("b").start]) > 0
+        inside = finite & _stable(model, theta, finite) if model_is_stable else finite
         kept.append(theta[inside])
         asked += n
         unstable += int(np.count_nonzero(finite & ~inside))
@@ -97,41 +97,41 @@ def drawn(fit: Fit, *, n: int = COUNT, rng: np.random.Generator | None = None) -
     return Draws(theta=np.concatenate(kept), asked=asked, unstable=unstable, degenerate=degenerate)
 
 
-def directions(fit: Fit) -> Matrix:
+def directions(model: Model) -> Matrix:
     """Return W (d, r) with W W^T = P, the trusted covariance: a step of one deviation a column.
 
     Made from the correlation matrix of the parameters that were free, so that a root that is 1 by
     construction stays 1 along each.
     """
-    inward, outward = _of_integrator(fit)
-    return outward @ _root(inward @ fit.trusted_covariance @ inward.T)
+    inward, outward = _of_integrator(model)
+    return outward @ _root(inward @ model.trusted_covariance @ inward.T)
 
 
-def _stable(fit: Fit, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Tell which draws have all poles inside the unit circle, a fixed one at 1 not counted."""
     inside = np.ones(theta.shape[0], dtype=bool)
     for letter in "af":
-        z = roots_of(fit, theta, letter, known)
-        inside &= (np.abs(z[:, int(letter == fit.integrating) :]) < 1).all(axis=1)
+        z = roots_of(model, theta, letter, known)
+        inside &= (np.abs(z[:, int(letter == model.integrating) :]) < 1).all(axis=1)
     return inside
 
 
-def polynomial_of(fit: Fit, theta: Matrix, letter: str) -> Matrix:
+def polynomial_of(model: Model, theta: Matrix, letter: str) -> Matrix:
     """Return one polynomial of each draw, (n, order + 1), B with its nk zeros."""
-    free = theta[:, fit.slice_of(letter)]
-    before = np.zeros((theta.shape[0], fit.nk)) if letter == "b" else np.ones((theta.shape[0], 1))
+    free = theta[:, model.slice_of(letter)]
+    before = np.zeros((theta.shape[0], model.nk)) if letter == "b" else np.ones((theta.shape[0], 1))
     return np.hstack([before, free])
 
 
 def roots_of(
-    fit: Fit, theta: Matrix, letter: str, known: NDArray[np.bool_] | None = None
+    model: Model, theta: Matrix, letter: str, known: NDArray[np.bool_] | None = None
 ) -> Complex:
     """Return the roots of one polynomial of each draw, (n, order); that at 1, if any, the first.
 
     They are the eigenvalues of its companion matrix; NaN where `known` is False.
     """
-    p = polynomial_of(fit, theta, letter)[:, fit.nk if letter == "b" else 0 :]
-    fixed = letter == fit.integrating
+    p = polynomial_of(model, theta, letter)[:, model.nk if letter == "b" else 0 :]
+    fixed = letter == model.integrating
     if fixed:
         p = np.cumsum(p, axis=1)[:, :-1]
     n, order = p.shape[0], p.shape[1] - 1
@@ -145,12 +145,12 @@ def roots_of(
     return np.hstack([np.ones((n, 1)), z]) if fixed else z
 
 
-def _of_integrator(fit: Fit) -> tuple[Matrix, Matrix]:
+def _of_integrator(model: Model) -> tuple[Matrix, Matrix]:
     """Return the linear maps from theta to the parameters that were free, and back."""
-    d = fit.theta.size
-    if not fit.integrating:
+    d = model.theta.size
+    if not model.integrating:
         return np.eye(d), np.eye(d)
-    part = fit.slice_of(fit.integrating)
+    part = model.slice_of(model.integrating)
     k = part.stop - part.start
     inward = np.eye(d)
     inward[part, part] = np.tri(k)
@@ -168,8 +168,8 @@ def _normal(n: int, d: int, rng: np.random.Generator) -> Matrix:
     return np.asarray(np.linalg.solve(L, x.T).T)
 
 
-def _without(fit: Fit, letter: str, p: Vector) -> Vector:
-    return without_integrator(p) if letter == fit.integrating else p
+def _without(model: Model, letter: str, p: Vector) -> Vector:
+    return without_integrator(p) if letter == model.integrating else p
 
 
 def _root(P: Matrix) -> Matrix:

@@ -18,7 +18,7 @@ from armrig.numerics.root_draws import Cloud
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
 
 _SIZES = (9.0, 6.5, 4.0, 4.0)  # the first is the largest: models that agree show around each other
 _FARTHEST = 2.0  # what lies further out is off the figure
@@ -27,7 +27,7 @@ _RASTER = 120
 _WIDER = 6  # times that the raster of a region is widened until all of it is on it
 
 
-def plot_poles_zeros(*fits: Fit, labels: Labels = None, ax: Axes | None = None) -> Axes:
+def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = None) -> Axes:
     """Show poles (×) and zeros (○) in the z plane with their 95 % regions, and the unit circle.
 
     A real root has an interval (a bar), the others an ellipse, full lines; where draws of the
@@ -41,11 +41,11 @@ def plot_poles_zeros(*fits: Fit, labels: Labels = None, ax: Axes | None = None) 
     ax.axvline(0, color=GREY, lw=0.5)
     shown: list[Region] = []
     by_draws: dict[str, Draws | None] = {}
-    for fit, name, (colour, _), size in zip(
-        fits, labels_of(fits, labels), pens(), cycle(_SIZES), strict=False
+    for model, name, (colour, _), size in zip(
+        models, labels_of(models, labels), pens(), cycle(_SIZES), strict=False
     ):
-        draws = drawn(fit)
-        poles, zeros = pole_regions(fit, draws), zero_regions(fit, draws)
+        draws = drawn(model)
+        poles, zeros = pole_regions(model, draws), zero_regions(model, draws)
         if any(r.method == "sampled" for r in (*poles, *zeros)):
             by_draws[name] = draws
         shown += [*poles, *zeros]
@@ -57,7 +57,7 @@ def plot_poles_zeros(*fits: Fit, labels: Labels = None, ax: Axes | None = None) 
             for region in found:
                 _draw(ax, region, colour)
         if draws is not None:
-            _mark_cancelling(ax, fit)
+            _mark_cancelling(ax, model)
     _frame(ax, shown)
     ax.set(xlabel="Re $z$", ylabel="Im $z$")
     ax.set_aspect("equal")
@@ -69,8 +69,8 @@ def plot_poles_zeros(*fits: Fit, labels: Labels = None, ax: Axes | None = None) 
         markerscale=0.7,
     )
     finish(ax)
-    tell_left_out(ax, by_draws, models=len(fits))
-    return sign(ax, *sources_of(fits))
+    tell_left_out(ax, by_draws, models=len(models))
+    return sign(ax, *sources_of(models))
 
 
 def _label(name: str, found: list[Region], draws: Draws | None) -> str:
@@ -123,9 +123,9 @@ def _draw_cloud(ax: Axes, cloud: Cloud, colour: str) -> None:
     ax.contour(x, y, excess, levels=[1.0], colors=[colour], linestyles=":", linewidths=1.0)
 
 
-def _mark_cancelling(ax: Axes, fit: Fit) -> None:
+def _mark_cancelling(ax: Axes, model: Model) -> None:
     """Frame each pole and zero that cannot be told apart, and its conjugates."""
-    for pole, zero, _ in overlapping(fit):
+    for pole, zero, _ in overlapping(model):
         middle = (pole + zero) / 2
         said = "cannot be told apart"
         known = said in ax.get_legend_handles_labels()[1]

@@ -15,7 +15,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
 
 if TYPE_CHECKING:
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,24 +39,24 @@ def arx_regression(part: Dataset, *, na: int, nb: int, nk: int) -> ArxRegression
     return ArxRegression(Phi=Phi, y=part.y, usable=usable)
 
 
-def simulated(fit: Fit, part: Dataset) -> Vector:
+def simulated(model: Model, part: Dataset) -> Vector:
     """Simulate one experiment (N,), its initial state estimated by least squares.
 
     With an integrator the input's offset is estimated too: data that were detrended, and data
     that were not, are then judged alike.
     """
-    F, u = fit.denominator, part.u
-    if fit.integrator:
+    F, u = model.denominator, part.u
+    if model.integrator:
         F, u = without_integrator(F), summed_input(u, centred=True)
     count = transient_count(
-        numerator_degree=fit.B.size - 1,
-        denominator_degree=fit.denominator.size - 1,
-        integrator=fit.integrator,
+        numerator_degree=model.B.size - 1,
+        denominator_degree=model.denominator.size - 1,
+        integrator=model.integrator,
     )
     with np.errstate(over="ignore", invalid="ignore"):
-        forced = filtered(fit.B, F, u)
+        forced = filtered(model.B, F, u)
         columns = free_columns(F, part.N, count=count, drift=True)
-        columns = columns[:, : count + (2 if fit.integrator else int(fit.offset))]
+        columns = columns[:, : count + (2 if model.integrator else int(model.offset))]
         if not (np.isfinite(forced).all() and np.isfinite(columns).all()):
             # An unstable model's output leaves the range of floating point.
             return np.full(part.N, np.inf)
@@ -64,7 +64,7 @@ def simulated(fit: Fit, part: Dataset) -> Vector:
     return np.asarray(forced + columns @ free.coefficients(part.y[part.valid] - forced[part.valid]))
 
 
-def predicted(fit: Fit, data: Dataset, horizon: int | None) -> Vector:
+def predicted(model: Model, data: Dataset, horizon: int | None) -> Vector:
     """Return ŷ (N,), see `Fit.predict`.
 
     Raises
@@ -72,68 +72,68 @@ def predicted(fit: Fit, data: Dataset, horizon: int | None) -> Vector:
     ValueError
         horizon is below 1, or output, unit or Ts of the data are not the model's.
     """
-    require_same_signals(fit, data)
+    require_same_signals(model, data)
     if horizon is not None and horizon < 1:
         msg = f"horizon={horizon!r} must be >= 1, or None for simulation"
         raise ValueError(msg)
     parts = data.experiments()
-    if horizon is None or structure_of(fit).white:
-        return np.concatenate([simulated(fit, part) for part in parts])
-    if fit.C.size == fit.D.size == fit.F.size == 1 and not (fit.offset or fit.integrator):
-        return np.concatenate([_arx_predicted(fit, part, horizon) for part in parts])
-    return np.concatenate([_innovations_predicted(fit, part, horizon) for part in parts])
+    if horizon is None or structure_of(model).white:
+        return np.concatenate([simulated(model, part) for part in parts])
+    if model.C.size == model.D.size == model.F.size == 1 and not (model.offset or model.integrator):
+        return np.concatenate([_arx_predicted(model, part, horizon) for part in parts])
+    return np.concatenate([_innovations_predicted(model, part, horizon) for part in parts])
 
 
-def structure_of(fit: Fit) -> Structure:
+def structure_of(model: Model) -> Structure:
     """Return the orders of a model without its integrator, and what is unknown of its past."""
-    inside = {"a": 0, "f": 0, fit.integrating: 1}
+    inside = {"a": 0, "f": 0, model.integrating: 1}
     return Structure(
-        na=fit.A.size - 1 - inside["a"],
-        nb=fit.B.size - fit.nk,
-        nc=fit.C.size - 1,
-        nd=fit.D.size - 1,
-        nf=fit.F.size - 1 - inside["f"],
-        nk=fit.nk,
-        integrator=fit.integrating,
-        offset=fit.offset,
+        na=model.A.size - 1 - inside["a"],
+        nb=model.B.size - model.nk,
+        nc=model.C.size - 1,
+        nd=model.D.size - 1,
+        nf=model.F.size - 1 - inside["f"],
+        nk=model.nk,
+        integrator=model.integrating,
+        offset=model.offset,
     )
 
 
-def _innovations_predicted(fit: Fit, part: Dataset, horizon: int) -> Vector:
+def _innovations_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
     """Return y(t) less what the innovations of the last `horizon` samples have added to it."""
-    e = prediction_errors(fit, part).e
+    e = prediction_errors(model, part).e
     ahead = min(horizon, part.N)
-    h = filtered(fit.C, np.convolve(fit.A, fit.D), impulse([1.0], ahead))
+    h = filtered(model.C, np.convolve(model.A, model.D), impulse([1.0], ahead))
     return np.asarray(part.y - lagged(e, range(ahead)) @ h)
 
 
-def _arx_predicted(fit: Fit, part: Dataset, horizon: int) -> Vector:
-    past = _known_past(fit, part)
-    driven = filtered(fit.B, [1.0], part.u)
-    driven[: fit.B.size - 1] = np.nan
+def _arx_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
+    past = _known_past(model, part)
+    driven = filtered(model.B, [1.0], part.u)
+    driven[: model.B.size - 1] = np.nan
     N, k = part.N, min(horizon, part.N)
     y = np.full(N, np.nan)
     ahead = past[: N - k + 1]
     now = np.zeros(0)
     for i in range(k):
-        now = driven[i : N - k + 1 + i] - ahead @ fit.A[1:]
+        now = driven[i : N - k + 1 + i] - ahead @ model.A[1:]
         ahead = np.column_stack([now, ahead[:, :-1]])
     y[k - 1 :] = now
     return y
 
 
-def _known_past(fit: Fit, part: Dataset) -> Array:
+def _known_past(model: Model, part: Dataset) -> Array:
     """Return E[y(t-1) … y(t-na) | data to t-1], (N, na), NaN before the first complete stretch.
 
     Where all were measured that is what was measured. Across a gap a Kalman filter goes on from
     the last complete stretch, and skips the update where y is missing.
     """
-    na = fit.A.size - 1
-    a = fit.A[1:]
+    na = model.A.size - 1
+    a = model.A[1:]
     past = lagged(part.y, range(1, na + 1))
     past[:na] = np.nan
     complete = np.asarray(np.isfinite(past).all(axis=1))
-    driven = filtered(fit.B, [1.0], part.u)
+    driven = filtered(model.B, [1.0], part.u)
     shift = np.vstack([-a, np.eye(na - 1, na)])
     P = np.zeros((na, na))
     for t in np.flatnonzero(~complete):
@@ -165,17 +165,17 @@ class Residuals:
     """Basis of what the unknown past adds."""
 
 
-def prediction_errors(fit: Fit, part: Dataset) -> Residuals:
+def prediction_errors(model: Model, part: Dataset) -> Residuals:
     """Return the residuals of one experiment, what is unknown of its past estimated."""
-    structure = structure_of(fit)
-    p = {letter: getattr(fit, letter) for letter in "ABCDF"}
-    if fit.integrating:
-        p[fit.integrating.upper()] = without_integrator(p[fit.integrating.upper()])
+    structure = structure_of(model)
+    p = {letter: getattr(model, letter) for letter in "ABCDF"}
+    if model.integrating:
+        p[model.integrating.upper()] = without_integrator(p[model.integrating.upper()])
     experiment = prepared(part, structure)
     with np.errstate(over="ignore", invalid="ignore"):
         C, D, F = p["C"], p["D"], p["F"]
-        if not np.isfinite(filtered(np.convolve(D, fit.B), np.convolve(C, F), part.u)).all():
-            return _none(part.N, fit.parameters)
+        if not np.isfinite(filtered(np.convolve(D, model.B), np.convolve(C, F), part.u)).all():
+            return _none(part.N, model.parameters)
         given = regression(experiment, structure, C=C, D=D, F=F)
         known = errors(experiment, structure, given, **p)
     return Residuals(
@@ -191,19 +191,19 @@ def _none(N: int, parameters: int) -> Residuals:
     return Residuals(e=np.full(N, np.nan), Psi=np.zeros((N, parameters)), unknown=nothing)
 
 
-def require_same_signals(fit: Fit, data: Dataset) -> None:
+def require_same_signals(model: Model, data: Dataset) -> None:
     """Refuse data of another output than the model's, or sampled at another rate.
 
     Nothing is refused for a name or a unit that is not given; an output named y is not.
     """
-    if not np.isclose(fit.Ts, data.Ts, rtol=1e-9, atol=0.0):
-        msg = f"the model has Ts={fit.Ts:g} s and the data have Ts={data.Ts:g} s; "
+    if not np.isclose(model.Ts, data.Ts, rtol=1e-9, atol=0.0):
+        msg = f"the model has Ts={model.Ts:g} s and the data have Ts={data.Ts:g} s; "
         msg += "identify at the rate that you validate at"
         raise ValueError(msg)
-    names = {fit.output, data.output} - {"", "y"}
-    units = {fit.unit, data.unit} - {""}
+    names = {model.output, data.output} - {"", "y"}
+    units = {model.unit, data.unit} - {""}
     if len(names) > 1 or len(units) > 1:
-        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (fit, data))
+        of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, data))
         msg = f"the model is of {of_model} and the data show {of_data}; validate with the output "
-        msg += f"that was identified from, recording.dataset(output={fit.output!r})"
+        msg += f"that was identified from, recording.dataset(output={model.output!r})"
         raise ValueError(msg)

@@ -41,11 +41,6 @@ class SubspaceFit(Fit):
         """Number of states, a delay beyond one sample not counted."""
         return int(self.A.size) - 1
 
-    @property
-    def orders(self) -> dict[str, int]:
-        """Order and nk."""
-        return {"order": self.order, "nk": self.nk}
-
     def state_space(self) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
         """Return A_s (n, n), B_s (n, 1), C_s (1, n), D_s (1, 1) and K (n, 1), observer form.
 

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.models.cancellation import overlapping
-from armrig.models.characteristics import SCALARS, Traits, traits
+from armrig.models.characteristics import SCALARS, ModelCharacteristics, model_characteristics
+from armrig.models.estimate import Estimate
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HALF_WIDTH, Region
 from armrig.numerics.quantities import minus, places
 
 if TYPE_CHECKING:
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
 
 _UNITS = {
     "gain": "",
@@ -38,7 +39,7 @@ class Summary:
     """Of the z plane, in the order of `Fit.poles()`."""
     zeros: tuple[Region, ...]
     """Of the z plane, in the order of `Fit.zeros()`."""
-    figures: Traits
+    figures: ModelCharacteristics
     """Gain, resonances, bandwidth, step; and the poles in 1/s."""
     cancelling: tuple[tuple[complex, complex, float], ...]
     """Pole, zero and p value of pairs that cannot be told apart (1 %)."""
@@ -108,7 +109,7 @@ class Summary:
         return f"{_range(value, float(known.low), float(known.high), known.method)} {unit}".rstrip()
 
 
-def summary(fit: Fit) -> Summary:
+def summary(model: Model) -> Summary:
     """Return poles, zeros and figures of a model with their 95 % ranges.
 
     Each is linearised, or by 1000 draws (the figures by 400) of N(theta, P) where those show the
@@ -116,15 +117,15 @@ def summary(fit: Fit) -> Summary:
     draws allows for a curved relation of theta to the answer, not for an estimate of theta that is
     itself far from normal: of an almost cancelling pole it is still too narrow.
     """
-    draws = drawn(fit)
+    draws = drawn(model)
     return Summary(
-        poles=tuple(pole_regions(fit, draws)),
-        zeros=tuple(zero_regions(fit, draws)),
-        figures=traits(fit),
-        cancelling=() if draws is None else tuple(overlapping(fit)),
+        poles=tuple(pole_regions(model, draws)),
+        zeros=tuple(zero_regions(model, draws)),
+        figures=model_characteristics(model),
+        cancelling=() if draws is None else tuple(overlapping(model)),
         draws=draws,
-        robust=fit.trusted_covariance is fit.covariance_robust,
-        gain_unit=f"{fit.unit}/{fit.input_unit}" if fit.unit and fit.input_unit else "",
+        robust=isinstance(model, Estimate) and model.trusts_robust,
+        gain_unit=f"{model.unit}/{model.input_unit}" if model.unit and model.input_unit else "",
     )
 
 

@@ -17,7 +17,7 @@ from armrig.models.parameter_draws import Draws, drawn, polynomial_of, roots_of
 from armrig.numerics.confidence_regions import Band, Region, band, regions
 
 if TYPE_CHECKING:
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
     from armrig.models.responses import FrequencyResponse, StepResponse
 
 Vector = NDArray[np.float64]
@@ -25,40 +25,40 @@ Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def pole_regions(fit: Fit, draws: Draws | None = None) -> list[Region]:
-    """Return the 95 % region of each pole, in the order of `fit.poles()`.
+def pole_regions(model: Model, draws: Draws | None = None) -> list[Region]:
+    """Return the 95 % region of each pole, in the order of `model.poles()`.
 
     Those of A and those of F are drawn together and told apart by their polynomials.
     """
-    draws = drawn(fit) if draws is None else draws
-    poles = fit.poles()
-    n = fit.A.size - 1
+    draws = drawn(model) if draws is None else draws
+    poles = model.poles()
+    n = model.A.size - 1
     found = []
     for letter, part in (("a", slice(None, n)), ("f", slice(n, None))):
-        samples = None if draws is None else roots_of(fit, draws.theta, letter)
+        samples = None if draws is None else roots_of(model, draws.theta, letter)
         found += regions(poles.values[part], poles.covariance[part], samples)
     return found
 
 
-def zero_regions(fit: Fit, draws: Draws | None = None) -> list[Region]:
-    """Return the 95 % region of each zero, in the order of `fit.zeros()`."""
-    draws = drawn(fit) if draws is None else draws
-    zeros = fit.zeros()
-    samples = None if draws is None else roots_of(fit, draws.theta, "b")
+def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
+    """Return the 95 % region of each zero, in the order of `model.zeros()`."""
+    draws = drawn(model) if draws is None else draws
+    zeros = model.zeros()
+    samples = None if draws is None else roots_of(model, draws.theta, "b")
     if samples is not None and samples.shape[1] != zeros.values.size:  # the first b is 0: a delay
         samples = None
     return regions(zeros.values, zeros.covariance, samples)
 
 
 def frequency_bands(
-    fit: Fit, answer: FrequencyResponse, draws: Draws | None = None
+    model: Model, answer: FrequencyResponse, draws: Draws | None = None
 ) -> tuple[Band, Band]:
     """Return the 95 % bands of |G| and of arg G, the latter in rad about that of the answer."""
-    draws = drawn(fit) if draws is None else draws
+    draws = drawn(model) if draws is None else draws
     G = answer.G
     magnitudes = phases = None
     if draws is not None:
-        of_draws = frequency_responses(fit, draws.theta, answer.omega)
+        of_draws = frequency_responses(model, draws.theta, answer.omega)
         with np.errstate(divide="ignore", invalid="ignore"):
             magnitudes, phases = np.abs(of_draws), np.angle(of_draws / G)
     return (
@@ -67,33 +67,33 @@ def frequency_bands(
     )
 
 
-def step_band(fit: Fit, answer: StepResponse, draws: Draws | None = None) -> Band:
+def step_band(model: Model, answer: StepResponse, draws: Draws | None = None) -> Band:
     """Return the 95 % band of a step response."""
-    draws = drawn(fit) if draws is None else draws
-    samples = None if draws is None else step_responses(fit, draws.theta, answer.y.size)
+    draws = drawn(model) if draws is None else draws
+    samples = None if draws is None else step_responses(model, draws.theta, answer.y.size)
     return band(answer.y, answer.std, samples)
 
 
-def frequency_responses(fit: Fit, theta: Matrix, omega: ArrayLike) -> Complex:
+def frequency_responses(model: Model, theta: Matrix, omega: ArrayLike) -> Complex:
     """Return G of each draw (m, d) at omega (n,) in rad/s, (m, n)."""
-    x = np.exp(-1j * np.atleast_1d(np.asarray(omega, np.float64)) * fit.Ts)
-    G = polynomial_of(fit, theta, "b") @ _powers(x, fit.B.size)
+    x = np.exp(-1j * np.atleast_1d(np.asarray(omega, np.float64)) * model.Ts)
+    G = polynomial_of(model, theta, "b") @ _powers(x, model.B.size)
     with np.errstate(divide="ignore", invalid="ignore"):
         for letter in "af":
-            p = polynomial_of(fit, theta, letter)
-            if letter == fit.integrating:  # exact at 0, as in `Fit.frequency_response`
+            p = polynomial_of(model, theta, letter)
+            if letter == model.integrating:  # exact at 0, as in `Fit.frequency_response`
                 p = np.cumsum(p, axis=1)[:, :-1]
                 G = G / (1 - x)
             G = G / (p @ _powers(x, p.shape[1]))
     return np.asarray(G)
 
 
-def step_responses(fit: Fit, theta: Matrix, n: int) -> Matrix:
+def step_responses(model: Model, theta: Matrix, n: int) -> Matrix:
     """Return the first n samples of the unit step response of each draw (m, d), (m, n)."""
-    B = polynomial_of(fit, theta, "b")
+    B = polynomial_of(model, theta, "b")
     y = np.cumsum(np.pad(B, ((0, 0), (0, max(0, n - B.shape[1]))))[:, :n], axis=1)
     for letter in "af":
-        p = polynomial_of(fit, theta, letter)
+        p = polynomial_of(model, theta, letter)
         with np.errstate(over="ignore", invalid="ignore"):
             for t in range(n):
                 for k in range(1, min(p.shape[1] - 1, t) + 1):

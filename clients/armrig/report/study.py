@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
@@ -14,10 +14,12 @@ from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
 from armrig.models.fit import Fit
+from armrig.physics.physical_model import physical_model
 from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
 from armrig.recordings.recording import Recording, RecordingError
 from armrig.recordings.timing_disturbances import Disturbances, disturbances
-from armrig.validation.comparison import ComparisonTable, ResidualTest, compare, residuals
+from armrig.validation.comparison import ComparisonTable, compare
+from armrig.validation.residuals import ResidualTest, residuals
 
 STEP = "step"
 """Kind of an experiment that is shown, and not identified from."""
@@ -167,41 +169,4 @@ def study(
         causes=tuple(disturbances(r) for r in recordings),
         omega=omega,
         deviation=np.array([np.abs(g - G[-1]) / np.abs(G[-1]) for g in G[:-1]]),
-    )
-
-
-def physical_model(p: ArmParameters, data: Dataset) -> Fit:
-    """Return the physics of the whole arm from u to theta_1 as a model, nothing estimated.
-
-    Sampled exactly for an input held over Ts: B/F = C (qI - Phi)^-1 Gamma, by Faddeev and
-    LeVerrier's recursion. Its standard deviations are 0: it is a claim, not an estimate.
-    """
-    A, B, C = arm_matrices(p)
-    Phi, Gamma = zero_order_hold(A, B, data.Ts)
-    n = Phi.shape[0]
-    F, b, M = [1.0], [0.0], np.eye(n)
-    for k in range(1, n + 1):
-        b.append((C[0] @ M @ Gamma).item())
-        F.append(-float(np.trace(Phi @ M)) / k)
-        M = Phi @ M + F[-1] * np.eye(n)
-    d = 2 * n
-    nothing = np.zeros((d, d))
-    return Fit(
-        structure="oe",
-        A=np.ones(1),
-        B=np.array(b),
-        F=np.array(F),
-        nk=1,
-        integrator=True,
-        covariance=nothing,
-        covariance_robust=nothing,
-        noise_variance=float("nan"),
-        loss=float("nan"),
-        N=data.N,
-        Ts=data.Ts,
-        fit_percent=float("nan"),
-        whiteness=float("nan"),
-        output=data.output,
-        unit=data.unit,
-        input_unit=data.input_unit,
     )

@@ -1,10 +1,9 @@
-"""How well a model says what the rig does, on data it has or has not seen."""
+"""How well models say what the rig does, on data that they have or have not seen."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -12,27 +11,13 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
-from armrig.models.characteristics import Traits, traits
-from armrig.models.fit import Fit
-from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
-from armrig.numerics.covariance import exogenous_score
+from armrig.models.characteristics import ModelCharacteristics, model_characteristics
+from armrig.models.model import Model
+from armrig.models.prediction import predicted
 from armrig.numerics.goodness_of_fit import fit_percent
-from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, lagged
-from armrig.numerics.whiteness import (
-    WHITE_LEVEL,
-    autocovariance,
-    default_lags,
-    joined,
-    joint_p_value,
-    ljung_box,
-    portmanteau,
-)
 from armrig.validation.model_differences import explanation, table
 
 Vector = NDArray[np.float64]
-
-BAND_99_PERCENT = 2.58  # two-sided quantile of the normal distribution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,7 +25,7 @@ class Comparison:
     """One model's output against measured data."""
 
     name: str
-    """Structure and orders, or the label given."""
+    """The label given, or what the model calls itself: structure and orders."""
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|) over the samples that were measured."""
     rms_error: float
@@ -51,13 +36,13 @@ class Comparison:
     """The model was estimated from these very data."""
     y: Vector
     """ŷ, (N,)."""
-    fit: Fit
+    model: Model
     """The model."""
 
     @property
-    def traits(self) -> Traits:
-        """Gain, poles, resonances, bandwidth and step response of the model."""
-        return traits(self.fit)
+    def characteristics(self) -> ModelCharacteristics:
+        """Gain, poles, resonances, bandwidth and step response of the model, computed anew."""
+        return model_characteristics(self.model)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -111,7 +96,7 @@ class ComparisonTable:
 
 def compare(
     data: Dataset,
-    *fits: Fit,
+    *models: Model,
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> ComparisonTable:
@@ -128,7 +113,7 @@ def compare(
     ----------
     data : Dataset
         N samples, best of an experiment that no model has seen.
-    *fits : Fit
+    *models : Fit
         At least one, of the output that the data show.
     horizon : int, optional
         Predict so many samples ahead, >= 1, from the measured past; by default simulate.
@@ -147,19 +132,19 @@ def compare(
         No model was given, the labels are not one a model, or a model has another output, unit or
         sampling time.
     """
-    if not fits:
+    if not models:
         msg = "compare needs at least one model: compare(data, fit)"
         raise ValueError(msg)
-    names = [_name(fit) for fit in fits] if labels is None else list(labels)
-    if len(names) != len(fits):
-        msg = f"{len(names)} labels for {len(fits)} models; give one each"
+    names = [model.label for model in models] if labels is None else list(labels)
+    if len(names) != len(models):
+        msg = f"{len(names)} labels for {len(models)} models; give one each"
         raise ValueError(msg)
-    integrating = data.output in INTEGRATING_OUTPUTS or any(fit.integrator for fit in fits)
-    note = "initial state" + (" and input offset" if any(f.integrator for f in fits) else "")
+    integrating = data.output in INTEGRATING_OUTPUTS or any(m.integrator for m in models)
+    note = "initial state" + (" and input offset" if any(m.integrator for m in models) else "")
     return ComparisonTable(
         rows=tuple(
-            _compared(data, fit, name, horizon, integrating=integrating)
-            for fit, name in zip(fits, names, strict=True)
+            _compared(data, model, name, horizon, integrating=integrating)
+            for model, name in zip(models, names, strict=True)
         ),
         horizon=horizon,
         unit=data.unit,
@@ -167,29 +152,23 @@ def compare(
     )
 
 
-def _name(fit: Fit) -> str:
-    if np.isnan(fit.loss):  # nothing was estimated
-        return "physics"
-    return f"{fit.structure.upper()}[{' '.join(str(n) for n in fit.orders.values())}]"
-
-
 def _compared(
-    data: Dataset, fit: Fit, name: str, horizon: int | None, *, integrating: bool
+    data: Dataset, model: Model, name: str, horizon: int | None, *, integrating: bool
 ) -> Comparison:
-    y = fit.predict(data, horizon=horizon)
+    y = predicted(model, data, horizon)
     percent, rms = _misfit(data.y, y)
     velocity = None
     if integrating:
-        model = data.replaced(y=y, valid=np.isfinite(y), step=None)
-        velocity, _ = _misfit(difference(data).y, difference(model).y)
+        modelled = data.replaced(y=y, valid=np.isfinite(y), step=None)
+        velocity, _ = _misfit(difference(data).y, difference(modelled).y)
     return Comparison(
         name=name,
         fit_percent=percent,
         rms_error=rms,
         velocity_fit_percent=velocity,
-        on_estimation_data=bool(fit.digest) and fit.digest == data.digest,
+        on_estimation_data=model.estimated_from(data),
         y=y,
-        fit=fit,
+        model=model,
     )
 
 
@@ -202,180 +181,3 @@ def _misfit(measured: Vector, modelled: Vector) -> tuple[float, float]:
         return float("nan"), float("nan")
     sse = float(np.sum((measured[both] - modelled[both]) ** 2))
     return fit_percent(measured[both], sse), sqrt(sse / np.count_nonzero(both))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class ResidualTest:
-    """Correlation of the residuals with themselves and with the input."""
-
-    e: Vector
-    """Residuals one step ahead, (N,), NaN where they are not known."""
-    lags: NDArray[np.int_]
-    """0 … L."""
-    autocorrelation: Vector
-    """r_e at `lags`, 1 at lag 0."""
-    autocorrelation_band: float
-    """99 % band of each lag but 0 for white residuals, 2.58/sqrt(N)."""
-    whiteness: float
-    """p value of white residuals over all lags; this test decides."""
-    ljung_box: float
-    """p value of the Ljung-Box test, for comparison with other programs."""
-    cross_lags: NDArray[np.int_]
-    """-L … L; at a positive lag the input came first."""
-    cross_correlation: Vector
-    """Correlation of e(t) with u(t - lag) at `cross_lags`."""
-    cross_band: float
-    """99 % band of each lag for a known model, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
-    cross_std: Vector
-    """Standard deviation at each of `cross_lags` with the estimated parameters allowed for."""
-    missing_dynamics: float
-    """p value of no correlation with past and present input, lags 0 … L."""
-    feedback: float
-    """p value of no correlation with future input, lags -L … -1."""
-    on_estimation_data: bool
-    """The tests allow for parameters fitted to these very data."""
-
-    def __repr__(self) -> str:
-        """Say it in a few lines."""
-        where = "estimation" if self.on_estimation_data else "validation"
-        verdicts = (
-            ("white", "coloured", self.whiteness, "noise model or order"),
-            ("no dynamics missing", "dynamics missing", self.missing_dynamics, "orders or delay"),
-            ("no feedback", "feedback, or a delay too large", self.feedback, "experiment"),
-        )
-        lines = [f"residuals on {where} data, {np.count_nonzero(np.isfinite(self.e))} samples"]
-        for good, bad, p, look in verdicts:
-            said = good if p >= WHITE_LEVEL else f"{bad}: look at the {look}"
-            lines.append(f"  p = {p:.3g}: {'too few samples to tell' if np.isnan(p) else said}")
-        return "\n".join(lines)
-
-
-def residuals(fit: Fit, data: Dataset, lags: int | None = None) -> ResidualTest:
-    """Test whether the one-step residuals are white and free of the input.
-
-    Whiteness: the portmanteau test that allows for the estimated parameters (see
-    `armrig.numerics.whiteness`); the Ljung-Box test stands beside it, its degrees of freedom
-    lessened by na + nc + nd where these are the data that A, C and D were fitted to. Input: the
-    sums s_k = sum of e(t) u(t - k) are tested jointly, s^T M^-1 s against chi-squared, with ::
-
-        M = Z_p^T R_e Z_p                                        on estimation data
-        M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
-
-    where Z holds the lagged inputs, R_e is the residuals' covariance (autoregressive estimate),
-    Psi the sensitivity of the prediction, and Z_p is Z less its projection on Psi: estimated
-    parameters make residuals less correlated with the past input than noise is.
-
-    The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k), which
-    is 1/N only where e or u is white. It holds for a known model; `cross_std`, from the diagonal
-    of M, is narrower at some lags of estimation data and wider on other data.
-
-    Parameters
-    ----------
-    fit : Fit
-        Of the output that the data show.
-    data : Dataset
-        N samples.
-    lags : int, optional
-        L, from 1 to half of the residuals; 25 by default, fewer for short data.
-
-    Returns
-    -------
-    ResidualTest
-        Residuals (N,) in y's unit, correlations (without unit) with bands, and p values.
-
-    Raises
-    ------
-    ValueError
-        The model has another output, unit or sampling time, or L is not possible.
-
-    References
-    ----------
-    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
-    .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
-    """
-    require_same_signals(fit, data)
-    parts = list(data.experiments())
-    known = [prediction_errors(fit, part) for part in parts]
-    N = sum(int(np.count_nonzero(np.isfinite(r.e))) for r in known)
-    L = default_lags(N) if lags is None else lags
-    longest = max(N // 2, 1)
-    if not 1 <= L <= longest:
-        msg = f"lags={L} must be 1 to {longest}, half of the {N} residuals"
-        raise ValueError(msg)
-    own = bool(fit.digest) and fit.digest == data.digest
-    e = joined([r.e for r in known], L)
-    R, _ = autocovariance(e, L)
-    theta_covariance = _free_covariance(fit)
-    Z = [
-        _lagged_both_ways(part.u - np.mean(data.u), L, r)
-        for part, r in zip(parts, known, strict=True)
-    ]
-    cross: Array = np.vstack(Z).T @ np.nan_to_num(np.concatenate([r.e for r in known]))
-    past, future = slice(L, 2 * L + 1), slice(0, L)
-    M = _score_covariance(Z, known, theta_covariance, own=own)
-    u0 = [z[:, L : L + 1] for z in Z]
-    power = float(sum(np.sum(z**2) for z in u0))
-    P_N = float(exogenous_score(u0, [r.e for r in known])[0, 0])  # N P
-    scale = sqrt(power * R[0] * N) if power > 0 and R[0] > 0 else np.inf
-    return ResidualTest(
-        e=np.concatenate([r.e for r in known]),
-        lags=np.arange(L + 1),
-        autocorrelation=R / R[0] if R[0] > 0 else np.full(L + 1, np.nan),
-        autocorrelation_band=BAND_99_PERCENT / sqrt(max(N, 1)),
-        whiteness=portmanteau(
-            [r.e for r in known],
-            [r.Psi for r in known],
-            [r.unknown.span for r in known],
-            L,
-            None if own else theta_covariance,
-        ),
-        ljung_box=ljung_box(e, L, _noise_parameters(fit) if own else 0),
-        cross_lags=np.arange(-L, L + 1),
-        cross_correlation=np.asarray(cross) / scale,
-        cross_band=BAND_99_PERCENT * sqrt(P_N) / scale,
-        cross_std=np.sqrt(np.maximum(np.diag(M), 0.0)) / scale,
-        missing_dynamics=joint_p_value(cross[past], M[past, past]),
-        feedback=joint_p_value(cross[future], M[future, future]),
-        on_estimation_data=own,
-    )
-
-
-def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
-    """Return u(t - k), k = -L … L, (N, 2 L + 1), zero in the rows without a residual.
-
-    The free response is projected out: it was fitted to these residuals, on any data.
-    """
-    ahead = lagged(u[::-1], range(L, 0, -1))[::-1]
-    Z = np.hstack([ahead, lagged(u, range(L + 1))])
-    return known.unknown.without(np.where(np.isfinite(known.e)[:, None], Z, 0.0))
-
-
-def _score_covariance(
-    Z: list[Array], known: list[Residuals], theta_covariance: Array, *, own: bool
-) -> Array:
-    e = [r.e for r in known]
-    if not own:
-        slope: Array = np.vstack(Z).T @ np.vstack([r.Psi for r in known])
-        return np.asarray(exogenous_score(Z, e) + slope @ theta_covariance @ slope.T)
-    basis = orthonormal(np.vstack([r.Psi for r in known]))
-    edges = np.cumsum([0, *(z.shape[0] for z in Z)])
-    free = basis.without(np.vstack(Z))
-    return exogenous_score([free[a:b] for a, b in pairwise(edges)], e)
-
-
-def _noise_parameters(fit: Fit) -> int:
-    """Return how many parameters the noise model C/(A D) has, the integrator not counted."""
-    noise = fit.A.size + fit.C.size + fit.D.size - 3
-    return noise - int(fit.integrating == "a")
-
-
-def _free_covariance(fit: Fit) -> Array:
-    """Return the covariance of the parameters that were free: F̃'s, where F has an integrator."""
-    if not fit.integrator:
-        return fit.covariance_robust
-    part, size = fit.slice_of(fit.integrating), fit.theta.size
-    # f̃_k = f_1 + … + f_k undoes f_k = f̃_k - f̃_(k-1).
-    summing = np.eye(size)
-    summing[part, part] = np.tri(part.stop - part.start)
-    summing = np.delete(summing, part.stop - 1, axis=0)
-    return np.asarray(summing @ fit.covariance_robust @ summing.T)

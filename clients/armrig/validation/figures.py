@@ -22,7 +22,9 @@ from armrig.canvas import (
     stems,
 )
 from armrig.models.labels import Labels
-from armrig.validation.comparison import BAND_99_PERCENT, ComparisonTable, compare, residuals
+from armrig.models.model import Model
+from armrig.validation.comparison import ComparisonTable, compare
+from armrig.validation.residuals import BAND_99_PERCENT, residuals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 
 def plot_compare(
     data: Dataset,
-    *fits: Fit,
+    *models: Model,
     horizon: int | None = None,
     labels: Labels = None,
     table: ComparisonTable | None = None,
@@ -43,7 +45,7 @@ def plot_compare(
 
     The errors' scale is linear up to three times the best model's rms error and logarithmic beyond.
     """
-    table = compare(data, *fits, horizon=horizon, labels=labels) if table is None else table
+    table = compare(data, *models, horizon=horizon, labels=labels) if table is None else table
     ax, below = panels(ax, 0.38)
     for panel in (ax, below):
         shade(panel, data)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from armrig.models.characteristics import DRAWS, SCALARS, Traits
+from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
+from armrig.models.estimate import Estimate
+from armrig.models.model import Model
 from armrig.numerics.quantities import minus, places
-
-if TYPE_CHECKING:
-    from armrig.validation.comparison import Comparison
 
 SURE = 2.58  # standard deviations of the difference, 1 %
 _MOST_DECIMALS = 6
@@ -38,56 +37,71 @@ _BECAUSE = {
 }
 
 
-def table(rows: Sequence[Comparison]) -> list[str]:
+class Row(Protocol):
+    """One model of a comparison."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def model(self) -> Model: ...  # noqa: D102
+    @property
+    def characteristics(self) -> ModelCharacteristics: ...  # noqa: D102
+    @property
+    def rms_error(self) -> float: ...  # noqa: D102
+    @property
+    def on_estimation_data(self) -> bool: ...  # noqa: D102
+
+
+def table(rows: Sequence[Row]) -> list[str]:
     """Return the figures of all models side by side, those of a claim without deviations.
 
     Where the linearisation is poor a 95 % range of draws stands in place of the deviation.
     """
-    unit = "rate, " if any(row.traits.integrating for row in rows) else ""
+    figures = [row.characteristics for row in rows]
+    unit = "rate, " if any(t.integrating for t in figures) else ""
     columns = [[f"{unit}±: one σ", *_NAMES.values(), "poles [1/s]"]]
-    most = max(1, *(row.traits.poles.size for row in rows))
+    most = max(1, *(t.poles.size for t in figures))
     columns[0] += [""] * (most - 1)
-    for row in rows:
-        t = row.traits
+    for row, t in zip(rows, figures, strict=True):
         cells = [_cell(t, name) for name in SCALARS]
         poles = [_pole(t, i) for i in range(t.poles.size)]
         columns.append([row.name, *cells, *poles, *[""] * (most - len(poles))])
     widths = [max(map(len, column)) for column in columns]
     lines = []
-    for name, *figures in zip(*columns, strict=True):
+    for name, *cells in zip(*columns, strict=True):
         first = f"{name:{widths[0]}}"
-        rest = "  ".join(f"{c:>{w}}" for c, w in zip(figures, widths[1:], strict=True))
+        rest = "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths[1:], strict=True))
         lines.append(f"  {first}  {rest}".rstrip())
-    return lines + _notes(rows)
+    return lines + _notes({row.name: t for row, t in zip(rows, figures, strict=True)})
 
 
-def _notes(rows: Sequence[Comparison]) -> list[str]:
+def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
     """Say what the star means, if there is one, and what was left out for it."""
-    marked = [row for row in rows if row.traits.draws is not None and _poor(row.traits)]
+    marked = {name: t for name, t in figures.items() if t.draws is not None and _poor(t)}
     if not marked:
         return []
-    of = " and ".join(row.name for row in marked)
+    of = " and ".join(marked)
     lines = [f"  * linearisation poor ({of}): 95 % of {DRAWS} draws of the parameters"]
-    if any((row.traits.poles_sampled & (row.traits.poles_std > 0)).any() for row in marked):
+    if any((t.poles_sampled & (t.poles_std > 0)).any() for t in marked.values()):
         lines.append("    of a pole the σ is not to be trusted: fit.summary() has its range")
     lines += [
-        f"    {row.name}: {row.traits.draws.left_out}, left out"
-        for row in marked
-        if row.traits.draws is not None and row.traits.draws.left_out
+        f"    {name}: {t.draws.left_out}, left out"
+        for name, t in marked.items()
+        if t.draws is not None and t.draws.left_out
     ]
     return lines
 
 
-def _poor(t: Traits) -> bool:
+def _poor(t: ModelCharacteristics) -> bool:
     figures = any(_by_draws(t, name) for name in SCALARS)
     return figures or bool((t.poles_sampled & (t.poles_std > 0)).any())
 
 
-def _by_draws(t: Traits, name: str) -> bool:
+def _by_draws(t: ModelCharacteristics, name: str) -> bool:
     return t.ranges[name].method == "sampled" and bool(np.isfinite(t.ranges[name].low))
 
 
-def _cell(t: Traits, name: str) -> str:
+def _cell(t: ModelCharacteristics, name: str) -> str:
     value, known = getattr(t, name), t.ranges[name]
     if not _by_draws(t, name):
         return _with_std(value, t.std[name])
@@ -96,18 +110,19 @@ def _cell(t: Traits, name: str) -> str:
     return minus(f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})*")
 
 
-def explanation(rows: Sequence[Comparison]) -> list[str]:
+def explanation(rows: Sequence[Row]) -> list[str]:
     """Return in words which model is best, and what sets each apart from the reference.
 
     That is the physics (nothing of it was estimated), or else the last.
     """
     lines = [_best(rows)]
-    reference = next((row for row in rows if np.isnan(row.fit.loss)), rows[-1])
+    reference = next((row for row in rows if not isinstance(row.model, Estimate)), rows[-1])
+    figures = reference.characteristics
     for row in (row for row in rows if row is not reference):
         if row.rms_error > _HOPELESS * reference.rms_error:
             lines.append(_hopeless(row, reference))
             continue
-        apart = list(_apart(row, reference))
+        apart = list(_apart(row, reference, figures))
         if not apart:
             lines.append(
                 f"{row.name} and {reference.name}: no figure differs by more than its uncertainty "
@@ -117,7 +132,7 @@ def explanation(rows: Sequence[Comparison]) -> list[str]:
     return lines
 
 
-def _best(rows: Sequence[Comparison]) -> str:
+def _best(rows: Sequence[Row]) -> str:
     ranked = sorted(rows, key=lambda row: row.rms_error)
     best, next_ = ranked[0], ranked[min(1, len(ranked) - 1)]
     if len(rows) == 1:
@@ -131,20 +146,20 @@ def _best(rows: Sequence[Comparison]) -> str:
     return f"{said}."
 
 
-def _hopeless(row: Comparison, reference: Comparison) -> str:
+def _hopeless(row: Row, reference: Row) -> str:
     """Say why the figures of a model that simulates so badly say nothing of the rig."""
     said = f"{row.name} is off {row.rms_error / reference.rms_error:.3g} times as far as "
     said += f"{reference.name}: what sets its figures apart is the model's fault, not the rig's"
-    if row.fit.structure == "arx":
+    if isinstance(row.model, Estimate) and row.model.structure == "arx":
         said += ". ARX takes the noise to pass through 1/A; where it is added to the output, as a "
         said += "potentiometer's is, least squares buys one-step prediction with a wrong model: "
         return said + "take OE."
     return f"{said}. Look at its orders and its delay."
 
 
-def _apart(row: Comparison, reference: Comparison) -> Iterator[str]:
-    """Iterate over the figures that differ by more than chance."""
-    a, b = row.traits, reference.traits
+def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
+    """Iterate over the figures that differ by more than chance from b, the reference's."""
+    a = row.characteristics
     if a.integrating != b.integrating:
         which = (row if a.integrating else reference).name
         yield f"Only {which} integrates: the other figures cannot be compared."
@@ -152,11 +167,12 @@ def _apart(row: Comparison, reference: Comparison) -> Iterator[str]:
     for name in SCALARS:
         x, y = getattr(a, name), getattr(b, name)
         if np.isnan(x) != np.isnan(y):
-            has = row if np.isnan(y) else reference
-            none = reference if np.isnan(y) else row
             figure = _NAMES[name].partition(" [")[0]
-            at = _with_std(getattr(has.traits, name), has.traits.std[name])
-            yield f"{has.name} has a {figure} ({at}) and {none.name} has none: {_BECAUSE[name]}."
+            if np.isnan(y):
+                has, none, at = row.name, reference.name, _with_std(x, a.std[name])
+            else:
+                has, none, at = reference.name, row.name, _with_std(y, b.std[name])
+            yield f"{has} has a {figure} ({at}) and {none} has none: {_BECAUSE[name]}."
             continue
         std = float(np.hypot(a.std[name], b.std[name]))
         if np.isnan(x) or not abs(x - y) > max(SURE * std, 1e-3 * abs(y)):
@@ -178,7 +194,7 @@ def _with_std(x: float, std: float) -> str:
     return minus(f"{x:.{decimals}f} ± {std:.{decimals}f}")
 
 
-def _pole(t: Traits, i: int) -> str:
+def _pole(t: ModelCharacteristics, i: int) -> str:
     s = t.poles[i]
     if np.isnan(s):
         return "none in continuous time"

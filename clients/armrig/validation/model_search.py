@@ -23,7 +23,7 @@ from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
 from armrig.numerics.checks import require_integers
-from armrig.validation.comparison import ResidualTest, residuals
+from armrig.validation.residuals import ResidualTest, residuals
 
 Vector = NDArray[np.float64]
 Family = Literal["arx", "iv4", "armax", "oe", "bj", "n4sid"]

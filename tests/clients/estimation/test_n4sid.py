@@ -15,7 +15,8 @@ from armrig.excitation import telegraph
 from armrig.models.model_file import load_fit
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.polynomial import filtered
-from armrig.validation.comparison import compare, residuals
+from armrig.validation.comparison import compare
+from armrig.validation.residuals import residuals
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant

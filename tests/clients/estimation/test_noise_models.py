@@ -18,7 +18,7 @@ from armrig.estimation.pem import pem
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
-from armrig.validation.comparison import residuals
+from armrig.validation.residuals import residuals
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.models.characteristics import SCALARS, traits
-from armrig.report.study import physical_model
+from armrig.models.characteristics import SCALARS, model_characteristics
+from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ HANDOUT = ArmParameters()
 
 def test_the_physics_has_the_figures_that_follow_from_its_parameters(plant: HandoutPlant) -> None:
     """Gain 1/(N K_m), anti-resonance sqrt(K_lin/J_2), the eigenvalues as poles, no deviations."""
-    t = traits(physical_model(HANDOUT, plant.dataset(1)))
+    t = model_characteristics(physical_model(HANDOUT, plant.dataset(1)))
     eigenvalues = np.linalg.eigvals(arm_matrices(HANDOUT)[0])
 
     assert t.integrating
@@ -36,7 +36,7 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
     pole = np.exp(-Ts / tau)
     fit = replace(_any_fit(), B=np.array([0.0, 2 * (1 - pole)]), F=np.array([1.0, -pole]), Ts=Ts)
 
-    t = traits(fit)
+    t = model_characteristics(fit)
 
     assert t.gain == pytest.approx(2.0)
     assert t.rise_time == pytest.approx(tau, rel=0.01)
@@ -52,9 +52,9 @@ def test_errors_are_as_large_as_the_deviations_reported(plant: HandoutPlant) -> 
     Each experiment has deviations of its own: how well the gain shows depends on how far the
     telegraph has wandered.
     """
-    truth = traits(physical_model(HANDOUT, plant.dataset(1)))
+    truth = model_characteristics(physical_model(HANDOUT, plant.dataset(1)))
     found = [
-        traits(armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True))
+        model_characteristics(armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True))
         for seed in range(30)
     ]
 
@@ -67,9 +67,9 @@ def test_errors_are_as_large_as_the_deviations_reported(plant: HandoutPlant) -> 
 def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> None:
     """Of every figure, where the linearisation is good; 200 draws tell it to 5 %."""
     fit = armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True)
-    t = traits(fit)
+    t = model_characteristics(fit)
     assert t.draws is not None
-    drawn = [traits(_moved(fit, theta)) for theta in t.draws.theta[:200]]
+    drawn = [model_characteristics(_moved(fit, theta)) for theta in t.draws.theta[:200]]
 
     for name in SCALARS:
         x = np.array([getattr(d, name) for d in drawn])

@@ -17,7 +17,7 @@ from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
 from armrig.models.model_file import ModelFileError, load_fit
 from armrig.numerics.polynomial import filtered
-from armrig.validation.comparison import residuals
+from armrig.validation.residuals import residuals
 
 
 def data(seed: int) -> Dataset:

@@ -30,7 +30,7 @@ from armrig.numerics.confidence_regions import (
 )
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.root_draws import RootDraws
-from armrig.report.study import physical_model
+from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.trend import Trend
+from armrig.physics.physical_model import physical_model
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig.report.conclusions import verdict
 from armrig.report.document import content, report, role, treatment
 from armrig.report.figures import write_figures
-from armrig.report.study import Orders, Study, physical_model, study
+from armrig.report.study import Orders, Study, study
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
 from made_recordings import of_the_arm, recorded, sample, written

@@ -15,7 +15,8 @@ from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from armrig.validation.comparison import _free_covariance, compare, residuals
+from armrig.validation.comparison import compare
+from armrig.validation.residuals import _free_covariance, residuals
 from scipy.stats import chi2
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.cancellation import overlapping
-from armrig.models.equation import verdict
+from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.usability import Finding
@@ -19,7 +19,7 @@ def of_model(fit: Fit) -> Iterator[Finding]:
     """Iterate over the points, in the order in which one would look."""
     yield _of_search(fit)
     white = not fit.whiteness < WHITE_LEVEL
-    text = verdict(fit) + ("" if white else "; raise the orders, or add a noise model")
+    text = whiteness_sentence(fit) + ("" if white else "; raise the orders, or add a noise model")
     yield _said("residuals", text, good=white)
     yield _of_overlap(fit)
     yield from _of_poles(fit)

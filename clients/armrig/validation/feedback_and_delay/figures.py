@@ -8,7 +8,7 @@ import numpy as np
 
 from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, panels, sign
 from armrig.numerics.quantities import p_relation
-from armrig.validation.comparison import BAND_99_PERCENT
+from armrig.validation.residuals import BAND_99_PERCENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

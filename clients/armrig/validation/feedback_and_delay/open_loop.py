@@ -15,8 +15,8 @@ from armrig.estimation.oe import oe
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, joint_p_value
-from armrig.validation.comparison import ResidualTest, residuals
 from armrig.validation.feedback_and_delay.granger import MOST_LAGS, Granger, granger
+from armrig.validation.residuals import ResidualTest, residuals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,289 @@
+"""A model: its polynomials, and what they answer by themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armrig.models.responses import FrequencyResponse, Roots, StepResponse
+from armrig.models.structure_table import named
+from armrig.numerics.checks import column, require_integers
+from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
+from armrig.numerics.sensitivity import by_denominator, by_numerator
+
+if TYPE_CHECKING:
+    import control
+
+    from armrig.data.dataset import Dataset
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_POLYNOMIALS = ("A", "B", "C", "D", "F")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Model:
+    """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t), in which nothing is uncertain.
+
+    A `Fit` is a model that was estimated: it knows how sure it is.
+    """
+
+    A: Vector = field(default_factory=lambda: np.ones(1))
+    """Coefficients in q^-1, beginning with 1; 1.0 alone where the structure has none."""
+    B: Vector
+    """Coefficients in q^-1, beginning with nk zeros."""
+    C: Vector = field(default_factory=lambda: np.ones(1))
+    """As A."""
+    D: Vector = field(default_factory=lambda: np.ones(1))
+    """As A."""
+    F: Vector = field(default_factory=lambda: np.ones(1))
+    """As A; with an integrator one of its roots is 1 exactly."""
+    nk: int
+    """Samples before u reaches y."""
+    integrator: bool = False
+    """F, or A where there is no F, contains 1 - q^-1 by construction."""
+    offset: bool = False
+    """The input's offset is not known, and is estimated from the data that the model is held to."""
+    Ts: float
+    """Sampling time, in s."""
+    output: str = "y"
+    """Name of y."""
+    unit: str = ""
+    """Unit of y."""
+    input_unit: str = ""
+    """Unit of u."""
+
+    def __post_init__(self) -> None:
+        """Make the arrays as frozen as the rest."""
+        freeze(self, _POLYNOMIALS)
+
+    @property
+    def label(self) -> str:
+        """What a table or a legend calls it."""
+        return "model"
+
+    @property
+    def heading(self) -> str:
+        """Label with the orders by their names."""
+        return f"{self.label}({named(self.orders)})"
+
+    @property
+    def orders(self) -> dict[str, int]:
+        """Orders by name: nb and nk, and those of na, nc, nd and nf that are not 0."""
+        return {name: n for name, n in self._sizes.items() if n or name in ("nb", "nk")}
+
+    @property
+    def _sizes(self) -> dict[str, int]:
+        sizes = {"na": self.A.size - 1, "nb": self.B.size - self.nk, "nc": self.C.size - 1}
+        return sizes | {"nd": self.D.size - 1, "nf": self.F.size - 1, "nk": self.nk}
+
+    @property
+    def _free_coefficients(self) -> dict[str, Vector]:
+        whole = {"a": self.A[1:], "b": self.B[self.nk :], "c": self.C[1:]}
+        return whole | {"d": self.D[1:], "f": self.F[1:]}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters in the order of theta: a1 …, b1 …, c1 …, d1 …, f1 …."""
+        parts = self._free_coefficients.items()
+        return tuple(f"{letter}{k + 1}" for letter, p in parts for k in range(p.size))
+
+    @property
+    def theta(self) -> Vector:
+        """Parameters (d,)."""
+        return np.concatenate(list(self._free_coefficients.values()))
+
+    @property
+    def trusted_covariance(self) -> Matrix:
+        """The covariance of theta (d, d) that every answer carries on: 0 where none is known."""
+        return np.zeros((self.theta.size, self.theta.size))
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters, one less where a root is 1 by construction."""
+        return int(self.theta.size) - int(self.integrator)
+
+    def estimated_from(self, data: Dataset) -> bool:
+        """Tell whether the model was estimated from these very data."""
+        return False
+
+    @property
+    def denominator(self) -> Vector:
+        """A F, whose roots are the poles from u to y."""
+        return np.convolve(self.A, self.F)
+
+    @property
+    def integrating(self) -> Literal["", "a", "f"]:
+        """The polynomial that has the factor 1 - q^-1 by construction: "a", "f" or ""."""
+        if not self.integrator:
+            return ""
+        return "f" if self.F.size > 1 else "a"
+
+    def slice_of(self, letter: str) -> slice:
+        """Return where the parameters of one polynomial ("a" … "f") lie in theta."""
+        begin = 0
+        for name, p in self._free_coefficients.items():
+            if name == letter:
+                return slice(begin, begin + p.size)
+            begin += p.size
+        msg = f"{letter!r} is none of a, b, c, d, f"
+        raise ValueError(msg)
+
+    def to_control(self) -> control.TransferFunction:
+        """Return the model from u to y as a python-control transfer function with dt=Ts."""
+        import control
+
+        n = max(self.B.size, self.denominator.size)
+        padded = [np.pad(p, (0, n - p.size)) for p in (self.B, self.denominator)]
+        return control.tf(*padded, self.Ts, inputs=["u"], outputs=[self.output])
+
+    def poles(self) -> Roots:
+        """Return the poles from u to y, those of A before those of F."""
+        parts = [self._roots(self.A, "a", 1), self._roots(self.F, "f", 1)]
+        return Roots(
+            values=np.concatenate([p.values for p in parts]),
+            covariance=np.concatenate([p.covariance for p in parts]),
+        )
+
+    def zeros(self) -> Roots:
+        """Return the zeros from u to y, without those at 0 and infinity that delays make."""
+        return self._roots(self.B[self.nk :], "b", 0)
+
+    def _roots(self, p: Vector, letter: str, first: int) -> Roots:
+        """Return the roots of p, whose coefficients from `first` on were estimated.
+
+        A root z of p(z) = sum p_k z^(n-k) moves by dz = -z^(n-k) / p'(z) dp_k.
+        """
+        z = roots(p).astype(np.complex128)
+        n = z.size
+        if n == 0:
+            return Roots(values=z, covariance=np.zeros((0, 2, 2)))
+        if letter == self.integrating:
+            fixed = np.argmin(np.abs(z - 1))
+            z[fixed] = 1.0
+        powers = p.size - 1 - np.arange(first, p.size)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.polyval(np.polyder(p), z)
+            dz = -(z[:, None] ** powers) / slope[:, None]
+        if letter == self.integrating:
+            dz[fixed] = 0.0
+        both = np.stack([dz.real, dz.imag], axis=1)
+        part = self.slice_of(letter)
+        covariance = both @ self.trusted_covariance[part, part] @ both.transpose(0, 2, 1)
+        return Roots(values=z, covariance=covariance)
+
+    def frequency_response(self, omega: ArrayLike) -> FrequencyResponse:
+        """Return G at omega (n,) in rad/s, up to the Nyquist frequency pi/Ts.
+
+        With d ln G = dG/G the relative error of |G| is its real part and the error of the phase
+        its imaginary part.
+
+        Raises
+        ------
+        ValueError
+            A frequency is outside 0 to pi/Ts.
+        """
+        omega_ = self._frequencies(omega)
+        G, dlnG = self._ratio(omega_, "b", "af")
+        with np.errstate(invalid="ignore"):
+            relative, phase = (
+                standard_deviations(d, self.trusted_covariance) for d in (dlnG.real, dlnG.imag)
+            )
+            magnitude = np.abs(G) * relative
+        return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
+
+    def _frequencies(self, omega: ArrayLike) -> Vector:
+        omega_ = np.atleast_1d(np.asarray(omega, dtype=np.float64))
+        nyquist = np.pi / self.Ts
+        if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
+            msg = f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
+            msg += f"{nyquist:g} rad/s (pi/Ts); a sampled model answers nothing beyond"
+            raise ValueError(msg)
+        return omega_
+
+    def _ratio(self, omega: Vector, above: str, below: str) -> tuple[Complex, Complex]:
+        """Return R (n,), a ratio of polynomials at omega, and d ln R by theta (n, d)."""
+        x = np.exp(-1j * omega * self.Ts)
+        numerator, denominator = np.ones_like(x), np.ones_like(x)
+        dlnR = np.zeros((x.size, self.theta.size), dtype=np.complex128)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for letter in above:
+                value = self._evaluated(letter, x)
+                numerator *= value
+                dlnR[:, self.slice_of(letter)] = self._slope(letter, x) / value[:, None]
+            for letter in below:
+                value = self._evaluated(letter, x)
+                denominator *= value
+                dlnR[:, self.slice_of(letter)] = -self._slope(letter, x) / value[:, None]
+            # One division: that of an infinite complex number by another is not a number.
+            R = numerator / denominator
+        return R, dlnR
+
+    def _evaluated(self, letter: str, x: Complex) -> Complex:
+        """Return a polynomial at x = q^-1, (n,)."""
+        p = self.polynomial(letter)
+        if letter == self.integrating:  # exact at 0, where a sum of coefficients is not
+            return np.asarray((1 - x) * evaluate(without_integrator(p), x))
+        return np.asarray(evaluate(p, x))
+
+    def _slope(self, letter: str, x: Complex) -> Complex:
+        """Return the derivatives of a polynomial at x by its parameters, (n, k)."""
+        part = self.slice_of(letter)
+        lags = (self.nk if letter == "b" else 1) + np.arange(part.stop - part.start)
+        return np.asarray(x[:, None] ** lags)
+
+    def polynomial(self, letter: str) -> Vector:
+        """Return the coefficients of one polynomial, "a" … "f", the first that of q^0."""
+        p: Vector = getattr(self, letter.upper())
+        return p
+
+    def step_response(self, n: int) -> StepResponse:
+        """Return the first n samples, n >= 1, of the answer to a unit step from rest."""
+        require_integers(n=(n, 1))
+        u = np.ones(n)
+        return StepResponse(
+            t=self.Ts * np.arange(n, dtype=np.float64),
+            y=self.simulate(u),
+            std=standard_deviations(self._sensitivity(u), self.trusted_covariance),
+        )
+
+    def _sensitivity(self, u: Vector) -> Matrix:
+        """Return (N, d), the derivatives of simulate(u) by theta."""
+        y = self.simulate(u)
+        J = np.zeros((y.size, self.theta.size))
+        J[:, self.slice_of("a")] = by_denominator(y, self.A, self.A.size - 1)
+        lags = range(self.nk, self.B.size)
+        J[:, self.slice_of("b")] = by_numerator(u, self.denominator, lags)
+        J[:, self.slice_of("f")] = by_denominator(y, self.F, self.F.size - 1)
+        return J
+
+    def simulate(self, u: ArrayLike) -> Vector:
+        """Return the model's output (N,) for the input u (N,), from rest and without noise.
+
+        The model's own u counts from its offset: subtract `free[i].offset` from a raw input where
+        an integrator was identified with one.
+
+        Raises
+        ------
+        ValueError
+            u is not (N,).
+        """
+        return filtered(self.B, self.denominator, column("u", u))
+
+
+def freeze(value: Any, names: tuple[str, ...]) -> None:
+    """Put arrays of numbers that cannot be changed in the place of these fields."""
+    for name in names:
+        array = np.array(getattr(value, name), dtype=np.float64)
+        array.flags.writeable = False
+        object.__setattr__(value, name, array)
+
+
+def standard_deviations(J: Matrix, covariance: Matrix) -> Vector:
+    """Return the standard deviations of J theta, (n,)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, covariance, J), 0.0)))

@@ -1,0 +1,63 @@
+"""The structures that can be estimated: their orders, what they are by default, their names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+Name = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "pem"]
+
+ARM_POLES = 4
+"""Poles of the arm, one of them an integrator; its numerator has as many coefficients."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """One structure."""
+
+    name: Name
+    """As a program writes it, which is also the name of its estimator."""
+    orders: Mapping[str, int | None]
+    """Its orders by name, nk left out, each with its default for the arm; None is by the data."""
+    poles: str
+    """Name of the order that counts the poles from u to y."""
+    may_integrate: bool
+    """A pole can be 1 by construction."""
+
+    @property
+    def title(self) -> str:
+        """Name for a person: OE."""
+        return self.name.upper()
+
+    def short(self, orders: Mapping[str, int]) -> str:
+        """Return structure and orders in the shortest form: OE[4 4 1]."""
+        return f"{self.title}[{' '.join(str(n) for n in orders.values())}]"
+
+    def long(self, orders: Mapping[str, int]) -> str:
+        """Return structure and orders by their names: OE(nb=4, nf=4, nk=1)."""
+        return f"{self.title}({named(orders)})"
+
+
+def named(orders: Mapping[str, int | None]) -> str:
+    """Return orders by their names: nb=4, nf=4, nk=1; those that are None are left out."""
+    return ", ".join(f"{name}={n}" for name, n in orders.items() if n is not None)
+
+
+_N = ARM_POLES
+_KINDS = (
+    Kind(name="arx", orders={"na": _N, "nb": _N}, poles="na", may_integrate=False),
+    Kind(name="armax", orders={"na": _N, "nb": _N, "nc": _N}, poles="na", may_integrate=True),
+    Kind(name="oe", orders={"nb": _N, "nf": _N}, poles="nf", may_integrate=True),
+    Kind(name="bj", orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N}, poles="nf", may_integrate=True),
+    Kind(name="iv4", orders={"na": _N, "nb": _N}, poles="na", may_integrate=False),
+    Kind(name="n4sid", orders={"order": None}, poles="order", may_integrate=True),
+    Kind(
+        name="pem",
+        orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
+        poles="nf",
+        may_integrate=False,
+    ),
+)
+KINDS: dict[str, Kind] = {kind.name: kind for kind in _KINDS}
+"""All of them by name."""
