@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,15 +15,43 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.nonparametric.impulse import ImpulseResponse
-    from armrig.validation.feedback_and_delay.delay import Delay
-    from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
 CHI2_95_PERCENT = 3.84  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side
 _BEYOND = 6  # lags shown past nk
 
 
-def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
+class FeedbackTest(Protocol):
+    """What is drawn of a test for feedback: `OpenLoop` has it."""
+
+    @property
+    def feedback(self) -> bool: ...  # noqa: D102
+    @property
+    def p_value(self) -> float: ...  # noqa: D102
+    @property
+    def response(self) -> ImpulseResponse | None: ...  # noqa: D102
+    @property
+    def source(self) -> str: ...  # noqa: D102
+
+
+class DelayTest(Protocol):
+    """What is drawn of a test for delay: `Delay` has it."""
+
+    @property
+    def nk(self) -> int: ...  # noqa: D102
+    @property
+    def response(self) -> ImpulseResponse: ...  # noqa: D102
+    @property
+    def lag_in_words(self) -> str: ...  # noqa: D102
+    @property
+    def oe_loss(self) -> Mapping[int, float]: ...  # noqa: D102
+    @property
+    def arx_loss(self) -> Mapping[int, float]: ...  # noqa: D102
+    @property
+    def source(self) -> str: ...  # noqa: D102
+
+
+def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
     """Show the impulse response at negative and positive lags, and the test that decides.
 
     Where u came first stems may stand out; at negative lags, where y came first, none does in open
@@ -45,7 +74,7 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
     return sign(ax, result.source)
 
 
-def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
+def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     """Show the first coefficients with their band and, below, the losses by nk."""
     ax, below = panels(ax, 0.45)
     last = result.nk + _BEYOND
