@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from armrig.data.dataset import Dataset
 from armrig.models.fit import Fit
 from armrig.recordings.usability import Finding
-from armrig.validation.advice.data_advice import of_data
-from armrig.validation.advice.model_advice import of_model
+from armrig.validation.advice.data_advice import examine_data
+from armrig.validation.advice.model_advice import examine_model
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -69,12 +69,10 @@ def advice(data_or_fit: Dataset | Fit) -> Advice:
     """
     if isinstance(data_or_fit, Dataset):
         data = data_or_fit
-        return Advice(of=f"{data.N} samples of {data.output}", findings=tuple(of_data(data)))
+        return Advice(of=f"{data.N} samples of {data.output}", findings=tuple(examine_data(data)))
     fit: object = data_or_fit
     if not isinstance(fit, Fit):
         msg = f"advice takes a Dataset or a Fit, got {type(fit).__name__}; of a recording give "
         msg += "recording.dataset()"
         raise TypeError(msg)
-    orders = " ".join(map(str, fit.orders.values()))
-    name = f"{fit.structure.upper()}[{orders}]"
-    return Advice(of=f"{name} of {fit.output}", findings=tuple(of_model(fit)))
+    return Advice(of=f"{fit.label} of {fit.output}", findings=tuple(examine_model(fit)))

@@ -14,6 +14,7 @@ from armrig.estimation.oe import oe
 from armrig.excitation.input_description import describe_input
 from armrig.numerics.quantities import p_relation, percent
 from armrig.recordings.usability import Finding
+from armrig.validation.advice.finding import finding
 from armrig.validation.feedback_and_delay.granger import granger
 
 ORDER = 4
@@ -23,64 +24,60 @@ _AGREE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MOST_MISSING = 0.2
 
 
-def of_data(data: Dataset) -> Iterator[Finding]:
+def examine_data(data: Dataset) -> Iterator[Finding]:
     """Iterate over the points, in the order in which one would look."""
-    yield _of_input(data)
+    yield _about_input(data)
     reason = integrating(data)
-    yield _of_integrator(reason)
+    yield _about_integrator(reason)
     if data.missing:
-        yield _of_missing(data)
+        yield _about_missing(data)
     cleaned = None
     try:
         cleaned = hampel(data)
     except ValueError as err:
-        yield _said("outliers", f"not looked for: {err}", good=True)
+        yield finding("outliers", f"not looked for: {err}", good=True)
     if cleaned is not None:
-        yield _of_outliers(data, cleaned)
+        yield _about_outliers(data, cleaned)
     if not reason:
-        yield from _of_drift(data)
-    yield from _of_history(data)
-    yield from _of_feedback(data)
-    yield from _of_structures(data, integrator=data.output in INTEGRATING_OUTPUTS)
+        yield from _about_drift(data)
+    yield from _about_history(data)
+    yield from _about_feedback(data)
+    yield from _about_structures(data, integrator=data.output in INTEGRATING_OUTPUTS)
 
 
-def _said(about: str, text: str, *, good: bool) -> Finding:
-    return Finding(level="good" if good else "warning", about=about, text=text)
-
-
-def _of_input(data: Dataset) -> Finding:
+def _about_input(data: Dataset) -> Finding:
     order = min(describe_input(part.u, data.Ts).order for part in data.experiments())
     needed = 2 * ORDER
     if order >= needed:
         text = f"exciting of order {order} at least: enough for the {needed} parameters of the arm"
-        return _said("excitation", text, good=True)
+        return finding("excitation", text, good=True)
     text = f"exciting of order {order} only, the arm's {needed} parameters need {needed}: play one "
-    return _said("excitation", text + "that switches often (telegraph, PRBS)", good=False)
+    return finding("excitation", text + "that switches often (telegraph, PRBS)", good=False)
 
 
-def _of_integrator(reason: str) -> Finding:
+def _about_integrator(reason: str) -> Finding:
     if not reason:
-        return _said("integrator", "none is seen", good=True)
+        return finding("integrator", "none is seen", good=True)
     text = f"{reason}: fix its pole, oe(…, integrator=True), and remove no linear trend"
-    return _said("integrator", text, good=True)
+    return finding("integrator", text, good=True)
 
 
-def _of_missing(data: Dataset) -> Finding:
+def _about_missing(data: Dataset) -> Finding:
     share = data.missing / data.N
     text = f"{percent(100 * share)} of the samples: no estimate uses a value in their place"
-    return _said("missing", text, good=share < _MOST_MISSING)
+    return finding("missing", text, good=share < _MOST_MISSING)
 
 
-def _of_outliers(data: Dataset, cleaned: Dataset) -> Finding:
+def _about_outliers(data: Dataset, cleaned: Dataset) -> Finding:
     found = cleaned.missing - data.missing
     if not found:
-        return _said("outliers", "none", good=True)
+        return finding("outliers", "none", good=True)
     where = ", ".join(map(str, np.flatnonzero(data.valid & ~cleaned.valid)[:5]))
     text = f"{found} (first at samples {where}): identify from armrig.hampel(data), which marks "
-    return _said("outliers", text + "them missing", good=False)
+    return finding("outliers", text + "them missing", good=False)
 
 
-def _of_drift(data: Dataset) -> Iterator[Finding]:
+def _about_drift(data: Dataset) -> Iterator[Finding]:
     try:
         found = drift(data)
     except ValueError:
@@ -89,29 +86,31 @@ def _of_drift(data: Dataset) -> Iterator[Finding]:
         name = "drift" if len(found) == 1 else f"drift {i}"
         drifts = abs(line.z) > 2.58
         text = f"{line}" + ("; remove it, detrend(data, order=1)" if drifts else "")
-        yield _said(name, text, good=not drifts)
+        yield finding(name, text, good=not drifts)
 
 
-def _of_history(data: Dataset) -> Iterator[Finding]:
+def _about_history(data: Dataset) -> Iterator[Finding]:
     if data.output in INTEGRATING_OUTPUTS and any("order 1)" in step for step in data.history):
         text = "a line was removed from an output that integrates: it was the answer to the mean "
-        yield _said("trend", text + "of u, not a drift; begin again from the recording", good=False)
+        yield finding(
+            "trend", text + "of u, not a drift; begin again from the recording", good=False
+        )
 
 
-def _of_feedback(data: Dataset) -> Iterator[Finding]:
+def _about_feedback(data: Dataset) -> Iterator[Finding]:
     try:
         test = granger(data)
     except ValueError:
         return
     if test.p_value >= _LEVEL:
-        yield _said("feedback", f"none is found (p {p_relation(test.p_value)})", good=True)
+        yield finding("feedback", f"none is found (p {p_relation(test.p_value)})", good=True)
         return
     text = f"u answers to {data.output} (p {p_relation(test.p_value)}): OE, spectra and "
     text += "correlations are biased; use ARMAX or BJ, or record in open loop"
-    yield _said("feedback", text, good=False)
+    yield finding("feedback", text, good=False)
 
 
-def _of_structures(data: Dataset, *, integrator: bool) -> Iterator[Finding]:
+def _about_structures(data: Dataset, *, integrator: bool) -> Iterator[Finding]:
     """Compare ARX and OE, which tell the same where the noise is ARX's, or small."""
     try:
         models = arx(data, na=ORDER, nb=ORDER), oe(data, nb=ORDER, nf=ORDER, integrator=integrator)
@@ -122,7 +121,7 @@ def _of_structures(data: Dataset, *, integrator: bool) -> Iterator[Finding]:
     apart = float(np.median(np.abs(G[0] - G[1]) / np.abs(G[1])))
     text = f"their frequency responses differ by a median of {percent(100 * apart)}"
     if apart < _AGREE:
-        yield _said("ARX and OE", text, good=True)
+        yield finding("ARX and OE", text, good=True)
         return
     text += ": the noise is on the output and not ARX's 1/A, and ARX buys one-step prediction "
-    yield _said("ARX and OE", text + "with a wrong model; take OE", good=False)
+    yield finding("ARX and OE", text + "with a wrong model; take OE", good=False)
