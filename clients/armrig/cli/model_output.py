@@ -9,7 +9,7 @@ import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.models.equation import form
+from armrig.models.equation import form, heading
 from armrig.models.fit import Fit
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import p_relation, places
@@ -56,15 +56,6 @@ def of_search(found: SearchResult) -> list[str]:
 def in_symbols(text: str) -> str:
     """Return a sentence with the name that the table's column has."""
     return text.replace("std_robust", "σ robust")
-
-
-def heading(fit: Fit) -> str:
-    """Return structure, orders, signals and data in a line."""
-    orders = ", ".join(f"{name}={n}" for name, n in fit.orders.items())
-    return (
-        f"{fit.structure.upper()}({orders}): {_with_unit('u', fit.input_unit)} to "
-        f"{_with_unit(fit.output, fit.unit)}, Ts {fit.Ts:g} s, N {fit.N}"
-    )
 
 
 _COLOURED = "trust std_robust"
@@ -168,7 +159,3 @@ def _std(std: float) -> str:
 
 def _squared(unit: str) -> str:
     return f" ({unit})²" if "/" in unit else f" {unit}²" if unit else ""
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit else name

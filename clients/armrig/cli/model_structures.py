@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
+
+from armrig.models.structure_table import KINDS, with_article
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -13,20 +15,11 @@ if TYPE_CHECKING:
 Structure = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]
 Weights = Literal["cva", "moesp", "n4sid"]
 
-# The orders of each, with what they are by default: the arm has four poles, one an integrator.
-_ORDERS: dict[str, dict[str, int | None]] = {
-    "arx": {"na": 4, "nb": 4},
-    "armax": {"na": 4, "nb": 4, "nc": 4},
-    "oe": {"nb": 4, "nf": 4},
-    "bj": {"nb": 4, "nc": 1, "nd": 1, "nf": 4},
-    "iv4": {"na": 4, "nb": 4},
-    "n4sid": {"order": None},
-}
-_INTEGRATORS = ("armax", "oe", "bj", "n4sid")
+_KINDS = {name: KINDS[name] for name in get_args(Structure)}
 
 
 def _option(name: str, what: str, default: str) -> Any:
-    used = ", ".join(s.upper() for s, orders in _ORDERS.items() if name in orders)
+    used = ", ".join(s.upper() for s, kind in _KINDS.items() if name in kind.orders)
     return typer.Option(f"--{name}", help=f"Number of {what} ({used}).", show_default=default)
 
 
@@ -45,21 +38,22 @@ WeightsOrNone = Annotated[
 
 def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[str, int | None]:
     """Return the structure's orders; one of another structure, without effect here, is refused."""
-    own = _ORDERS[structure]
+    own = dict(_KINDS[structure].orders)
     for name, value in given.items():
         if value is not None and name not in own:
-            users = " or ".join(s for s, orders in _ORDERS.items() if name in orders)
+            users = " or ".join(s for s, kind in _KINDS.items() if name in kind.orders)
             msg = f"--{name} {value} goes with --structure {users}; "
-            msg += f"{_a(structure)} model has {_listed([*own, 'nk'])}"
+            msg += f"{with_article(structure.upper())} model has {_listed([*own, 'nk'])}"
             raise typer.BadParameter(msg)
     return own | {name: value for name, value in given.items() if value is not None}
 
 
 def check_integrator(structure: Structure) -> None:
     """Refuse an integrator where there is none by construction."""
-    if structure not in _INTEGRATORS:
-        msg = f"--integrator goes with --structure {' or '.join(_INTEGRATORS)}; "
-        msg += f"{_a(structure)} model finds its own"
+    if not _KINDS[structure].may_integrate:
+        able = " or ".join(name for name, kind in _KINDS.items() if kind.may_integrate)
+        msg = f"--integrator goes with --structure {able}; "
+        msg += f"{with_article(structure.upper())} model finds its own"
         raise typer.BadParameter(msg)
 
 
@@ -73,8 +67,8 @@ def estimated(
     weights: Weights | None = None,
 ) -> Fit:
     """Return the model; orders that are too high for the data are refused."""
-    import armrig
     from armrig.cli.waiting import estimating, require_finite
+    from armrig.estimation.estimators import ESTIMATORS
     from armrig.estimation.orders import require_sensible
 
     asked = {name: n for name, n in orders.items() if n is not None}
@@ -84,13 +78,9 @@ def estimated(
         more["weights"] = weights
     named = _listed([*orders])
     with estimating(named):
-        fit: Fit = getattr(armrig, structure)(data, **orders, nk=nk, **more)
+        fit = ESTIMATORS[structure](data, **orders, nk=nk, **more)
         require_finite(fit, named)
     return fit
-
-
-def _a(structure: str) -> str:
-    return f"{'an' if structure[0] in 'aio' or structure == 'n4sid' else 'a'} {structure.upper()}"
 
 
 def _listed(names: list[str]) -> str:

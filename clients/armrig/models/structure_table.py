@@ -44,6 +44,11 @@ def named(orders: Mapping[str, int | None]) -> str:
     return ", ".join(f"{name}={n}" for name, n in orders.items() if n is not None)
 
 
+def with_article(title: str) -> str:
+    """Return a structure's name as it is read aloud: an OE, a BJ."""
+    return f"{'an' if title[0] in 'AEFHILMNORSX' else 'a'} {title}"
+
+
 _N = ARM_POLES
 _KINDS = (
     Kind(name="arx", orders={"na": _N, "nb": _N}, poles="na", may_integrate=False),

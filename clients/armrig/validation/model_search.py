@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from math import isfinite, sqrt
+from math import isfinite
 from typing import Literal
 
 import numpy as np
@@ -14,27 +14,19 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.estimation.armax import armax
-from armrig.estimation.arx import arx
-from armrig.estimation.bj import bj
-from armrig.estimation.iv4 import iv4
-from armrig.estimation.n4sid import n4sid
-from armrig.estimation.oe import oe
+from armrig.estimation.estimators import ESTIMATORS
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
+from armrig.models.structure_table import KINDS
 from armrig.numerics.checks import require_integers
+from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.validation.residuals import ResidualTest, residuals
 
 Vector = NDArray[np.float64]
 Family = Literal["arx", "iv4", "armax", "oe", "bj", "n4sid"]
 
 FAMILIES: tuple[Family, ...] = ("arx", "iv4", "armax", "oe", "bj", "n4sid")
-_ESTIMATORS: dict[Family, Callable[..., Fit]] = {
-    **{"arx": arx, "iv4": iv4, "armax": armax, "oe": oe, "bj": bj, "n4sid": n4sid},
-}
-_KNOWING_AN_INTEGRATOR = ("armax", "oe", "bj", "n4sid")
 _NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
-_BATCHES = 30  # of the validation data, for the standard error of a mean of dependent samples
 _REJECTED = 0.05  # p value below which a residual test is told
 _UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
 
@@ -53,22 +45,21 @@ class Candidate:
     @property
     def name(self) -> str:
         """Structure and orders, as a comparison names them."""
-        return f"{self.family.upper()}[{' '.join(str(n) for _, n in self.orders)}]"
+        return KINDS[self.family].short(dict(self.orders))
 
     @property
     def order(self) -> int:
         """Number of poles of B/F or B/A."""
-        named = dict(self.orders)
-        return next(named[name] for name in ("nf", "na", "order") if name in named)
+        return dict(self.orders)[KINDS[self.family].poles]
 
     def estimated(self, data: Dataset) -> Fit:
         """Return the model of the data."""
         known = {"integrator": True} if self.integrator else {}
-        return _ESTIMATORS[self.family](data, **dict(self.orders), **known)
+        return ESTIMATORS[self.family](data, **dict(self.orders), **known)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
+class Scored:
     """A candidate and what the validation data say of it."""
 
     candidate: Candidate
@@ -90,7 +81,7 @@ class Judged:
 class SearchResult:
     """Models ranked on validation data, and the one to take; print it or ask it to explain."""
 
-    ranked: tuple[Judged, ...]
+    ranked: tuple[Scored, ...]
     """Best first; those without a model, or whose output has no bound, are not among them."""
     rms: Vector
     """Root mean square of the error of each of `ranked`, in y's unit."""
@@ -100,7 +91,7 @@ class SearchResult:
     """Standard error of `excess`, from the differences in batches, (n,)."""
     chosen_index: int
     """Of the simplest within one standard error of the best."""
-    failed: tuple[Judged, ...]
+    failed: tuple[Scored, ...]
     """Candidates without a usable model."""
     tests: ResidualTest
     """Of the chosen model's residuals on the validation data."""
@@ -110,7 +101,7 @@ class SearchResult:
     """Of y."""
 
     @property
-    def chosen(self) -> Judged:
+    def chosen(self) -> Scored:
         """The simplest within one standard error of the best."""
         return self.ranked[self.chosen_index]
 
@@ -214,9 +205,9 @@ def search(
     known = data.output in INTEGRATING_OUTPUTS if integrator is None else integrator
     delays = [nk] if isinstance(nk, int) else [*nk]
     candidates = list(_candidates([*families], [*orders], delays, integrator=known))
-    judge = partial(_judged, data=data, validation=validation, horizon=horizon)
-    judged = list((map if executor is None else executor.map)(judge, candidates))
-    return _ranked(judged, validation, horizon)
+    score = partial(_score, data=data, validation=validation, horizon=horizon)
+    scored = list((map if executor is None else executor.map)(score, candidates))
+    return _ranked(scored, validation, horizon)
 
 
 def _candidates(
@@ -231,7 +222,7 @@ def _candidates(
     for nk in delays:
         require_integers(nk=(nk, 0))
     for family in families:
-        fixed = integrator and family in _KNOWING_AN_INTEGRATOR
+        fixed = integrator and KINDS[family].may_integrate
         for nk in delays:
             for n in orders:
                 for named in _orders(family, n):
@@ -241,22 +232,13 @@ def _candidates(
 
 
 def _orders(family: Family, n: int) -> list[dict[str, int]]:
-    if family == "bj":
-        return [{"nb": n, "nc": m, "nd": m, "nf": n} for m in _NOISE_ORDERS]
-    return [
-        {
-            "arx": {"na": n, "nb": n},
-            "iv4": {"na": n, "nb": n},
-            "armax": {"na": n, "nb": n, "nc": n},
-            "oe": {"nb": n, "nf": n},
-            "n4sid": {"order": n},
-        }[family]
-    ]
+    """Return the orders to try with n poles; a noise model of its own is tried small."""
+    names = KINDS[family].orders
+    noise = _NOISE_ORDERS if "nd" in names else (n,)
+    return [{name: m if name in ("nc", "nd") else n for name in names} for m in noise]
 
 
-def _judged(
-    candidate: Candidate, data: Dataset, validation: Dataset, horizon: int | None
-) -> Judged:
+def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: int | None) -> Scored:
     none = np.zeros(0)
     try:
         with np.errstate(all="ignore"):
@@ -264,18 +246,18 @@ def _judged(
             require_same_signals(fit, validation)
             error = validation.y - fit.predict(validation, horizon=horizon)
     except (ValueError, np.linalg.LinAlgError) as err:
-        return Judged(candidate=candidate, fit=None, reason=str(err), error=none)
+        return Scored(candidate=candidate, fit=None, reason=str(err), error=none)
     reason = ""
     # Of errors that grow to the end the mean is as large as its standard error, however large.
     bound = _UNBOUNDED * np.max(np.abs(validation.y[validation.valid]), initial=0.0) or np.inf
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
         reason = "its output has no bound"
-    return Judged(candidate=candidate, fit=fit, reason=reason, error=error)
+    return Scored(candidate=candidate, fit=fit, reason=reason, error=error)
 
 
-def _ranked(judged: list[Judged], validation: Dataset, horizon: int | None) -> SearchResult:
-    usable = [j for j in judged if not j.reason]
-    failed = [j for j in judged if j.reason]
+def _ranked(scored: list[Scored], validation: Dataset, horizon: int | None) -> SearchResult:
+    usable = [j for j in scored if not j.reason]
+    failed = [j for j in scored if j.reason]
     if not usable:
         msg = "none of the structures could be estimated"
         msg += f"; the first, {failed[0].candidate.name}: {failed[0].reason}" if failed else ""
@@ -289,11 +271,9 @@ def _ranked(judged: list[Judged], validation: Dataset, horizon: int | None) -> S
     order = np.argsort(squared.mean(axis=1), kind="stable")
     squared, usable = squared[order], [usable[i] for i in order]
     difference = squared - squared[0]
-    excess_std = np.array([_standard_error(d) for d in difference])
+    excess_std = standard_error(np.array([batch_means(d) for d in difference]))
     excess = difference.mean(axis=1)
-    as_good = np.flatnonzero(excess <= excess_std)
-    # Fewest parameters, and of those the better, which comes first.
-    chosen = int(min(as_good, key=lambda i: (usable[i].parameters, i)))
+    chosen = simplest_as_good(excess, excess_std, [s.parameters for s in usable])
     fit = usable[chosen].fit
     if fit is None:
         raise ValueError(usable[chosen].reason)
@@ -315,15 +295,6 @@ def _frozen(x: Vector) -> Vector:
     return x
 
 
-def _standard_error(x: Vector) -> float:
-    """Return that of the mean of dependent samples, by the means of batches."""
-    k = min(_BATCHES, x.size)
-    if k < 2:
-        return 0.0
-    means = np.array([part.mean() for part in np.array_split(x, k)])
-    return float(np.std(means, ddof=1)) / sqrt(k)
-
-
 def _reasons(found: SearchResult) -> Iterator[str]:
     best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
     what = "simulation" if found.horizon is None else f"prediction {found.horizon} samples ahead"
@@ -337,10 +308,10 @@ def _reasons(found: SearchResult) -> Iterator[str]:
         )
     else:
         yield "chosen: the same, since nothing simpler is within one standard error of it"
-    yield from _of_poorer(found)
-    yield from _of_bound(found)
-    yield from _of_families(found)
-    yield from _of_tests(found.tests)
+    yield from _about_simpler(found)
+    yield from _about_highest_order(found)
+    yield from _about_families(found)
+    yield from _about_tests(found.tests)
     if chosen.fit is not None and chosen.fit.structure != "n4sid":
         yield from chosen.fit.warnings
     if found.failed:
@@ -351,7 +322,7 @@ def _reasons(found: SearchResult) -> Iterator[str]:
         )
 
 
-def _of_poorer(found: SearchResult) -> Iterator[str]:
+def _about_simpler(found: SearchResult) -> Iterator[str]:
     """Say that fewer parameters were not enough."""
     fewer = [k for k, j in enumerate(found.ranked) if j.parameters < found.chosen.parameters]
     if fewer:
@@ -363,7 +334,7 @@ def _of_poorer(found: SearchResult) -> Iterator[str]:
         )
 
 
-def _of_bound(found: SearchResult) -> Iterator[str]:
+def _about_highest_order(found: SearchResult) -> Iterator[str]:
     """Say that a higher order, which was not tried, may be better still."""
     n = found.chosen.candidate.order
     if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
@@ -373,7 +344,7 @@ def _of_bound(found: SearchResult) -> Iterator[str]:
         )
 
 
-def _of_families(found: SearchResult) -> Iterator[str]:
+def _about_families(found: SearchResult) -> Iterator[str]:
     """Say how far the equation-error model is from the output-error one, if it is far."""
     best: dict[Family, int] = {}
     for k, j in enumerate(found.ranked):
@@ -387,7 +358,7 @@ def _of_families(found: SearchResult) -> Iterator[str]:
             )
 
 
-def _of_tests(tests: ResidualTest) -> Iterator[str]:
+def _about_tests(tests: ResidualTest) -> Iterator[str]:
     for p, said in (
         (tests.missing_dynamics, "the input still explains its residuals: dynamics are missing"),
         (tests.feedback, "its residuals run ahead of the input: feedback, or nk is too large"),
