@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
+from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.numerics.polynomial import filtered
@@ -60,15 +61,21 @@ def closed() -> Iterator[None]:
         plt.close("all")
 
 
+def _models(done: Study) -> list[Model]:
+    return [m.model for m in done.models]
+
+
 PLOTS: dict[str, Plot] = {
     "data": lambda s, r, ax: plots.plot_data(r, ax=ax),
     "jitter": lambda s, r, ax: plots.plot_timing(r, ax=ax),
     "lateness": lambda s, r, ax: plots.plot_timing(r, quantity="lateness", ax=ax),
-    "compare": lambda s, r, ax: plots.plot_compare(s.validation, *(m.fit for m in s.models), ax=ax),
-    "residuals": lambda s, r, ax: plots.plot_residuals(s.models[1].fit, s.validation, ax=ax),
-    "bode": lambda s, r, ax: plots.plot_bode(*(m.fit for m in s.models), ax=ax),
-    "poles and zeros": lambda s, r, ax: plots.plot_poles_zeros(*(m.fit for m in s.models), ax=ax),
-    "step": lambda s, r, ax: plots.plot_step(*(m.fit for m in s.models), ax=ax),
+    "compare": lambda s, r, ax: plots.plot_compare(
+        s.validation, *(m.model for m in s.models), ax=ax
+    ),
+    "residuals": lambda s, r, ax: plots.plot_residuals(s.best.fit, s.validation, ax=ax),
+    "bode": lambda s, r, ax: plots.plot_bode(*_models(s), ax=ax),
+    "poles and zeros": lambda s, r, ax: plots.plot_poles_zeros(*_models(s), ax=ax),
+    "step": lambda s, r, ax: plots.plot_step(*_models(s), ax=ax),
 }
 EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 
@@ -117,7 +124,7 @@ def test_every_axis_says_what_it_shows(plot: Plot, done: Study, recording: Recor
 
 def test_models_are_told_apart_without_colour(done: Study) -> None:
     """By the style of their lines."""
-    ax = plots.plot_step(*(m.fit for m in done.models), ax=Figure().add_subplot())
+    ax = plots.plot_step(*(m.model for m in done.models), ax=Figure().add_subplot())
 
     styles = [str(line.get_linestyle()) for line in ax.lines]
     assert len(set(styles)) == len(styles) == 3
@@ -160,7 +167,7 @@ def test_every_sample_is_in_the_histogram(recording: Recording) -> None:
 
 def test_the_bode_band_holds_95_percent(done: Study) -> None:
     """Of the magnitude, 1.96 standard deviations above the curve where it is linearised."""
-    fit = done.models[1].fit
+    fit = done.best.fit
     omega = np.geomspace(30.0, 100.0, 20)  # away from the notch at 16 rad/s
     ax = plots.plot_bode(fit, omega=omega, ax=Figure().add_subplot())
 
@@ -201,7 +208,7 @@ def test_a_pole_and_a_zero_that_cancel_are_framed() -> None:
 
 def test_spectral_analysis_stands_beside_a_model_as_dots(done: Study) -> None:
     """With bars, on the model's frequencies, where both know the truth they agree."""
-    fit, estimate = done.models[1].fit, spectral_reference(done.estimation)
+    fit, estimate = done.best.fit, spectral_reference(done.estimation)
     ax = plots.plot_bode(fit, estimate, ax=Figure().add_subplot())
 
     [dots] = [line for line in ax.lines if line.get_marker() == "o"]
@@ -222,7 +229,7 @@ def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
     system = control.ss(A, B, C[:1], 0)
     omega = np.array([0.5, 1.0, 2.0])
     ax = plots.plot_bode(
-        done.models[2].fit, system, omega=omega, labels=["a", "b"], ax=Figure().add_subplot()
+        done.reference.model, system, omega=omega, labels=["a", "b"], ax=Figure().add_subplot()
     )
 
     sampled, continuous = (np.asarray(line.get_ydata()) for line in ax.lines)
@@ -231,7 +238,7 @@ def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
 
 def test_identical_errors_need_no_logarithm(done: Study) -> None:
     """The errors' scale is linear where no model is far worse than another."""
-    oe = done.models[1].fit
+    oe = done.best.fit
     ax = plots.plot_compare(done.validation, oe, oe, ax=Figure().add_subplot())
 
     assert ax.figure.axes[1].get_yscale() == "linear"
@@ -239,7 +246,7 @@ def test_identical_errors_need_no_logarithm(done: Study) -> None:
 
 def test_a_fit_shows_itself(done: Study) -> None:
     """Frequency response with bands, step response, poles and zeros with regions, all named."""
-    fit = done.models[1].fit
+    fit = done.best.fit
 
     figure = fit.plot()
 

@@ -195,11 +195,11 @@ def _tell(console: Console, done: Study, directory: Path, pdf: Path) -> None:
     models = Table(title="simulated on the validation recording", title_justify="left")
     for heading in ("model", "rms error", "fit of the angle", "fit of the velocity"):
         models.add_column(heading, justify="left" if heading == "model" else "right")
-    for model, row in zip(done.models, done.table.rows, strict=True):
+    for row in (model.comparison for model in done.models):
         velocity = row.velocity_fit_percent
         models.add_row(
-            model.name,
-            f"{row.rms_error:.4g} {done.table.unit}",
+            row.name,
+            f"{row.rms_error:.4g} {done.validation.unit}",
             f"{row.fit_percent:.2f} %",
             "" if velocity is None else f"{velocity:.2f} %",
         )

@@ -26,7 +26,7 @@ from armrig.cli.options import (
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import Comparison
@@ -64,6 +64,7 @@ def validate(
     """
     from armrig.cli import model_output
     from armrig.cli.waiting import estimating
+    from armrig.models.equation import heading
     from armrig.models.model_file import load_fit
     from armrig.recordings.loading import load
     from armrig.validation.comparison import compare as compared
@@ -96,7 +97,7 @@ def validate(
         ]
         print_json({"model": str(model), "identified_from": fit.source} | facts)
         return
-    echo(f"{model_output.heading(fit)}\nvalidated on {file} (recording {data.source[:12]})")
+    echo(f"{heading(fit)}\nvalidated on {file} (recording {data.source[:12]})")
     for table in tables:
         ahead = "simulated" if table.horizon is None else f"{table.horizon} ahead"
         echo(_row(f"{ahead:10}", table[0], table.unit))
@@ -138,7 +139,7 @@ def compare(
         raise typer.BadParameter(msg)
     files = [file] if other is None else [file, other]
     check_plot(plot, [*files, *(model or [])])
-    named = [(path.stem, load_fit(path)) for path in model or []]
+    named: list[tuple[str, Model]] = [(path.stem, load_fit(path)) for path in model or []]
     recordings = [warned(load(f, calibration)) for f in files]
     where = str(files[-1])
     if other is None:
@@ -146,7 +147,7 @@ def compare(
     else:
         done, where = _studied(recordings, na=na, nb=nb, nf=nf, nk=nk)
         data = done.validation
-        named = [(judged.name, judged.fit) for judged in done.models] + named
+        named = [(assessed.name, assessed.model) for assessed in done.models] + named
     names = [name for name, _ in named]
     table = compared(data, *(fit for _, fit in named), horizon=horizon, labels=names)
     if any(row.on_estimation_data for row in table.rows):
@@ -199,12 +200,12 @@ def _spectral(data: Dataset) -> list[SpectralEstimate]:
         return []
 
 
-def _dataset(recording: Recording, fit: Fit) -> Any:
+def _dataset(recording: Recording, model: Model) -> Any:
     """Return the data of the output that the model is of."""
     for output in get_args(Output):
-        if output == fit.output:
+        if output == model.output:
             return recording.dataset(output)
-    msg = f"the model is of {fit.output!r}, a recording has {', '.join(get_args(Output))}"
+    msg = f"the model is of {model.output!r}, a recording has {', '.join(get_args(Output))}"
     raise ValueError(msg)
 
 

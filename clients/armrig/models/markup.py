@@ -8,6 +8,7 @@ from math import isfinite
 
 from armrig.models.equation import form, letters, whiteness_sentence
 from armrig.models.estimate import Estimate
+from armrig.models.model import Model
 
 
 def latex(fit: Estimate) -> str:
@@ -24,10 +25,14 @@ def latex(fit: Estimate) -> str:
 
 def typst(fit: Estimate) -> str:
     """Return the model as a block of Typst's mathematics, as `latex` does."""
-    equation = form(fit).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
-    rows = [equation.replace(" = ", " &= ")]
+    rows = [typst_form(fit).replace(" = ", " &= ")]
     rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in letters(fit)]
     return "$ " + " \\\n  ".join(rows) + " $"
+
+
+def typst_form(model: Model) -> str:
+    """Return the model's equation in Typst's mathematics, polynomials by their letters."""
+    return form(model).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

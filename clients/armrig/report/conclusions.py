@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
+from armrig.models.structure_table import with_article
 from armrig.numerics.quantities import (
     error,
     microseconds,
@@ -15,34 +18,19 @@ from armrig.numerics.quantities import (
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.jitter import angle_of_jitter, fastest_rate
-from armrig.report.study import Judged, Study
+from armrig.report.study import AssessedFit, Study
+
+_FAR = 3.0  # times the best model's rms error, from which on an ARX model is another one
 
 
-def verdict(study: Study) -> list[str]:
+def conclusions(study: Study) -> list[str]:
     """Return what the study comes to, one sentence or two a point."""
-    arx, oe = study.estimated
-    table = {m.name: row for m, row in zip(study.models, study.table.rows, strict=True)}
-    unit = study.validation.unit
     points = [
-        f"Simulated over {study.validation.t[-1]:.0f} s that it has not seen, the OE model is off "
-        f"by {error(table['OE'].rms_error, unit)} rms, the ARX model by "
-        f"{error(table['ARX'].rms_error, unit)}, the physics of the handout by "
-        f"{error(table['physics'].rms_error, unit)}."
+        _simulation_verdict(study),
+        *(_residual_verdict(model) for model in study.ranked),
+        _physics_verdict(study),
+        *_structure_verdicts(study),
     ]
-    for model in (oe, arx):
-        points.append(_residual_verdict(model))
-    deviations = np.median(study.deviation, axis=1)
-    span = f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s"
-    points.append(
-        f"From {span} the frequency response differs from the physics by a median of "
-        f"{percent(100 * deviations[1])} (OE) and {percent(100 * deviations[0])} (ARX)."
-    )
-    if table["ARX"].rms_error > 3 * table["OE"].rms_error:
-        points.append(
-            "ARX and OE disagree. ARX assumes noise that passes through 1/A, and here it is added "
-            "to the angle: the least-squares estimate then buys one-step prediction with a wrong "
-            "transfer function. For simulation and for control use the OE model."
-        )
     points += calibration_remarks(study)
     points.append(_jitter_verdict(study))
     missing = sum(r.missing for r in study.recordings)
@@ -52,6 +40,48 @@ def verdict(study: Study) -> list[str]:
             "their place."
         )
     return points
+
+
+def _simulation_verdict(study: Study) -> str:
+    """Return how far each model is off, the best of the estimated ones first."""
+    unit = study.validation.unit
+    first, *others = (f"{m.name} model" for m in study.ranked)
+    best, *rest = (error(m.comparison.rms_error, unit) for m in study.ranked)
+    off = [f"the {name} by {size}" for name, size in zip(others, rest, strict=True)]
+    off.append(f"the physics of the handout by {error(study.reference.comparison.rms_error, unit)}")
+    return (
+        f"Simulated over {study.validation.t[-1]:.0f} s that it has not seen, the {first} is off "
+        f"by {best} rms, {', '.join(off)}."
+    )
+
+
+def _physics_verdict(study: Study) -> str:
+    span = f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s"
+    medians = listed(
+        [f"{percent(100 * float(np.median(m.deviation)))} ({m.name})" for m in study.ranked]
+    )
+    return f"From {span} the frequency response differs from the physics by a median of {medians}."
+
+
+def _structure_verdicts(study: Study) -> Iterator[str]:
+    """Say of each ARX model that simulates far worse than the best what is wrong with it."""
+    best = study.best
+    for m in study.estimated:
+        if m.fit.structure != "arx":
+            continue
+        if m.comparison.rms_error > _FAR * best.comparison.rms_error:
+            yield (
+                f"{m.name} and {best.name} disagree. ARX assumes noise that passes through 1/A, "
+                "and here it is added to the angle: the least-squares estimate then buys one-step "
+                "prediction with a wrong transfer function. For simulation and for control use "
+                f"the {best.name} model."
+            )
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Return a list as a sentence has it: a, b and c."""
+    *most, last = parts
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def calibration_remarks(study: Study) -> list[str]:
@@ -83,9 +113,9 @@ def _jitter_verdict(study: Study) -> str:
     )
 
 
-def _residual_verdict(model: Judged) -> str:
+def _residual_verdict(model: AssessedFit) -> str:
     tests = model.tests
-    if tests is None or np.isnan([tests.whiteness, tests.missing_dynamics]).any():
+    if np.isnan([tests.whiteness, tests.missing_dynamics]).any():
         return f"{model.name}: too few residuals to test."
     white, free = tests.whiteness >= WHITE_LEVEL, tests.missing_dynamics >= WHITE_LEVEL
     said = f"{'white' if white else 'not white'} (p {p_relation(tests.whiteness)}) and "
@@ -100,15 +130,17 @@ def _residual_verdict(model: Judged) -> str:
     return f"On validation data the residuals of {model.name} are {said}: {ending}."
 
 
-def summary(study: Study) -> str:
+def abstract(study: Study) -> str:
     """Return the outcome in three sentences."""
-    _, oe = study.table.rows[:2]
+    best = study.best
     N, Ts = study.estimation.N, study.estimation.Ts
-    deviation = 100 * float(np.median(study.deviation[1]))
+    deviation = 100 * float(np.median(best.deviation))
+    rms = error(best.comparison.rms_error, study.validation.unit)
+    names = listed([with_article(m.name) for m in study.estimated])
+    were = "were" if len(study.estimated) > 1 else "was"
     return (
-        f"From {N} samples at {milliseconds(Ts)} an ARX and an OE model from the motor's voltage "
-        "to the chassis angle were estimated. On data that it has not seen the OE model simulates "
-        f"the angle with an rms error of {error(oe.rms_error, study.validation.unit)}, and its "
-        "frequency response differs from that of the physical model by a median of "
-        f"{percent(deviation)}."
+        f"From {N} samples at {milliseconds(Ts)} {names} model from the motor's voltage "
+        f"to the chassis angle {were} estimated. On data that it has not seen the {best.name} "
+        f"model simulates the angle with an rms error of {rms}, and its frequency response differs "
+        f"from that of the physical model by a median of {percent(deviation)}."
     )

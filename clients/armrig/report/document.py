@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import resources
 from math import isnan
@@ -16,7 +16,10 @@ import numpy as np
 import typst
 
 from armrig.data.dataset import Dataset
+from armrig.models.equation import letters
 from armrig.models.fit import Fit
+from armrig.models.markup import typst_form
+from armrig.models.model import Model
 from armrig.numerics.quantities import (
     NBSP,
     error,
@@ -34,9 +37,9 @@ from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.recordings.timing_disturbances import Disturbances
-from armrig.report.conclusions import summary, verdict
+from armrig.report.conclusions import abstract, conclusions, listed
 from armrig.report.figures import DETAIL_S, write_figures
-from armrig.report.study import STAIRCASE, STEP, Judged, Study, kind_of
+from armrig.report.study import STAIRCASE, STEP, Assessed, AssessedFit, Study, kind_of
 
 _SCALE = "theta_1_rad_per_count"
 
@@ -88,7 +91,6 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
     """Return what the template says, as text: see report.typ."""
     from armrig import __version__
 
-    arx, oe, physics = (m.fit for m in study.models)
     manifest = study.recording_of(study.estimation.source).manifest
     truncated = [
         f"{r.path.name} is not whole: {r.damage}." for r in study.recordings if r.truncated
@@ -98,7 +100,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "subtitle": f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
         "version": __version__,
         "date": datetime.now(tz=UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "summary": summary(study),
+        "summary": abstract(study),
         "recordings": [
             {"role": role(study, r), "file": r.path.name, "sha256": r.sha256}
             for r in study.recordings
@@ -110,28 +112,25 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "data": _data_text(study),
         "treatment": treatment(study),
         "step": _step_caption(study),
-        "orders": f"na = nb = nf = {arx.orders['na']}, nk = {arx.nk}"
-        if arx.orders["na"] == arx.orders["nb"] == oe.orders["nf"]
-        else f"na = {arx.orders['na']}, nb = {arx.orders['nb']}, nf = {oe.orders['nf']}, "
-        f"nk = {arx.nk}",
-        "structure": _structure(oe),
-        "arx": _coefficients(arx),
-        "oe": _coefficients(oe, physics),
+        "orders": _orders(study),
+        "structure": _structure(study),
+        "models": [_model(m, study.reference) for m in study.estimated],
         "estimation": " ".join(_estimation(m) for m in study.estimated),
         "fits": [
             [
-                m.name,
+                row.name,
                 percent(row.fit_percent),
                 error(row.rms_error, study.validation.unit),
                 "–" if row.velocity_fit_percent is None else percent(row.velocity_fit_percent),
             ]
-            for m, row in zip(study.models, study.table.rows, strict=True)
+            for row in (m.comparison for m in study.models)
         ],
         "percent": _percent_warning(study),
         "physics": _physics(study),
+        "tested": [m.name for m in study.estimated],
         "tests": _test_rows(study),
         "captions": _captions(study),
-        "verdict": verdict(study),
+        "verdict": conclusions(study),
     }
 
 
@@ -238,7 +237,43 @@ def _percentiles(spread: Spread) -> str:
     return f"{number(spread.p50)}, {number(spread.p99)}, {microseconds(spread.p999)}"
 
 
-def _coefficients(fit: Fit, beside: Fit | None = None) -> list[list[str]]:
+def _orders(study: Study) -> str:
+    """Return the orders, together where the models share them."""
+    values: dict[str, set[int]] = {}
+    for m in study.estimated:
+        for name, n in m.fit.orders.items():
+            values.setdefault(name, set()).add(n)
+    if any(len(found) > 1 for found in values.values()):
+        return "; ".join(f"{m.name} {_assigned(m.fit.orders)}" for m in study.estimated)
+    orders = {name: n for name, (n,) in values.items()}
+    nk = orders.pop("nk")
+    if len(set(orders.values())) == 1:
+        return f"{' = '.join(orders)} = {next(iter(orders.values()))}, nk = {nk}"
+    return _assigned(orders | {"nk": nk})
+
+
+def _assigned(orders: Mapping[str, int]) -> str:
+    return ", ".join(f"{name} = {n}" for name, n in orders.items())
+
+
+def _model(m: AssessedFit, reference: Assessed) -> dict[str, Any]:
+    """Return the table of a model's coefficients, the reference beside one of the same form."""
+    same = letters(m.fit) == letters(reference.model)
+    beside = reference.model if same else None
+    caption = f"{m.name} model and its standard deviations."
+    if same:
+        caption = f"{m.name} model, its standard deviations, and the coefficients of the physical "
+        caption += "model."
+    return {
+        "name": m.name,
+        "equation": typst_form(m.fit),
+        "header": [m.name, "estimate", "σ", "σ robust", *([reference.name] if same else [])],
+        "rows": _coefficients(m.fit, beside),
+        "caption": caption,
+    }
+
+
+def _coefficients(fit: Fit, beside: Model | None) -> list[list[str]]:
     rows = []
     theirs = dict(zip(beside.names, beside.theta, strict=True)) if beside else {}
     for name, value, std, robust in zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True):
@@ -251,22 +286,24 @@ def _coefficients(fit: Fit, beside: Fit | None = None) -> list[list[str]]:
     return rows
 
 
-def _structure(oe: Fit) -> str:
-    if not oe.integrator:
+def _structure(study: Study) -> str:
+    """Return what was known beforehand of the models' structure."""
+    integrating = sorted({m.fit.integrating.upper() for m in study.estimated if m.fit.integrator})
+    if not integrating:
         return ""
     return (
-        "The angle integrates the voltage, so F has the factor 1 − q⁻¹ by construction; initial "
+        f"The angle integrates the voltage, so {listed(integrating)} "
+        f"{'has' if len(integrating) == 1 else 'have'} the factor 1 − q⁻¹ by construction; initial "
         "state and input offset of each experiment are estimated with the model. Samples in the "
         "dead band of the potentiometer, and the one after, count as missing."
     )
 
 
-def _estimation(model: Judged) -> str:
+def _estimation(model: AssessedFit) -> str:
     fit = model.fit
-    white = fit.whiteness >= WHITE_LEVEL
     trust = (
         "white: σ holds"
-        if white
+        if fit.whiteness >= WHITE_LEVEL
         else "coloured, and then σ is too small a claim: trust σ robust, which allows for it"
     )
     # The estimator says of coloured residuals what stands here already.
@@ -282,7 +319,7 @@ def _estimation(model: Judged) -> str:
 
 
 def _percent_warning(study: Study) -> str:
-    if study.table.rows[0].velocity_fit_percent is None:
+    if study.reference.comparison.velocity_fit_percent is None:
         return ""
     return (
         "The percentage of the angle flatters every model, because the ramp dominates its "
@@ -293,47 +330,52 @@ def _percent_warning(study: Study) -> str:
 
 
 def _physics(study: Study) -> str:
-    median, most = np.median(study.deviation, axis=1), np.max(study.deviation, axis=1)
-    arx_at, oe_at = study.omega[np.argmax(study.deviation, axis=1)]
-    return (
+    first, *others = (_deviation(m, study) for m in study.ranked)
+    name, (median, most, at) = study.best.name, first
+    text = (
         "The physical model is the handout's: two inertias, a spring and a DC motor, with its "
         "parameters as given, sampled exactly for a held input; nothing in it was fitted. From "
-        f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s the OE model differs from it by "
-        f"{percent(100 * median[1])} (median) and at most {percent(100 * most[1])}, at "
-        f"{number(oe_at)} rad/s; the ARX model by {percent(100 * median[0])} and "
-        f"{percent(100 * most[0])}, at {number(arx_at)} rad/s."
+        f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s the {name} model differs from it by "
+        f"{median} (median) and at most {most}, at {at}"
     )
+    for m, (median, most, at) in zip(study.ranked[1:], others, strict=True):
+        text += f"; the {m.name} model by {median} and {most}, at {at}"
+    return f"{text}."
+
+
+def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:
+    """Return median and greatest deviation from the physics, and where that is."""
+    at = float(study.omega[np.argmax(m.deviation)])
+    median, most = float(np.median(m.deviation)), float(np.max(m.deviation))
+    return percent(100 * median), percent(100 * most), f"{number(at)} rad/s"
 
 
 def _test_rows(study: Study) -> list[list[str]]:
-    arx, oe = (m.tests for m in study.estimated)
-    if arx is None or oe is None:
-        return []
+    tests = [m.tests for m in study.estimated]
     return [
-        ["white", p_value(arx.whiteness), p_value(oe.whiteness), "noise model or orders"],
+        ["white", *(p_value(t.whiteness) for t in tests), "noise model or orders"],
         [
             "no correlation with past input",
-            *(p_value(arx.missing_dynamics), p_value(oe.missing_dynamics), "orders or delay"),
+            *(p_value(t.missing_dynamics) for t in tests),
+            "orders or delay",
         ],
         [
             "no correlation with future input",
-            *(
-                p_value(arx.feedback),
-                p_value(oe.feedback),
-                "feedback in the experiment, or delay too large",
-            ),
+            *(p_value(t.feedback) for t in tests),
+            "feedback in the experiment, or delay too large",
         ],
     ]
 
 
 def _data_text(study: Study) -> str:
     hidden = 100 * study.estimation.missing / study.estimation.N
-    # To have been cut in two is no treatment.
-    untouched = len(study.estimation.history) <= study.halves
+    steps = len(study.estimation.history)
+    cut = 1 if study.halves else 0  # to have been cut in two is no treatment
+    untouched = ": nothing is removed from it, no mean and no trend" if steps <= cut else ""
     return (
         "The voltage is the one that the device says it applied, the angle is unwrapped from the "
         "raw counts. It grows without end, because the voltage is never negative"
-        f"{': nothing is removed from it, no mean and no trend' * untouched}. {hidden:.1f}{NBSP}% "
+        f"{untouched}. {hidden:.1f}{NBSP}% "
         f"of the estimation data have no angle. {_units(study)}"
     )
 
@@ -417,7 +459,7 @@ def _captions(study: Study) -> dict[str, str]:
         f"recording {validation}){halves}: chassis angle with its turns counted, and the voltage "
         "that the device applied. Shaded: dead band, or a missing sample.",
         "fits": f"Simulation of the validation data (recording {validation}). "
-        f"{study.table.note[0].upper()}{study.table.note[1:]}.",
+        f"{study.note[0].upper()}{study.note[1:]}.",
         "compare": f"Angle measured and simulated on the validation data (recording {validation}), "
         "and the errors, on a scale that is linear in the middle and logarithmic beyond.",
         "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
+from armrig.canvas import pens
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.report.study import STEP, Study, kind_of
 
@@ -30,6 +31,7 @@ _STYLE: Any = {
     "axes.unicode_minus": True,
 }
 _WIDTH = 6.4
+_RESIDUALS = 3.2  # height of one row of residual tests
 DETAIL_S = 4.0
 
 
@@ -80,7 +82,7 @@ def _step_figure(study: Study) -> Figure | None:
 
 def _compare_figure(study: Study) -> Figure:
     figure, (ax,) = _canvas(3.0, (0.5, 0.42, 6.35, 2.8))
-    fits = [m.fit for m in study.estimated]
+    fits = [m.model for m in study.estimated]
     names = [m.name for m in study.estimated]
     plots.plot_compare(study.validation, *fits, labels=names, ax=ax)
     return figure
@@ -94,10 +96,8 @@ def _velocity_figure(study: Study) -> Figure:
     shown = (t >= begin) & (t <= begin + DETAIL_S)
     rate = np.diff(data.y) / data.Ts
     ax.plot(t[shown], rate[shown], ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
-    for model, row, colour, dash in zip(
-        study.models, study.table.rows, (plots.VERMILION, plots.BLUE), ("--", "-"), strict=False
-    ):
-        modelled = np.diff(row.y) / data.Ts
+    for model, (colour, dash) in zip(study.estimated, pens(), strict=False):  # pens never end
+        modelled = np.diff(model.comparison.y) / data.Ts
         ax.plot(t[shown], modelled[shown], color=colour, ls=dash, label=f"{model.name}, simulated")
     lowest, highest = np.nanmin(rate[shown]), np.nanmax(rate[shown])
     room = 0.15 * (highest - lowest)
@@ -115,20 +115,27 @@ def _bode_figure(study: Study) -> Figure:
     figure, (ax,) = _canvas(3.6, (0.55, 0.45, 6.35, 3.4))
     names = [*(m.name for m in study.models), "spectral analysis, 95 %"]
     data = spectral_reference(study.estimation)
-    plots.plot_bode(*(m.fit for m in study.models), data, labels=names, ax=ax)
+    plots.plot_bode(*(m.model for m in study.models), data, labels=names, ax=ax)
     return figure
 
 
 def _step_poles_figure(study: Study) -> Figure:
     figure, axes = _canvas(3.25, (0.5, 1.15, 3.3, 3.05), (4.1, 1.15, 6.3, 3.05))
-    fits, names = [m.fit for m in study.models], [m.name for m in study.models]
+    fits, names = [m.model for m in study.models], [m.name for m in study.models]
     plots.plot_step(*fits, labels=names, ax=axes[0])
     plots.plot_poles_zeros(*fits, labels=names, ax=axes[1])
     return figure
 
 
 def _residuals_figure(study: Study) -> Figure:
-    figure, axes = _canvas(3.2, (0.55, 0.42, 3.1, 2.95), (3.85, 0.42, 6.35, 2.95))
+    """Draw the tests of all estimated models, two in a row."""
+    rows = (len(study.estimated) + 1) // 2
+    places = []
+    for i in range(len(study.estimated)):
+        left, right = ((0.55, 3.1), (3.85, 6.35))[i % 2]
+        floor = _RESIDUALS * (rows - 1 - i // 2)
+        places.append((left, floor + 0.42, right, floor + 2.95))
+    figure, axes = _canvas(_RESIDUALS * rows, *places)
     for ax, model in zip(axes, study.estimated, strict=True):
         plots.plot_residuals(model.fit, study.validation, ax=ax)
         ax.set_title(model.name, loc="left", fontsize=8.5)

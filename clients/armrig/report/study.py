@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from armrig_core.arm import ArmParameters
-from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
 from armrig.models.fit import Fit
+from armrig.models.model import Model
+from armrig.models.structure_table import ARM_POLES
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
 from armrig.recordings.recording import Recording, RecordingError
 from armrig.recordings.timing_disturbances import Disturbances, disturbances
-from armrig.validation.comparison import ComparisonTable, compare
+from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residuals import ResidualTest, residuals
 
 STEP = "step"
@@ -36,11 +38,11 @@ def kind_of(recording: Recording) -> str:
 class Orders:
     """Orders of the models; the arm has four poles, one of them an integrator."""
 
-    na: int = 4
+    na: int = ARM_POLES
     """Number of a's of the ARX model."""
-    nb: int = 4
+    nb: int = ARM_POLES
     """Number of b's of both."""
-    nf: int = 4
+    nf: int = ARM_POLES
     """Number of all f's of the OE model, the integrator's included."""
     nk: int = 1
     """Samples before u reaches y, of both."""
@@ -48,16 +50,34 @@ class Orders:
     """Of the OE model; an ARX model finds its own."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
-    """A model, and what data that it has not seen say of it."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Assessed:
+    """A model, and how it simulates data that it has not seen."""
 
-    name: str
-    """ARX, OE or physics."""
+    comparison: Comparison
+    """The model against the validation data."""
+
+    @property
+    def name(self) -> str:
+        """What the report calls it: ARX, OE or physics."""
+        return self.comparison.name
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.comparison.model
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AssessedFit(Assessed):
+    """An estimated model, its residuals on data that it has not seen, and the physics beside it."""
+
     fit: Fit
-    """The model."""
-    tests: ResidualTest | None
-    """Of its residuals; None for the physics, which has no noise model to test."""
+    """The model, with what it was estimated from."""
+    tests: ResidualTest
+    """Of its residuals on the validation data."""
+    deviation: Vector
+    """|G - G_physics| / |G_physics| at the study's frequencies, (n,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,23 +92,37 @@ class Study:
     """What they were judged by, in the same units."""
     halves: bool
     """There was one recording: its first half estimates, its second half validates."""
-    models: tuple[Judged, ...]
-    """ARX, OE and the physics."""
-    table: ComparisonTable
-    """The models simulated on the validation data, in the same order."""
+    estimated: tuple[AssessedFit, ...]
+    """The models of the data."""
+    reference: Assessed
+    """The physics, nothing of which was estimated."""
+    note: str
+    """What the comparisons estimated from the validation data themselves."""
     timing: tuple[SamplingStatistics, ...]
     """Of each recording, times in µs."""
     causes: tuple[Disturbances, ...]
     """What disturbed the timing of each recording."""
-    omega: NDArray[np.float64]
-    """Frequencies of `deviation`, in rad/s."""
-    deviation: NDArray[np.float64]
-    """|G - G_physics| / |G_physics| of ARX and OE at `omega`, (2, n)."""
+    omega: Vector
+    """Frequencies at which the models are held against the physics, in rad/s, (n,)."""
 
     @property
-    def estimated(self) -> tuple[Judged, Judged]:
-        """ARX and OE."""
-        return self.models[0], self.models[1]
+    def models(self) -> tuple[Assessed, ...]:
+        """The models of the data, then the physics."""
+        return (*self.estimated, self.reference)
+
+    @property
+    def best(self) -> AssessedFit:
+        """The estimated model that simulates the validation data best."""
+        return self.ranked[0]
+
+    @property
+    def ranked(self) -> tuple[AssessedFit, ...]:
+        """The estimated models, the one that simulates best first."""
+        return tuple(sorted(self.estimated, key=lambda m: m.comparison.rms_error))
+
+    def model(self, name: str) -> Assessed:
+        """Return the model that the report calls by this name."""
+        return next(m for m in self.models if m.name == name)
 
     def recording_of(self, sha256: str) -> Recording:
         """Return the recording with this hash."""
@@ -139,34 +173,45 @@ def study(
     require_sensible(
         samples=samples, nk=nk, integrator=orders.integrator, nb=orders.nb, nf=orders.nf
     )
-    models = (
-        ("ARX", arx(estimation, na=orders.na, nb=orders.nb, nk=orders.nk)),
-        (
-            "OE",
-            oe(
-                estimation,
-                nb=orders.nb,
-                nf=orders.nf,
-                nk=orders.nk,
-                integrator=orders.integrator,
-            ),
-        ),
-    )
-    physics = physical_model(ArmParameters(), estimation)
-    judged = [Judged(name=n, fit=f, tests=residuals(f, validation)) for n, f in models]
-    omega = np.geomspace(0.5, min(100.0, np.pi / estimation.Ts), 200)
-    G = [fit.frequency_response(omega).G for fit in (*(f for _, f in models), physics)]
+    fits = {
+        "ARX": arx(estimation, na=orders.na, nb=orders.nb, nk=nk),
+        "OE": oe(estimation, nb=orders.nb, nf=orders.nf, nk=nk, integrator=orders.integrator),
+    }
     return Study(
         recordings=tuple(recordings),
         estimation=estimation,
         validation=validation,
         halves=len(excited) == 1,
-        models=(*judged, Judged(name="physics", fit=physics, tests=None)),
-        table=compare(
-            validation, *(f for _, f in models), physics, labels=("ARX", "OE", "physics")
-        ),
         timing=tuple(sampling_statistics(r) for r in recordings),
         causes=tuple(disturbances(r) for r in recordings),
-        omega=omega,
-        deviation=np.array([np.abs(g - G[-1]) / np.abs(G[-1]) for g in G[:-1]]),
+        **assessed(fits, physical_model(ArmParameters(), estimation), validation),
     )
+
+
+def assessed(fits: Mapping[str, Fit], physics: Model, validation: Dataset) -> dict[str, Any]:
+    """Return models and physics held against each other and the data, as fields of a `Study`.
+
+    Parameters
+    ----------
+    fits : mapping of str to Fit
+        What the report calls each, and the model.
+    """
+    omega = np.geomspace(0.5, min(100.0, np.pi / validation.Ts), 200)
+    G = physics.frequency_response(omega).G
+    table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))
+    *rows, reference = table.rows
+    estimated = tuple(
+        AssessedFit(
+            comparison=row,
+            fit=fit,
+            tests=residuals(fit, validation),
+            deviation=np.abs(fit.frequency_response(omega).G - G) / np.abs(G),
+        )
+        for row, fit in zip(rows, fits.values(), strict=True)
+    )
+    return {
+        "estimated": estimated,
+        "reference": Assessed(comparison=reference),
+        "note": table.note,
+        "omega": omega,
+    }

@@ -14,10 +14,10 @@ from armrig.data.trend import Trend
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
-from armrig.report.conclusions import verdict
+from armrig.report.conclusions import abstract, conclusions
 from armrig.report.document import content, report, role, treatment
 from armrig.report.figures import write_figures
-from armrig.report.study import Orders, Study, study
+from armrig.report.study import AssessedFit, Orders, Study, assessed, study
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
 from made_recordings import of_the_arm, recorded, sample, written
@@ -65,7 +65,7 @@ def test_one_recording_is_cut_in_two(three_recordings: tuple[Path, ...]) -> None
 
     assert halved.halves
     assert halved.estimation.N + halved.validation.N == 1500
-    assert not any(row.on_estimation_data for row in halved.table.rows)
+    assert not any(m.comparison.on_estimation_data for m in halved.models)
     assert role(halved, halved.recordings[0]) == "estimation and validation"
 
 
@@ -169,13 +169,14 @@ def test_the_physics_as_a_model_is_the_physics() -> None:
 
 def test_the_oe_model_meets_the_physics(done: Study) -> None:
     """Through recording, unwrapping and estimation: median deviation below one per cent."""
-    assert np.median(done.deviation[1]) < 0.01
-    assert done.table.rows[1].rms_error < 0.006  # one step of ten bits
+    assert done.best.name == "OE"
+    assert np.median(done.best.deviation) < 0.01
+    assert done.best.comparison.rms_error < 0.006  # one step of ten bits
 
 
 def test_the_verdict_says_what_came_out(done: Study) -> None:
     """ARX and OE disagree on this rig, and samples are missing: both are said."""
-    said = " ".join(verdict(done))
+    said = " ".join(conclusions(done))
 
     assert "For simulation and for control use the OE model" in said
     assert "5 samples are missing" in said
@@ -184,22 +185,80 @@ def test_the_verdict_says_what_came_out(done: Study) -> None:
 
 def test_the_verdict_changes_with_the_facts(done: Study) -> None:
     """Where the models agree it does not say that they disagree."""
-    arx, oe, physics = done.table.rows
-    agreeing = replace(done.table, rows=(replace(arx, rms_error=oe.rms_error), oe, physics))
+    rms_error = done.best.comparison.rms_error
+    agreeing = [
+        replace(m, comparison=replace(m.comparison, rms_error=rms_error)) for m in done.estimated
+    ]
 
-    assert "disagree" not in " ".join(verdict(replace(done, table=agreeing)))
+    assert "disagree" not in " ".join(conclusions(replace(done, estimated=tuple(agreeing))))
 
 
 def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None:
     """Computed from these data: another deviation is said to lie elsewhere."""
-    deviation = np.full_like(done.deviation, 0.01)
-    deviation[0, 20], deviation[1, 150] = 0.5, 0.25
+    at = {"ARX": 20, "OE": 150}
+    most = {"ARX": 0.5, "OE": 0.25}
 
-    said = str(content(replace(done, deviation=deviation), ())["physics"])
+    def moved(m: AssessedFit) -> AssessedFit:
+        deviation = np.full_like(m.deviation, 0.01)
+        deviation[at[m.name]] = most[m.name]
+        return replace(m, deviation=deviation)
+
+    other = replace(done, estimated=tuple(moved(m) for m in done.estimated))
+    said = str(content(other, ())["physics"])
 
     oe, arx = said.split("; the ARX model")
     assert oe.endswith(f"at most 25\u00a0%, at {done.omega[150]:.3g} rad/s")
     assert arx.endswith(f"and 50\u00a0%, at {done.omega[20]:.3g} rad/s.")
+
+
+@pytest.fixture(scope="module")
+def of_three(done: Study) -> Study:
+    """Give the study with a third model, which comes first."""
+    armax = armrig.armax(done.estimation, na=4, nb=4, nc=2, integrator=True)
+    fits = {"ARMAX": armax} | {m.name: m.fit for m in done.estimated}
+    return replace(done, **assessed(fits, done.reference.model, done.validation))
+
+
+def test_a_report_tells_of_a_third_model(of_three: Study) -> None:
+    """In every table and in every sentence about the models, each under its own name."""
+    names = ["ARMAX", "ARX", "OE"]
+    told = content(of_three, ())
+    said = " ".join(told["verdict"])
+
+    assert [table["name"] for table in told["models"]] == names
+    assert [len(table["header"]) for table in told["models"]] == [4, 4, 5]
+    assert all(len(row) == len(t["header"]) for t in told["models"] for row in t["rows"])
+    assert [row[0] for row in told["fits"]] == [*names, "physics"]
+    assert told["tested"] == names
+    assert all(len(row) == 1 + 3 + 1 for row in told["tests"])
+    assert told["orders"] == "na = 4, nb = 4, nc = 2, nf = 4, nk = 1"
+    for name in names:
+        assert f"{name}: loss" in told["estimation"]
+        assert f"the residuals of {name} are" in said
+        assert f"({name})" in said
+    assert "an ARMAX, an ARX and an OE model" in told["summary"]
+    assert "the ARMAX model" in told["physics"]
+
+
+def test_the_best_model_is_told_wherever_it_stands(done: Study, of_three: Study) -> None:
+    """The abstract is of the one that simulates best, in whatever order the models came."""
+    turned = replace(done, estimated=done.estimated[::-1])
+
+    assert conclusions(turned) == conclusions(done)
+    assert "the OE model simulates the angle" in abstract(turned)
+    assert of_three.best.name in {"ARMAX", "OE"}
+    assert f"the {of_three.best.name} model simulates" in abstract(of_three)
+
+
+def test_a_report_of_three_models_is_typeset_with_all_of_them(
+    of_three: Study, tmp_path: Path
+) -> None:
+    """In the tables and in the figures."""
+    figures = {path.stem: path.read_text() for path in write_figures(of_three, tmp_path)}
+
+    assert report(of_three, tmp_path / "three.pdf").stat().st_size > 0
+    for name in ("compare", "velocity", "bode", "step_poles", "residuals"):
+        assert all(model in figures[name] for model in ("ARMAX", "ARX", "OE")), name
 
 
 def test_the_sample_after_the_dead_band_is_counted_and_named(done: Study) -> None:
@@ -248,7 +307,7 @@ def test_a_rig_that_was_not_calibrated_is_told_once(done: Study) -> None:
         (good, 0, "2026-11-20 04:00"),
     ):
         judged = replace(done, recordings=recordings)
-        assert " ".join(verdict(judged)).count("was not calibrated") == told
+        assert " ".join(conclusions(judged)).count("was not calibrated") == told
         assert ["calibrated", *[when] * len(recordings)] in content(judged, [])["facts"]
 
 
@@ -258,7 +317,7 @@ def test_one_that_was_not_calibrated_among_others_is_named(done: Study) -> None:
     step, *others = done.recordings
     good = (replace(r, calibration=Calibration(made=made)) for r in others)
 
-    said = verdict(replace(done, recordings=(step, *good)))
+    said = conclusions(replace(done, recordings=(step, *good)))
 
     [remark] = [s for s in said if "calibrated" in s]
     assert remark.startswith(f"{step.path.name}: the rig was not calibrated")
