@@ -98,7 +98,7 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
     Parameters
     ----------
     fit : Fit
-        Of the output that the data show.
+        Estimated, of the output that the data show.
     data : Dataset
         N samples.
     lags : int, optional
@@ -120,8 +120,7 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
     """
     require_same_signals(fit, data)
-    parts = list(data.experiments())
-    known = [prediction_errors(fit, part) for part in parts]
+    known = [prediction_errors(fit, part) for part in data.experiments()]
     N = sum(int(np.count_nonzero(np.isfinite(r.e))) for r in known)
     L = default_lags(N) if lags is None else lags
     longest = max(N // 2, 1)
@@ -132,17 +131,9 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
     e = joined([r.e for r in known], L)
     R, _ = autocovariance(e, L)
     theta_covariance = _free_covariance(fit)
-    Z = [
-        _lagged_both_ways(part.u - np.mean(data.u), L, r)
-        for part, r in zip(parts, known, strict=True)
-    ]
-    cross: Array = np.vstack(Z).T @ np.nan_to_num(np.concatenate([r.e for r in known]))
+    input_ = _input_sums(data, known, theta_covariance, L, own=own)
+    scale = sqrt(input_.power * R[0] * N) if input_.power > 0 and R[0] > 0 else np.inf
     past, future = slice(L, 2 * L + 1), slice(0, L)
-    M = _score_covariance(Z, known, theta_covariance, own=own)
-    u0 = [z[:, L : L + 1] for z in Z]
-    power = float(sum(np.sum(z**2) for z in u0))
-    P_N = float(exogenous_score(u0, [r.e for r in known])[0, 0])  # N P
-    scale = sqrt(power * R[0] * N) if power > 0 and R[0] > 0 else np.inf
     return ResidualTest(
         e=np.concatenate([r.e for r in known]),
         lags=np.arange(L + 1),
@@ -157,12 +148,43 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
         ),
         ljung_box=ljung_box(e, L, _noise_parameters(fit) if own else 0),
         cross_lags=np.arange(-L, L + 1),
-        cross_correlation=np.asarray(cross) / scale,
-        cross_band=BAND_99_PERCENT * sqrt(P_N) / scale,
-        cross_std=np.sqrt(np.maximum(np.diag(M), 0.0)) / scale,
-        missing_dynamics=joint_p_value(cross[past], M[past, past]),
-        feedback=joint_p_value(cross[future], M[future, future]),
+        cross_correlation=input_.sums / scale,
+        cross_band=BAND_99_PERCENT * sqrt(input_.variance) / scale,
+        cross_std=np.sqrt(np.maximum(np.diag(input_.covariance), 0.0)) / scale,
+        missing_dynamics=joint_p_value(input_.sums[past], input_.covariance[past, past]),
+        feedback=joint_p_value(input_.sums[future], input_.covariance[future, future]),
         on_estimation_data=own,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _InputSums:
+    """The sums s_k of e(t) u(t - k), k = -L … L, and how sure they are."""
+
+    sums: Array
+    """(2 L + 1,)."""
+    covariance: Array
+    """M, (2 L + 1, 2 L + 1)."""
+    power: float
+    """Sum of u(t)²."""
+    variance: float
+    """Of one sum for a known model, N P."""
+
+
+def _input_sums(
+    data: Dataset, known: list[Residuals], theta_covariance: Array, L: int, *, own: bool
+) -> _InputSums:
+    mean = np.mean(data.u)
+    Z = [
+        _lagged_both_ways(part.u - mean, L, r)
+        for part, r in zip(data.experiments(), known, strict=True)
+    ]
+    u = [z[:, L : L + 1] for z in Z]
+    return _InputSums(
+        sums=np.asarray(np.vstack(Z).T @ np.nan_to_num(np.concatenate([r.e for r in known]))),
+        covariance=_score_covariance(Z, known, theta_covariance, own=own),
+        power=float(sum(np.sum(z**2) for z in u)),
+        variance=float(exogenous_score(u, [r.e for r in known])[0, 0]),
     )
 
 

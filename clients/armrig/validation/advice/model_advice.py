@@ -8,7 +8,6 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.cancellation import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
 
@@ -19,7 +18,7 @@ _STD_99 = 2.58
 def examine_model(fit: Fit) -> Iterator[Finding]:
     """Iterate over the points, in the order in which one would look."""
     yield _about_search(fit)
-    white = not fit.whiteness < WHITE_LEVEL
+    white = not fit.trusts_robust
     text = whiteness_sentence(fit) + ("" if white else "; raise the orders, or add a noise model")
     yield finding("residuals", text, good=white)
     yield _about_overlap(fit)

@@ -17,8 +17,7 @@ from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.nonparametric.integrator import settled
 from armrig.numerics.checks import require_integers
 from armrig.numerics.quantile import two_sided
-from armrig.numerics.quantities import p_relation
-from armrig.numerics.whiteness import WHITE_LEVEL
+from armrig.numerics.quantities import p_relation, plural
 from armrig.validation.feedback_and_delay.onset import (
     LEVEL,
     SECOND_ORDER,
@@ -142,14 +141,14 @@ class Delay:
         return [*lines, *([_shape(self.misfit)] if self.misfit else [])]
 
     @property
-    def lag_in_words(self) -> str:
+    def lag_sentence(self) -> str:
         """Say which nk, or between which."""
         low, high = self.interval
         return f"nk = {low}" if self.told else f"nk between {low} and {high}"
 
     def _answer(self) -> str:
         if self.told:
-            return f"{self.lag_in_words}: {_in_words(self.delay, self.Ts)}"
+            return f"{self.lag_in_words}: {_sentence(self.delay, self.Ts)}"
         return f"{self.lag_in_words}: cannot be told at this Ts and noise"
 
     def _way_out(self) -> str:
@@ -227,19 +226,10 @@ def delay(data: Dataset, *, nb: int = 4, nf: int = 4, integrator: bool | None = 
 
     candidates = Candidates(data, nb=nb, nf=nf, integrator=integrates)
     found = onset(candidates, _first(response), n)
-    step = quantum(data)
-    moves = np.abs(np.diff(data.u))
-    change = float(np.max(moves, initial=0.0))
     acceleration = _acceleration(candidates, found) / data.Ts**2
-    t_q = _hidden(step, acceleration, change) if data.output in SECOND_ORDER else None
-    first, remarks = found.first, _remarks(candidates.model(found.last, 1))
-    changes = int(np.count_nonzero(moves))
-    if t_q is not None and changes < _FEW_CHANGES and found.last > 1:
-        first = min(first, max(found.last - ceil(t_q / data.Ts), 1))
-        remarks.append(
-            f"u changes {changes} time{'s' * (changes != 1)} only, which does not excite enough to "
-            f"tell a delay from the first {ceil(t_q / data.Ts)} samples that quantisation hides"
-        )
+    read = _readings(data, acceleration)
+    first, remarks = _least(found, read, data.Ts)
+    remarks = [*_remarks(candidates.model(found.last, 1)), *remarks]
     return Delay(
         nk=first,
         interval=(first, found.last),
@@ -251,17 +241,51 @@ def delay(data: Dataset, *, nb: int = 4, nf: int = 4, integrator: bool | None = 
         response=response,
         nb=nb,
         nf=nf,
-        quantum=step,
+        quantum=read.quantum,
         remarks=tuple(remarks),
         output=data.output,
         Ts=data.Ts,
         unit=data.unit,
         input_unit=data.input_unit,
         source=data.source,
-        t_q=t_q,
-        largest_step=change,
+        t_q=read.t_q,
+        largest_step=read.largest_step,
         acceleration=acceleration,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Readings:
+    """In which steps y was read, and how long one of them hides the answer to u."""
+
+    quantum: float
+    """LSB, in y's unit; 0 where none is seen."""
+    largest_step: float
+    """|Δu|, in u's unit."""
+    changes: int
+    """Times that u changes."""
+    t_q: float | None
+    """sqrt(2 LSB / (b |Δu|)) in s; None where y is not read in steps."""
+
+
+def _readings(data: Dataset, acceleration: float) -> _Readings:
+    step, moves = quantum(data), np.abs(np.diff(data.u))
+    change = float(np.max(moves, initial=0.0))
+    hidden = _hidden(step, acceleration, change) if data.output in SECOND_ORDER else None
+    return _Readings(
+        quantum=step, largest_step=change, changes=int(np.count_nonzero(moves)), t_q=hidden
+    )
+
+
+def _least(found: Onset, read: _Readings, Ts: float) -> tuple[int, list[str]]:
+    """Return the least nk that is not ruled out, and a remark where quantisation makes it less."""
+    if read.t_q is None or read.changes >= _FEW_CHANGES or found.last <= 1:
+        return found.first, []
+    hidden = ceil(read.t_q / Ts)
+    return min(found.first, max(found.last - hidden, 1)), [
+        f"u changes {plural(read.changes, 'time')} only, which does not excite enough to tell a "
+        f"delay from the first {hidden} samples that quantisation hides"
+    ]
 
 
 def _acceleration(candidates: Candidates, found: Onset) -> float:
@@ -290,7 +314,7 @@ def _hidden(step: float, acceleration: float, change: float) -> float | None:
 
 def _remarks(fit: Fit) -> list[str]:
     """Return what the F-test does not know."""
-    if not fit.whiteness < WHITE_LEVEL:
+    if not fit.trusts_robust:
         return []
     z = abs(float(fit.B[fit.nk])) / float(fit.std_robust[0])
     return [
@@ -320,12 +344,12 @@ def _shape(misfit: dict[int, float]) -> str:
     )
 
 
-def _in_words(samples: int, Ts: float) -> str:
+def _sentence(samples: int, Ts: float) -> str:
     if samples < 0:
         return "a direct term, u acts within its own sample"
     if samples == 0:
         return "no delay beyond the hold's own sample"
-    return f"{samples} sample{'s' * (samples > 1)} ({1e3 * samples * Ts:.3g} ms) beyond the hold's"
+    return f"{plural(samples, 'sample')} ({1e3 * samples * Ts:.3g} ms) beyond the hold's"
 
 
 def _quantity(x: float, unit: str) -> str:
