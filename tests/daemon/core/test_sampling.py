@@ -1,0 +1,306 @@
+"""A sample that answers an EXCHANGE, and one that the device makes by itself: where they differ."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_core.telemetry import Sample
+from armrig_core.volts import applied_code, code_of
+from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.state import (
+    Action,
+    Emit,
+    Heard,
+    Phase,
+    Publish,
+    RoundTrip,
+    State,
+    Want,
+)
+from armrig_daemon.pipe import Gap, Log, Play, RunEnded, RunStarted
+from armrig_protocol.messages import Config, Flag, Stop
+from armrig_protocol.messages import State as DeviceState
+from core_states import Decided, awaiting, device_sample, driven, heard, rested
+from msgspec.structs import replace
+from virtual_bench import LEASE, MS, Bench, codes
+
+RUN, UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
+LATCHED = Fault(Id.LEASE, "ran out")
+
+
+def _asked(bench: Bench, ms: float = 21) -> State:
+    """Return a state with EXCHANGEs on their way whose answers do not come."""
+    bench.ports.to_device = lambda data: b""
+    bench.run_for(ms)
+    assert len(bench.loop.state.sent) > 1
+    return bench.loop.state
+
+
+def _playing() -> Bench:
+    """Return a rig in the middle of a scheduled run at 2 V."""
+    bench = Bench()
+    assert not bench.take(5_000).error
+    run = codes(*[2.0] * 400)
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=run, scheduled=True))
+    bench.run_for(400)
+    assert bench.loop.state.device_state == DeviceState.RUN
+    return bench
+
+
+def _duty(state: State, code: int) -> int:
+    """Return what the duty of the device makes of a code."""
+    assert state.device is not None
+    return applied_code(code, state.device.pwm_bits)
+
+
+def _answer(bench: Bench, now: State, at: int = 0, **fields: int) -> Decided:
+    """Return what follows from the answer to an EXCHANGE."""
+    return heard(bench, device_sample(now, k=now.sent[at].k)._replace(**fields), now)
+
+
+def _due(bench: Bench, now: State, **fields: int) -> Decided:
+    """Return what follows from the sample of the run that is due next, as it must be."""
+    assert now.run is not None
+    u = _duty(now, now.run.code(0))
+    known = {"k": now.run.due, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.seq - 1}
+    return heard(bench, device_sample(now)._replace(**{**known, **fields}), now)
+
+
+def _published(decided: Decided) -> list[Sample]:
+    return [a.sample for a in decided.of(Publish)]
+
+
+def _order(decided: Decided, *kinds: type) -> list[str]:
+    """Return the names of the actions and records of these kinds, in the order of the actions."""
+
+    def thing(action: Action) -> object:
+        return action.record if isinstance(action, Emit) else action
+
+    return [type(t).__name__ for t in map(thing, decided.actions) if isinstance(t, kinds)]
+
+
+# -- what the device applied (S5) ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flags", [0, UNDERRUN, RUN, RUN | UNDERRUN])
+def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
+    """S5: only a device with a queue can run out of setpoints; here 0 is no code of ours either."""
+    bench = driven()
+    state = _asked(bench)
+    commanded = _duty(state, state.sent[0].code) if flags & RUN else 0
+
+    wrong = _answer(bench, state, u_k=commanded + 64, flags=flags)
+    right = _answer(bench, state, u_k=commanded, flags=flags)
+
+    assert wrong.state.fault is not None
+    assert wrong.state.fault.id is Id.APPLIED
+    assert f"where {state.sent[0].code} was commanded" in wrong.state.fault.cause
+    assert [type(m) for m in wrong.sent] == [Stop]
+    assert right.state.fault is None
+
+
+@pytest.mark.parametrize(("flags", "trips"), [(RUN, True), (RUN | UNDERRUN, False)])
+def test_in_a_run_only_an_underrun_excuses_another_code(flags: int, trips: bool) -> None:
+    """S5: the device says that no setpoint was there; the policy's code is told."""
+    bench = _playing()
+
+    decided = _due(bench, bench.loop.state, u_k=0, flags=flags)
+
+    assert (decided.state.fault is not None) == trips
+    assert len(_published(decided)) == 1
+    said = [log.message for log in decided.told(Log) if "no setpoint was there" in log.message]
+    assert len(said) == (not trips)
+
+
+def test_an_exchange_in_a_fault_is_no_second_fault() -> None:
+    """S6: the motor is on its way to 0 V already, and the first cause stands."""
+    bench = driven()
+    state = replace(_asked(bench), phase=Phase.FAULT, fault=LATCHED)
+
+    decided = _answer(bench, state, u_k=9, flags=RUN)
+
+    assert decided.state.fault == LATCHED
+    assert decided.sent == []
+
+
+def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> None:
+    """S5, S6: it still drives by its own queue, so that STOP goes out with each such sample."""
+    bench = _playing()
+    latched = replace(bench.loop.state, phase=Phase.FAULT, fault=LATCHED)
+    stopping = awaiting(latched, Want.STOP, tries=4, sent_ns=bench.ports.now)
+
+    wrong = _due(bench, stopping, u_k=9)
+    right = _due(bench, stopping)
+
+    assert [type(m) for m in wrong.sent] == [Stop]
+    assert wrong.state.phase is Phase.FAULT
+    assert wrong.state.asked is not None
+    assert wrong.state.asked.tries == 1
+    assert right.sent == []
+    assert right.state.fault == LATCHED
+
+
+def test_what_was_applied_is_what_a_gap_behind_it_was_held_at() -> None:
+    """L2: in both."""
+    bench, playing = driven(), _playing()
+    state, run = _asked(bench), playing.loop.state
+
+    answered = _answer(bench, state, u_k=_duty(state, code_of(1.0)), flags=RUN)
+    played = _due(playing, run)
+
+    assert answered.state.applied == _duty(state, code_of(1.0))
+    assert played.state.applied == _duty(run, code_of(2.0))
+
+
+# -- what a sample proves of the line (S4) -------------------------------------------------------
+
+
+def test_an_exchange_is_as_fresh_as_its_question() -> None:
+    """S4: what it answers was sent then, whenever it comes and whatever it has heard."""
+    bench = driven()
+    state = _asked(bench)
+    first, now = state.sent[0], bench.ports.now
+
+    decided = _answer(bench, state, u_k=_duty(state, first.code), flags=RUN)
+
+    assert first.sent_ns < now
+    assert (decided.state.fresh_ns, decided.state.sampled_ns) == (first.sent_ns, first.sent_ns)
+    assert decided.of(RoundTrip) == [RoundTrip(now - first.sent_ns)]
+    (publish,) = decided.of(Publish)
+    assert (publish.sample.t_host_ns, publish.queued) == (first.sent_ns, -1)
+
+
+def test_a_sample_of_a_run_is_as_fresh_as_the_frame_that_it_has_heard() -> None:
+    """S4: the device made it by itself; only its echo proves that it hears us."""
+    bench = _playing()
+    now = bench.ports.now
+    state = bench.loop.state
+    seq = (state.seq - 1) & 0xFFFF
+    state = replace(state, beats=(Heard(seq, now - 7 * MS),), fresh_ns=now - 40 * MS, sampled_ns=1)
+
+    deaf = _due(bench, state, echo=(seq - 1) & 0xFFFF, queued=5)
+    hears = _due(bench, state, echo=seq, queued=5)
+
+    assert (deaf.state.fresh_ns, deaf.state.sampled_ns) == (now - 40 * MS, now)
+    assert (hears.state.fresh_ns, hears.state.sampled_ns) == (now - 7 * MS, now)
+    assert hears.of(RoundTrip) == []
+    (publish,) = hears.of(Publish)
+    assert (publish.sample.t_host_ns, publish.queued) == (now, 5)
+
+
+def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -> None:
+    """S4: an exchange is taken by nobody; a run of ours is told, and its motor stopped."""
+    bench, playing = driven(), _playing()
+    state, run = _asked(bench), playing.loop.state
+
+    answered = _answer(bench, state, u_k=_duty(state, state.sent[0].code), flags=RUN, echo=state.seq)
+    played = _due(playing, run, echo=run.seq + 20)
+
+    assert (answered.actions, answered.state.sent) == ([], state.sent)
+    assert len(_published(played)) == 1
+    assert played.state.fault is not None
+    assert played.state.fault.id is Id.STATE
+    assert [type(m) for m in played.sent] == [Stop]
+
+
+def test_only_an_exchange_compares_the_clocks() -> None:
+    """A sample of a run has no time at which it was asked for."""
+    bench, playing = driven(), _playing()
+    state = replace(_asked(bench), compared_ns=0)
+    run = replace(playing.loop.state, compared_ns=0)
+
+    answered = _answer(bench, state, u_k=_duty(state, state.sent[0].code), flags=RUN)
+
+    assert answered.state.compared_ns == bench.ports.now
+    assert _due(playing, run).state.compared_ns == 0
+
+
+# -- which k it has (L2) -------------------------------------------------------------------------
+
+
+def test_an_exchange_whose_k_was_told_as_a_gap_is_not_told_again() -> None:
+    """L2: overtaken; its place in the line is free, and it proves nothing."""
+    bench = driven()
+    state = _asked(bench)
+    told = replace(state, told=state.sent[0].k)
+
+    decided = _answer(bench, told, u_k=0, flags=RUN)
+
+    assert decided.actions == []
+    assert decided.state.sent == told.sent[1:]
+    assert decided.state.fresh_ns == told.fresh_ns
+
+
+def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() -> None:
+    """L2: it is published once, yet it is news of the device."""
+    bench = _playing()
+    state = bench.loop.state
+    assert state.run is not None
+    seq = (state.seq - 1) & 0xFFFF
+    state = replace(state, beats=(Heard(seq, 17),), fresh_ns=5)
+
+    decided = _due(bench, state, k=state.run.due - 1, echo=seq)
+
+    assert decided.actions == []
+    assert decided.state.fresh_ns == 17
+
+
+def test_lost_samples_are_told_with_what_each_was_commanded() -> None:
+    """L2: an exchange was lost since it was sent; of a run nobody knows more than that it is gone."""
+    bench, playing = driven(), _playing()
+    state, run = _asked(bench), playing.loop.state
+    assert run.run is not None
+
+    answered = _answer(bench, state, at=1, u_k=_duty(state, state.sent[1].code), flags=RUN, u_km1=0)
+    played = _due(playing, run, k=run.run.due + 1)
+
+    (lost,), (missed,) = answered.told(Gap), played.told(Gap)
+    assert (lost.k_first, lost.t_from_ns) == (state.sent[0].k, state.sent[0].sent_ns)
+    assert (missed.k_first, missed.t_from_ns) == (run.run.k_first + run.run.due, playing.ports.now)
+    assert {lost.t_to_ns, missed.t_to_ns} == {bench.ports.now, playing.ports.now}
+
+
+# -- the order of what follows -------------------------------------------------------------------
+
+
+def test_an_exchange_is_published_before_the_run_that_it_ends() -> None:
+    """L2: the last sample of a run is there, and no gap, when the device has stopped with it."""
+    bench = driven()
+    state = awaiting(replace(_asked(bench), code=0), Want.STOP)
+
+    decided = _answer(bench, state, state=int(DeviceState.IDLE))
+
+    assert [s.k for s in _published(decided)] == [state.sent[0].k]
+    assert decided.told(Gap) == []
+    assert [type(m) for m in decided.sent] == [Config]
+    assert decided.state.told == state.sent[0].k
+
+
+def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
+    """L2: published first, then the end is told."""
+    bench = rested()
+    assert not bench.take().error
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 400)))
+    bench.run_for(100)
+    state = awaiting(_asked(bench), Want.STOP)
+
+    decided = _answer(bench, state, state=int(DeviceState.IDLE))
+
+    assert _order(decided, Publish, RunEnded)[0] == "Publish"
+    assert "RunEnded" in _order(decided, RunEnded)
+    assert state.sent[0].k not in [g.k_first for g in decided.told(Gap)]
+
+
+def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start() -> None:
+    """Its ACK was lost: RUN shows that START has worked, and only then the sample has a k."""
+    bench = _playing()
+    state = bench.loop.state
+    assert state.run is not None
+    order = Play(order=9, lease=LEASE, n=0, run_id="r", codes=state.run.codes, scheduled=True)
+    run = replace(state.run, k_first=-1, due=0)
+    armed = replace(state, run=run, phase=Phase.ARMED, device_state=int(DeviceState.ARMED))
+    starting = awaiting(armed, Want.START, order, sent_ns=bench.ports.now)
+
+    decided = _due(bench, starting, k=0, state=int(DeviceState.RUN))
+
+    assert _order(decided, RunStarted, Publish) == ["RunStarted", "Publish"]
+    assert [s.k for s in _published(decided)] == [starting.k + 1]
