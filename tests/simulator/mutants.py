@@ -13,7 +13,16 @@ from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
 
-from armrig_daemon.core import device_state, gaps, orders, replies, setpoints, step, stopping
+from armrig_daemon.core import (
+    device_state,
+    gaps,
+    orders,
+    replies,
+    sampling,
+    setpoints,
+    step,
+    stopping,
+)
 from armrig_daemon.core import requests as core_requests
 from armrig_daemon.core.state import Emit, Lease, Phase, Rules, Run
 from armrig_daemon.emulator import board, firmware, requests
@@ -320,7 +329,10 @@ MUTANTS = (
     Mutant(
         name="a trip that does not latch",
         plant=_all(
-            *(_put(m, "trip", _unlatched) for m in (step, replies, device_state, setpoints))
+            *(
+                _put(m, "trip", _unlatched)
+                for m in (step, replies, sampling, device_state, setpoints)
+            )
         ),
         breaks=frozenset({"S6"}),
     ),
@@ -357,7 +369,7 @@ MUTANTS = (
     ),
     Mutant(
         name="an echo ahead of what was sent counts",
-        plant=_put(setpoints, "is_ahead", lambda *_: False),
+        plant=_put(sampling, "is_ahead", lambda *_: False),
         breaks=frozenset({"S4"}),
         faults=("old_frames",),
     ),

@@ -1,4 +1,4 @@
-"""Scheduled runs: setpoints kept ahead of the device, samples taken as they come.
+"""Scheduled runs: setpoints kept ahead of the device.
 
 The device's timer makes the samples; what we owe it is to have u[k] there before k. Setpoints go
 back-N: a sample's `queued` says up to where the device has them, and what does not arrive in time
@@ -7,31 +7,25 @@ is sent again from there. Nothing else acknowledges them.
 
 from __future__ import annotations
 
-from armrig_core.volts import applied_code, volts_of
+from armrig_core.volts import applied_code
 from armrig_protocol.frame import encode
-from armrig_protocol.messages import SETPOINTS_PER_FRAME, Flag, Ping, Setpoints
-from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import SETPOINTS_PER_FRAME, Ping, Setpoints
 from msgspec.structs import replace
 
 from armrig_daemon.core import gaps
 from armrig_daemon.core.budget import PING_US
-from armrig_daemon.core.clockmap import extend, host_ns_at
-from armrig_daemon.core.conversion import converted, extended, is_older
 from armrig_daemon.core.faults import Fault, Id
-from armrig_daemon.core.requests import Step, ask, log, send
-from armrig_daemon.core.state import Absent, Action, Phase, Publish, Queue, Run, State, Want
+from armrig_daemon.core.requests import Step, ask, send
+from armrig_daemon.core.state import Absent, Action, Phase, Queue, Run, State, Want
 from armrig_daemon.core.stopping import stop, trip
 from armrig_daemon.pipe import Play
 
-_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
 _ARMED, _FAULT = Phase.ARMED, Phase.FAULT
 
 RESEND_NS = 30_000_000
 """Setpoints that the device does not show after so long are sent again, in ns."""
 FILL_NS = 2_000_000_000
 """How long filling the queue before the start may take, in ns."""
-ENOUGH_EXCHANGES = 8
-"""Exchanges after which the map of the clocks is better than the time of START."""
 MOST_FRAMES = 8
 """Frames of setpoints sent at once: what else is on the line must not wait long behind them."""
 
@@ -97,21 +91,6 @@ def _is_filled(state: State) -> bool:
     return queue.held >= enough
 
 
-def heard(state: State, echo: int) -> State:
-    """Take note that the device has heard the frame `echo`: that is what proves a round trip."""
-    if is_ahead(state, echo):
-        return state
-    newest = [b for b in state.beats if (echo - b.seq) & 0xFFFF < 0x8000]
-    if not newest:
-        return state
-    return replace(state, beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
-
-
-def is_ahead(state: State, echo: int) -> bool:
-    """Return whether `echo` is of a frame that we have not sent: another's, or an old one."""
-    return (echo - state.seq) & 0xFFFF < 0x8000
-
-
 def is_stopping(state: State) -> bool:
     """Return whether the device is to stop: then it gets no setpoint and nothing to live on."""
     asked = state.asked
@@ -131,53 +110,18 @@ def tick(state: State, now_ns: int) -> Step:
     return state, done
 
 
-def sample(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Take a sample that the device made by itself."""
-    run, device = state.run, state.device
-    if run is None or run.k_first < 0 or device is None or not run.due <= m.k < run.samples:
-        return state, []  # came twice, or belongs to no run of ours
-    if is_older(state.t_us, m.t_us):
-        return state, []  # of an earlier run: within a boot the device's clock never goes back
-    k = run.k_first + m.k
-    state, done = gaps.account(_without(state, run, m.k, now_ns), k, now_ns, m.u_km1)
-    t_us = extended(state.t_us, m.t_us)
-    sched_ns = _due_ns(state, run, m.k, t_us)
-    code = run.code(m.k)
-    published = converted(state.rules.calibration, m, k, sched_ns, now_ns, t_us, code)
-    done.append(Publish(published, m.queued))
-    run = replace(run, due=m.k + 1)
-    state = replace(state, run=run, t_us=t_us, applied=m.u_k, told=k, sampled_ns=now_ns)
-    state, actions = counted(state, now_ns, m.k + 1, m.queued)
-    done += actions
-    if m.flags & _UNDERRUN:
-        text = f"no setpoint was there for sample {k}: the input was {volts_of(m.u_k):.3g} V"
-        return state, [*done, log(now_ns, "warning", text)]
-    if m.flags & _RUN and m.u_k != applied_code(code, device.pwm_bits):
-        text = f"the device applied code {m.u_k} where {code} was commanded"
-        state, actions = trip(state, now_ns, Fault(Id.APPLIED, text))
-        done += actions
-    return state, done
-
-
-def _due_ns(state: State, run: Run, i: int, t_us: int) -> int:
-    """Return when sample i was due on our clock: by the map of the clocks, once there is one."""
-    if state.clock.weight and len(state.clock.round_trips) >= ENOUGH_EXCHANGES:
-        return host_ns_at(state.clock, extend(state.device_us, t_us & 0xFFFFFFFF))
-    return run.t_zero_ns + i * state.ts_us * 1000
-
-
 def complete(state: State, now_ns: int) -> Step:
     """Take note that the device has made its last sample; what has not come never will."""
     run = state.run
     if run is None:
         return state, []
-    state = _without(state, run, run.samples, now_ns)
+    state = without(state, run, run.samples, now_ns)
     run = replace(run, due=run.samples)
     return replace(state, run=run, outcome=state.outcome or "complete"), []
 
 
-def _without(state: State, run: Run, end: int, now_ns: int) -> State:
-    """Note the samples before `end` that have not come; their input was the queue's."""
+def without(state: State, run: Run, end: int, now_ns: int) -> State:
+    """Note the samples of a run before `end` that have not come; their input was the queue's."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MOST_ABSENT), end):
         code = applied_code(run.code(i), bits)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from armrig_core.telemetry import Sample
 from armrig_core.volts import code_of
-from armrig_daemon.core import setpoints
+from armrig_daemon.core import sampling, setpoints
 from armrig_daemon.core.clockmap import ClockMap
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.state import (
@@ -447,11 +447,11 @@ def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
     older, newer = HeardFrame(0xFFFF, 11), HeardFrame(0, 22)
     waiting = replace(state, beats=(older, newer), fresh_ns=5)
 
-    assert setpoints.heard(waiting, 0xFFFE) == waiting
+    assert sampling.heard(waiting, 0xFFFE) == waiting
     half_a_round_away = replace(waiting, beats=(older,))
-    assert setpoints.heard(half_a_round_away, 0x7FFF) == half_a_round_away
-    assert setpoints.heard(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
-    assert setpoints.heard(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
+    assert sampling.heard(half_a_round_away, 0x7FFF) == half_a_round_away
+    assert sampling.heard(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
+    assert sampling.heard(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
 
 
 def test_a_run_that_is_over_already_is_not_completed_again() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.volts import applied_code, code_of, volts_of
-from armrig_daemon.core import gaps, setpoints
+from armrig_daemon.core import gaps, sampling, setpoints
 from armrig_daemon.core.budget import PING_US
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.requests import MOST_BEATS, send
@@ -334,7 +334,7 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
         state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
     )
 
-    after, actions = setpoints.sample(state, NOW + 3, sample)
+    after, actions = sampling.take(state, NOW + 3, sample)
 
     (published,) = [a for a in actions if isinstance(a, Publish)]
     s = published.sample
@@ -360,7 +360,7 @@ def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: boo
     )
     sample = sample._replace(t_us=sample.t_us & 0xFFFFFFFF)
 
-    after, actions = setpoints.sample(state, NOW, sample)
+    after, actions = sampling.take(state, NOW, sample)
 
     assert bool(actions) == taken
     assert (after == state) != taken
@@ -373,7 +373,7 @@ def test_only_samples_that_are_still_to_come_belong_to_the_run(k: int) -> None:
     u = applied_code(CODES[k], 10)
     sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
 
-    _, actions = setpoints.sample(state, NOW, sample)
+    _, actions = sampling.take(state, NOW, sample)
 
     assert bool([a for a in actions if isinstance(a, Publish)]) == (k in (10, 99))
 
@@ -386,7 +386,7 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     first = replace(state, run=replace(state.run, k_first=k_first), told=-1)
     u = applied_code(CODES[0], 10)
 
-    _, actions = setpoints.sample(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
+    _, actions = sampling.take(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
 
     assert [a.sample.k for a in actions if isinstance(a, Publish)] == [0] * (k_first == 0)
 
@@ -400,7 +400,7 @@ def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, objec
     sample = device_sample(state, k=10, flags=int(Flag.RUN))
     without = replace(state, **change)
 
-    assert setpoints.sample(without, NOW, sample) == (without, [])
+    assert sampling.take(without, NOW, sample) == (without, [])
 
 
 @pytest.mark.parametrize("bits", [8, 10, 16])
@@ -412,7 +412,7 @@ def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -
     state = replace(state, device=state.device._replace(pwm_bits=bits))
     u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
 
-    after, actions = setpoints.sample(
+    after, actions = sampling.take(
         state, NOW, device_sample(state, k=10, u_k=u, flags=int(Flag.RUN))
     )
 
@@ -430,7 +430,7 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
     state = replace(state, device=state.device._replace(pwm_bits=10))
     assert applied_code(CODES[10], 10) != CODES[10]
 
-    after, _ = setpoints.sample(
+    after, _ = sampling.take(
         state, NOW, device_sample(state, k=10, u_k=CODES[10], flags=int(Flag.RUN))
     )
 
@@ -441,7 +441,7 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
 def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
     """One that was under way when the run ended."""
     state = _running()
-    after, _ = setpoints.sample(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
+    after, _ = sampling.take(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
 
     assert after.fault is None
 
