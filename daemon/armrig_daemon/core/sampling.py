@@ -86,13 +86,15 @@ def _place(sent: tuple[Sent, ...], k: int) -> int | None:
 
 def _made_by_device(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a device that paces itself."""
+    # Judged before setpoints are sent: behind them an echo ahead would look like one of ours.
+    next_seq, foreign = state.seq, is_ahead(state, m.echo)
     # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
     state, done = device_state.seen(heard(state, m.echo), now_ns, m.state)
     state, actions = _of_run(state, now_ns, m)
     done += actions
-    if is_ahead(state, m.echo) and state.phase in (_ARMED, _ACTIVE):
-        # It has made our own frames stale, and will look like one of them once we have sent it.
-        cause = f"the device has heard frame {m.echo}, and the next of ours is {state.seq}"
+    if foreign and state.phase in (_ARMED, _ACTIVE):
+        # What it has heard was not of us, and has made our own frames stale.
+        cause = f"the device has heard frame {m.echo}, and the next of ours is {next_seq}"
         state, actions = trip(state, now_ns, Fault(Id.STATE, cause))
         done += actions
     return state, done

@@ -204,6 +204,25 @@ def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -
     assert type(played.sent[-1]) is Stop
 
 
+def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
+    """S4: setpoints go out with each sample; once they have, an old echo looks like one of ours."""
+    bench = _playing()
+    state = bench.loop.state
+    assert state.run is not None
+    assert state.queue is not None
+    sends_more = replace(state, queue=replace(state.queue, sent=state.queue.held))
+
+    decided = _due(bench, sends_more, echo=state.seq, queued=24)
+
+    assert len(decided.sent) > 1
+    assert decided.state.fault is not None
+    assert decided.state.fault.id is Id.STATE
+    assert f"heard frame {state.seq}, and the next of ours is {state.seq}" in (
+        decided.state.fault.cause
+    )
+    assert type(decided.sent[-1]) is Stop
+
+
 def test_only_an_exchange_compares_the_clocks() -> None:
     """A sample of a run has no time at which it was asked for."""
     bench, playing = driven(), _playing()
