@@ -40,9 +40,9 @@ class Between:
         self.has_come = threading.Event()
         endpoint = f"unixsock-stream/{directory}/s"
         self.service = Service(Config(), endpoint, directory)
-        self.service._loop = self.loop.child
-        self.service._session = Session(endpoint, "1", self.has_come.set)
-        self.service._hold(LEASE)
+        self.service._connect(self.loop.child, Session(endpoint, "1", self.has_come.set))
+        self.commands = self.service._commands
+        self.commands.hold(LEASE)
         self.client = open_session(endpoint, rig="1")
 
     def ask(self, request: Any) -> Any:
@@ -56,7 +56,7 @@ class Between:
     def begin_run(self) -> str:
         """Have a run asked for, taken by the loop, and begun."""
         self.ask(RUN)
-        self.service._take_commands()
+        self.commands.take()
         (play,) = self.loop.orders()
         assert isinstance(play, Play)
         started = RunStarted(run_id=play.run_id, k_first=0, count=3, t_host_ns=0)
@@ -105,7 +105,7 @@ def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
 def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> None:
     """Who asked is told, and the next may be asked for."""
     replies = between.ask(RUN)
-    between.service._take_commands()
+    between.commands.take()
     (play,) = between.loop.orders()
 
     between.service._take([Answer(order=play.order, error="not now")])
@@ -118,9 +118,9 @@ def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is refused within its time; an answer that comes later is nobody's."""
-    monkeypatch.setattr("armrig_daemon.service.service.ANSWER_S", -1.0)
+    monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
     replies = between.ask(RUN)
-    between.service._take_commands()
+    between.commands.take()
     (play,) = between.loop.orders()
 
     between.service._each_second()
@@ -153,10 +153,10 @@ def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> Non
 def test_a_sampling_time_that_the_wire_cannot_carry_is_not_armed_with(between: Between) -> None:
     """Nor one that the device could not count."""
     with pytest.raises(ValueError, match=r"Ts=0\.0001 s cannot be carried"):
-        between.service._ts_us(0.0001)
+        between.commands._ts_us(0.0001)
     with pytest.raises(ValueError, match="a whole number of microseconds"):
-        between.service._ts_us(0.0050005)
-    assert between.service._ts_us(0.005) == 5000
+        between.commands._ts_us(0.0050005)
+    assert between.commands._ts_us(0.005) == 5000
 
 
 def test_a_command_too_many_is_refused_at_once(between: Between) -> None:
@@ -200,10 +200,10 @@ def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
 ) -> None:
     """Nor rehearsed, which takes its time."""
     between.service._take([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
-    between.service._n = n
+    between.commands._n = n
 
     replies = between.ask(RUN)
-    between.service._take_commands()
+    between.commands.take()
 
     assert _refusal(replies) == complaint
     assert between.loop.orders() == []

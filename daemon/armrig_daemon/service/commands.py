@@ -1,0 +1,195 @@
+"""Commands of clients: handed to the loop as orders, and answered when the loop has.
+
+The service refuses what the loop cannot know, such as a full disk; whether an order is allowed is
+the core's to decide.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple, assert_never
+
+from armrig_core import commands
+from armrig_core.volts import code_of
+from msgspec.structs import replace
+
+from armrig_daemon.config import Config
+from armrig_daemon.core import orders
+from armrig_daemon.core.budget import check
+from armrig_daemon.core.state import Phase
+from armrig_daemon.pipe import Answer, Halt, Hold, Leased, Orders, Play, Release, Reset, Take
+from armrig_daemon.service.child import LoopChild
+from armrig_daemon.service.publish import Command, Kind, Session
+from armrig_daemon.service.rig_view import RigView
+from armrig_daemon.service.runs import Runs, checked
+
+ANSWER_S = 3.0
+"""How long the loop may take to answer a command, in s."""
+_MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
+_MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
+_MOST_UNANSWERED = 64  # and nobody's: what the service has to say itself must not wait behind more
+
+
+class _Waiting(NamedTuple):
+    """A command that the loop has not answered yet."""
+
+    command: Command
+    until: float
+    order: Orders
+    body: Any
+    """What to answer instead of the loop's own body."""
+
+
+class Commands:
+    """The commands of a session."""
+
+    def __init__(
+        self,
+        config: Config,
+        rig: RigView,
+        runs: Runs,
+        session: Session,
+        loop: LoopChild,
+        say: Callable[[str, str], None],
+    ) -> None:
+        """Begin with nobody holding the rig; `say` takes the level and the text of a line."""
+        self._config = config
+        self._rig = rig
+        self._runs = runs
+        self._session = session
+        self._loop = loop
+        self._say = say
+        self._waiting: dict[int, _Waiting] = {}
+        self._numbers = 0
+        self._Ts = config.ts_us / 1e6  # of the newest lease
+        self._lease = ""
+        self._n = -1  # number of its newest order
+
+    def hold(self, lease: str) -> None:
+        """Take note of the lease in force, or that there is none: others are strangers."""
+        self._lease, self._n = lease, -1
+        self._session.lease = lease.encode()
+
+    @property
+    def room(self) -> int:
+        """How many orders more may wait for the loop's answer."""
+        return max(0, _MOST_UNANSWERED - len(self._waiting))
+
+    def take_signs(self) -> None:
+        """Take the signs of the run's client, each as of the time when it came."""
+        for command in self._session.waiting(Kind.SIGN):
+            self._try(command)
+
+    def take(self) -> None:
+        """Take some of the commands that wait, a stop before all others."""
+        for command in self._session.waiting(Kind.STOP, self.room):
+            self._try(command)
+        for command in self._session.waiting(Kind.LEASED, min(_MOST_AT_ONCE, self.room)):
+            self._try(command)
+        for kind in (Kind.STATUS, Kind.OTHER):
+            for command in self._session.waiting(kind, _MOST_AT_ONCE):
+                self._try(command)
+
+    def answer(self, answer: Answer) -> None:
+        """Pass on what the loop has answered."""
+        waiting = self._waiting.pop(answer.order, None)
+        if waiting is None:
+            return  # it came too late: who asked has been told so
+        if answer.error:
+            self._give_up(waiting, answer.error)
+            return
+        if isinstance(waiting.order, Take):
+            self._Ts = answer.body["Ts"]
+            self.hold(waiting.order.lease)
+        elif isinstance(waiting.order, Leased) and waiting.order.lease == self._lease:
+            self._n = max(self._n, waiting.order.n)
+        waiting.command.answer(waiting.body or answer.body)
+
+    def refuse_overdue(self) -> None:
+        """Refuse what the loop has not answered in time."""
+        now = time.monotonic()
+        for number in [n for n, w in self._waiting.items() if now > w.until]:
+            self._give_up(self._waiting.pop(number), "the loop does not answer: see the log")
+
+    def _give_up(self, waiting: _Waiting, error: str) -> None:
+        if isinstance(waiting.order, Play):
+            self._runs.forget(waiting.order.run_id)
+        waiting.command.refuse(error)
+
+    def _try(self, command: Command) -> None:
+        try:
+            self._carry_out(command, commands.parse(command.name, command.payload))
+        except ValueError as err:
+            command.refuse(str(err))
+        except Exception as err:
+            command.refuse(f"{command.name}: {err!r}")
+            self._say("error", f"{command.name}: {err!r}")
+
+    def _carry_out(self, command: Command, request: commands.Requests) -> None:
+        """Hand a request to the loop; raises ValueError where it is not allowed."""
+        match request:
+            case commands.Status():
+                command.answer(self._rig.status(self._runs.last))
+            case commands.Arm():
+                error = self._objection()
+                if error:
+                    raise ValueError(error)
+                lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
+                self._order(command, Take(owner=request.owner, lease=lease, ts_us=ts_us))
+            case commands.Disarm():
+                self._order(command, Release(lease=request.lease, n=request.n))
+            case commands.Set():
+                (volts,) = checked([request.u], replace(self._config.limits, slew_v=0.0))
+                code = code_of(volts)
+                self._order(command, Hold(lease=request.lease, n=request.n, code=code))
+            case commands.Run():
+                self._check_holder(request)
+                start = self._rig.theta_1_rad
+                self._order(command, *self._runs.plan(request, self._Ts, start))
+            case commands.Renew():
+                self._runs.renew(request, command.came_s)
+                command.answer(commands.Done())
+            case commands.Stop():
+                self._order(command, Halt())
+            case commands.Reset():
+                self._order(command, Reset())
+            case _:
+                assert_never(request)
+
+    def _objection(self) -> str:
+        """Return why the rig is not to be armed, as far as the loop cannot know it, or nothing."""
+        owner = self._rig.state.owner
+        if owner:
+            return orders.held_by(owner)
+        return self._rig.line or self._runs.no_room() or self._rig.objection()
+
+    def _check_holder(self, request: commands.Run) -> None:
+        """Raise ValueError where the core is sure to refuse a run, before it is rehearsed."""
+        if request.lease != self._lease:
+            raise ValueError(orders.NOT_HELD)
+        if request.n <= self._n:
+            raise ValueError(orders.not_newer(request.n, self._n))
+        if self._rig.state.phase == Phase.ACTIVE and self._runs.is_idle:
+            raise ValueError(orders.BY_HAND)
+
+    def _ts_us(self, Ts: float | None) -> int:
+        """Return the sampling time asked for, in µs; 0 for the configured one."""
+        if Ts is None:
+            return 0
+        if round(Ts * 1e6, 3) % 1:
+            msg = f"Ts={Ts} must be a whole number of microseconds"
+            raise ValueError(msg)
+        check(round(Ts * 1e6), self._config.device.baud, scheduled=True)
+        return round(Ts * 1e6)
+
+    def _order(self, command: Command, order: Orders, body: Any = None) -> None:
+        """Give the loop an order; its answer is that of the command."""
+        if len(self._waiting) >= _MOST_ASKED and isinstance(order, Take | Reset):
+            msg = "too many commands are waiting: try again"
+            raise ValueError(msg)
+        self._numbers += 1
+        order = replace(order, order=self._numbers)
+        self._waiting[self._numbers] = _Waiting(command, time.monotonic() + ANSWER_S, order, body)
+        self._loop.order(order)

@@ -1,0 +1,95 @@
+"""What the service knows of its rig: what the loop has told, and what this host was doing."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from armrig_core.commands import LastRun, StatusReport
+from armrig_core.telemetry import Sample
+from msgspec.structs import replace
+
+from armrig_daemon.config import Config
+from armrig_daemon.pipe import State, Timing
+from armrig_daemon.service import pressure, readings
+
+_VERSION = version("armrig")  # read from a file: not at each status
+_UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})
+
+
+class RigView:
+    """The newest of what was told."""
+
+    def __init__(self, config: Config, endpoint: str, directory: Path) -> None:
+        """Begin with nothing told."""
+        self.state = _UNKNOWN
+        self.host: dict[str, Any] = {}
+        """What the loop was granted."""
+        self._config = config
+        self._endpoint = endpoint
+        self._directory = directory
+        self._turns_per_volt_s = config.arm.turns_per_volt_s
+        self._readings = readings.Readings()
+        self._timing: Timing | None = None
+        self._pressure = pressure.Pressure()
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the loop has told a state."""
+        return self.state is not _UNKNOWN
+
+    @property
+    def line(self) -> str:
+        """What came of a device that does not answer, and at which port, or nothing."""
+        line = self.state.line
+        return f"{self._config.device.port}: {line}" if line else ""
+
+    @property
+    def theta_1_rad(self) -> float | None:
+        """Where the chassis is, in rad; None where that is not known."""
+        return readings.theta_1_rad(self._readings)
+
+    def take_sample(self, sample: Sample) -> None:
+        """Take note of a sample."""
+        self._readings = readings.seen(self._readings, sample)
+
+    def take_timing(self, timing: Timing) -> Timing:
+        """Take note of the last second; return it with what else this machine was doing."""
+        share, runnable = self._pressure.read()
+        self._timing = replace(timing, cpu_pressure_percent=share, run_queue=runnable)
+        return self._timing
+
+    def objection(self) -> str:
+        """Return why neither the readings nor the host allow to arm, or nothing."""
+        config = self._config
+        return readings.objection(
+            self._readings,
+            turns_per_volt_s=self._turns_per_volt_s,
+            alpha_is_read=not (config.arm.removed or config.calibration.alpha.wraps),
+        ) or pressure.untimely(self._timing, config.device.watchdog_ms, pressure.load())
+
+    def status(self, last_run: LastRun | None) -> StatusReport:
+        """Return all of it for who asks."""
+        config, state = self._config, self.state
+        return StatusReport(
+            rig=config.rig.id,
+            version=_VERSION,
+            phase=state.phase,
+            reason=state.reason,
+            fault=state.fault,
+            motor=state.motor,
+            remedy=state.remedy,
+            owner=state.owner,
+            Ts=(state.ts_us or config.ts_us) / 1e6,
+            u_min=config.limits.u_min_v,
+            u_max=config.limits.u_max_v,
+            endpoint=self._endpoint,
+            device=state.device,
+            line=self.line,
+            host=self.host,
+            last_run=last_run,
+            recordings=str(self._directory),
+            calibration=config.calibration_in_words,
+            arm_removed=config.arm.removed,
+        )
