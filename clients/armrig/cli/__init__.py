@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -62,15 +63,13 @@ _UsageError: Any = typer.BadParameter.__base__
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from armrig import __version__
-
-        typer.echo(f"armrig {__version__}")
+        typer.echo(f"armrig {version('armrig')}")
         raise typer.Exit
 
 
 @app.callback(help="Record, identify and validate models of a control laboratory's rig.")
 def _options(
-    version: Annotated[
+    print_version: Annotated[
         bool,
         typer.Option(
             "--version", is_eager=True, callback=_print_version, help="Say the version, and exit."

@@ -269,11 +269,11 @@ def _base(rest: Recording) -> Any:
 def _write(path: Path, found: Estimate, base: Any, recordings: dict[str, Recording]) -> None:
     """Write the calibration and its samples, each as a whole."""
     import hashlib
+    from importlib.metadata import version
 
     from armrig_core.calibration import Made
     from armrig_core.calibration_file import raw_path, toml_of
 
-    from armrig import __version__
     from armrig.recordings.calibration import compressed
 
     first = recordings["rest"].manifest
@@ -286,7 +286,7 @@ def _write(path: Path, found: Estimate, base: Any, recordings: dict[str, Recordi
         date=first.started,
         rig=first.rig,
         device_uid=uids.pop(),
-        armrig=__version__,
+        armrig=version("armrig"),
         recordings={name: r.sha256 for name, r in recordings.items()},
         raw_sha256=hashlib.sha256(raw).hexdigest(),
     )

@@ -49,8 +49,10 @@ def integrate(
     """
     from armrig_core.arm import ArmParameters, arm_matrices
 
-    from armrig import recommend_step, sinusoid, stability_limit
     from armrig.cli.waiting import waiting
+    from armrig.physics.integrators.accuracy import sinusoid
+    from armrig.physics.integrators.stability import stability_limit
+    from armrig.physics.integrators.step_choice import recommend_step
 
     check_plot(plot)
     A, B, _ = arm_matrices(ArmParameters())

@@ -54,8 +54,9 @@ def check(
     plot: Plot = None,
 ) -> None:
     """Test for open loop and for a delay (handout 3.7, 3.8)."""
-    from armrig import delay, open_loop
     from armrig.cli.waiting import waiting
+    from armrig.validation.feedback_and_delay.delay import delay
+    from armrig.validation.feedback_and_delay.open_loop import open_loop
 
     check_plot(plot, [file])
     data = _data(file, output, calibration)
@@ -105,15 +106,15 @@ def greybox(
     plot: Plot = None,
 ) -> None:
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
-    import armrig
     from armrig.cli.waiting import waiting
+    from armrig.physics.grey_box.estimate import greybox as estimate
     from armrig.physics.grey_box.parameters import UNITS
 
     check_plot(plot, [file])
     fixed = _parameters(given)
     data, model = _grey_data(file, output, calibration, model)
     with waiting("estimating"):
-        fit = armrig.greybox(
+        fit = estimate(
             data, _model(model), tuple(free or ("J_1",)), fixed, output, friction=friction
         )
     fit.require_result()
@@ -154,8 +155,9 @@ def split(
 
     From halves and quarters, and study the deviations.
     """
-    import armrig
     from armrig.cli.waiting import waiting
+    from armrig.physics.grey_box.estimate import greybox
+    from armrig.physics.grey_box.split_study import split_study
 
     check_plot(plot, [file])
     cuts, fixed = _cuts(parts), _parameters(given)
@@ -163,10 +165,10 @@ def split(
     rig = _model(model)
 
     def estimate(part: Dataset) -> Any:
-        return armrig.greybox(part, rig, tuple(free or ("J_1",)), fixed, output)
+        return greybox(part, rig, tuple(free or ("J_1",)), fixed, output)
 
     with waiting("estimating"):
-        study = armrig.split_study(data, cuts, estimate)
+        study = split_study(data, cuts, estimate)
     write_plot(plot, lambda ax: study.plot(ax=ax), height=5.0)
     if json:
         rows = [
@@ -216,8 +218,10 @@ def simulate(
             raise typer.BadParameter(msg)
         _step(p, json=json, plot=plot)
         return
-    from armrig import compare, load_fit, physical_model
-    from armrig.plots import plot_compare
+    from armrig.models.model_file import load_fit
+    from armrig.report.study import physical_model
+    from armrig.validation.comparison import compare
+    from armrig.validation.figures import plot_compare
 
     data = _data(file, "theta_1", calibration)
     fits = [*(load_fit(path) for path in model or ()), physical_model(p, data)]
@@ -232,8 +236,8 @@ def simulate(
 
 
 def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
-    from armrig import characteristics
-    from armrig.plots import plot_physical_step
+    from armrig.physics.figures import plot_physical_step
+    from armrig.physics.step_response import characteristics
 
     found = characteristics(p)
     write_plot(plot, lambda ax: plot_physical_step({"these parameters": p}, ax=ax))
@@ -273,9 +277,9 @@ def _grey_data(
 
 
 def _model(name: str) -> Any:
-    import armrig
+    from armrig.physics.systems import arm, chassis
 
-    return {"chassis": armrig.chassis, "arm": armrig.arm}[name]
+    return {"chassis": chassis, "arm": arm}[name]
 
 
 def _parameters(given: list[str] | None) -> ArmParameters:

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import resources
+from importlib.metadata import version
 from math import isnan
 from pathlib import Path
 from typing import Any
@@ -89,8 +90,6 @@ def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> 
 
 def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
     """Return what the template says, as text: see report.typ."""
-    from armrig import __version__
-
     manifest = study.recording_of(study.estimation.source).manifest
     truncated = [
         f"{r.path.name} is not whole: {r.damage}." for r in study.recordings if r.truncated
@@ -98,7 +97,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
     return {
         "title": "Black-box identification of the rig",
         "subtitle": f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
-        "version": __version__,
+        "version": version("armrig"),
         "date": datetime.now(tz=UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "summary": abstract(study),
         "recordings": [

@@ -111,7 +111,7 @@ def write_figure(result: Result, path: Path) -> None:
     """Write the share of times above each time: lateness, and the way to a subscriber."""
     from matplotlib.figure import Figure
 
-    from armrig.plots import BLUE, GREEN, INK, ORANGE, VERMILION, finish
+    from armrig.canvas import BLUE, GREEN, INK, ORANGE, VERMILION, finish
 
     late = (
         (targets.REFERENCE, INK, "-"),
