@@ -1,1 +1,21 @@
 """What opens a session to a daemon, or measures this host."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
+    from armrig.rig.session import NoReplyError, RigError
+
+__all__ = ["BusyError", "NoReplyError", "RefusedError", "Rig", "RigError", "RunEndedError"]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a public name; only now zenoh is loaded, which `armrig doctor` does without."""
+    if name not in __all__:
+        msg = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+    from armrig.rig import client, session
+
+    return getattr(session if name in ("NoReplyError", "RigError") else client, name)
