@@ -1,1 +1,20 @@
-"""A study told as a document."""
+"""A study of recordings, told as a document."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from armrig.report.document import ReportError, report, treatment
+
+__all__ = ["ReportError", "report", "treatment"]
+
+
+def __getattr__(name: str) -> Any:
+    """Return a public name; only now typst is loaded, which a study does without."""
+    if name not in __all__:
+        msg = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+    from armrig.report import document
+
+    return getattr(document, name)

@@ -1,0 +1,22 @@
+"""What users import from `armrig.report`, which was one module before it became a room."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def test_the_report_is_imported_from_the_room() -> None:
+    """`from armrig.report import …` gives what typesets a study, and its sentences."""
+    from armrig.report import ReportError, document, report, treatment
+
+    assert report is document.report
+    assert treatment is document.treatment
+    assert ReportError is document.ReportError
+
+
+def test_a_name_that_the_room_has_not_is_refused() -> None:
+    """A misspelt name is an AttributeError that says where it was looked for."""
+    import armrig.report
+
+    with pytest.raises(AttributeError, match=r"'armrig\.report' has no attribute 'raport'"):
+        armrig.report.raport  # noqa: B018
