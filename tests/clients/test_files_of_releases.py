@@ -1,0 +1,147 @@
+"""What earlier releases wrote is read, verified and decided once more to the last bit."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli.replay import replay
+from armrig.recordings.calibration import decompressed, estimate
+from armrig.recordings.container import read
+from armrig_core.calibration_file import CalibrationFileError, raw_path, read_calibration
+from armrig_core.manifest import CALIBRATION_RAW
+from armrig_core.volts import applied_code, volts_of
+from files_of_today import PACINGS, answers, facts
+from msgspec.structs import replace
+
+DATA = Path(__file__).parents[1] / "data"
+RELEASES = sorted(path.name for path in DATA.iterdir() if (path / "facts.json").exists())
+FOLDERS = pytest.mark.parametrize("folder", [DATA / r for r in RELEASES], ids=RELEASES)
+MODELS = ("bj", "n4sid")
+METER_V = volts_of(applied_code(32768, 10))
+"""What a device of 10 bits made of the one code that a meter was read at."""
+
+
+def _facts(folder: Path) -> dict[str, Any]:
+    told: dict[str, Any] = json.loads((folder / "facts.json").read_text())
+    return told
+
+
+def test_there_are_files_of_the_first_release() -> None:
+    """The tests below have something to look at."""
+    assert "0.1.0" in RELEASES
+
+
+@FOLDERS
+@pytest.mark.parametrize("pacing", PACINGS)
+def test_a_recording_is_read_to_the_last_bit(folder: Path, pacing: str) -> None:
+    """Samples, gaps, events, times and angles, as its own release read them."""
+    recording = armrig.load(folder / f"{pacing}.mcap")
+
+    assert facts(recording) == _facts(folder)[pacing]
+    assert not recording.truncated
+    assert recording.missing == sum(gap.count for gap in recording.gaps) > 0
+    assert recording.outcome is not None
+    assert recording.outcome.outcome == "complete"
+
+
+@FOLDERS
+@pytest.mark.parametrize("pacing", PACINGS)
+def test_a_recording_is_decided_once_more_to_the_last_bit(folder: Path, pacing: str) -> None:
+    """Every frame to the device and every sample in the file, through lost frames, too."""
+    path = folder / f"{pacing}.mcap"
+
+    found = replay(path)
+
+    assert (found.difference, found.until) == ("", "")
+    assert found.samples == armrig.load(path).samples.size
+    assert found.frames > (40 if pacing == "scheduled" else 140)
+
+
+@FOLDERS
+@pytest.mark.parametrize("pacing", PACINGS)
+def test_the_command_line_tells_what_is_in_a_recording(folder: Path, pacing: str) -> None:
+    """`armrig info` finds the file whole, the run complete and the rig calibrated."""
+    command = [sys.executable, "-m", "armrig", "info", "--json", folder / f"{pacing}.mcap"]
+
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+    told = json.loads(said)
+    assert (told["damage"], told["outcome"]["outcome"]) == ("", "complete")
+    assert told["sha256"] == _facts(folder)[pacing]["sha256"]
+    assert told["verdict"]["usable"]
+    assert told["remarks"] == []
+
+
+@FOLDERS
+def test_a_calibration_is_read_and_found_again_in_its_samples(folder: Path) -> None:
+    """The samples beside it are those that it was estimated from, and give the same figures."""
+    path = folder / "calibration.toml"
+
+    calibration = read_calibration(path)
+
+    assert calibration.made is not None
+    samples = decompressed(raw_path(path).read_bytes())
+    found = estimate(**samples, meter=[(METER_V, 2.5)]).figures()
+    assert found.keys() == calibration.made.figures.keys()
+    for name, figure in calibration.made.figures.items():
+        assert found[name].value == pytest.approx(figure.value, rel=1e-9), name
+        assert found[name].std == pytest.approx(figure.std, rel=1e-6), name
+
+
+@FOLDERS
+def test_a_calibration_with_other_samples_beside_it_is_refused(
+    folder: Path, tmp_path: Path
+) -> None:
+    """One bit is enough."""
+    path = tmp_path / "calibration.toml"
+    path.write_bytes((folder / path.name).read_bytes())
+    samples = bytearray(raw_path(folder / path.name).read_bytes())
+    samples[-1] ^= 1
+    raw_path(path).write_bytes(samples)
+
+    with pytest.raises(CalibrationFileError):
+        read_calibration(path)
+
+
+@FOLDERS
+@pytest.mark.parametrize("pacing", PACINGS)
+def test_a_recording_carries_its_calibration(folder: Path, pacing: str) -> None:
+    """With the samples behind it, so that it stands without the file."""
+    path = folder / "calibration.toml"
+    content = read(folder / f"{pacing}.mcap")
+    assert content is not None
+
+    carried = armrig.load(folder / f"{pacing}.mcap").calibration
+
+    assert carried is not None
+    assert carried.made is not None
+    here = replace(carried, made=replace(carried.made, file=str(path)))
+    assert here == read_calibration(path)
+    assert content.attachments[CALIBRATION_RAW] == raw_path(path).read_bytes()
+
+
+@FOLDERS
+@pytest.mark.parametrize("name", MODELS)
+def test_a_model_is_read_and_says_what_it_said(folder: Path, name: str, tmp_path: Path) -> None:
+    """Its poles and its predictions; and written again, it is the same file."""
+    path = folder / f"{name}.json"
+    data = armrig.load(folder / "scheduled.mcap").dataset(output="alpha")
+
+    fit = armrig.load_fit(path)
+
+    told, said = _facts(folder)[name], answers(fit, data)
+    for key in ("poles", "predicted"):
+        np.testing.assert_allclose(said[key], told[key], rtol=1e-9, atol=1e-12)
+    assert fit.source == _facts(folder)["scheduled"]["sha256"]
+    assert fit.digest == data.digest
+    fit.save(tmp_path / "again.json")
+    again = json.loads((tmp_path / "again.json").read_text())
+    first = json.loads(path.read_text())
+    assert {**again, "armrig": ""} == {**first, "armrig": ""}
