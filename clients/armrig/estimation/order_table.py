@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,18 @@ from scipy.linalg.lapack import dtrtrs
 from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
 from armrig.numerics.checks import require_integers
+from armrig.numerics.criteria import (
+    BATCHES,
+    Criterion,
+    aic,
+    fpe,
+    mdl,
+    simplest_as_good,
+    standard_error,
+)
 from armrig.numerics.least_squares import column_norms
-from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.polynomial import Array
+from armrig.numerics.regressors import arx_rows, in_blocks
 from armrig.numerics.triangular import triangle
 
 if TYPE_CHECKING:
@@ -24,11 +34,9 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Integers = NDArray[np.int_]
-Criterion = Literal["aic", "mdl", "fpe", "validation"]
 
 _DEPENDENT = 1e-10  # share of a column's length that is left of it by those before it
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
-_BATCHES = 30  # of the validation data, for the standard error of a difference in loss
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,23 +95,17 @@ class OrderTable:
     @property
     def aic(self) -> Vector:
         """Akaike's criterion, -2 log likelihood + 2 d, (n,)."""
-        return self._deviance + 2 * self.parameters
+        return aic(self.loss, self.parameters, self.N)
 
     @property
     def mdl(self) -> Vector:
         """Rissanen's criterion (BIC), -2 log likelihood + d log N, (n,)."""
-        return self._deviance + self.parameters * float(np.log(self.N))
+        return mdl(self.loss, self.parameters, self.N)
 
     @property
     def fpe(self) -> Vector:
         """Akaike's final prediction error, loss (1 + d/N) / (1 - d/N), (n,)."""
-        share = self.parameters / self.N
-        return np.asarray(self.loss * (1 + share) / (1 - share))
-
-    @property
-    def _deviance(self) -> Vector:
-        loss = np.maximum(self.loss, np.finfo(np.float64).tiny)
-        return np.asarray(self.N * (np.log(2 * np.pi * loss) + 1))
+        return fpe(self.loss, self.parameters, self.N)
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
@@ -149,22 +151,17 @@ class OrderTable:
     def chosen(self, criterion: Criterion | None = None) -> int:
         """Return the number of the structure that a criterion chooses, as `best` does."""
         criterion = criterion or self._default
-        lowest = self._lowest(criterion)
         if criterion != "validation":
-            return lowest
-        excess, std = self._excess()
-        as_good = np.flatnonzero(excess <= std).tolist()
-        return int(min(as_good, key=lambda i: (self.parameters[i], excess[i]), default=lowest))
+            return self._lowest(criterion)
+        return simplest_as_good(*self._excess(), self.parameters)
 
     def _excess(self) -> tuple[Vector, Vector]:
         """Return each validation loss less the lowest, and the standard error of that, (n,)."""
         lowest = self._lowest("validation")
         if self.validation_loss is None or self.batch_losses is None:
             return np.zeros(len(self)), np.zeros(len(self))
-        difference = self.batch_losses - self.batch_losses[lowest]
-        K = difference.shape[1]
-        std = difference.std(axis=1, ddof=1) / np.sqrt(K) if K > 1 else np.zeros(len(self))
-        return self.validation_loss - self.validation_loss[lowest], np.asarray(std)
+        std = standard_error(self.batch_losses - self.batch_losses[lowest])
+        return self.validation_loss - self.validation_loss[lowest], std
 
     @property
     def _default(self) -> Criterion:
@@ -183,10 +180,10 @@ class OrderTable:
             yield f"chosen: {_named(self.orders(i))}, of lowest MDL: log N for each parameter"
             yield "other data would be the better judge: give select_orders validation=…"
         else:
-            yield from self._of_validation(i)
-        yield from self._of_bounds(i)
+            yield from self._about_validation(i)
+        yield from self._about_bounds(i)
 
-    def _of_validation(self, i: int) -> Iterator[str]:
+    def _about_validation(self, i: int) -> Iterator[str]:
         lowest, d = self._lowest("validation"), self.parameters
         excess, std = self._excess()
         loss, best = self.values("validation"), _named(self.orders(lowest))
@@ -207,7 +204,7 @@ class OrderTable:
                 "errors off"
             )
 
-    def _of_bounds(self, i: int) -> Iterator[str]:
+    def _about_bounds(self, i: int) -> Iterator[str]:
         """Say which order might have been higher."""
         for name, values in (("na", self.na), ("nb", self.nb), ("nk", self.nk)):
             if values[i] == values.max() > values.min():
@@ -294,14 +291,7 @@ def select_orders(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 10.1 and 16.4.
     """
-    wanted = [np.unique([*values]) for values in (na, nb, nk)]
-    for name, values, lowest in zip(("na", "nb", "nk"), wanted, (0, 1, 0), strict=True):
-        if values.size == 0:
-            msg = f"{name} is empty; give the orders to try, such as {name}=range(1, 5)"
-            raise ValueError(msg)
-        for value in values.tolist():
-            require_integers(**{name: (value, lowest)})
-    nas, nbs, nks = wanted
+    nas, nbs, nks = _asked(na=na, nb=nb, nk=nk)
     lags = range(int(nks[0]), int(nks[-1] + nbs[-1]))
     blocks, N, variance = _regressors(data, int(nas[-1]), lags)
     R = triangle(blocks, int(nas[-1]) + len(lags) + 1)
@@ -309,10 +299,7 @@ def select_orders(
     require_samples(f"{asked} with the gaps left out", needed=R.shape[0], got=N)
     R_v, counts = np.zeros((0, *R.shape)), np.zeros(0, dtype=np.int_)
     if validation is not None:
-        if not np.isclose(validation.Ts, data.Ts, rtol=1e-9, atol=0.0):
-            msg = f"the data have Ts={data.Ts:g} s and the validation data {validation.Ts:g} s; "
-            msg += "resample one of them"
-            raise ValueError(msg)
+        _require_same_rate(data, validation)
         blocks, N_v, variance = _regressors(validation, int(nas[-1]), lags)
         require_samples(f"{asked} on validation data", needed=1, got=N_v)
         R_v, counts = _batches(np.vstack(blocks))
@@ -337,25 +324,40 @@ def select_orders(
     )
 
 
+def _asked(**orders: Iterable[int]) -> list[Integers]:
+    """Return na, nb and nk to try, each rising."""
+    wanted = [np.unique([*values]) for values in orders.values()]
+    for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
+        if values.size == 0:
+            msg = f"{name} is empty; give the orders to try, such as {name}=range(1, 5)"
+            raise ValueError(msg)
+        for value in values.tolist():
+            require_integers(**{name: (value, lowest)})
+    return wanted
+
+
+def _require_same_rate(data: Dataset, validation: Dataset) -> None:
+    if not np.isclose(validation.Ts, data.Ts, rtol=1e-9, atol=0.0):
+        msg = f"the data have Ts={data.Ts:g} s and the validation data {validation.Ts:g} s; "
+        msg += "resample one of them"
+        raise ValueError(msg)
+
+
 def _regressors(data: Dataset, na: int, lags: range) -> tuple[list[Array], int, float]:
     """Return [-y lagged, u lagged, y] in blocks of rows, the number of rows, and y's variance."""
-    blocks, N, known = [], 0, []
+    blocks, known = [], []
     for part in data.experiments():
-        Phi = [-lagged(part.y, range(1, na + 1)), lagged(part.u, lags), part.y[:, None]]
-        block = np.hstack(Phi)
-        usable = np.isfinite(block).all(axis=1)
-        usable[: max(na, lags.stop - 1)] = False
-        block = block if usable.all() else block[usable]
-        N += block.shape[0]
-        known.append(block[:, -1])
-        blocks += [block[i : i + _BLOCK] for i in range(0, block.shape[0], _BLOCK)]
+        rows = arx_rows(part.u, part.y, na=na, lags=lags)
+        whole = np.column_stack([rows.Phi, rows.y])[rows.usable]
+        known.append(whole[:, -1])
+        blocks += list(in_blocks(whole, _BLOCK))
     y = np.concatenate(known)
-    return blocks, N, float(np.var(y)) if y.size else float("nan")
+    return blocks, y.size, float(np.var(y)) if y.size else float("nan")
 
 
 def _batches(M: Array) -> tuple[Array, Integers]:
     """Return the triangles of successive batches of rows, (batches, d, d), and their rows."""
-    parts = np.array_split(M, min(_BATCHES, M.shape[0]))
+    parts = np.array_split(M, min(BATCHES, M.shape[0]))
     triangles = np.stack([triangle([part], M.shape[1]) for part in parts])
     return triangles, np.array([part.shape[0] for part in parts], dtype=np.int_)
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armrig.canvas import (
     BLUE,
@@ -25,14 +26,122 @@ from armrig.numerics.quantities import minus
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.nonparametric.correlation import Correlation
-    from armrig.nonparametric.impulse import ImpulseResponse
-    from armrig.nonparametric.sampling_time import SamplingTime
-    from armrig.nonparametric.step_analysis import StepAnalysis
-    from armrig.nonparametric.structure_hints import StructureHints
+    from armrig.models.spectral_estimate import SpectralEstimate
+
+Vector = NDArray[np.float64]
 
 
-def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+class Signals(Protocol):
+    """What names the axes and the recording."""
+
+    @property
+    def output(self) -> str: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
+    @property
+    def input_unit(self) -> str: ...  # noqa: D102
+    @property
+    def source(self) -> str: ...  # noqa: D102
+
+
+class Response(Signals, Protocol):
+    """What is drawn of an impulse response: `ImpulseResponse` has it."""
+
+    @property
+    def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
+    @property
+    def g(self) -> Vector: ...  # noqa: D102
+    @property
+    def std(self) -> Vector: ...  # noqa: D102
+    @property
+    def decaying(self) -> tuple[Vector, Vector]: ...  # noqa: D102
+    @property
+    def integrator(self) -> bool: ...  # noqa: D102
+    @property
+    def kernel(self) -> str | None: ...  # noqa: D102
+    @property
+    def band_name(self) -> str: ...  # noqa: D102
+    def band(self, level: float) -> Vector: ...  # noqa: D102
+
+
+class Correlated(Signals, Protocol):
+    """What is drawn of a correlation analysis: `Correlation` has it."""
+
+    @property
+    def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
+    @property
+    def g(self) -> Vector: ...  # noqa: D102
+    def band(self, level: float) -> float: ...  # noqa: D102
+
+
+class Step(Signals, Protocol):
+    """What is drawn of an answer to steps: `StepAnalysis` has it."""
+
+    @property
+    def t(self) -> Vector: ...  # noqa: D102
+    @property
+    def y(self) -> Vector: ...  # noqa: D102
+    @property
+    def smooth(self) -> Vector: ...  # noqa: D102
+    @property
+    def window(self) -> int: ...  # noqa: D102
+    @property
+    def gain(self) -> float: ...  # noqa: D102
+    @property
+    def dead_time(self) -> float: ...  # noqa: D102
+    @property
+    def tau(self) -> float: ...  # noqa: D102
+    @property
+    def settling(self) -> float: ...  # noqa: D102
+
+
+class Sampling(Protocol):
+    """What is drawn of a recommended sampling time: `SamplingTime` has it."""
+
+    @property
+    def Ts(self) -> float: ...  # noqa: D102
+    @property
+    def t(self) -> Vector: ...  # noqa: D102
+    @property
+    def response(self) -> Vector: ...  # noqa: D102
+    @property
+    def settling(self) -> float: ...  # noqa: D102
+    @property
+    def omega(self) -> Vector: ...  # noqa: D102
+    @property
+    def power(self) -> Vector: ...  # noqa: D102
+    @property
+    def omega_step(self) -> float: ...  # noqa: D102
+    @property
+    def omega_spectrum(self) -> float: ...  # noqa: D102
+    @property
+    def spectrum(self) -> SpectralEstimate: ...  # noqa: D102
+    @property
+    def source(self) -> str: ...  # noqa: D102
+
+
+class Hints(Protocol):
+    """What is drawn of hints at a structure: `StructureHints` has it."""
+
+    @property
+    def spectrum(self) -> SpectralEstimate: ...  # noqa: D102
+    @property
+    def low_slope(self) -> float: ...  # noqa: D102
+    @property
+    def high_slope(self) -> float: ...  # noqa: D102
+    @property
+    def trusted(self) -> float: ...  # noqa: D102
+    @property
+    def resonances(self) -> tuple[float, ...]: ...  # noqa: D102
+    @property
+    def antiresonances(self) -> tuple[float, ...]: ...  # noqa: D102
+    @property
+    def singular_values(self) -> Vector: ...  # noqa: D102
+    @property
+    def threshold(self) -> float: ...  # noqa: D102
+
+
+def plot_impulse(response: Response, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
     """Show the impulse response with its band about zero: what leaves it is there.
 
     Of an integrating output the rate's response is shown, and below it its running sum, with a
@@ -68,7 +177,7 @@ def plot_impulse(response: ImpulseResponse, *, level: float = 0.99, ax: Axes | N
     return sign(ax, response.source)
 
 
-def plot_correlation(result: Correlation, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
+def plot_correlation(result: Correlated, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
     """Show what correlation analysis gives, with the band of lags without a relation."""
     ax = axes(ax)
     band = result.band(level)
@@ -82,7 +191,7 @@ def plot_correlation(result: Correlation, *, level: float = 0.99, ax: Axes | Non
     return sign(ax, result.source)
 
 
-def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
+def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
     """Show the mean answer to a unit step with final value, dead time and 63 % time."""
     ax = axes(ax)
     ax.plot(result.t, result.y, ".", color=GREY, ms=2.5, label="mean of the steps")
@@ -107,7 +216,7 @@ def plot_step_analysis(result: StepAnalysis, *, ax: Axes | None = None) -> Axes:
     return sign(ax, result.source)
 
 
-def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
+def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     """Show the step response at the recommended instants, and the spectrum with its band."""
     ax, below = panels(ax, 0.5, sharex=False)
     end = 1.5 * result.settling
@@ -145,7 +254,7 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
     return sign(ax, result.source)
 
 
-def plot_structure(hints: StructureHints, *, ax: Axes | None = None) -> Axes:
+def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
     """Show the frequency response with resonances and slopes, and Hankel singular values."""
     ax, below = panels(ax, 0.4, sharex=False)
     s = hints.spectrum

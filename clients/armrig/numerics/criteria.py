@@ -9,11 +9,14 @@ References
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armrig.numerics.polynomial import Array
 
+Criterion = Literal["aic", "mdl", "fpe", "validation"]
 BATCHES = 30  # of the validation data, for the standard error of a mean of dependent samples
 
 
