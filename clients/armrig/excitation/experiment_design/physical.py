@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from armrig_core.arm import ArmParameters, zero_order_hold
+from armrig_core.arm import ArmParameters
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
@@ -16,6 +16,7 @@ from armrig.models.free_response import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
+from armrig.physics.discretisation import transfer
 
 _LOG_STEP = 1e-4  # of a parameter's logarithm: truncation 1e-9, rounding less
 
@@ -110,16 +111,12 @@ def _free_part(system: Any, part: Dataset, output: str) -> Array:
 
 def _transfer(system: Any, Ts: float, output: str) -> tuple[Vector, Vector]:
     """Return B and F of one output of a state space, sampled under a held input."""
-    from scipy.signal import ss2tf
-
     labels = list(system.output_labels)
     if output not in labels:
         msg = f"output={output!r} is none of the model's {', '.join(labels)}"
         raise ValueError(msg)
     i = labels.index(output)
-    Phi, Gamma = zero_order_hold(np.asarray(system.A), np.asarray(system.B), Ts)
-    B, F = ss2tf(Phi, Gamma, np.asarray(system.C)[i : i + 1], np.zeros((1, 1)))
-    return B[0], F
+    return transfer(np.asarray(system.A), np.asarray(system.B), np.asarray(system.C)[i], Ts)
 
 
 def _output(system: Any, u: Vector, Ts: float, output: str) -> Vector:

@@ -1,0 +1,41 @@
+"""Transfer functions of sampled state spaces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.numerics.polynomial import filtered
+from armrig.physics.discretisation import transfer
+from armrig.physics.systems import ArmParameters
+from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold
+
+
+@pytest.mark.parametrize("Ts", [1e-2, 1e-3])
+def test_the_chassis_has_the_textbooks_coefficients(Ts: float) -> None:
+    """From K/(s (tau s + 1)): a pole at 1, one at exp(-Ts/tau), and B by partial fractions.
+
+    At 1 kHz B is some 1e-5, and to be had with all of its digits.
+    """
+    p = ArmParameters()
+    A, B, C = chassis_matrices(p)
+    K, tau = p.torque_per_volt / p.damping, p.J_1 / p.damping
+    x, a = Ts / tau, np.exp(-Ts / tau)
+
+    b, f = transfer(A, B, C[0], Ts)
+
+    np.testing.assert_allclose(f, [1.0, -1.0 - a, a], rtol=1e-14)
+    first, second = np.expm1(-x) + x, -np.expm1(-x) - x * a
+    np.testing.assert_allclose(b, [0.0, K * tau * first, K * tau * second], rtol=1e-12)
+
+
+def test_the_arm_answers_as_its_states_do() -> None:
+    """Sample by sample, for an input held in between."""
+    A, B, C = arm_matrices(ArmParameters())
+    Phi, Gamma = zero_order_hold(A, B, 0.01)
+    u = np.random.default_rng(1).standard_normal(200)
+    x, y = np.zeros(4), []
+    for value in u:
+        y.append(C[0] @ x)
+        x = Phi @ x + Gamma[:, 0] * value
+
+    np.testing.assert_allclose(filtered(*transfer(A, B, C[0], 0.01), u), y, atol=1e-10)
