@@ -13,7 +13,8 @@ import numpy as np
 
 from armrig.models.innovations import Experiment
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.polynomial import Array, filtered, reflected
+from armrig.numerics.regressors import arx_rows, complete, past
 from armrig.numerics.whiteness import autoregression, joined
 
 _PASSES = 3
@@ -69,16 +70,12 @@ def _known(experiment: Experiment) -> Array:
 
 
 def _regressors(u: Array, y: Array, na: int, nb: int, nk: int) -> Array:
-    driven = lagged(u, range(nk, nk + nb))
-    driven[: nk + nb - 1] = np.nan
-    return np.hstack([-_past(y, na), driven])
+    return arx_rows(u, y, na=na, lags=range(nk, nk + nb)).Phi
 
 
 def _past(x: Array, n: int) -> Array:
     """Return x(t - 1) … x(t - n), NaN where it is not known."""
-    columns = lagged(x, range(1, n + 1))
-    columns[:n] = np.nan
-    return columns
+    return past(x, range(1, n + 1))
 
 
 def _long(v: Sequence[Array], parameters: int) -> int:
@@ -103,5 +100,5 @@ def _innovations(D: Array, C: Array, x: Array) -> Array:
 def _solved(blocks: Sequence[Array], y: Sequence[Array]) -> Array:
     """Return the least-squares coefficients over the rows where all is known."""
     M, right = np.vstack(blocks), np.concatenate(y)
-    rows = np.isfinite(M).all(axis=1) & np.isfinite(right)
+    rows = complete(M, right)
     return orthonormal(M[rows]).coefficients(right[rows])

@@ -10,14 +10,15 @@ import numpy as np
 from armrig.data.dataset import Dataset, Mask
 from armrig.estimation.orders import require_samples
 from armrig.models.fit import Fit
-from armrig.models.prediction import arx_regression
 from armrig.numerics.checks import require_integers
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
+from armrig.numerics.regressors import arx_rows, complete
 from armrig.numerics.whiteness import WHITE_LEVEL, autoregression, joined
 
+_COLOURED = "filtered by the autoregression of its noise the residual is coloured: trust std_robust"
 _LONGEST = 40  # holes between experiments, at least the order of the autoregression
 
 
@@ -61,8 +62,11 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
     require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     orders = f"na={na}, nb={nb}, nk={nk}"
     d = na + nb
-    parts = [arx_regression(part, na=na, nb=nb, nk=nk) for part in data.experiments()]
+    lags = range(nk, nk + nb)
+    parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
     inputs = [part.u for part in data.experiments()]
+    # NaN where a row is not complete.
+    whole = [np.column_stack([p.Phi, p.y]) for p in parts]
     N = sum(int(np.count_nonzero(p.usable)) for p in parts)
     require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=N)
 
@@ -74,19 +78,14 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         msg += "lower the orders or excite with a richer input"
         raise ValueError(msg)
     theta = basis.coefficients(y)
-    whole = [np.column_stack([p.Phi, p.y]) for p in parts]
-    for p, block in zip(parts, whole, strict=True):
-        block[~p.usable] = np.nan
     Z = _instruments(inputs, theta, na=na, nb=nb, nk=nk)
     theta, *_ = _solved(Z, whole, orders)
-    v = [block[:, -1] - block[:, :-1] @ theta for block in whole]
-    L, _ = autoregression(joined(v, _LONGEST))
+    L, _ = autoregression(joined(_left(whole, theta), _LONGEST))
 
     Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
     theta, inverse, instruments, e = _solved(Z, [_filtered(L, block) for block in whole], orders)
     found = infer(e, instruments, score="correlated", test="ljung-box").transformed(inverse)
-    sse = sum(float(np.nansum((block[:, -1] - block[:, :-1] @ theta) ** 2)) for block in whole)
-    said = "filtered by the autoregression of its noise the residual is coloured: trust std_robust"
+    sse = sum(float(np.nansum(v**2)) for v in _left(whole, theta))
     return Fit(
         structure="iv4",
         A=np.append(1.0, theta[:na]),
@@ -100,9 +99,14 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         Ts=data.Ts,
         fit_percent=fit_percent(y, sse),
         whiteness=found.whiteness,
-        warnings=(said,) if found.whiteness < WHITE_LEVEL else (),
+        warnings=(_COLOURED,) if found.whiteness < WHITE_LEVEL else (),
         **data.origin(),
     )
+
+
+def _left(whole: Sequence[Array], theta: Array) -> list[Array]:
+    """Return y - Phi theta of each experiment, NaN where a row is not complete."""
+    return [block[:, -1] - block[:, :-1] @ theta for block in whole]
 
 
 def _instruments(
@@ -118,7 +122,7 @@ def _instruments(
 
 def _filtered(L: Array, block: Array) -> Array:
     """Return the columns through L, NaN where something it looks back on is not known."""
-    known: Mask = np.asarray(np.isfinite(block).all(axis=1))
+    known = complete(block)
     out = np.column_stack([filtered(L, [1.0], x) for x in np.where(known[:, None], block, 0.0).T])
     holes = np.where(known, 0.0, 1.0)
     spoilt: Mask = np.convolve(holes, np.ones(L.size))[: known.size] > 0.5
@@ -134,10 +138,7 @@ def _solved(
 
     With Z = Q R also (Q^T Phi)^-1, the rows of Q in their places, and the residuals.
     """
-    rows = [
-        np.isfinite(block).all(axis=1) & np.isfinite(z).all(axis=1)
-        for z, block in zip(Z, blocks, strict=True)
-    ]
+    rows = [complete(z, block) for z, block in zip(Z, blocks, strict=True)]
     basis = orthonormal(np.vstack([z[r] for z, r in zip(Z, rows, strict=True)]))
     known = np.vstack([block[r] for block, r in zip(blocks, rows, strict=True)])
     d = known.shape[1] - 1

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.data.dataset import Dataset, Mask, Vector
+from armrig.data.dataset import Dataset, Vector
 from armrig.models.free_response import free_columns, transient_count
 from armrig.models.innovations import Unknown, errors, masked, prepared, regression, summed_input
 from armrig.models.structure import Structure
@@ -16,27 +16,6 @@ from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without
 
 if TYPE_CHECKING:
     from armrig.models.model import Model
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArxRegression:
-    """One experiment as y = Phi theta + e."""
-
-    Phi: Array
-    """(N, na + nb)."""
-    y: Array
-    """(N,)."""
-    usable: Mask
-    """(N,), False where a regressor or y is missing or lies before the start."""
-
-
-def arx_regression(part: Dataset, *, na: int, nb: int, nk: int) -> ArxRegression:
-    """Return the regressors [-y(t-1) … -y(t-na) u(t-nk) … u(t-nk-nb+1)] of one experiment."""
-    past = [-lagged(part.y, range(1, na + 1)), lagged(part.u, range(nk, nk + nb))]
-    Phi = np.hstack(past)
-    usable = part.valid & np.isfinite(Phi).all(axis=1)
-    usable[: max(na, nb + nk - 1)] = False
-    return ArxRegression(Phi=Phi, y=part.y, usable=usable)
 
 
 def simulated(model: Model, part: Dataset) -> Vector:
