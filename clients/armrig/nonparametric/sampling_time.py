@@ -21,10 +21,10 @@ from armrig.nonparametric.step_analysis import (
     StepAnalysis,
     crossing_time,
     dead_time,
-    holds,
     step_analysis,
 )
 from armrig.nonparametric.welch import welch
+from armrig.numerics.stretches import constant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -209,7 +209,7 @@ def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
     A telegraph's longest hold looks like a step; but its next switch comes before the transient of
     the last is over, and what is read there is that of several.
     """
-    lengths = [[n for _, n in holds(part.u)] for part in data.experiments()]
+    lengths = [[s.stop - s.start for s in constant(part.u)] for part in data.experiments()]
     switches = sum(len(n) - 1 for n in lengths)
     if switches == 0 or (switches + len(lengths)) * 50 > data.N:
         return None

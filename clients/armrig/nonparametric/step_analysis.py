@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.nonparametric.integrator import settled
+from armrig.numerics.quantities import plural
+from armrig.numerics.stretches import constant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,8 +87,7 @@ class StepAnalysis:
         low, high = self.dead_time_interval
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}"
         lines = [
-            f"step analysis of {self.output}, {self.steps} step{'s' * (self.steps > 1)}, "
-            f"Ts {self.Ts:g} s",
+            f"step analysis of {self.output}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s",
             f"  gain {self.gain:.4g} ± {self.gain_std:.2g} {unit}",
             f"  dead time {self.dead_time:.4g} s (95 %: {low:.4g} … {high:.4g} s)",
             f"  63 % time constant {self.tau:.4g} ± {self.tau_std:.2g} s, so omega_B = 1/tau = "
@@ -177,20 +178,15 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     )
 
 
-def holds(u: Vector) -> list[tuple[int, int]]:
-    """Return (first sample, length) of each stretch of constant u."""
-    edges = [0, *(np.flatnonzero(np.diff(u) != 0) + 1).tolist(), u.size]
-    return [(a, b - a) for a, b in pairwise(edges)]
-
-
 def _averaged(data: Dataset) -> tuple[NDArray[np.int_], Vector, int]:
     """Return samples from the step on (negative before), the mean answer, and the steps."""
     found = []
     for part in data.experiments():
-        for (before, pre), (at, post) in pairwise(holds(part.u)):
-            known = int(np.count_nonzero(part.valid[before:at]))
+        for before, after in pairwise(constant(part.u)):
+            pre, post = before.stop - before.start, after.stop - after.start
+            known = int(np.count_nonzero(part.valid[before]))
             if min(known, post) >= SHORTEST_HOLD:
-                found.append((part, at, pre, post))
+                found.append((part, after.start, pre, post))
     if not found:
         msg = f"u has no step with {SHORTEST_HOLD} constant samples before and after; record "
         msg += "armrig.step(N, at=50), or use impulse_response(data).step_response()"

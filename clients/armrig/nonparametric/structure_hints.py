@@ -15,6 +15,7 @@ from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
 from armrig.nonparametric.spectral import spa
 from armrig.numerics.quantile import two_sided
+from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -138,10 +139,7 @@ def structure_hints(
     integrates = integrator
     if integrates is None:
         integrates = data.output in INTEGRATING_OUTPUTS or slope < 10 - 2 * slope_std
-    plain = impulse_response(data, min(30, data.N // 10), kernel=None, integrator=integrates)
-    first_lag = plain.first_lag() or 0
-    g, std = plain.decaying
-    blind = two_sided(0.99) * float(np.max(std[: max(first_lag, 1)]) / np.max(np.abs(g)))
+    first_lag, blind = _first_lag(data, integrates=integrates)
     nk = first_lag if first_lag < 1 or blind < HIDDEN else 1
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
     believed = _believed(spectrum)
@@ -173,6 +171,14 @@ def structure_hints(
         spectrum=spectrum,
         response=response,
     )
+
+
+def _first_lag(data: Dataset, *, integrates: bool) -> tuple[int, float]:
+    """Return the first lag at which u is seen to act, and what may hide before it, by share."""
+    plain = impulse_response(data, min(30, data.N // 10), kernel=None, integrator=integrates)
+    first_lag = plain.first_lag() or 0
+    g, std = plain.decaying
+    return first_lag, two_sided(0.99) * float(np.max(std[: max(first_lag, 1)]) / np.max(np.abs(g)))
 
 
 def _believed(estimate: SpectralEstimate) -> NDArray[np.int_]:
@@ -292,10 +298,10 @@ def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tup
 
 def _reasons(h: StructureHints) -> Iterator[str]:
     what = "the rate" if h.integrator else "y"
-    said = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
+    verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
     yield (
         f"integrator: |G| falls {h.low_slope:.1f} ± {h.low_slope_std:.1f} dB a decade at low "
-        f"frequency (0 without one, −20 with one): {said}"
+        f"frequency (0 without one, −20 with one): {verdict}"
     )
     peaks, dips = (", ".join(f"{w:.3g}" for w in x) or "none" for x in _both(h))
     yield (
@@ -307,10 +313,10 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
         f"{h.order - h.integrator} stand out" + (", and the integrator" if h.integrator else "")
     )
+    excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
     yield (
         f"roll-off: {h.high_slope:.0f} dB a decade below {h.trusted:.3g} rad/s, the last frequency "
-        f"at which u explains y: {h.relative_degree or 'no'} more pole"
-        f"{'s' * (h.relative_degree != 1)} than zeros up to there"
+        f"at which u explains y: {excess} than zeros up to there"
     )
     yield (
         f"phase: beyond what the roll-off accounts for it falls like {1e3 * h.phase_delay:.3g} ms "

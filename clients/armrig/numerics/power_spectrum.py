@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from armrig.numerics.stretches import stretches
 
 Vector = NDArray[np.float64]
 
@@ -39,26 +41,19 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     """
     from scipy.signal import welch
 
-    stretches = [s for signal in signals for s in _stretches(signal)]
-    longest = max((s.size for s in stretches), default=0)
+    whole = [signal[s] for signal in signals for s in stretches(np.isfinite(signal))]
+    longest = max((x.size for x in whole), default=0)
     if longest < _SHORTEST:
         msg = f"the longest stretch without a hole has {longest} samples; a spectrum needs "
         msg += f"{_SHORTEST}"
         raise ValueError(msg)
-    total = sum(s.size for s in stretches)
+    total = sum(x.size for x in whole)
     L = min(max(total // _SEGMENTS, _SHORTEST), _LONGEST, longest)
     omega, density, weight = np.zeros(0), np.zeros(L // 2 + 1), 0
-    for s in stretches:
-        if s.size >= L:
-            f, P = welch(s, fs=1 / Ts, nperseg=L, detrend="constant")
-            segments = 1 + (s.size - L) // (L - L // 2)
+    for x in whole:
+        if x.size >= L:
+            f, P = welch(x, fs=1 / Ts, nperseg=L, detrend="constant")
+            segments = 1 + (x.size - L) // (L - L // 2)
             omega, weight = 2 * np.pi * f, weight + segments
             density = density + segments * P / (2 * np.pi)
     return omega, density / weight
-
-
-def _stretches(x: Vector) -> Iterator[Vector]:
-    there = np.concatenate([[False], np.isfinite(x), [False]])
-    edges = np.flatnonzero(np.diff(there.astype(np.int8)))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):
-        yield x[a:b]

@@ -9,6 +9,7 @@ from math import log10
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, lagged
 
@@ -69,7 +70,7 @@ def autoregression(e: Vector) -> tuple[Vector, float]:
     N = int(np.count_nonzero(np.isfinite(e)))
     highest = min(int(10 * log10(max(N, 10))), max(N // 10, 0), e.size - 1)
     R, _ = autocovariance(e, highest)
-    best: tuple[float, Vector, float] = (0.0, np.ones(1), float(R[0]))
+    best: tuple[float, Vector, float] = (float(aic(R[0], 0, N)), np.ones(1), float(R[0]))
     C, s2 = np.ones(1), float(R[0])
     for order in range(1, highest + 1):
         if s2 <= 0:
@@ -79,9 +80,9 @@ def autoregression(e: Vector) -> tuple[Vector, float]:
             break
         C = np.append(C, 0.0) + reflection * np.append(0.0, C[::-1])
         s2 *= 1 - reflection**2
-        aic = N * np.log(s2 / R[0]) + 2 * order
-        if aic < best[0]:
-            best = (aic, C, s2)
+        criterion = float(aic(s2, order, N))
+        if criterion < best[0]:
+            best = (criterion, C, s2)
     return best[1], best[2]
 
 

@@ -11,14 +11,13 @@ with e the speed's unit vector: the friction is then whatever keeps the speed at
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armrig.numerics.recursion import recursion
+from armrig.numerics.stretches import constant
 from armrig.physics.grey_box.sampled_model import Derivative, Sampled
 
 Vector = NDArray[np.float64]
@@ -125,11 +124,12 @@ def _walk(
     A V below 0, which a search may try, never sticks.
     """
     alone = not np.delete(model.Phi[speed], speed).any()
-    frictions, signs = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
+    frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
+    signs = np.array(steps, dtype=np.int_)
     # With the friction known the model is linear, and all of its states come at once.
     x = recursion(model.Phi, (u[:-1] - frictions)[:, None] * model.Gamma, x0)
-    x[1:][np.array(signs, dtype=int) == 0, speed] = 0.0
-    return x, list(_stretches(signs))
+    x[1:][signs == 0, speed] = 0.0
+    return x, [(s.start, s.stop, int(signs[s.start])) for s in constant(signs)]
 
 
 def _braked_alone(
@@ -171,11 +171,3 @@ def _braked(
         frictions.append(friction)
         signs.append(sign)
     return np.array(frictions), signs
-
-
-def _stretches(signs: list[int]) -> Iterator[tuple[int, int, int]]:
-    edges = np.flatnonzero(np.diff(signs)) + 1 if len(signs) > 1 else np.zeros(0, dtype=int)
-    bounds = [0, *edges.tolist(), len(signs)]
-    for a, b in pairwise(bounds):
-        if b > a:
-            yield a, b, signs[a]
