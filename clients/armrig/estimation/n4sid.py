@@ -12,7 +12,9 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.subspace import (
+    StateSpace,
     Weights,
+    Windows,
     autoregressive_order,
     projection,
     realised,
@@ -93,6 +95,48 @@ def n4sid(
         msg = f"weights={weights!r} must be one of {allowed}"
         raise ValueError(msg)
     require_integers(nk=(nk, 0), order=(1 if order is None else order, 1))
+    w = _windows(data, order, nk=nk, horizon=horizon)
+    found = projection(w, weights)
+    canonical = found if weights == "cva" else projection(w, "cva")
+    suggested = suggested_order(w, canonical, min(_MOST, w.future - 1))
+    n = suggested if order is None else int(order)
+    if n > found.states:
+        msg = f"order={n}: the data show {found.states} states; lower the order"
+        raise ValueError(msg)
+    space = realised(w, found, n)
+    A, C = _polynomials(space, integrator=integrator)
+    facts = {
+        "weights": weights,
+        "horizon": w.future,
+        "singular_values": found.singular_values,
+        "canonical_correlations": canonical.singular_values,
+        "suggested_order": suggested,
+    }
+    notes = () if space.steady else ("no steady Kalman gain was found: the noise model is 1/1",)
+    structure = _structure(n, nk=nk, integrator=integrator)
+    return _fit(data, structure, A, C, facts, notes)
+
+
+def _polynomials(space: StateSpace, *, integrator: bool) -> tuple[Array, Array]:
+    """Return A and C of the ARMAX model that the state space is."""
+    A = np.real(np.poly(space.A))
+    C = reflected(np.real(np.poly(space.A - np.outer(space.K, space.C))))
+    return _integrating(A) if integrator else A, C
+
+
+def _structure(order: int, *, nk: int, integrator: bool) -> Structure:
+    """Return the orders of an ARMAX model with so many states."""
+    return Structure(
+        na=order - int(integrator),
+        nb=order + int(nk == 0),
+        nc=order,
+        nk=nk,
+        integrator="a" if integrator else "",
+    )
+
+
+def _windows(data: Dataset, order: int | None, *, nk: int, horizon: int | None) -> Windows:
+    """Return past and future of u, advanced by the delay that is known, and y."""
     later = max(nk - 1, 0)
     signals = [(lagged(part.u, [later])[:, 0], part.y) for part in data.experiments()]
     signals = [(u[later:], y[later:]) for u, y in signals]
@@ -104,34 +148,7 @@ def n4sid(
     if not w.R[:, w.columns("yf")].any():
         msg = f"{data.output} is constant and shows no state; record an experiment that moves it"
         raise ValueError(msg)
-    found = projection(w, weights)
-    canonical = found if weights == "cva" else projection(w, "cva")
-    suggested = suggested_order(w, canonical, min(_MOST, i - 1))
-    n = suggested if order is None else int(order)
-    if n > found.states:
-        msg = f"order={n}: the data show {found.states} states; lower the order"
-        raise ValueError(msg)
-    space = realised(w, found, n)
-    A = np.real(np.poly(space.A))
-    C = reflected(np.real(np.poly(space.A - np.outer(space.K, space.C))))
-    if integrator:
-        A = _integrating(A)
-    structure = Structure(
-        na=n - int(integrator),
-        nb=n + int(nk == 0),
-        nc=n,
-        nk=nk,
-        integrator="a" if integrator else "",
-    )
-    facts = {
-        "weights": weights,
-        "horizon": i,
-        "singular_values": found.singular_values,
-        "canonical_correlations": canonical.singular_values,
-        "suggested_order": suggested,
-    }
-    said = () if space.steady else ("no steady Kalman gain was found: the noise model is 1/1",)
-    return _fit(data, structure, A, C, facts, said)
+    return w
 
 
 def _horizon(data: Dataset, signals: Sequence[tuple[Array, Array]], order: int | None) -> int:
@@ -156,7 +173,7 @@ def _fit(
     A: Array,
     C: Array,
     facts: dict[str, Any],
-    said: tuple[str, ...],
+    notes: tuple[str, ...],
 ) -> SubspaceFit:
     """Return the model with B by least squares on the one-step errors, for given A and C."""
     free = without_integrator(A) if n.integrator else A
@@ -184,7 +201,7 @@ def _fit(
         integrator=bool(n.integrator),
         offset=bool(n.trend),
         Ts=data.Ts,
-        **_figures(data, n, [x.rows for x in experiments], parts, given, A, said),
+        **_figures(data, n, [x.rows for x in experiments], parts, given, A, notes),
         **data.origin(),
         **facts,
     )
@@ -197,7 +214,7 @@ def _figures(
     parts: list[Errors],
     given: list[Regression],
     A: Array,
-    said: tuple[str, ...],
+    notes: tuple[str, ...],
 ) -> dict[str, Any]:
     """Return loss, covariance bound and verdict of the one-step errors."""
     blocks = [np.hstack([g.unknown.without(g.X), p.Psi]) for g, p in zip(given, parts, strict=True)]
@@ -213,7 +230,7 @@ def _figures(
         "N": found.N,
         "fit_percent": found.fit_percent,
         "whiteness": found.whiteness,
-        "warnings": (*said, *_warnings(data, n, A, found.covariance, found.whiteness)),
+        "warnings": (*notes, *_warnings(data, n, A, found.covariance, found.whiteness)),
     }
 
 

@@ -17,6 +17,8 @@ from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Transforms = tuple[Complex, Complex, NDArray[np.intp]]
+"""U (lines,), Y (periods, lines) and how often y is known at each place of the period, (P,)."""
 
 
 def bla(
@@ -77,12 +79,14 @@ def bla(
     P = _common_period(parts) if period_length is None else period_length
     require_integers(period_length=(P, 2))
     pairs = [_whole_periods(part, P, transient, integrates=integrates) for part in parts]
-    lit = np.all([excited(U) for U, _, _ in pairs], axis=0)
-    lit[0] = False
-    at = np.flatnonzero(lit)
-    if at.size == 0:
-        msg = "no line is excited in all realisations: use the same lines, with other phases"
-        raise ValueError(msg)
+    return _approximation(joint, pairs, P, integrates=integrates)
+
+
+def _approximation(
+    joint: Dataset, pairs: Sequence[Transforms], P: int, *, integrates: bool
+) -> SpectralEstimate:
+    """Return the mean over realisations, and what scatters about it."""
+    at = _common_lines(pairs)
     R = len(pairs)
     G_r = np.array([np.mean(Y[:, at], axis=0) / U[at] for U, Y, _ in pairs])
     noise = _noise_variance(pairs, at) / R
@@ -113,6 +117,17 @@ def bla(
     )
 
 
+def _common_lines(pairs: Sequence[Transforms]) -> NDArray[np.int_]:
+    """Return the lines above 0 that are excited in all realisations."""
+    lit = np.all([excited(U) for U, _, _ in pairs], axis=0)
+    lit[0] = False
+    at = np.flatnonzero(lit)
+    if at.size == 0:
+        msg = "no line is excited in all realisations: use the same lines, with other phases"
+        raise ValueError(msg)
+    return at
+
+
 def _common_period(parts: Sequence[Dataset]) -> int:
     found = {period(part.u) for part in parts}
     if len(found) > 1 or None in found:
@@ -124,10 +139,8 @@ def _common_period(parts: Sequence[Dataset]) -> int:
     return P or 0
 
 
-def _whole_periods(
-    part: Dataset, P: int, transient: int, *, integrates: bool
-) -> tuple[Complex, Complex, NDArray[np.intp]]:
-    """Return U (lines,), Y (periods, lines) with gaps bridged, and how often y is known (P,)."""
+def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -> Transforms:
+    """Return the transforms of one realisation, gaps of y bridged."""
     treated = difference(part) if integrates else part
     periods = part.N // P
     cut = slice(transient * P, periods * P)
@@ -149,9 +162,7 @@ def _whole_periods(
     return U, np.asarray(np.fft.rfft(bridged, axis=1)), n_k
 
 
-def _noise_variance(
-    pairs: Sequence[tuple[Complex, Complex, NDArray[np.intp]]], at: NDArray[np.int_]
-) -> Vector:
+def _noise_variance(pairs: Sequence[Transforms], at: NDArray[np.int_]) -> Vector:
     """Return the mean over realisations of the variance of G_r that is noise, NaN if unknown."""
     variances = [
         np.var(Y[:, at], axis=0, ddof=1) * _share_of_mean(n_k, Y.shape[0]) / np.abs(U[at]) ** 2

@@ -17,7 +17,7 @@ Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Regression:
+class FirRegression:
     """y = Phi g + e, what each experiment has of its own (level, ramp) projected out."""
 
     blocks: tuple[Matrix, ...]
@@ -50,7 +50,7 @@ class Regression:
         return [np.where(m, t - b @ g, np.nan) for b, t, m in parts]
 
 
-def regression(data: Dataset, lags: Sequence[int], *, integrator: bool) -> Regression:
+def regression(data: Dataset, lags: Sequence[int], *, integrator: bool) -> FirRegression:
     """Return the regression of y(t) on u(t - k), k in lags (rising, may be negative).
 
     For an integrating output the regressors are the running sums Ts (u(0) + … + u(t - k)), so that
@@ -75,6 +75,6 @@ def regression(data: Dataset, lags: Sequence[int], *, integrator: bool) -> Regre
         targets.append(target)
         masks.append(mask)
         nuisance += own.rank
-    return Regression(
+    return FirRegression(
         blocks=tuple(blocks), targets=tuple(targets), used=tuple(masks), nuisance=nuisance
     )

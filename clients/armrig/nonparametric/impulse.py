@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.dataset import Dataset
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.fir_regression import Regression, regression
+from armrig.nonparametric.fir_regression import FirRegression, regression
 from armrig.nonparametric.integrator import settled
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.numerics.checks import column, require_integers
@@ -250,15 +250,9 @@ def impulse_response(
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2 and 6.1.
     .. [2] T. Chen, H. Ohlsson, L. Ljung, Automatica 48 (2012) 1525-1535.
     """
-    if kernel is not None and kernel not in KERNELS:
-        msg = f"kernel={kernel!r} must be one of {', '.join(map(repr, KERNELS))}, or None"
-        raise ValueError(msg)
-    if np.ptp(data.u) == 0:
-        msg = "u is constant: it determines no response; record an input that varies"
-        raise ValueError(msg)
+    _require_input(data, kernel)
     integrates = settled(data, integrator, "impulse_response")
-    there = data.N - data.missing
-    n = _default(there, plain=kernel is None) if n is None else n
+    n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
     require_integers(n=(n, 1), negative_lags=(negative_lags, 0))
     lags = np.arange(-negative_lags, n)
     # A fifth more lags, left out again, stand for all that follow: running sums are so alike that
@@ -266,13 +260,39 @@ def impulse_response(
     spare = 1 + n // 5 if kernel is None and integrates else 0
     asked = list(range(-negative_lags, n + spare))
     rows = regression(data, asked, integrator=integrates)
-    flat = len(asked) if kernel is None else negative_lags
-    needed = flat + rows.nuisance + 2
-    if max(needed, 3) > rows.N:
-        msg = f"n={n} with negative_lags={negative_lags} needs at least {needed} rows with all of "
-        msg += f"their inputs known, got {rows.N} of {data.N} samples; ask for fewer lags"
-        raise ValueError(msg)
+    free = len(asked) if kernel is None else negative_lags
+    _require_rows(rows, free, f"n={n} with negative_lags={negative_lags}", data.N)
     estimate = _plain(rows) if kernel is None else _regularised(rows, kernel, negative_lags)
+    return _response(data, rows, lags, estimate, kernel, integrates=integrates)
+
+
+def _require_input(data: Dataset, kernel: Kernel | None) -> None:
+    if kernel is not None and kernel not in KERNELS:
+        msg = f"kernel={kernel!r} must be one of {', '.join(map(repr, KERNELS))}, or None"
+        raise ValueError(msg)
+    if np.ptp(data.u) == 0:
+        msg = "u is constant: it determines no response; record an input that varies"
+        raise ValueError(msg)
+
+
+def _require_rows(rows: FirRegression, free: int, asked: str, samples: int) -> None:
+    needed = max(free + rows.nuisance + 2, 3)
+    if needed > rows.N:
+        msg = f"{asked} needs at least {needed} rows with all of "
+        msg += f"their inputs known, got {rows.N} of {samples} samples; ask for fewer lags"
+        raise ValueError(msg)
+
+
+def _response(
+    data: Dataset,
+    rows: FirRegression,
+    lags: NDArray[np.int_],
+    estimate: Estimate,
+    kernel: Kernel | None,
+    *,
+    integrates: bool,
+) -> ImpulseResponse:
+    """Return the estimate with its verdict; the rate's is integrated."""
     g, covariance, variance, hyperparameters = estimate
     p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
     g, covariance = g[: lags.size], covariance[: lags.size, : lags.size]
@@ -329,7 +349,7 @@ def died_out(g: Vector, covariance: Matrix) -> bool:
     return bool(abs(mean @ g[-tail:]) <= max(4 * std, 0.02 * float(np.max(np.abs(g)))))
 
 
-def _plain(rows: Regression) -> Estimate:
+def _plain(rows: FirRegression) -> Estimate:
     basis = orthonormal(np.vstack(rows.blocks))
     d = basis.W.shape[0]
     _require_rank(basis, d, "lags")
@@ -345,7 +365,7 @@ def _plain(rows: Regression) -> Estimate:
     return g, found.covariance_robust, found.noise_variance, {}
 
 
-def _regularised(rows: Regression, kernel: Kernel, m: int) -> Estimate:
+def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
     """Return the posterior of all lags, flat for the first m, by one QR of [Phi y]."""
     Phi, y = rows.Phi, rows.y
     d = Phi.shape[1]

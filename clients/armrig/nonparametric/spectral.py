@@ -98,26 +98,43 @@ def spa(
     integrates = settled(data, integrator, "spa")
     require_integers(delay=(delay, 0))
     data = _advanced(data, delay) if delay else data
+    N = _seen(data)
+    w = _frequencies(omega, data, logarithmic=isinstance(window, str))
+    smoothed = _by_segments if method == "welch" else _by_lags
+    spectra, words = smoothed(data, window, w, N, integrates=integrates)
+    words += f", aligned by {delay} samples" if delay else ""
+    turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
+    return _estimate(data, w, turned, words, N, integrates=integrates)
+
+
+def _seen(data: Dataset) -> int:
+    """Return the number of samples with an output, or refuse data without an answer."""
     N = data.N - data.missing
     if N < 8 or np.ptp(data.u) == 0:
         what = f"only {N} samples have an output" if N < 8 else "u is constant"
         msg = f"spa cannot see a frequency response: {what}; record an input that varies"
         raise ValueError(msg)
-    w = _frequencies(omega, data, logarithmic=isinstance(window, str))
-    if method == "welch":
-        length = _length(window, N)
-        spectra = welch(difference(data) if integrates else data, length, w)
-        words = f"Welch, segments of {length} samples"
-    else:
-        gamma = _gamma(window, w, data.Ts, N)
-        whole = filled(data, integrator=integrates)
-        spectra = _blackman_tukey(_rate(whole) if integrates else whole, gamma, w, N)
-        size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
-        words = f"Blackman-Tukey, Hann lag window, gamma {size} samples"
-    if delay:
-        words += f", aligned by {delay} samples"
-    turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
-    return _estimate(data, w, turned, words, N, integrates=integrates)
+    return N
+
+
+def _by_segments(
+    data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
+) -> tuple[Spectra, str]:
+    """Return Welch's spectra, and how they were found."""
+    length = _length(window, N)
+    spectra = welch(difference(data) if integrates else data, length, omega)
+    return spectra, f"Welch, segments of {length} samples"
+
+
+def _by_lags(
+    data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
+) -> tuple[Spectra, str]:
+    """Return Blackman and Tukey's spectra, and how they were found."""
+    gamma = _gamma(window, omega, data.Ts, N)
+    whole = filled(data, integrator=integrates)
+    spectra = _blackman_tukey(_rate(whole) if integrates else whole, gamma, omega, N)
+    size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
+    return spectra, f"Blackman-Tukey, Hann lag window, gamma {size} samples"
 
 
 def _advanced(data: Dataset, delay: int) -> Dataset:

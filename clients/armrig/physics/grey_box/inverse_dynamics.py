@@ -13,7 +13,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from armrig_core.arm import ArmParameters
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
-from armrig.numerics.inference import infer
+from armrig.numerics.inference import Inference, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.physics.grey_box.fit import GreyFit, below_zero
 from armrig.physics.grey_box.free_parameters import (
@@ -30,9 +30,10 @@ from armrig.physics.grey_box.free_parameters import (
     free_names,
     require_output,
 )
-from armrig.physics.grey_box.parameters import COULOMB, SIGNED
+from armrig.physics.grey_box.parameters import COULOMB
 from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.grey_box.smoothing import LEAST_WIDTH, smoothed
+from armrig.physics.grey_box.uncertainty import named_std
 from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
@@ -88,62 +89,30 @@ def inverse_dynamics(
     names = free_names(("J_1",), friction)
     given = checked_fixed_std(fixed_std or {}, names)
     s = max(_WIDTH * p.J_1 / p.damping if width is None else width, LEAST_WIDTH * data.Ts)
-    whole = _regression(data, p, names, s)
-    kept = np.isfinite(whole.target)
-    columns = whole.X.shape[1]
-    if np.count_nonzero(kept) < 3 * columns:
-        msg = f"smoothing over {s:.3g} s leaves {np.count_nonzero(kept)} values for {columns} "
-        msg += "unknowns; give longer data, or a smaller width"
-        raise ValueError(msg)
-    basis = orthonormal(whole.X[kept])
-    if basis.rank < columns:
-        msg = "the data do not tell torque, friction and offset apart: excite the rig more"
-        raise ValueError(msg)
-    beta = basis.coefficients(whole.target[kept])
-    e = basis.without(whole.target[kept])
-    residuals, blocks = _by_experiment(whole, e, kept)
-    values, slope = _parameters(beta, names)
-    found = infer(
-        residuals,
-        blocks,
-        score="exogenous",
-        y=whole.target,
-        basis=basis.spread(kept),
-        test="ljung-box",
-    ).transformed(slope)
-    C, bread = found.covariance_robust, basis.W @ basis.W.T
-    # Where a fixed parameter is another one, so is the right side of the balance.
-    held = _held(names)
-    moved = whole.moved[kept]
-    by_held = slope @ (np.outer(bread[:, 0], e @ moved) - beta[0] * basis.W @ (basis.Q.T @ moved))
+    solution = _solved(_torque_balance(data, p, names, s), s)
+    values, slope = _parameters(solution.beta, names)
+    found = solution.inference.transformed(slope)
+    physics, held = Physics(model=chassis, fixed=p, output="theta_1"), _held(names)
+    by_held = slope @ solution.by_held
     carried = by_held * [given.get(k, 0.0) for k in held]
-    std_noise, std = (
-        dict(zip(names, np.sqrt(np.diag(c)).tolist(), strict=True))
-        for c in (C, C + carried @ carried.T)
-    )
-    offset = 0.0 if COULOMB in names else float(-beta[-1] / beta[0] / p.torque_per_volt)
+    covariance = found.covariance_robust + carried @ carried.T
+    std = named_std(names, covariance)
+    shares = by_held[0] * [getattr(p, k) for k in held] / values["J_1"]
     return GreyFit(
         method="inverse dynamics",
         names=names,
         values=values,
         std=std,
-        std_noise=std_noise,
+        std_noise=named_std(names, found.covariance_robust),
         std_robust=std,
-        covariance=C + carried @ carried.T,
-        covariance_robust=C + carried @ carried.T,
-        condition=float(np.linalg.cond(whole.X[kept] / np.linalg.norm(whole.X[kept], axis=0))),
-        influence={
-            "J_1": {
-                k: float(v * getattr(p, k) / values["J_1"])
-                for k, v in zip(held, by_held[0], strict=True)
-            }
-        },
-        fixed=replace(
-            p, **{k: max(v, 0.0) if k in SIGNED else v for k, v in values.items() if k != COULOMB}
-        ),
+        covariance=covariance,
+        covariance_robust=covariance,
+        condition=solution.condition,
+        influence={"J_1": dict(zip(held, shares.tolist(), strict=True))},
+        fixed=physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
         fixed_std=given,
         initial=(),
-        offset=(offset,) * len(data.starts),
+        offset=(_offset(solution.beta, names, p),) * len(data.starts),
         noise_variance=found.noise_variance,
         loss=found.loss,
         fit_percent=found.fit_percent,
@@ -151,14 +120,14 @@ def inverse_dynamics(
         quantum=quantum(data),
         N=found.N,
         Ts=data.Ts,
-        physics=Physics(model=chassis, fixed=p, output="theta_1"),
+        physics=physics,
         warnings=tuple(below_zero(values, std)),
         **data.origin(),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Regression:
+class _TorqueBalance:
     """The torque balance on decimated signals of all experiments."""
 
     target: Vector
@@ -175,7 +144,59 @@ def _held(names: tuple[str, ...]) -> tuple[str, ...]:
     return _HELD if "b_1" in names else (*_HELD, "b_1")
 
 
-def _regression(data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float) -> _Regression:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Solution:
+    """The torque balance by least squares."""
+
+    beta: Vector
+    """Coefficients of its columns, (columns,)."""
+    by_held: Matrix
+    """Derivatives of beta by what is held: where that is another, so is the right side."""
+    condition: float
+    """Of the scaled columns."""
+    inference: Inference
+    """Of beta."""
+
+
+def _solved(balance: _TorqueBalance, s: float) -> _Solution:
+    """Return the least-squares coefficients of the rows that are complete."""
+    kept = np.isfinite(balance.target)
+    X, target, moved = balance.X[kept], balance.target[kept], balance.moved[kept]
+    columns = X.shape[1]
+    if target.size < 3 * columns:
+        msg = f"smoothing over {s:.3g} s leaves {target.size} values for {columns} "
+        msg += "unknowns; give longer data, or a smaller width"
+        raise ValueError(msg)
+    basis = orthonormal(X)
+    if basis.rank < columns:
+        msg = "the data do not tell torque, friction and offset apart: excite the rig more"
+        raise ValueError(msg)
+    beta, e = basis.coefficients(target), basis.without(target)
+    residuals, blocks = _by_experiment(balance, e, kept)
+    bread = basis.W @ basis.W.T
+    return _Solution(
+        beta=beta,
+        by_held=np.outer(bread[:, 0], e @ moved) - beta[0] * basis.W @ (basis.Q.T @ moved),
+        condition=float(np.linalg.cond(X / np.linalg.norm(X, axis=0))),
+        inference=infer(
+            residuals,
+            blocks,
+            score="exogenous",
+            y=balance.target,
+            basis=basis.spread(kept),
+            test="ljung-box",
+        ),
+    )
+
+
+def _offset(beta: Vector, names: tuple[str, ...], p: ArmParameters) -> float:
+    """Return the input that is answered with standstill; 0 where Coulomb friction is free."""
+    return 0.0 if COULOMB in names else float(-beta[-1] / beta[0] / p.torque_per_volt)
+
+
+def _torque_balance(
+    data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float
+) -> _TorqueBalance:
     targets, rows, moved = [], [], []
     every = max(1, int(_KEPT * s / data.Ts))
     by_motor = p.damping - p.b_1
@@ -201,7 +222,7 @@ def _regression(data: Dataset, p: ArmParameters, names: tuple[str, ...], s: floa
             columns.append(np.ones(part.N))
         targets.append(target[::every])
         rows.append(np.column_stack(columns)[::every])
-    return _Regression(
+    return _TorqueBalance(
         target=np.concatenate(targets),
         X=np.vstack(rows),
         moved=np.vstack(moved),
@@ -219,12 +240,12 @@ def _near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
 
 
 def _by_experiment(
-    whole: _Regression, e: Vector, kept: NDArray[np.bool_]
+    balance: _TorqueBalance, e: Vector, kept: NDArray[np.bool_]
 ) -> tuple[list[Vector], list[Matrix]]:
     residual = np.full(kept.size, np.nan)
     residual[kept] = e
-    X = np.where(kept[:, None], whole.X, 0.0)
-    edges = np.cumsum(whole.sizes)[:-1]
+    X = np.where(kept[:, None], balance.X, 0.0)
+    edges = np.cumsum(balance.sizes)[:-1]
     return list(np.split(residual, edges)), list(np.split(X, edges))
 
 
