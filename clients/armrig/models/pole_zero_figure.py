@@ -13,7 +13,7 @@ from armrig.models.labels import Labels, labels_of, sources_of, tell_left_out
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import Region
-from armrig.numerics.root_draws import Cloud
+from armrig.numerics.root_draws import HighestDensityRegion
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,15 +96,15 @@ def _draw(ax: Axes, region: Region, colour: str) -> None:
         if high > low:
             ends = {"marker": "|", "ms": 6.0, "mew": 1.0, "solid_capstyle": "butt", "zorder": 2.5}
             ax.plot([low, high], [0.0, 0.0], **(dotted | {"lw": 1.8} | ends))
-    if region.cloud is not None and region.centre.imag >= 0:
-        _draw_cloud(ax, region.cloud, colour)
+    if region.densest is not None and region.centre.imag >= 0:
+        _draw_densest(ax, region.densest, colour)
     if border is not None and np.isfinite(border).all() and np.ptp(border) > 0:
         ax.plot(*border, **dotted)
 
 
-def _draw_cloud(ax: Axes, cloud: Cloud, colour: str) -> None:
+def _draw_densest(ax: Axes, densest: HighestDensityRegion, colour: str) -> None:
     """Draw the region of the densest draws, and its mirror image below the real axis."""
-    inside = cloud.inside()
+    inside = densest.inside()
     inside = inside[np.abs(inside) < _FARTHEST + 1]
     if inside.size == 0:
         return
@@ -114,7 +114,7 @@ def _draw_cloud(ax: Axes, cloud: Cloud, colour: str) -> None:
         top = inside.imag.max() + room
         y = np.linspace(-top, top, 2 * _RASTER)
         z = x[None, :] + 1j * y[:, None]
-        excess = cloud.excess(z.ravel()).reshape(z.shape)
+        excess = densest.excess(z.ravel()).reshape(z.shape)
         edge = np.concatenate([excess[0], excess[:, 0], excess[:, -1]])
         if (edge > 1).all() or room > _FARTHEST:
             break
@@ -167,7 +167,7 @@ def _extent(region: Region) -> list[complex]:
     points: list[complex] = []
     if region.interval is not None:
         points += [complex(np.clip(x, -_ROOM, _ROOM) * 0.999) for x in region.interval]
-    if region.cloud is not None:
-        points += region.cloud.inside().tolist()
+    if region.densest is not None:
+        points += region.densest.inside().tolist()
     border = region.border()
     return points if border is None else [*points, *(border[0] + 1j * border[1]).tolist()]

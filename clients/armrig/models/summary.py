@@ -132,11 +132,11 @@ def summary(model: Model) -> Summary:
 def bounds(region: Region) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the 95 % ranges of real and imaginary part, each for itself.
 
-    Of a root that may be real or not (a cloud) both are quantiles of the draws, the imaginary part
+    Of a root that may be real or not both are quantiles of the draws, the imaginary part
     that of the root above the real axis.
     """
     z = region.centre
-    if region.cloud is not None and region.draws is not None:
+    if region.densest is not None and region.draws is not None:
         points = region.draws.upper
         edges = [np.quantile(x, [0.025, 0.975]).tolist() for x in (points.real, points.imag)]
         return (edges[0][0], edges[0][1]), (edges[1][0], edges[1][1])

@@ -19,7 +19,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.numerics.root_draws import RARE, REAL, Cloud, RootDraws, cloud, root_draws
+from armrig.numerics.root_draws import (
+    RARE,
+    REAL,
+    HighestDensityRegion,
+    RootDraws,
+    highest_density_region,
+    root_draws,
+)
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -65,7 +72,7 @@ class Region:
     """Of a root that is real, or may be."""
     covariance: Matrix
     """Of real and imaginary part, linearised, (2, 2)."""
-    cloud: Cloud | None = None
+    densest: HighestDensityRegion | None = None
     """Of a root that is one of a pair, or may be, where the draws decide."""
     draws: RootDraws | None = None
     """The draws, where they decide."""
@@ -74,15 +81,15 @@ class Region:
         """Tell whether z is inside: of the interval where it is real, if there is one."""
         if abs(z.imag) < REAL and self.interval is not None:
             return self.interval[0] <= z.real <= self.interval[1]
-        if self.cloud is not None:
-            return bool(self.cloud.excess(np.array([z]))[0] <= 1)
+        if self.densest is not None:
+            return bool(self.densest.excess(np.array([z]))[0] <= 1)
         if self.interval is not None:
             return False
         return bool(_distance(np.array([z - self.centre]), self.covariance)[0] <= RADIUS)
 
     def border(self) -> Vector | None:
         """Return the ellipse, (2, m), or None where the region is none."""
-        if self.interval is not None or self.cloud is not None:
+        if self.interval is not None or self.densest is not None:
             return None
         value, vector = np.linalg.eigh(self.covariance)
         radii = RADIUS * np.sqrt(np.maximum(value, 0.0))
@@ -176,7 +183,7 @@ def sampled_region(z: complex, P: Matrix, draws: RootDraws) -> Region:
         method="sampled",
         covariance=P,
         interval=interval,
-        cloud=cloud(draws.pairs) if draws.pairs.size > max(least, 2) else None,
+        densest=highest_density_region(draws.pairs) if draws.pairs.size > max(least, 2) else None,
         draws=draws,
     )
 
@@ -195,7 +202,7 @@ def chosen_region(z: complex, P: Matrix, draws: RootDraws | None) -> Region:
         outside = float(np.mean(_distance(beside, _folded(z, P)) > RADIUS))
         return linear if OUTSIDE[0] <= outside <= OUTSIDE[1] else sampled_region(z, P, draws)
     sampled = sampled_region(z, P, draws)
-    if sampled.interval is None or sampled.cloud is not None:
+    if sampled.interval is None or sampled.densest is not None:
         return sampled
     width = linear.interval[1] - z.real
     apart = np.abs(np.subtract(sampled.interval, linear.interval)).max()

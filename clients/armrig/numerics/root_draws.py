@@ -48,7 +48,7 @@ class RootDraws:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cloud:
+class HighestDensityRegion:
     """The densest 95 % of draws of a root that is one of a pair.
 
     A point is as strange as the distance to its k-th nearest draw, k = sqrt(n), is large; the limit
@@ -74,7 +74,7 @@ class Cloud:
         return np.asarray(self.points[self.excess(self.points) <= 1])
 
 
-def cloud(points: Complex) -> Cloud:
+def highest_density_region(points: Complex) -> HighestDensityRegion:
     """Return the region of the densest 95 % of the points, three at least."""
     from scipy.spatial import cKDTree
 
@@ -84,7 +84,7 @@ def cloud(points: Complex) -> Cloud:
     # The nearest draw of a draw is itself.
     own, _ = tree.query(plane, k=[_neighbours(points.size) + 1])
     limit = float(np.quantile(own[:, 0], 0.95)) or 1e-12
-    return Cloud(points=points, scale=scale, limit=limit, tree=tree)
+    return HighestDensityRegion(points=points, scale=scale, limit=limit, tree=tree)
 
 
 def root_draws(centres: Complex, roots: Complex) -> list[RootDraws]:
