@@ -68,10 +68,10 @@ def plot_orders(
         chosen.setdefault(table.chosen(name), []).append(name)
     for k, (i, names) in enumerate(sorted(chosen.items(), key=lambda x: int(d[x[0]]))):
         o = table.orders(i)
-        said = ", ".join(x.upper() if x != "validation" else x for x in names)
+        label = ", ".join(x.upper() if x != "validation" else x for x in names)
         ax.plot(d[i], share[i], "s", color=VERMILION, ms=8, mfc="none", mew=1.4)
         ax.annotate(
-            f"{said} [{o.na} {o.nb} {o.nk}]",
+            f"{label} [{o.na} {o.nb} {o.nk}]",
             (d[i], share[i]),
             xytext=(0, 16 + 13 * k),
             textcoords="offset points",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.integrator import is_integrating
 from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation
@@ -74,7 +74,7 @@ def bla(
     """
     require_integers(transient=(transient, 0))
     joint = data if isinstance(data, Dataset) else merge(list(data))
-    integrates = settled(joint, integrator, "bla")
+    integrates = is_integrating(joint, integrator, "bla")
     parts = list(joint.experiments())
     P = _common_period(parts) if period_length is None else period_length
     require_integers(period_length=(P, 2))
@@ -187,5 +187,5 @@ def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[
     if max(counts) < 2:
         return ["one period each: noise and nonlinear distortion cannot be told apart"]
     ratio = float(np.mean(total) / np.mean(noise))
-    said = "nonlinear distortion" if ratio > 2 else "hardly any nonlinear distortion"
-    return [f"variance between realisations is {ratio:.2g} times what the noise makes: {said}"]
+    verdict = "nonlinear distortion" if ratio > 2 else "hardly any nonlinear distortion"
+    return [f"variance between realisations is {ratio:.2g} times what the noise makes: {verdict}"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.integrator import is_integrating
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantile import two_sided
@@ -125,7 +125,7 @@ def correlation(
     if np.ptp(data.u) == 0:
         msg = "u is constant: nothing can be correlated with it; record an input that varies"
         raise ValueError(msg)
-    integrates = settled(data, integrator, "correlation")
+    integrates = is_integrating(data, integrator, "correlation")
     treated = difference(data) if integrates else data
     parts = list(treated.experiments())
     L = _whitener([part.u - np.mean(part.u) for part in parts], order)

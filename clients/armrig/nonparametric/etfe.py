@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.integrator import is_integrating
 from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.polynomial import summation
 
@@ -63,7 +63,7 @@ def etfe(
     if np.ptp(data.u) == 0:
         msg = "u is constant: it has no frequency to answer at; record an input that varies"
         raise ValueError(msg)
-    integrates = settled(data, integrator, "etfe")
+    integrates = is_integrating(data, integrator, "etfe")
     P = period(data.u) if period_length is None else period_length
     if P is not None and not 2 <= P <= data.N // 2:
         msg = f"period_length={P} must be 2 to {data.N // 2}, two whole periods of {data.N} samples"

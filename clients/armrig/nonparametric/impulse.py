@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.fir_regression import FirRegression, regression
-from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.integrator import is_integrating
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.inference import infer
@@ -251,7 +251,7 @@ def impulse_response(
     .. [2] T. Chen, H. Ohlsson, L. Ljung, Automatica 48 (2012) 1525-1535.
     """
     _require_input(data, kernel)
-    integrates = settled(data, integrator, "impulse_response")
+    integrates = is_integrating(data, integrator, "impulse_response")
     n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
     require_integers(n=(n, 1), negative_lags=(negative_lags, 0))
     lags = np.arange(-negative_lags, n)

@@ -8,7 +8,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, IntegratingOutputWarning, integrating
 
 
-def settled(data: Dataset, integrator: bool | None, what: str) -> bool:
+def is_integrating(data: Dataset, integrator: bool | None, what: str) -> bool:
     """Tell whether the output is to be taken as integrating.
 
     What the caller says holds. With None an output known by name to integrate (theta_1) does;

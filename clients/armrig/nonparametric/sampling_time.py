@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.impulse import impulse_response, long_enough
-from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.integrator import is_integrating
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.spectral import spa
 from armrig.nonparametric.step_analysis import (
@@ -152,7 +152,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     .. [1] The lab's handout, section 3.1.1.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.7.
     """
-    integrates = settled(data, integrator, "sampling_time")
+    integrates = is_integrating(data, integrator, "sampling_time")
     steps = _settled_steps(data, integrates=integrates)
     stepped = steps is not None
     curve = _from_impulse(data, integrates) if steps is None else _from_steps(steps)

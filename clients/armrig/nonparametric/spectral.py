@@ -12,7 +12,7 @@ from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.covariance_functions import covariances
-from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.integrator import is_integrating
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.welch import Spectra, welch
 from armrig.numerics.checks import column, require_integers
@@ -95,7 +95,7 @@ def spa(
     if method not in ("blackman-tukey", "welch"):
         msg = f'method={method!r} must be "blackman-tukey" or "welch"'
         raise ValueError(msg)
-    integrates = settled(data, integrator, "spa")
+    integrates = is_integrating(data, integrator, "spa")
     require_integers(delay=(delay, 0))
     data = _advanced(data, delay) if delay else data
     N = _seen(data)

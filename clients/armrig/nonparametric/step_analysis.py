@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.nonparametric.integrator import settled
+from armrig.nonparametric.integrator import is_integrating
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import constant
 
@@ -130,7 +130,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     .. [1] The lab's handout, section 3.1.1.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.1.
     """
-    integrates = settled(data, integrator, "step_analysis")
+    integrates = is_integrating(data, integrator, "step_analysis")
     treated = difference(data) if integrates else data
     k, y, sizes = _averaged(treated)
     t: Vector = np.asarray(data.Ts * (k - 0.5 * integrates), dtype=np.float64)

@@ -303,7 +303,8 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         f"integrator: |G| falls {h.low_slope:.1f} ± {h.low_slope_std:.1f} dB a decade at low "
         f"frequency (0 without one, −20 with one): {verdict}"
     )
-    peaks, dips = (", ".join(f"{w:.3g}" for w in x) or "none" for x in _both(h))
+    extremes = (h.resonances, h.antiresonances)
+    peaks, dips = (", ".join(f"{w:.3g}" for w in x) or "none" for x in extremes)
     yield (
         f"resonances of {what} at {peaks} rad/s, antiresonances at {dips} rad/s: two poles a "
         "resonance, two zeros an antiresonance"
@@ -329,7 +330,3 @@ def _reasons(h: StructureHints) -> Iterator[str]:
     else:
         delay = "none beyond the hold's own" if h.nk <= 1 else f"{h.nk - 1} beyond the hold's own"
         yield f"delay: {known}, samples of delay: {delay}"
-
-
-def _both(h: StructureHints) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    return h.resonances, h.antiresonances

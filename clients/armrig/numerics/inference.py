@@ -107,8 +107,8 @@ def infer(
     others = nuisance + sum(span.shape[1] for span in spans)
     degrees = N - d - others
     if degrees < 1:
-        msg = f"{N} samples leave nothing to tell the noise by, for {d} parameters and {others} "
-        msg += "unknowns of the past; lower the orders, or record longer"
+        msg = f"{N} samples leave nothing to estimate the noise from: {d} parameters and {others} "
+        msg += "initial conditions were fitted to them; lower the orders, or record longer"
         raise ValueError(msg)
     sse = sum(float(np.nansum(e**2)) for e in residuals)
     basis = orthonormal(np.vstack(blocks)) if basis is None else basis

@@ -92,8 +92,8 @@ def plot_physical_step(
     rise = np.array([0.0, 1.08 * top / (first.initial_slope * u)])
     ax.plot(rise, first.initial_slope * u * rise, color=GREY, ls=":", lw=1.2)
     ax.axhline(steady, color=GREY, ls=":", lw=1.2)
-    told = f"steady {steady:.4g} rad/s, slope {first.initial_slope * u:.4g} rad/s²"
-    ax.plot([], [], color=GREY, ls=":", lw=1.2, label=told)
+    label = f"steady {steady:.4g} rad/s, slope {first.initial_slope * u:.4g} rad/s²"
+    ax.plot([], [], color=GREY, ls=":", lw=1.2, label=label)
     ax.set_ylim(0.0, 1.12 * top)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel(r"$\dot\theta_1$ [rad/s]")

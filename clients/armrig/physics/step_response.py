@@ -176,13 +176,13 @@ def _stepped(
 
 
 def _roots(z: NDArray[np.complex128]) -> str:
-    told = []
+    texts = []
     for x in z:
         if x.imag < 0:
             continue
         real = f"{x.real:.3f}" if x.real else "0"
         if x.imag == 0:
-            told.append(real)
+            texts.append(real)
         else:
-            told.append(f"{real} ± {x.imag:.3f}i" if x.real else f"±{x.imag:.3f}i")
-    return ", ".join(told)
+            texts.append(f"{real} ± {x.imag:.3f}i" if x.real else f"±{x.imag:.3f}i")
+    return ", ".join(texts)

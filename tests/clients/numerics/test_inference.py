@@ -111,5 +111,5 @@ def test_as_many_parameters_as_samples_leave_no_noise_to_tell() -> None:
     Phi, y, theta, _ = regression(6, [1.0])
     e = (y - Phi @ theta)[:4]
 
-    with pytest.raises(ValueError, match=r"4 samples .* 3 parameters and 1 unknowns"):
+    with pytest.raises(ValueError, match=r"4 samples .* 3 parameters and 1 initial"):
         infer([e], [Phi[:4]], nuisance=1, score="exogenous")

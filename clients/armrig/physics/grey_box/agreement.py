@@ -28,10 +28,10 @@ class Agreement:
     def __repr__(self) -> str:
         """Say it in one line."""
         z = self.difference / self.std
-        told = (
+        text = (
             f"{self.name}: {self.difference:+.3g} apart, {z:+.2f} sd, p {p_relation(self.p_value)}"
         )
-        return f"{told} ({self.note})" if self.note else told
+        return f"{text} ({self.note})" if self.note else text
 
 
 def agreement(efficient: GreyFit, other: GreyFit) -> tuple[Agreement, ...]:

@@ -110,9 +110,9 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     problem = GreyBox(physics=fit.physics, names=names, experiments=tuple(data.experiments()))
     e = np.full(data.N, np.nan)
     e[data.valid] = problem.at(problem.coordinates({n: fit.values[n] for n in names}), ()).e
-    told = ", ".join(f"{n} = {fit.values[n]:.4g} ± {fit.std[n]:.1g}" for n in fit.names)
+    estimates = ", ".join(f"{n} = {fit.values[n]:.4g} ± {fit.std[n]:.1g}" for n in fit.names)
     ax.plot(data.t, data.y, color=INK, lw=1.8, alpha=0.55, label="measured")
-    ax.plot(data.t, data.y - e, color=VERMILION, ls="--", lw=1.0, label=f"grey box, {told}")
+    ax.plot(data.t, data.y - e, color=VERMILION, ls="--", lw=1.0, label=f"grey box, {estimates}")
     below.plot(data.t, e, color=VERMILION, lw=0.6)
     below.axhline(0, color=GREY, lw=0.6)
     ax.set_ylabel(named(data.output, data.unit))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-_TOLD = 2.0  # standard deviations that a parameter must be from 0
+_SURE = 2.0  # standard deviations that a parameter must be from 0
 _WAY_OUT = (
     "free fewer parameters, begin nearer to them, or record longer with an input that changes often"
 )
@@ -119,7 +119,7 @@ class GreyFit:
             name
             for name in self.names
             if name not in SIGNED | {COULOMB}
-            and not _TOLD * self.std_noise[name] < abs(self.values[name])
+            and not _SURE * self.std_noise[name] < abs(self.values[name])
         )
 
     def require_result(self) -> None:
@@ -177,8 +177,8 @@ class GreyFit:
             )
             moved = {k: v for k, v in self.influence.get(name, {}).items() if abs(v) >= 0.05}
             if moved:
-                told = ", ".join(f"{k} {v:+.2f} %" for k, v in moved.items())
-                parts.append(f"It moves with what was held fixed, for 1 % each: {told}.")
+                shares = ", ".join(f"{k} {v:+.2f} %" for k, v in moved.items())
+                parts.append(f"It moves with what was held fixed, for 1 % each: {shares}.")
         if any(self.fixed_std.values()):
             noise = ", ".join(f"{k} {v:.2g}" for k, v in self.std_noise.items())
             parts.append(f"Of the standard deviations the noise alone makes: {noise}.")
