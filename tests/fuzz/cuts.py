@@ -17,6 +17,7 @@ from random import Random
 
 import numpy as np
 from armrig.recordings import container
+from armrig.recordings.byte_source import ByteSource
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig.recordings.sample_rows import DamageError
@@ -85,7 +86,7 @@ def _by_record(data: bytes) -> Counter[str]:
 
 def _said(reader: container._Reader, rest: bytes) -> str:
     try:
-        container._read_records(container._Source(BytesIO(rest), len(rest)), reader)
+        container._read_records(ByteSource(BytesIO(rest), len(rest)), reader)
     except DamageError as damage:
         return str(damage)
     return ""

@@ -138,7 +138,7 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
         raise ValueError(msg)
     u_.flags.writeable = False
     mean, std = float(np.mean(u_)), float(np.std(u_))
-    std = 0.0 if np.ptp(u_) == 0 else std  # a mean rounds
+    std = 0.0 if np.ptp(u_) == 0 else std  # of a constant it is a rounding error
     highest = max(1, min(HIGHEST_ORDER, (u_.size // 2 + 1) // 3))
     order, weakest = min(_excitation(half, highest) for half in _halves(u_))
     omega, spectrum = power_spectrum([u_], Ts) if u_.size >= 16 else (np.zeros(0), np.zeros(0))

@@ -61,7 +61,8 @@ def multisine(
     require_integers(N=(N, 1), periods=(periods, 1))
     require_levels(low=low, high=high)
     if N % periods:
-        msg = f"N={N} is no whole number of periods={periods}; take N={N - N % periods or periods}"
+        nearest = max(N - N % periods, periods)
+        msg = f"N={N} is no whole number of periods={periods}; take N={nearest}"
         raise ValueError(msg)
     P = N // periods
     if P < 3:

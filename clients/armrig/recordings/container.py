@@ -7,18 +7,17 @@ a prefix without holes.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
 import stat
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from struct import Struct
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 import zstandard
@@ -32,6 +31,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, DataEnd, Metadata
 from numpy.typing import NDArray
 
+from armrig.recordings.byte_source import ByteSource
 from armrig.recordings.sample_rows import (
     CHANNEL,
     RECORD_HEAD,
@@ -132,7 +132,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
             msg = "not a regular file"
             raise DamageError(msg)
         content = Content(size=found.st_size)
-        source = _Source(stream, content.size)
+        source = ByteSource(stream, content.size)
         if source.take(len(MAGIC)) != MAGIC:
             return None
         most = most or MESSAGES_LIMIT + MESSAGES_PER_BYTE * content.size
@@ -157,51 +157,7 @@ def _opened(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))
 
 
-class _Source:
-    """The bytes of a file, from the front."""
-
-    def __init__(self, stream: IO[bytes], size: int) -> None:
-        self.stream, self.left = stream, size
-        self.at = 0
-        self.whole = 0
-        """End of the last whole record."""
-
-    def take(self, n: int) -> bytes:
-        """Return the next n bytes, fewer at the end of the file."""
-        data = self.stream.read(min(n, self.left))
-        self.left = self.left - len(data) if data else 0
-        self.at += len(data)
-        return data
-
-    def skip(self, n: int) -> None:
-        """Pass over n bytes."""
-        self.at = self.stream.seek(self.at + n)
-        self.left -= n
-
-    def sha256(self) -> str:
-        """Return the hash of the whole file, as large as it was when it was opened."""
-        digest = hashlib.sha256()
-        for block in self._blocks(self.at + self.left):
-            digest.update(block)
-        return digest.hexdigest()
-
-    def crc(self, length: int) -> int:
-        """Return the CRC-32 of the first `length` bytes."""
-        crc = 0
-        for block in self._blocks(length):
-            crc = zlib.crc32(block, crc)
-        return crc
-
-    def _blocks(self, length: int) -> Iterator[bytes]:
-        # Once more over the file, in large pieces: to hash each record as it passes is slower.
-        self.stream.seek(0)
-        while length > 0 and (block := self.stream.read(min(length, 1 << 20))):
-            length -= len(block)
-            yield block
-        self.stream.seek(self.at)
-
-
-def _read_records(source: _Source, reader: _Reader) -> None:
+def _read_records(source: ByteSource, reader: _Reader) -> None:
     """Read until the closing magic; raises DamageError where the file ends or breaks before."""
     ended = False
     while True:
@@ -242,7 +198,7 @@ def _read_records(source: _Source, reader: _Reader) -> None:
             reader.take(opcode, body)
 
 
-def _pass_index(source: _Source, length: int) -> None:
+def _pass_index(source: ByteSource, length: int) -> None:
     """Pass over an index of messages, which must have the form of one: a chunk has not."""
     head = source.take(min(_INDEX_HEAD.size, length))
     if len(head) < _INDEX_HEAD.size or _INDEX_HEAD.unpack(head)[1] != length - len(head):

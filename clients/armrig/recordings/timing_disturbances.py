@@ -73,7 +73,7 @@ def disturbance_rows(found: Disturbances) -> list[tuple[str, str]]:
             parts.append(f"at most {found.run_queue} tasks runnable")
         if not isnan(found.round_trip_us):
             parts.append(f"longest round trip {found.round_trip_us / 1e3:.2f} ms")
-        rows.append(("causes", ", ".join(parts)))
+        rows.append(("disturbances", ", ".join(parts)))
     if not isnan(found.drift_ppm):
         way = "slow" if found.drift_ppm > 0 else "fast"
         rows.append(

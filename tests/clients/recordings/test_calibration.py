@@ -195,6 +195,7 @@ def test_the_deviation_of_a_spread_holds_in_monte_carlo() -> None:
         ({"theta_1": np.zeros(300)}, "theta_1 reads 0 .* turn the chassis out of the dead band"),
         ({"alpha": np.full(300, 65535.0)}, "alpha reads 65535 .* the arm hangs free"),
         ({"u": np.ones(300)}, "at rest was driven"),
+        (dict.fromkeys(("t", "u", "theta_1", "alpha"), np.zeros(1)), "the rest has 1 sample:"),
     ],
 )
 def test_a_rest_that_is_none_is_refused(change: dict[str, np.ndarray], said: str) -> None:

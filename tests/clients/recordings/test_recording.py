@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import zstandard
 from armrig.recordings import container, grid, sample_rows
+from armrig.recordings.byte_source import ByteSource
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording, RecordingError
@@ -774,13 +775,13 @@ def test_the_end_of_the_data_is_checked_once(
 ) -> None:
     """Each check reads the file again."""
     lengths: list[int] = []
-    crc = container._Source.crc
+    crc = ByteSource.crc
 
     def counted(self: Any, length: int) -> int:
         lengths.append(length)
         return crc(self, length)
 
-    monkeypatch.setattr(container._Source, "crc", counted)
+    monkeypatch.setattr(ByteSource, "crc", counted)
     data = _broken_off(b"")
     for _ in range(50):
         data += _record(0x0F, struct.pack("<I", zlib.crc32(data)))
@@ -877,7 +878,7 @@ def test_what_disturbed_the_timing_is_listed_with_the_clock(tmp_path: Path) -> N
     assert found.round_trip_us == 4500.0
     assert rec.clock[0].t == pytest.approx(20 * TS, abs=1e-4)
     said = dict(disturbance_rows(found))
-    assert "longest round trip 4.50 ms" in said["causes"]
+    assert "longest round trip 4.50 ms" in said["disturbances"]
     assert said["device clock"].startswith("12.0 ± 0.5 ppm fast")
 
 

@@ -11,9 +11,10 @@ from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiom
 from armrig_core.volts import U_MAX_V
 from msgspec.structs import replace
 
+from armrig.numerics.quantities import plural
 from armrig.recordings.calibration.deflection import sign_by_hand, sign_of_lag
 from armrig.recordings.calibration.motor import (
-    IDEAL,
+    IDEAL_DRIVER,
     Speeds,
     TerminalVoltage,
     speeds,
@@ -195,7 +196,7 @@ def estimate(
         alpha_sign=sign,
         resolution=step,
         turned=turned,
-        speeds=None if turned is None else speeds(turned, terminal or IDEAL),
+        speeds=None if turned is None else speeds(turned, terminal or IDEAL_DRIVER),
         terminal=terminal,
         warnings=(*_warnings(theta_1, alpha, step, turned, sign), *_overvoltage(terminal)),
     )
@@ -208,7 +209,7 @@ def _at_rest(rest: Recording | Readings) -> Readings:
         msg = "the recording at rest was driven: it must be at 0 V throughout"
         raise CalibrationError(msg)
     if still.N < 2:
-        msg = f"a rest of {still.N} samples: record a second or more"
+        msg = f"the rest has {plural(still.N, 'sample')}: record a second or more"
         raise CalibrationError(msg)
     for name, counts, way_out in (
         ("theta_1", still.theta_1, "turn the chassis out of the dead band"),
@@ -223,7 +224,7 @@ def _at_rest(rest: Recording | Readings) -> Readings:
 
 def _overvoltage(terminal: TerminalVoltage | None) -> list[str]:
     """Return what to do about a driver that gives more than the rig stands."""
-    offset, gain = (terminal or IDEAL).line
+    offset, gain = (terminal or IDEAL_DRIVER).line
     most = offset + gain * U_MAX_V
     if most <= U_MAX_V * _METER_MAY_ERR:
         return []

@@ -40,9 +40,9 @@ class TerminalVoltage:
         return Figure(value=float(self.line[1]), std=sqrt(float(self.covariance[1, 1])))
 
 
-STANDS = 0.1
-"""A chassis slower than this, in rad/s, is held by its friction, and says nothing of the line."""
-IDEAL = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2, 2)))
+STANDSTILL_RAD_S = 0.1
+"""A chassis slower than this, in rad/s, is held by its friction: its speed is not on the line."""
+IDEAL_DRIVER = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2, 2)))
 """A driver that nobody has measured."""
 
 
@@ -105,7 +105,7 @@ def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
     """
     d = turned.per_turn.value
     omega = 2 * pi * turned.direction * turned.slopes / d
-    moved = omega > STANDS
+    moved = omega > STANDSTILL_RAD_S
     v = turned.volts[moved]
     if np.unique(v).size < 2:
         return None
