@@ -93,7 +93,7 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
         (below, [d.u for d in data.experiments()], INK, "$u$", data.input_unit),
     ):
         omega, density = power_spectrum(signals, data.Ts)
-        # Without 0, and without Nyquist's, whose density is one-sided already.
+        # A logarithmic axis has no 0; the density at Nyquist's frequency is not doubled.
         omega, density = omega[1:-1], density[1:-1]
         panel.plot(omega, np.maximum(density, 1e-300), color=colour, lw=0.9)
         panel.set_xscale("log")
@@ -101,7 +101,7 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
         panel.set_ylabel(f"{NAMES.get(label, label)} [{squared(unit)}s/rad]")
         shown = density[density > 0]
         if shown.size:
-            # A periodic input has nothing between its lines: twelve decades down is nothing.
+            # A periodic input has only rounding errors between its lines: show twelve decades.
             panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
     below.set_xlabel(r"$\omega$ [rad/s]")
     finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))

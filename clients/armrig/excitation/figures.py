@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-_SHOWN = 1000  # samples: more of them are a bar of ink
+_SHOWN = 1000  # samples; more of them would be a bar of ink
 
 
 class DescribedInput(Protocol):
@@ -79,7 +79,7 @@ def plot_input(description: DescribedInput) -> Figure:
     time.set_xlabel(f"$t$ [s]{whole}")
     time.set_ylabel("$u$ [V]")
     if d.omega.size and d.std > 0:
-        # Without 0, and without Nyquist's, whose density is one-sided already.
+        # A logarithmic axis has no 0; the density at Nyquist's frequency is not doubled.
         omega, density = d.omega[1:-1], d.spectrum[1:-1]
         spectrum.plot(omega, np.maximum(density, 1e-300), color=BLUE, lw=1.0)
         spectrum.set_xscale("log")

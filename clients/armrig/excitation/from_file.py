@@ -14,7 +14,7 @@ from armrig.numerics.checks import require_numbers
 _SEPARATORS = str.maketrans(",;", "  ")
 MOST_BYTES = 1 << 26
 """Longest file, in B: a million rows of two numbers have half of it."""
-_TIME_TOLERANCE = 0.01  # share of Ts: what rounding in a text file costs, not another step size
+_TIME_TOLERANCE = 0.01  # share of Ts; rounding in a text file costs less
 
 
 def from_csv(

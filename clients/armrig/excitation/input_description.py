@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 
 HIGHEST_ORDER = 50
 """Highest order of persistence of excitation that is looked for."""
-# Of singular values: less than this share of the largest is rounding, no excitation.
+# A singular value below this share of the largest is a rounding error, no excitation.
 _RANK_TOLERANCE = 1e-8
 _MOST_LEVELS = 20
 _BINS = 10

@@ -44,7 +44,7 @@ class ByteSource:
         return crc
 
     def _blocks(self, length: int) -> Iterator[bytes]:
-        # Once more over the file, in large pieces: to hash each record as it passes is slower.
+        # To read the file once more in large pieces is faster than to hash each record.
         self.stream.seek(0)
         while length > 0 and (block := self.stream.read(min(length, 1 << 20))):
             length -= len(block)

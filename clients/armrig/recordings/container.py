@@ -141,7 +141,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
             _read_records(source, reader)
         except DamageError as damage:
             content.damage, content.cut_off = str(damage), isinstance(damage, CutOffError)
-        # What the libraries raise on damaged bytes; the CRCs make it rare.
+        # The libraries raise these on damaged bytes. The CRCs make it rare.
         except (McapError, struct.error, DecodeError, ValueError, OverflowError) as err:
             content.damage = f"a record cannot be read ({err or type(err).__name__})"
         content.read = source.whole
@@ -153,7 +153,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
 
 
 def _opened(path: str, flags: int) -> int:
-    # Without waiting for somebody to write to a pipe; Windows has neither of the two.
+    # Do not wait until somebody writes to a pipe. Windows has neither of the two flags.
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))
 
 
@@ -189,7 +189,7 @@ def _read_records(source: ByteSource, reader: _Reader) -> None:
             return
         if opcode == Opcode.DATA_END:
             expected = DataEnd.read(_stream(body)).data_section_crc
-            # Once: each costs another reading of the file.
+            # Check it once: each check reads the whole file again.
             if expected and (ended or expected != source.crc(source.whole)):
                 msg = "the checksum over all data is wrong: something in the file was changed"
                 raise DamageError(msg)
@@ -276,7 +276,7 @@ class _Reader:
         self._walk(data)
 
     def _unpack(self, packed: bytes) -> bytes:
-        # Not decompress(max_output_size=…): that limit gives way to what the frame declares.
+        # decompress(max_output_size=…) would believe the size that the frame declares.
         try:
             with self.zstd.stream_reader(packed) as stream:
                 return stream.read(CHUNK_LIMIT + 1)

@@ -33,13 +33,13 @@ def plot_timing(
         x, label = jitter_us(recording), r"$|\Delta t - T_s|$ on the device's clock [µs]"
     else:
         x, label = lateness_us(recording), "host's lateness [µs]"
-    # What is less than the clock resolves is shown at the left edge.
+    # Times below the clock's resolution stand at the left edge.
     floor = 0.5 if quantity == "jitter" else 0.1
     marks = np.percentile(x, (50, 99, 100)) if x.size else ()
     x = np.maximum(x, floor)
     top = max(float(x.max(initial=floor)) * 1.3, floor * 20)
     edges = np.geomspace(floor, top, 41)
-    # The device's clock ticks in µs: no bin between two ticks, or the histogram shows its own comb.
+    # The device's clock ticks in µs. Bins between two ticks would be empty and show a comb.
     bins = np.unique(np.round(edges)) + 0.5 if quantity == "jitter" else edges
     bins = np.insert(bins, 0, floor) if bins[0] > floor else bins
     ax.hist(x, bins=bins.tolist(), color=SKY, edgecolor=BLUE, lw=0.5)

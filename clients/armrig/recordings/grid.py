@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.manifest import Manifest, Outcome
 from numpy.typing import NDArray
 
-# A grid is made for the missing samples, too: a file of two samples must not ask for 10^18 of them.
+# The grid has rows for missing samples: a file of two samples must not ask for 10^18 rows.
 _MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
 ROWS_LIMIT = 1_100_000
 """Most rows of a grid; a run has 1 000 000 at most."""

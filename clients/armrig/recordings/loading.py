@@ -114,7 +114,7 @@ def _assembled(
     samples, messages = content.samples, content.messages
     try:
         spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
-        # Of a file that is not whole the rest is not missing: it may have come, and is not here.
+        # The rest of a damaged file is not missing: its samples may have come, but are not here.
         rows = grid(samples["k"], manifest, None if content.damage else outcome, spots)
     except ValueError as err:
         msg = f"{path}: {err}"

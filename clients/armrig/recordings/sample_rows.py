@@ -48,12 +48,12 @@ class SampleRows:
 
         All are of the channel of the first, which holds samples.
         """
-        if not _ONE_ROW.match(data, at):  # many times as fast as numpy on what is no run
+        if not _ONE_ROW.match(data, at):  # where no run begins, much faster than numpy
             return 0
         channel = tuple(data[at + CHANNEL.start : at + CHANNEL.stop])
         width, first, window = _ROW.itemsize, at, self._window
-        # In windows that grow, from about the size of the last run: to compare all that is left,
-        # after each message of another kind again, would take quadratic time on a hostile file.
+        # The windows grow, from about the size of the last run. A hostile file puts another message
+        # after each sample: comparing all that is left each time would take quadratic time.
         while n := min(window, (len(data) - at) // width):
             rows = np.frombuffer(data, np.uint8, n * width, at).reshape(n, width)
             same = (rows[:, _FIXED] == _TEMPLATE).all(axis=1)
@@ -151,6 +151,7 @@ def _pattern() -> re.Pattern[bytes]:
 
 
 _ROW, _FIXED, _TEMPLATE = _layout()
-_HEAD = bytes(_ROW.itemsize - telemetry.SAMPLE_LENGTH)  # of a row made from a message: not read
+# Before a sample that was made from a message; nobody reads it.
+_HEAD = bytes(_ROW.itemsize - telemetry.SAMPLE_LENGTH)
 _ONE_ROW = _pattern()
 _field_values = attrgetter(*telemetry.Sample._fields)

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["DataVerdict", "Finding", "data_verdict"]
 
-_STRETCH_S = 1.0  # that a straight line is laid through
-_STARTED_S = 3.0  # of longer runs the first second, in which the chassis starts, is left out
-_FEWEST = 4  # samples that a line is laid through
+_STRETCH_S = 1.0  # length of a stretch that one straight line is fitted to
+_STARTED_S = 3.0  # a longer run is judged without its first second, in which the chassis starts
+_FEWEST = 4  # samples that a line is fitted to
 _ORDER = 10
 
 
@@ -148,7 +148,7 @@ def _signal(data: Dataset, noise: float) -> float:
     moving = data[n:] if data.N * data.Ts > _STARTED_S else data
     squares, known = 0.0, 0
     for part in moving.experiments():
-        # Each begins in the middle of the one before: a step between two is in the midst of one.
+        # Stretches overlap by half: a step at the edge of one lies in the middle of another.
         for a in range(0, max(part.N - n // 2, 1), n // 2):
             y, t = part.y[a : a + n], part.t[a : a + n]
             there = np.isfinite(y)

@@ -129,7 +129,7 @@ def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:
     """Return level at t = 0 and slope of the line of best fit; 0 where nothing is known."""
     if not where.any():
         return 0.0, 0.0
-    # Least squares about the middle of the known times: level and slope do not disturb each other.
+    # About the middle of the known times: there the errors of level and slope are independent.
     middle = float(np.mean(t[where]))
     basis = orthonormal(np.vander(t[where] - middle, order + 1, increasing=True))
     coefficients = basis.coefficients(x[where])

@@ -213,7 +213,7 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
     else:
         kind, edges = "bandpass", (low / nyquist, high / nyquist)
         name = f"band-pass from {low:g} to {high:g}"
-    # Sections, not polynomials: these lose their poles to rounding where a band is low and narrow.
+    # Sections, not polynomials: rounding moves a polynomial's poles where a band is low and narrow.
     sections = butter(order, edges, kind, output="sos")
     return _Filter(
         apply=lambda x: np.asarray(sosfilt(sections, x)),
@@ -231,7 +231,7 @@ def _memory(L: _Filter) -> int:
         weight = np.abs(L.apply(pulse))
         ahead = np.cumsum(weight[::-1])[::-1]
         short = np.flatnonzero(ahead <= _FORGOTTEN * ahead[0])
-        # The tail beyond what was computed is as small as its last half.
+        # The response decays: what was not computed is smaller than the last half of what was.
         if short.size and short[0] <= length // 2:
             return max(int(short[0]), 1)
         length *= 4

@@ -72,7 +72,7 @@ def _all_blocks(parts: Sequence[tuple[Vector, Vector]], n: int, slope: bool) -> 
     for u, y in parts:
         if y.size <= n:
             continue
-        # Windows of y and u, not their lagged copies: hampel comes here in each of its rounds.
+        # Windows are faster than lagged copies, and hampel estimates a model in each of its rounds.
         outputs, inputs = (sliding_window_view(x, n + 1)[:, ::-1] for x in (y, u))
         times = np.arange(n, y.size, dtype=np.float64)[:, None]
         blocks = (in_blocks(M, _ROWS) for M in (outputs, inputs, times))

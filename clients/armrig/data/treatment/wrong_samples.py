@@ -46,14 +46,14 @@ def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) 
 
 
 def _robust_std(x: Vector, parts: Sequence[tuple[Vector, Vector]]) -> float:
-    # Of x itself, not of e: where the noise is no ARX model's, e is coloured and x larger.
+    # The spread of x, not of e: where noise is no ARX model's, e is coloured and x is larger.
     known = x[np.isfinite(x)]
     if known.size == 0:
         msg = "no stretch of y is long enough for the model: there are too many gaps; "
         msg += "lower the order"
         raise ValueError(msg)
     mad = float(np.median(np.abs(known)))
-    # Without noise rounding errors would be outliers.
+    # A least size: without noise, rounding errors would be outliers.
     largest = max(float(np.nanmax(np.abs(y), initial=0.0)) for _, y in parts)
     return max(_MAD_TO_STD * mad, 1e-9 * largest, np.finfo(np.float64).tiny)
 

@@ -100,7 +100,7 @@ def _gradient(
     if inside == "A":
         A = without_integrator(A)
     if inside == "F":
-        # Centred for the sake of rounding, where a ramp is projected out anyway.
+        # The mean of u makes a ramp, which is projected out; without it the sums round less.
         F, u = without_integrator(F), np.cumsum(u - np.mean(u) if estimate else u)
     na, nf = A.size - 1, F.size - 1
     forced = filtered(B, F, u)

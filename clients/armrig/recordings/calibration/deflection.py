@@ -50,7 +50,7 @@ def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
         About how much a count is, in rad; the sign does not matter.
     """
     deflection = (readings.alpha - rest.value) * abs(rad_per_count)
-    # Quantiles: the time in which it is held counts, and an arm that is let go swings either way.
+    # Quantiles count the time in which the arm is held; once let go it swings either way.
     low, high = np.quantile(deflection, [0.25, 0.75])
     farthest = max(low, high, key=abs)
     return 0 if abs(farthest) < HAND_RAD else int(np.sign(farthest))

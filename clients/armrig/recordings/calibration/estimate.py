@@ -177,8 +177,8 @@ def estimate(
     if turned is None:
         noise_1, noise_2 = (noise_before_rounding(s.value**2, step) for s in (theta_1, alpha))
     else:
-        # Over whole turns the noise shows apart from where in a step the readings are; and both
-        # readings are the same converter's.
+        # The spread at rest depends on where in a step the readings are; over whole turns it does
+        # not. One converter reads both angles, so that both have this noise.
         noise_1 = noise_2 = noise_before_rounding(turned.residual_variance, step)
     alpha_zero = mean_reading(still.alpha, step, noise_2)
     sign = 0

@@ -103,8 +103,8 @@ def turning(readings: Readings, step: float) -> Turning:
     inside = live & (counts > low + margin) & (counts < high - margin)
     n = np.zeros(counts.size)
     n[live] = turns
-    # Twice: readings near an edge may only be left out by where they should be, not by what they
-    # happen to show.
+    # Twice: the first fit leaves out readings near an edge by what they show, the second by where
+    # the first fit puts them, which noise does not bias.
     for _ in range(2):
         x, covariance, variance = _fitted(settled, n, inside, direction)
         place, n = _places(settled, x, direction, (low + high) / 2)
@@ -216,7 +216,7 @@ def _edges(
     place: Vector, counts: Vector, live: Mask, *, centre: float, d: float, clear: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return between which places the track begins, and between which it ends."""
-    # Where the wiper comes back, the first reading may be from anywhere: it says neither.
+    # Where the wiper comes back to the track, its first reading may have any value: leave it out.
     expected = np.clip(place, 0.0, FULL_COUNTS - RAIL_COUNTS)
     on = live & (np.abs(counts - expected) < clear + RAIL_COUNTS)
     above = place >= centre
