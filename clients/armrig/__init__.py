@@ -76,8 +76,9 @@ if TYPE_CHECKING:
     from armrig.validation.comparison import compare
     from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop
-    from armrig.validation.model_search import SearchResult, search
+    from armrig.validation.model_search import search
     from armrig.validation.residuals import residuals
+    from armrig.validation.search_result import SearchResult
 
 __all__ = [
     "ArmParameters",
@@ -213,7 +214,8 @@ _MODULES = {
     "physics.physical_model": ("physical_model",),
     "rig.telemetry_stream": ("stream",),
     "models.model_file": ("ModelFileError", "load_fit"),
-    "validation.model_search": ("SearchResult", "search"),
+    "validation.model_search": ("search",),
+    "validation.search_result": ("SearchResult",),
     "recordings.jitter": ("sampling_statistics",),
     "models.subspace_fit": ("SubspaceFit",),
     "recordings.usability": ("data_verdict",),

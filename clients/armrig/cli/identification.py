@@ -37,7 +37,7 @@ from armrig.cli.options import (
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
-    from armrig.validation.model_search import SearchResult
+    from armrig.validation.search_result import SearchResult
 
 Output = Annotated[
     Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")

@@ -18,7 +18,7 @@ from armrig.validation.comparison import Comparison
 from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
-    from armrig.validation.model_search import SearchResult
+    from armrig.validation.search_result import SearchResult
 
 _MOST_DECIMALS = 9
 _TRUST_ROBUST = "trust σ robust, not σ, or raise the orders"

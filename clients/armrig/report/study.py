@@ -100,7 +100,7 @@ class Study:
     """What the comparisons estimated from the validation data themselves."""
     timing: tuple[SamplingStatistics, ...]
     """Of each recording, times in µs."""
-    causes: tuple[Disturbances, ...]
+    disturbances: tuple[Disturbances, ...]
     """What disturbed the timing of each recording."""
     omega: Vector
     """Frequencies at which the models are held against the physics, in rad/s, (n,)."""
@@ -183,7 +183,7 @@ def study(
         validation=validation,
         halves=len(excited) == 1,
         timing=tuple(sampling_statistics(r) for r in recordings),
-        causes=tuple(disturbances(r) for r in recordings),
+        disturbances=tuple(disturbances(r) for r in recordings),
         **assessed(fits, physical_model(ArmParameters(), estimation), validation),
     )
 

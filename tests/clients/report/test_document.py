@@ -15,8 +15,10 @@ from armrig.physics.physical_model import physical_model
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig.report.conclusions import abstract, conclusions
-from armrig.report.document import content, report, role, treatment
+from armrig.report.data_facts import treatment
+from armrig.report.document import content, report
 from armrig.report.figures import write_figures
+from armrig.report.recording_facts import role
 from armrig.report.study import AssessedFit, Orders, Study, assessed, study
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made

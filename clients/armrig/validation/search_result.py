@@ -1,0 +1,213 @@
+"""What a search over model structures found: the ranking, the choice, and its reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.data.dataset import Dataset
+from armrig.estimation.estimators import ESTIMATORS
+from armrig.models.fit import Fit
+from armrig.models.structure_table import KINDS
+from armrig.validation.residuals import ResidualTest
+
+Vector = NDArray[np.float64]
+Family = Literal["arx", "iv4", "armax", "oe", "bj", "n4sid"]
+
+_REJECTED = 0.05  # p value below which a residual test is told
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """A structure with its orders."""
+
+    family: Family
+    """Which estimator."""
+    orders: tuple[tuple[str, int], ...]
+    """Its orders by name."""
+    integrator: bool = False
+    """A pole at 1 by construction."""
+
+    @property
+    def name(self) -> str:
+        """Structure and orders, as a comparison names them."""
+        return KINDS[self.family].short(dict(self.orders))
+
+    @property
+    def order(self) -> int:
+        """Number of poles of B/F or B/A."""
+        return dict(self.orders)[KINDS[self.family].poles]
+
+    def estimated(self, data: Dataset) -> Fit:
+        """Return the model of the data."""
+        known = {"integrator": True} if self.integrator else {}
+        return ESTIMATORS[self.family](data, **dict(self.orders), **known)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scored:
+    """A candidate and what the validation data say of it."""
+
+    candidate: Candidate
+    """Structure and orders."""
+    fit: Fit | None
+    """The model, None where there is none."""
+    reason: str
+    """Why there is no model, or ""."""
+    error: Vector
+    """y - ŷ on the validation data, (N,), NaN where there is none; () without a model."""
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters, 0 without a model."""
+        return 0 if self.fit is None else self.fit.parameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SearchResult:
+    """Models ranked on validation data, and the one to take; print it or ask it to explain."""
+
+    ranked: tuple[Scored, ...]
+    """Best first; those without a model, or whose output has no bound, are not among them."""
+    rms: Vector
+    """Root mean square of the error of each of `ranked`, in y's unit."""
+    excess: Vector
+    """Mean squared error less that of the best, (n,)."""
+    excess_std: Vector
+    """Standard error of `excess`, from the differences in batches, (n,)."""
+    chosen_index: int
+    """Of the simplest within one standard error of the best."""
+    failed: tuple[Scored, ...]
+    """Candidates without a usable model."""
+    tests: ResidualTest
+    """Of the chosen model's residuals on the validation data."""
+    horizon: int | None
+    """Samples ahead; None is simulation."""
+    unit: str
+    """Of y."""
+
+    @property
+    def chosen(self) -> Scored:
+        """The simplest within one standard error of the best."""
+        return self.ranked[self.chosen_index]
+
+    @property
+    def fit(self) -> Fit:
+        """The chosen model."""
+        if self.chosen.fit is None:  # never: what is ranked has a model
+            raise ValueError(self.chosen.reason)
+        return self.chosen.fit
+
+    @property
+    def within(self) -> NDArray[np.bool_]:
+        """Which of `ranked` are within one standard error of the best, (n,)."""
+        return np.asarray(self.excess <= self.excess_std)
+
+    def explain(self) -> str:
+        """Return in words what was chosen, and why."""
+        return "\n".join(f"- {line}" for line in _reasons(self))
+
+    def __repr__(self) -> str:
+        """Say the best ones in a table, the choice marked."""
+        what = "simulated" if self.horizon is None else f"predicted {self.horizon} samples ahead"
+        count = len(self.ranked) + len(self.failed)
+        lines = [f"{count} models, {what}, ranked by their error on the validation data"]
+        width = max(len(j.candidate.name) for j in self.ranked)
+        head = (
+            f"  {'model':{width}} {'parameters':>10} {'rms':>11}  {'excess of the best ± se':>24}"
+        )
+        lines.append(head)
+        shown = sorted({*range(min(10, len(self.ranked))), self.chosen_index})
+        for i in shown:
+            j = self.ranked[i]
+            of_best = "" if i == 0 else f"{self.excess[i]:.3g} ± {self.excess_std[i]:.2g}"
+            mark = "  <- chosen" if i == self.chosen_index else ""
+            lines.append(
+                f"  {j.candidate.name:{width}} {j.parameters:10} {self.rms[i]:11.5g}  "
+                f"{of_best:>24}{mark}"
+            )
+        if len(self.ranked) > len(shown):
+            lines.append(f"  … and {len(self.ranked) - len(shown)} more")
+        return "\n".join([*lines, self.explain()])
+
+
+def _reasons(found: SearchResult) -> Iterator[str]:
+    best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
+    what = "simulation" if found.horizon is None else f"prediction {found.horizon} samples ahead"
+    of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
+    yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
+    if i:
+        yield (
+            f"chosen: {chosen.candidate.name}, {chosen.parameters} parameters instead of "
+            f"{best.parameters}; its mean squared error is higher by {found.excess[i]:.2g} ± "
+            f"{found.excess_std[i]:.2g}, no more than chance makes"
+        )
+    else:
+        yield "chosen: the same, since nothing simpler is within one standard error of it"
+    yield from _about_simpler(found)
+    yield from _about_highest_order(found)
+    yield from _about_families(found)
+    yield from _about_tests(found.tests)
+    if chosen.fit is not None and chosen.fit.structure != "n4sid":
+        yield from chosen.fit.warnings
+    if found.failed:
+        first = found.failed[0]
+        yield (
+            f"without a usable model: {len(found.failed)}, such as "
+            f"{first.candidate.name}: {first.reason}"
+        )
+
+
+def _about_simpler(found: SearchResult) -> Iterator[str]:
+    """Say that fewer parameters were not enough."""
+    fewer = [k for k, j in enumerate(found.ranked) if j.parameters < found.chosen.parameters]
+    if fewer:
+        k = fewer[0]
+        yield (
+            f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "
+            f"{found.ranked[k].parameters}, and rms error {found.rms[k]:.4g}, "
+            f"{found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors off"
+        )
+
+
+def _about_highest_order(found: SearchResult) -> Iterator[str]:
+    """Say that a higher order, which was not tried, may be better still."""
+    n = found.chosen.candidate.order
+    if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
+        yield (
+            f"order {n} is the highest that was tried, so a higher one may be better: search on "
+            f"with --max-order {2 * n}, orders=range(1, {2 * n + 1}) in Python"
+        )
+
+
+def _about_families(found: SearchResult) -> Iterator[str]:
+    """Say how far the equation-error model is from the output-error one, if it is far."""
+    best: dict[Family, int] = {}
+    for k, j in enumerate(found.ranked):
+        best.setdefault(j.candidate.family, k)
+    if "arx" in best and "oe" in best and found.rms[best["oe"]] > 0:
+        ratio = float(found.rms[best["arx"]] / found.rms[best["oe"]])
+        if isfinite(ratio) and not found.within[best["arx"]] and ratio > 1.1:
+            yield (
+                f"the best ARX model's error is {ratio:.3g} times that of the best OE model: "
+                "noise on the output biases A, which an ARX model takes for dynamics"
+            )
+
+
+def _about_tests(tests: ResidualTest) -> Iterator[str]:
+    for p, said in (
+        (tests.missing_dynamics, "the input still explains its residuals: dynamics are missing"),
+        (tests.feedback, "its residuals run ahead of the input: feedback, or nk is too large"),
+    ):
+        if p < _REJECTED:
+            yield f"{said} (p = {p:.2g})"
+    if tests.whiteness < _REJECTED:
+        yield (
+            f"its residuals are coloured (p = {tests.whiteness:.2g}): good for simulation, but "
+            "trust std_robust, and take a noise model for prediction"
+        )
