@@ -21,7 +21,7 @@ from armrig.estimation.subspace import (
     suggested_order,
     windows,
 )
-from armrig.models.innovations import Errors, Regression, errors, prepared, regression
+from armrig.models.innovations import Errors, LinearPart, errors, prepared, regression
 from armrig.models.structure import Structure
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
@@ -212,7 +212,7 @@ def _figures(
     n: Structure,
     rows: list[Array],
     parts: list[Errors],
-    given: list[Regression],
+    given: list[LinearPart],
     A: Array,
     notes: tuple[str, ...],
 ) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.models.innovations import Errors, Experiment, Regression, errors, regression
+from armrig.models.innovations import Errors, Experiment, LinearPart, errors, regression
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MOST_STEPS, Optimum, levenberg_marquardt
@@ -22,7 +22,7 @@ class Solution:
     """Coefficients of A and B, (na + nb,)."""
     parts: tuple[Errors, ...]
     """Errors of each experiment."""
-    given: tuple[Regression, ...]
+    given: tuple[LinearPart, ...]
     """What each experiment is linear in."""
     e: Array
     """Residuals of all experiments in all rows, zero where there is none, (M,)."""
@@ -73,7 +73,7 @@ class PredictionError:
         c, d, f = np.split(theta, [n.nc, n.nc + n.nd])
         return np.append(1.0, c), np.append(1.0, d), np.append(1.0, f)
 
-    def _linear(self, theta: Array) -> tuple[list[Regression], Basis, Array, Array]:
+    def _linear(self, theta: Array) -> tuple[list[LinearPart], Basis, Array, Array]:
         C, D, F = self.polynomials(theta)
         given = [regression(x, self.structure, C=C, D=D, F=F) for x in self.experiments]
         whole = _stacked([g.unknown.without(np.column_stack([g.X, g.y])) for g in given])
@@ -123,7 +123,7 @@ class PredictionError:
         e = basis.without(y)
         return float(e @ e) * float(np.exp(2 * self._scale(given)[0]))
 
-    def _scale(self, given: Sequence[Regression]) -> tuple[float, Array]:
+    def _scale(self, given: Sequence[LinearPart]) -> tuple[float, Array]:
         """Return log |Z^T Z| / (2 M) of all stretches but the first, and its derivatives by c."""
         volumes = [v for g in given for v in g.unknown.volumes][1:]
         none = np.zeros(self.structure.nc)

@@ -23,6 +23,7 @@ from armrig.data.dataset import Dataset, Mask
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
+from armrig.numerics.stretches import stretches
 
 _SETTLED = 1e-18  # share of the largest value below which an impulse response is over
 _FIRST_LOOK = 256  # samples
@@ -57,17 +58,17 @@ def prepared(part: Dataset, structure: Structure) -> Experiment:
         y = np.diff(y, prepend=0.0 if structure.at_rest else np.nan)
         valid = np.isfinite(y)
     if structure.white:
-        rows, stretches = valid, [slice(0, valid.size)]
+        rows, used = valid, [slice(0, valid.size)]
     else:
         rows = np.zeros_like(valid)
-        stretches = []
-        for s in _runs(valid):
+        used = []
+        for s in stretches(valid):
             unknown = forgotten(structure, s.start)
             if s.stop - s.start > unknown:
                 rows[s.start + (0 if structure.nc else unknown) : s.stop] = True
-                stretches.append(s)
+                used.append(s)
     return Experiment(
-        u=u, y=_filled(y, valid), rows=rows, stretches=tuple(stretches), whole=bool(rows.all())
+        u=u, y=_filled(y, valid), rows=rows, stretches=tuple(used), whole=bool(rows.all())
     )
 
 
@@ -219,8 +220,8 @@ def trend(structure: Structure, N: int) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Regression:
-    """One experiment for given C, D and F: y = X [a, b] + unknown + e."""
+class LinearPart:
+    """What is linear in a and b, for given C, D and F: y = X [a, b] + unknown + e."""
 
     X: Array
     """Derivatives of the prediction by a and b, (N, na + nb), zero where there is no error."""
@@ -232,13 +233,13 @@ class Regression:
 
 def regression(
     experiment: Experiment, structure: Structure, *, C: Array, D: Array, F: Array
-) -> Regression:
+) -> LinearPart:
     """Return what the errors are linear in, for given C, D and F."""
     n = structure
     y = _noise(D, C, experiment.y)
     u = filtered(D, np.convolve(C, F), experiment.u)
     X = np.hstack([-lagged(y, range(1, n.na + 1)), lagged(u, range(n.nk, n.nk + n.nb))])
-    return Regression(
+    return LinearPart(
         X=masked(X, experiment),
         y=masked(y, experiment),
         unknown=unknown(experiment, n, C=C, D=D, F=F),
@@ -262,7 +263,7 @@ class Errors:
 def errors(
     experiment: Experiment,
     structure: Structure,
-    given: Regression,
+    given: LinearPart,
     *,
     A: Array,
     B: Array,
@@ -307,12 +308,6 @@ def _shift_into(columns: Array, x: Array) -> None:
 
 def _noise(D: Array, C: Array, x: Array) -> Array:
     return x if C.size == D.size == 1 else filtered(D, C, x)
-
-
-def _runs(valid: Mask) -> list[slice]:
-    """Return the stretches where y is known."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], valid, [False]])))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _filled(y: Array, valid: Mask) -> Array:

@@ -13,6 +13,7 @@ from armrig.models.innovations import Unknown, errors, masked, prepared, regress
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
+from armrig.numerics.regressors import complete, past
 
 if TYPE_CHECKING:
     from armrig.models.model import Model
@@ -87,12 +88,12 @@ def _innovations_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
 
 
 def _arx_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
-    past = _known_past(model, part)
+    known = _known_past(model, part)
     driven = filtered(model.B, [1.0], part.u)
     driven[: model.B.size - 1] = np.nan
     N, k = part.N, min(horizon, part.N)
     y = np.full(N, np.nan)
-    ahead = past[: N - k + 1]
+    ahead = known[: N - k + 1]
     now = np.zeros(0)
     for i in range(k):
         now = driven[i : N - k + 1 + i] - ahead @ model.A[1:]
@@ -109,17 +110,16 @@ def _known_past(model: Model, part: Dataset) -> Array:
     """
     na = model.A.size - 1
     a = model.A[1:]
-    past = lagged(part.y, range(1, na + 1))
-    past[:na] = np.nan
-    complete = np.asarray(np.isfinite(past).all(axis=1))
+    known = past(part.y, range(1, na + 1))
+    whole = complete(known)
     driven = filtered(model.B, [1.0], part.u)
     shift = np.vstack([-a, np.eye(na - 1, na)])
     P = np.zeros((na, na))
-    for t in np.flatnonzero(~complete):
-        if t == 0 or not np.isfinite(past[t - 1]).all():
+    for t in np.flatnonzero(~whole):
+        if t == 0 or not np.isfinite(known[t - 1]).all():
             continue
-        P = np.zeros((na, na)) if complete[t - 1] else P
-        x = shift @ past[t - 1]
+        P = np.zeros((na, na)) if whole[t - 1] else P
+        x = shift @ known[t - 1]
         x[0] += driven[t - 1]
         P = shift @ P @ shift.T
         P[0, 0] += 1.0  # in units of the noise variance, which the gain does not depend on
@@ -127,8 +127,8 @@ def _known_past(model: Model, part: Dataset) -> Array:
             gain = P[:, 0] / P[0, 0]
             x = x + gain * (part.y[t - 1] - x[0])
             P = P - np.outer(gain, P[0])
-        past[t] = x
-    return past
+        known[t] = x
+    return known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

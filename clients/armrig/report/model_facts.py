@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from armrig.models.fit import Fit
 from armrig.models.markup import typst_form
 from armrig.models.model import Model
 from armrig.numerics.quantities import fixed, number, p_value, percent, places, power
-from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.report.conclusions import listed
 from armrig.report.study import Assessed, AssessedFit, Study
 
@@ -82,11 +82,11 @@ def structure(study: Study) -> str:
 def estimation(model: AssessedFit) -> str:
     """Return a model's losses, and whether its deviations hold."""
     fit = model.fit
-    trust = (
-        "white: σ holds"
-        if fit.whiteness >= WHITE_LEVEL
-        else "coloured, and then σ is too small a claim: trust σ robust, which allows for it"
-    )
+    trust = "white: σ holds"
+    if isnan(fit.whiteness):
+        trust = "too few, or all zero, to test"
+    elif fit.trusts_robust:
+        trust = "coloured, and then σ is too small a claim: trust σ robust, which allows for it"
     # The estimator says of coloured residuals what stands here already.
     warned = "".join(
         f" {w[:1].upper()}{w[1:].rstrip('.')}." for w in fit.warnings if "std" not in w

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import column_norms, orthonormal
-from armrig.numerics.polynomial import lagged
+from armrig.numerics.regressors import complete, past
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -105,9 +105,9 @@ def _rows(data: Dataset, p: int) -> tuple[Matrix, Vector]:
     for i, part in enumerate(data.experiments()):
         level = float(np.mean(part.y[part.valid])) if part.valid.any() else 0.0
         pairs = np.empty((part.N, 2 * p))
-        pairs[:, ::2] = lagged(part.u, range(1, p + 1))
-        pairs[:, 1::2] = lagged(part.y - level, range(1, p + 1))
-        used = np.isfinite(pairs).all(axis=1) & (np.arange(part.N) >= p)
+        pairs[:, ::2] = past(part.u, range(1, p + 1))
+        pairs[:, 1::2] = past(part.y - level, range(1, p + 1))
+        used = complete(pairs)
         constants = np.zeros((part.N, count))
         constants[:, i] = 1.0
         blocks.append(np.hstack([constants, pairs])[used])
