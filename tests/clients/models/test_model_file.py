@@ -64,6 +64,20 @@ def test_a_model_file_is_plain_json(fit: Fit, tmp_path: Path) -> None:
     assert "θ" in text
 
 
+def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> None:
+    """A file that is written today is read by the armrig of before, and the other way round."""
+    fit.save(tmp_path / "model.json")
+
+    keys = set(json.loads((tmp_path / "model.json").read_text(encoding="utf-8")))
+
+    assert keys == {
+        *("format", "version", "armrig", "structure", "A", "B", "C", "D", "F", "nk"),
+        *("integrator", "offset", "covariance", "covariance_robust", "noise_variance", "loss"),
+        *("N", "Ts", "fit_percent", "whiteness", "converged", "starts", "agreed", "free"),
+        *("warnings", "output", "unit", "input_unit", "source", "history", "digest"),
+    }
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

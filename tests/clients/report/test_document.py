@@ -263,6 +263,16 @@ def test_a_report_of_three_models_is_typeset_with_all_of_them(
         assert all(model in figures[name] for model in ("ARMAX", "ARX", "OE")), name
 
 
+def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> None:
+    """No p value, and so no verdict on the deviations."""
+    untested = replace(done.best, fit=replace(done.best.fit, whiteness=float("nan")))
+
+    said = str(content(replace(done, estimated=(untested,)), ())["estimation"])
+
+    assert "residuals on the estimation data are too few, or all zero, to test." in said
+    assert "coloured" not in said
+
+
 def test_the_sample_after_the_dead_band_is_counted_and_named(done: Study) -> None:
     """It shows no angle either, and the row says that it is among them."""
     rows = {name: values for name, *values in content(done, ())["facts"]}

@@ -1,0 +1,95 @@
+"""A model that nobody estimated: it answers as a fit does, and claims no uncertainty."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import armrig
+import numpy as np
+import pytest
+from armrig.models.model import Model
+from armrig.physics.physical_model import PhysicalModel, physical_model
+from armrig_core.arm import ArmParameters
+
+if TYPE_CHECKING:
+    from handout_plant import HandoutPlant
+
+
+@pytest.fixture(scope="module")
+def fit(plant: HandoutPlant) -> armrig.Fit:
+    """Return an estimated model of the arm."""
+    return armrig.oe(plant.dataset(1, N=800), nb=4, nf=4, integrator=True)
+
+
+def claimed(fit: armrig.Fit) -> Model:
+    """Return the same polynomials as a model."""
+    return Model(A=fit.A, B=fit.B, F=fit.F, nk=fit.nk, integrator=True, Ts=fit.Ts)
+
+
+def test_a_model_answers_as_the_fit_of_the_same_polynomials(fit: armrig.Fit) -> None:
+    """To the last bit: poles, zeros, frequency and step response, simulation."""
+    model, omega = claimed(fit), np.geomspace(0.1, 50.0, 40)
+    u = np.random.default_rng(0).standard_normal(60)
+
+    np.testing.assert_array_equal(model.poles().values, fit.poles().values)
+    np.testing.assert_array_equal(model.zeros().values, fit.zeros().values)
+    G = model.frequency_response(omega).G
+    np.testing.assert_array_equal(G, fit.frequency_response(omega).G)
+    np.testing.assert_array_equal(model.step_response(30).y, fit.step_response(30).y)
+    np.testing.assert_array_equal(model.simulate(u), fit.simulate(u))
+    assert model.orders == fit.orders
+    assert model.names == fit.names
+
+
+def test_nothing_in_a_model_is_uncertain(fit: armrig.Fit) -> None:
+    """Its deviations are 0, where the fit's are not."""
+    model = claimed(fit)
+
+    assert not model.trusted_covariance.any()
+    assert not model.poles().std.any()
+    assert not model.frequency_response([1.0, 10.0]).std_magnitude.any()
+    assert not model.step_response(10).std.any()
+    assert fit.poles().std.any()
+
+
+def test_a_model_cannot_be_changed(fit: armrig.Fit) -> None:
+    """Neither its fields nor its arrays."""
+    model = claimed(fit)
+
+    with pytest.raises(AttributeError):
+        model.nk = 2  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        model.B[1] = 2.0
+
+
+def test_the_physics_is_no_fit_and_says_nothing_of_losses(plant: HandoutPlant) -> None:
+    """What was not estimated has no loss, no residuals and no NaN to show for them."""
+    physics = physical_model(ArmParameters(), plant.dataset(1, N=200))
+
+    assert isinstance(physics, PhysicalModel)
+    assert not isinstance(physics, armrig.Fit)
+    assert not hasattr(physics, "loss")
+    assert repr(physics).startswith("physics(nb=4, nf=4, nk=1): u ")
+    assert "y(t) = B(q)/F(q) u(t) + e(t)" in repr(physics)
+    assert "nan" not in repr(physics)
+    assert "±" not in repr(physics)
+
+
+def test_models_are_compared_under_their_own_names(fit: armrig.Fit, plant: HandoutPlant) -> None:
+    """The physics is the reference wherever it stands."""
+    data = plant.dataset(2, N=400)
+    physics = physical_model(ArmParameters(), data)
+
+    table = armrig.compare(data, physics, fit)
+
+    assert [row.name for row in table.rows] == ["physics", "OE[4 4 1]"]
+    assert "OE[4 4 1] and physics: no figure differs" in table.explain()
+
+
+def test_the_physics_predicts_by_simulation(plant: HandoutPlant) -> None:
+    """Its noise is white on the output, so the past of y says nothing of the next."""
+    data = plant.dataset(2, N=300)
+    physics = physical_model(ArmParameters(), data)
+
+    np.testing.assert_array_equal(physics.predict(data), physics.predict(data, horizon=1))
+    assert np.nanstd(data.y - physics.predict(data)) < 0.01

@@ -1,0 +1,62 @@
+"""The table of structures, against the estimators that it names."""
+
+from __future__ import annotations
+
+import inspect
+from typing import get_args
+
+import numpy as np
+import pytest
+from armrig.data.dataset import Dataset
+from armrig.estimation.estimators import ESTIMATORS
+from armrig.models.structure_table import KINDS, Kind, Name, named, with_article
+from armrig.numerics.polynomial import filtered
+
+EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
+
+
+def test_each_structure_has_one_row_and_one_estimator() -> None:
+    """And none is left out."""
+    assert set(KINDS) == set(ESTIMATORS) == set(get_args(Name))
+
+
+@EVERY
+def test_an_estimator_takes_the_orders_of_its_row(kind: Kind) -> None:
+    """An integrator, too, where the row says so, and no other order."""
+    taken = inspect.signature(ESTIMATORS[kind.name]).parameters
+
+    assert set(kind.orders) | {"nk"} <= set(taken)
+    assert {"na", "nb", "nc", "nd", "nf", "order"} & set(taken) == set(kind.orders)
+    assert kind.may_integrate == ("integrator" in taken)
+    assert kind.poles in kind.orders
+
+
+@EVERY
+def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: Kind) -> None:
+    """Each with the value that was asked for."""
+    u, e = np.random.default_rng(0).standard_normal((2, 400))
+    data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1, -1.2, 0.6], u) + 0.3 * e, Ts=0.1)
+    orders = {name: 1 if name in ("nc", "nd") else 2 for name in kind.orders}
+    orders |= {"na": 0} if kind.name == "pem" else {}
+
+    fit = ESTIMATORS[kind.name](data, **orders, nk=1)
+
+    assert fit.structure == kind.name
+    assert fit.orders == orders | {"nk": 1}
+    assert list(fit.orders) == [*kind.orders, "nk"]
+    values = " ".join(str(n) for n in fit.orders.values())
+    assert fit.label == f"{kind.name.upper()}[{values}]"
+    assert repr(fit).startswith(f"{kind.name.upper()}({named(fit.orders)}): u to y")
+
+
+def test_orders_and_articles_are_written_as_they_are_read() -> None:
+    """An order that the data choose is not written."""
+    assert named({"nb": 4, "nf": 3, "nk": 1}) == "nb=4, nf=3, nk=1"
+    assert named({"order": None, "nk": 2}) == "nk=2"
+    assert [with_article(name) for name in ("OE", "ARX", "BJ", "N4SID", "PEM")] == [
+        "an OE",
+        "an ARX",
+        "a BJ",
+        "an N4SID",
+        "a PEM",
+    ]
