@@ -103,7 +103,7 @@ def directions(model: Model) -> Matrix:
     Made from the correlation matrix of the parameters that were free, so that a root that is 1 by
     construction stays 1 along each.
     """
-    inward, outward = _of_integrator(model)
+    inward, outward = _integrator_maps(model)
     return outward @ _root(inward @ model.trusted_covariance @ inward.T)
 
 
@@ -145,7 +145,7 @@ def roots_of(
     return np.hstack([np.ones((n, 1)), z]) if fixed else z
 
 
-def _of_integrator(model: Model) -> tuple[Matrix, Matrix]:
+def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
     """Return the linear maps from theta to the parameters that were free, and back."""
     d = model.theta.size
     if not model.integrating:

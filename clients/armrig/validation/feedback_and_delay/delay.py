@@ -135,21 +135,21 @@ class Delay:
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
     def _tests(self) -> list[str]:
-        lines = [_tested(k, p, self.output) for k, p in self.p_values.items()]
+        lines = [_lag_sentence(k, p, self.output) for k, p in self.p_values.items()]
         if self.before is not None and (self.misfit or not self.told):
-            lines.append(_overlooked(self.before))
-        return [*lines, *([_shape(self.misfit)] if self.misfit else [])]
+            lines.append(_overlooked_sentence(self.before))
+        return [*lines, *([_shape_sentence(self.misfit)] if self.misfit else [])]
 
     @property
-    def lag_sentence(self) -> str:
+    def nk_range(self) -> str:
         """Say which nk, or between which."""
         low, high = self.interval
         return f"nk = {low}" if self.told else f"nk between {low} and {high}"
 
     def _answer(self) -> str:
         if self.told:
-            return f"{self.lag_in_words}: {_sentence(self.delay, self.Ts)}"
-        return f"{self.lag_in_words}: cannot be told at this Ts and noise"
+            return f"{self.nk_range}: {_delay_sentence(self.delay, self.Ts)}"
+        return f"{self.nk_range}: cannot be told at this Ts and noise"
 
     def _way_out(self) -> str:
         return (
@@ -323,20 +323,20 @@ def _remarks(fit: Fit) -> list[str]:
     ]
 
 
-def _tested(k: int, p: float, output: str) -> str:
+def _lag_sentence(k: int, p: float, output: str) -> str:
     said = "u acts there" if p < LEVEL else "nothing is missed without it"
     how = f"OE of {output} with a coefficient there against without"
     return f"lag {k}: {how}, p {p_relation(p)}: {said}"
 
 
-def _overlooked(b: Before) -> str:
+def _overlooked_sentence(b: Before) -> str:
     return (
         f"lag {b.k} is {b.found:+.1f}σ, and would be {b.predicted:+.1f}σ if u acted there first: "
         f"p {p_relation(b.p_value)}"
     )
 
 
-def _shape(misfit: dict[int, float]) -> str:
+def _shape_sentence(misfit: dict[int, float]) -> str:
     lags, values = ", ".join(map(str, misfit)), ", ".join(f"{x:.3g}" for x in misfit.values())
     return (
         f"so near the noise the shape of the onset decides: a smooth one at lag {lags} leaves chi² "
@@ -344,7 +344,7 @@ def _shape(misfit: dict[int, float]) -> str:
     )
 
 
-def _sentence(samples: int, Ts: float) -> str:
+def _delay_sentence(samples: int, Ts: float) -> str:
     if samples < 0:
         return "a direct term, u acts within its own sample"
     if samples == 0:

@@ -42,7 +42,7 @@ class DelayTest(Protocol):
     @property
     def response(self) -> ImpulseResponse: ...  # noqa: D102
     @property
-    def lag_in_words(self) -> str: ...  # noqa: D102
+    def nk_range(self) -> str: ...  # noqa: D102
     @property
     def oe_loss(self) -> Mapping[int, float]: ...  # noqa: D102
     @property
@@ -81,7 +81,7 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     _response(ax, result.response, 0, last)
     for panel in (ax, below):
         panel.axvline(result.nk, color=GREY, lw=0.8, ls="--")
-    ax.legend(loc="upper right", title=result.lag_in_words, fontsize="small")
+    ax.legend(loc="upper right", title=result.nk_range, fontsize="small")
     for loss, name, colour, marker in (
         (result.oe_loss, "OE", BLUE, "o"),
         (result.arx_loss, "ARX", VERMILION, "s"),

@@ -165,7 +165,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
         p_value=decides.p_value,
         level=level,
         granger=decides,
-        others=(_of_negative_lags(response), *_of_residuals(data)),
+        others=(_negative_lags_test(response), *_residual_tests(data)),
         response=response,
         remarks=tuple(_remarks(data, decides.p_value)),
         output=data.output,
@@ -185,7 +185,7 @@ def _non_causal(data: Dataset) -> ImpulseResponse | None:
         return None
 
 
-def _of_negative_lags(response: ImpulseResponse | None) -> OtherTest:
+def _negative_lags_test(response: ImpulseResponse | None) -> OtherTest:
     name = "coefficients at negative lags (u after y), jointly"
     if response is None:
         return OtherTest(name=name, p_value=np.nan, remark="The data do not determine so many.")
@@ -199,7 +199,7 @@ def _of_negative_lags(response: ImpulseResponse | None) -> OtherTest:
     )
 
 
-def _of_residuals(data: Dataset) -> tuple[OtherTest, OtherTest]:
+def _residual_tests(data: Dataset) -> tuple[OtherTest, OtherTest]:
     future, present = (
         "residuals of an OE model against future input",
         "the same residuals against present input",
@@ -220,11 +220,11 @@ def _of_residuals(data: Dataset) -> tuple[OtherTest, OtherTest]:
         remark = at_zero = "The model cannot be asked: its residuals hold past input too."
     return (
         OtherTest(name=future, p_value=tests.feedback, remark=remark),
-        OtherTest(name=present, p_value=_at_lag_0(tests), remark=at_zero),
+        OtherTest(name=present, p_value=_lag_0_p_value(tests), remark=at_zero),
     )
 
 
-def _at_lag_0(tests: ResidualTest) -> float:
+def _lag_0_p_value(tests: ResidualTest) -> float:
     from scipy.special import erfc
 
     middle = tests.cross_lags.size // 2
