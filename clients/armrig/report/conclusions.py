@@ -66,10 +66,9 @@ def _physics_verdict(study: Study) -> str:
 def _structure_verdicts(study: Study) -> Iterator[str]:
     """Say of each ARX model that simulates far worse than the best what is wrong with it."""
     best = study.best
-    for m in study.estimated:
-        if m.fit.structure != "arx":
-            continue
-        if m.comparison.rms_error > _FAR * best.comparison.rms_error:
+    farthest = _FAR * best.comparison.rms_error
+    for m in study.estimated if best.fit.structure != "arx" else ():
+        if m.fit.structure == "arx" and m.comparison.rms_error > farthest:
             yield (
                 f"{m.name} and {best.name} disagree. ARX assumes noise that passes through 1/A, "
                 "and here it is added to the angle: the least-squares estimate then buys one-step "

@@ -25,11 +25,11 @@ def orders(study: Study) -> str:
             values.setdefault(name, set()).add(n)
     if any(len(found) > 1 for found in values.values()):
         return "; ".join(f"{m.name} {_assigned(m.fit.orders)}" for m in study.estimated)
-    orders = {name: n for name, (n,) in values.items()}
-    nk = orders.pop("nk")
-    if len(set(orders.values())) == 1:
-        return f"{' = '.join(orders)} = {next(iter(orders.values()))}, nk = {nk}"
-    return _assigned(orders | {"nk": nk})
+    shared = {name: n for name, (n,) in values.items()}
+    nk = shared.pop("nk")
+    if len(set(shared.values())) == 1:
+        return f"{' = '.join(shared)} = {next(iter(shared.values()))}, nk = {nk}"
+    return _assigned(shared | {"nk": nk})
 
 
 def _assigned(orders: Mapping[str, int]) -> str:
