@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.arm import ArmParameters, arm_matrices
 
 from armrig.data.dataset import Dataset, Vector
 from armrig.models.model import Model
+from armrig.physics.discretisation import transfer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,20 +54,14 @@ class PhysicalModel(Model):
 def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
     """Return the physics of the whole arm from u to theta_1 as a model, nothing estimated.
 
-    Sampled exactly for an input held over Ts: B/F = C (qI - Phi)^-1 Gamma, by Faddeev and
-    LeVerrier's recursion. Its standard deviations are 0: it is a claim, not an estimate.
+    Sampled exactly for an input held over Ts, see `armrig.physics.discretisation.transfer`. Its
+    standard deviations are 0: it is a claim, not an estimate.
     """
     A, B, C = arm_matrices(p)
-    Phi, Gamma = zero_order_hold(A, B, data.Ts)
-    n = Phi.shape[0]
-    F, b, M = [1.0], [0.0], np.eye(n)
-    for k in range(1, n + 1):
-        b.append((C[0] @ M @ Gamma).item())
-        F.append(-float(np.trace(Phi @ M)) / k)
-        M = Phi @ M + F[-1] * np.eye(n)
+    numerator, denominator = transfer(A, B, C[0], data.Ts)
     return PhysicalModel(
-        B=np.array(b),
-        F=np.array(F),
+        B=numerator,
+        F=denominator,
         nk=1,
         integrator=True,
         Ts=data.Ts,
