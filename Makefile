@@ -23,10 +23,11 @@ coverage: .venv/dev
 	$(BIN)/pytest -q tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
 	  core/test_clockmap.py test_every_nth_call.py service/test_recorder.py emulator/test_plant.py emulator/test_pty.py)
 
-# N generated bugs in the same modules, each of which a test must see.
-N ?= 300
+# N generated bugs in the same modules, each of which a test must see. EDGES=1: in the daemon's edges,
+# where the tests start real processes; it goes on where it was left.
+N ?= $(if $(EDGES),120,300)
 mutants: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation --n $(N)
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation$(if $(EDGES),.edges) --n $(N)
 
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py

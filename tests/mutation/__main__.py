@@ -11,18 +11,16 @@ import time
 import tomllib
 from collections import Counter, defaultdict
 from importlib import import_module
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from pkgutil import walk_packages
 
-from mutation.planting import plant
+from mutation.planting import PACKAGE, path_of, plant
 from mutation.reach import Reach, measured, tests_of
 from mutation.sites import Site, planted, sites
 from mutation.trial import Outcome, Verdict, tried
 
 ROOT = Path(__file__).parents[2]
-PACKAGE = "armrig_daemon"
 PRELOADED = ("numpy", "scipy.linalg", "scipy.signal", "msgspec", "hypothesis", "pytest")
 LIBRARIES = ("armrig_protocol", "armrig_core")
 """What no bug is planted in is imported once, and not again in each child."""
@@ -47,9 +45,9 @@ def main() -> int:
     asked = parser.parse_args()
 
     reach = _reach(asked.reach, asked.tests)
-    _preload()
-    found = [site for module in modules() for site in sites(module, _path(module).read_text())]
-    chosen = _named(found, asked.only) if asked.only else drawn(found, asked.n, asked.seed)
+    preload()
+    found = [site for module in modules() for site in sites(module, path_of(module).read_text())]
+    chosen = named(found, asked.only) if asked.only else drawn(found, asked.n, asked.seed)
     print(f"{len(chosen)} of {len(found)} bugs, seed {asked.seed}", flush=True)
     sound = min(reach.took_s, key=reach.took_s.__getitem__)
     if tried([sound], lambda: None, 60.0).outcome is not Outcome.SURVIVED:
@@ -62,7 +60,7 @@ def main() -> int:
         if time.monotonic() > until:
             break
         verdicts[site] = _judged(site, reach, asked.budget_s, kills)
-    return _report(verdicts, asked.least)
+    return report(verdicts, asked.least)
 
 
 def modules() -> list[str]:
@@ -86,7 +84,8 @@ def drawn(found: list[Site], n: int, seed: int) -> list[Site]:
     return chosen
 
 
-def _preload() -> None:
+def preload() -> None:
+    """Import once, for all children, what no bug is planted in."""
     for name in PRELOADED:
         import_module(name)
     for name in LIBRARIES:
@@ -95,17 +94,9 @@ def _preload() -> None:
     gc.freeze()
 
 
-def _named(found: list[Site], names: list[str]) -> list[Site]:
+def named(found: list[Site], names: list[str]) -> list[Site]:
+    """Return the bugs of these names, or of the modules of these names."""
     return [s for s in found if s.name in names or s.name.rpartition(":")[0] in names]
-
-
-def _path(module: str) -> Path:
-    # Found by its package, which is not imported: a bug must be there before its module is.
-    package = find_spec(PACKAGE)
-    assert package is not None
-    assert package.submodule_search_locations is not None
-    folder = Path(package.submodule_search_locations[0])
-    return folder.joinpath(*module.split(".")[1:]).with_suffix(".py")
 
 
 def _reach(kept: Path | None, tests: list[str]) -> Reach:
@@ -122,7 +113,7 @@ def _reach(kept: Path | None, tests: list[str]) -> Reach:
 
 
 def _judged(site: Site, reach: Reach, budget_s: float, kills: Counter[str]) -> Verdict:
-    path = _path(site.module)
+    path = path_of(site.module)
     bug = planted(path.read_text(), site.number)
     tests = tests_of(reach, str(path), site.line, budget_s)
     if not tests:
@@ -147,7 +138,8 @@ def _judged(site: Site, reach: Reach, budget_s: float, kills: Counter[str]) -> V
     return verdict
 
 
-def _report(verdicts: dict[Site, Verdict], least: float) -> int:
+def report(verdicts: dict[Site, Verdict], least: float) -> int:
+    """Print what became of the bugs; return 1 where fewer than the least share were caught."""
     by_module: defaultdict[str, Counter[Outcome]] = defaultdict(Counter)
     for site, verdict in verdicts.items():
         by_module[site.module][verdict.outcome] += 1

@@ -1,12 +1,26 @@
-"""A bug takes the place of its module when that is imported; no file is touched."""
+"""A bug takes the place of its module when that is imported; no file is touched.
+
+In this interpreter by `plant`; in those that it starts by two variables of the environment: one
+names the bug, the other leads to a `sitecustomize` that plants it.
+"""
 
 from __future__ import annotations
 
 import ast
+import os
 import sys
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from importlib.util import find_spec
+from pathlib import Path
 from types import CodeType, ModuleType
+
+from mutation.sites import planted
+
+PACKAGE = "armrig_daemon"
+VARIABLE = "ARMRIG_MUTANT"
+"""Names the bug to processes that are started, as `service.recorder:17`."""
+STARTED = Path(__file__).with_name("started")
 
 
 class _Loader(SourceFileLoader):
@@ -55,3 +69,28 @@ def plant(module: str, tree: ast.Module) -> None:
         msg = f"{module} is imported already"
         raise RuntimeError(msg)
     sys.meta_path.insert(0, Planted(module, tree))  # type: ignore[arg-type]
+
+
+def plant_named(name: str) -> None:
+    """Plant the bug of this name, without an import of anything beside it."""
+    module, _, number = f"{PACKAGE}.{name}".rpartition(":")
+    plant(module, planted(path_of(module).read_text(encoding="utf-8"), int(number)).tree)
+
+
+def plant_in_started(name: str) -> dict[str, str]:
+    """Return the variables with which an interpreter starts with the bug of this name in it."""
+    before = os.environ.get("PYTHONPATH")
+    paths = os.pathsep.join([str(STARTED), *([before] if before else [])])
+    return {VARIABLE: name, "PYTHONPATH": paths}
+
+
+def path_of(module: str) -> Path:
+    """Return the file of a module of the daemon.
+
+    Found by its package, which is not imported: a bug must be there before its module is.
+    """
+    package = find_spec(PACKAGE)
+    assert package is not None
+    assert package.submodule_search_locations is not None
+    folder = Path(package.submodule_search_locations[0])
+    return folder.joinpath(*module.split(".")[1:]).with_suffix(".py")

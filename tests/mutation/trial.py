@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -41,6 +42,19 @@ class Verdict(NamedTuple):
     took_s: float
 
 
+class _Times:
+    """Notes how long each test takes, and which fail."""
+
+    def __init__(self) -> None:
+        self.took_s: dict[str, float] = {}
+        self.failed: list[str] = []
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.took_s[report.nodeid] = self.took_s.get(report.nodeid, 0.0) + report.duration
+        if report.failed and report.nodeid not in self.failed:
+            self.failed.append(report.nodeid)
+
+
 class _First:
     """Notes the first test that fails."""
 
@@ -56,8 +70,17 @@ class _First:
             self.failed = f"import of {report.nodeid}"
 
 
-def tried(tests: list[str], plant: Callable[[], None], limit_s: float) -> Verdict:
+def tried(
+    tests: list[str], plant: Callable[[], None], limit_s: float, clock_s: float | None = None
+) -> Verdict:
     """Run tests one after the other, in a child with a bug in it, until one fails.
+
+    Parameters
+    ----------
+    limit_s : float
+        Of the processor's time.
+    clock_s : float, optional
+        Of the clock's, for tests that wait for processes; some more unless given.
 
     Raises
     ------
@@ -72,7 +95,7 @@ def tried(tests: list[str], plant: Callable[[], None], limit_s: float) -> Verdic
         told.write_text(json.dumps([int(code), first.failed]))
 
     began = time.monotonic()
-    status, told = in_child(run, limit_s)
+    status, told = in_child(run, limit_s, clock_s)
     took_s = time.monotonic() - began
     if status is None:
         return Verdict(Outcome.TIMED_OUT, f"{limit_s:.0f} s", took_s)
@@ -87,18 +110,46 @@ def tried(tests: list[str], plant: Callable[[], None], limit_s: float) -> Verdic
     return Verdict(Outcome.CAUGHT, failed, took_s)
 
 
-def in_child(run: Callable[[Path], None], limit_s: float) -> tuple[int | None, Any]:
+def timed(tests: list[str], clock_s: float) -> tuple[dict[str, float], list[str]]:
+    """Return how long each of the tests takes without a bug, in s, and which fail.
+
+    Raises
+    ------
+    RuntimeError
+        pytest did not come to its end.
+    """
+
+    def run(told: Path) -> None:
+        times = _Times()
+        code = pytest.main([*(word for word in QUIET if word != "-x"), *tests], plugins=[times])
+        told.write_text(json.dumps([int(code), times.took_s, times.failed]))
+
+    _, told = in_child(run, clock_s, clock_s)
+    if told is None or told[0] not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        msg = f"{' '.join(tests)} did not come to an end without a bug"
+        raise RuntimeError(msg)
+    return told[1], told[2]
+
+
+def in_child(
+    run: Callable[[Path], None], limit_s: float, clock_s: float | None = None
+) -> tuple[int | None, Any]:
     """Return the child's exit status, None where it took too long, and what it told.
+
+    What it has started and left behind ends with it.
 
     Parameters
     ----------
     limit_s : float
         Of the processor's time.
+    clock_s : float, optional
+        Of the clock's.
     """
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder) / "told"
         pid = os.fork()
         if pid == 0:
+            os.setpgid(0, 0)
             _be_modest(Path(folder), limit_s)
             try:
                 run(told)
@@ -106,17 +157,27 @@ def in_child(run: Callable[[Path], None], limit_s: float) -> tuple[int | None, A
                 told.write_text(json.dumps([-1, ""]))
             finally:
                 os._exit(0)
-        deadline = time.monotonic() + PATIENCE * limit_s
-        while time.monotonic() < deadline:
-            done, status = os.waitpid(pid, os.WNOHANG)
-            if done and os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU:
-                return None, None
-            if done:
-                return status, json.loads(told.read_text()) if told.exists() else None
-            time.sleep(0.01)
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-        return None, None
+        try:
+            status = _waited_for(pid, PATIENCE * limit_s if clock_s is None else clock_s)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(pid, signal.SIGKILL)
+        if status is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
+            return None, None
+        return status, json.loads(told.read_text()) if told.exists() else None
+
+
+def _waited_for(pid: int, clock_s: float) -> int | None:
+    """Return the exit status of a child; None, and it is killed, where it does not end in time."""
+    deadline = time.monotonic() + clock_s
+    while time.monotonic() < deadline:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            return status
+        time.sleep(0.01)
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    return None
 
 
 def _be_modest(folder: Path, limit_s: float) -> None:

@@ -1,0 +1,18 @@
+"""Plants the bug that ARMRIG_MUTANT names in every interpreter that a test starts.
+
+Python imports this module at its start where the folder is on PYTHONPATH; see `mutation.planting`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+if _named := os.environ.get("ARMRIG_MUTANT"):
+    _tests = str(Path(__file__).parents[2])
+    sys.path.append(_tests)
+    from mutation.planting import plant_named
+
+    sys.path.remove(_tests)
+    plant_named(_named)

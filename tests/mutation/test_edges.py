@@ -1,0 +1,160 @@
+"""Bugs that reach the processes that a test starts, and a draw that goes on where it was left."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from armrig_daemon.config import Config
+from armrig_daemon.loop.process import Settings
+from armrig_daemon.service import child
+
+from mutation import edges
+from mutation.__main__ import ROOT, modules
+from mutation.outcomes import Outcomes
+from mutation.planting import path_of, plant_in_started
+from mutation.sites import Site, planted, sites
+from mutation.trial import Outcome, Verdict, in_child, timed
+
+SITE = Site("armrig_daemon.service.runs", 17, 100, "constant")
+CAUGHT = Verdict(Outcome.CAUGHT, "tests/a.py::test_it", 1.5)
+
+
+def _bug(module: str, before: str, after: str) -> Site:
+    """Return the bug that makes of one statement another."""
+    source = path_of(module).read_text()
+    for site in sites(module, source):
+        bug = planted(source, site.number)
+        if (bug.before, bug.after) == (before, after):
+            return site
+    raise LookupError(before)
+
+
+def _plant_from_now_on(monkeypatch: pytest.MonkeyPatch, site: Site) -> None:
+    for name, value in plant_in_started(site.name).items():
+        monkeypatch.setenv(name, value)
+
+
+def test_a_bug_is_in_a_program_that_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In its module, wherever that is imported."""
+    program = [
+        sys.executable,
+        "-c",
+        "from armrig_daemon.service import recorder as r; print(r.QUEUE)",
+    ]
+    _plant_from_now_on(
+        monkeypatch, _bug("armrig_daemon.service.recorder", "QUEUE = 10000", "QUEUE = 10001")
+    )
+
+    said = subprocess.run(program, capture_output=True, text=True, check=True)
+
+    assert (said.stdout, said.stderr) == ("10001\n", "")
+
+
+def test_a_bug_is_in_the_module_that_is_run_as_a_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the loop is, by its service: a child of a child of the test's."""
+    settings = Settings(
+        rules=Config().rules(), port="/nowhere", baud=500_000, priority=0, cpu=None, spin_ns=0
+    )
+    sound = child.start(settings)
+    assert sound.end() == 2
+    _plant_from_now_on(
+        monkeypatch, _bug("armrig_daemon.loop.process", "NO_PORT = 2", "NO_PORT = 3")
+    )
+
+    assert child.start(settings).end() == 3
+
+
+def test_what_a_bug_has_left_behind_ends_with_its_child(tmp_path: Path) -> None:
+    """A daemon without its guards would drive on into the next trial."""
+    pid = tmp_path / "pid"
+
+    def run(told: Path) -> None:
+        left = subprocess.Popen(["sleep", "600"])
+        pid.write_text(str(left.pid))
+        told.write_text("1")
+
+    assert in_child(run, 5.0)[1] == 1
+
+    state = Path(f"/proc/{pid.read_text()}/stat")
+    assert not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+def test_a_draw_goes_on_where_it_was_left(tmp_path: Path) -> None:
+    """Also behind a line that was cut off; but a module that has changed is tried anew."""
+    path = tmp_path / "state"
+    Outcomes(path).add(SITE, "x = 1", CAUGHT)
+    Outcomes(path).add_timed(
+        "tests/a.py", {"tests/a.py::test_it": 2.0, "tests/a.py::b": 1.0}, ["tests/a.py::b"]
+    )
+    with path.open("a") as file:
+        file.write('{"bug": "service.ru')
+
+    known = Outcomes(path)
+
+    assert known.verdict(SITE, "x = 1") == CAUGHT
+    assert known.verdict(SITE, "x = 2") is None
+    assert known.verdict(SITE._replace(number=18), "x = 1") is None
+    assert known.timed == {"tests/a.py": ["tests/a.py::test_it"]}
+    assert known.took_s == {"tests/a.py::test_it": 2.0}
+    assert known.verdicts() == [CAUGHT]
+
+
+def test_tests_are_chosen_in_their_order_as_far_as_the_budget_goes() -> None:
+    """One that is too long for what is left makes room for those behind it."""
+    took_s = {"a": 10.0, "b": 31.0, "c": 20.0, "d": 10.0, "e": 1.0}
+
+    assert edges.chosen_tests(took_s, 40.0) == ["a", "c", "d"]
+
+
+@pytest.mark.parametrize(
+    ("second", "outcome", "by"),
+    [(True, Outcome.CAUGHT, "tests/integration/a.py::one"), (False, Outcome.SURVIVED, "")],
+)
+def test_what_a_real_process_shows_must_show_twice(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, second: bool, outcome: Outcome, by: str
+) -> None:
+    """A test that fails once, for others needed the processor, has seen no bug."""
+    one, two = "tests/integration/a.py::one", "tests/integration/a.py::two"
+    asked: list[list[str]] = []
+
+    def tried(tests: list[str], *_: object) -> Verdict:
+        asked.append(tests)
+        if one in tests and (second or len(tests) > 1):
+            return Verdict(Outcome.CAUGHT, one, 1.0)
+        return Verdict(Outcome.SURVIVED, "", 1.0)
+
+    monkeypatch.setattr(edges, "tried", tried)
+    known = Outcomes(tmp_path / "state")
+    known.add_timed("all", {one: 1.0, two: 1.0, "tests/daemon/a.py::of_ours": 1.0}, [])
+
+    found = edges.judged(SITE, ["tests/daemon/a.py::of_ours", one, two], known)
+
+    assert (found.outcome, found.by) == (outcome, by)
+    assert asked == [["tests/daemon/a.py::of_ours"], [one, two], [one], [two]][: 3 + (not second)]
+
+
+def test_tests_are_timed_without_a_bug(tmp_path: Path) -> None:
+    """Those that fail then are named."""
+    path = tmp_path / "test_these.py"
+    path.write_text("def test_a(): pass\ndef test_b(): assert False\n")
+
+    took_s, failed = timed([str(path)], 60.0)
+
+    assert [name.rpartition("::")[2] for name in took_s] == ["test_a", "test_b"]
+    assert [name.rpartition("::")[2] for name in failed] == ["test_b"]
+
+
+def test_the_table_names_what_there_is() -> None:
+    """Modules beside those of the coverage gate, and tests that exist."""
+    table = tomllib.loads(edges.TABLE.read_text())
+
+    assert not set(table["tests"]) & set(modules())
+    for module, wanted in table["tests"].items():
+        assert path_of(module).exists()
+        for test in wanted:
+            path, _, name = test.partition("::")
+            assert f"def {name}(" in (ROOT / path).read_text() if name else (ROOT / path).exists()
