@@ -98,7 +98,7 @@ def rehearse(
     )
 
 
-def in_words(rehearsal: Rehearsal) -> str:
+def sentence(rehearsal: Rehearsal) -> str:
     """Return what was found, in a line for a person."""
     return (
         f"rehearsed on the model: the chassis gets {rehearsal.revolutions:.1f} turns far and ends "

@@ -101,7 +101,7 @@ def emulate(
 
 def _started(port: Path, baud: int) -> str:
     """Return what a person is told of an emulated rig."""
-    speed = f"ARMRIG_DEVICE_BAUD={baud} " * (baud != Device().baud)
+    speed = "" if baud == Device().baud else f"ARMRIG_DEVICE_BAUD={baud} "
     return (
         f"armrigd: an emulated rig behind {port}, {baud} baud, 0 to {U_MAX_V:g} V; "
         f"drive it with `{speed}armrigd run --port {port}`, end it with Ctrl-C"

@@ -203,7 +203,7 @@ class Config(Table, frozen=True, kw_only=True):
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
-    def calibration_in_words(self) -> str:
+    def calibration_sentence(self) -> str:
         """Return which calibration is in force: its file and date, or that none was measured."""
         made = self.calibration.made
         if made is not None:

@@ -8,7 +8,7 @@ from math import ceil, degrees, inf, pi, tau
 import numpy as np
 import pytest
 from armrig_core.arm import ArmParameters
-from armrig_core.rehearsal import RehearsalError, in_words, rehearse
+from armrig_core.rehearsal import RehearsalError, rehearse, sentence
 from armrig_daemon.emulator.plant import REST, advance, build
 from numpy.typing import NDArray
 
@@ -78,7 +78,7 @@ def test_where_the_chassis_ends_is_counted_from_where_it_was() -> None:
 
     assert from_2.theta_1_rad == pytest.approx(2.0 + from_2.turned_rad)
     assert rehearse(u, 0.01).theta_1_rad is None
-    words = in_words(from_2)
+    words = sentence(from_2)
     assert f"{from_2.revolutions:.1f} turns" in words
     assert f"up to {degrees(from_2.alpha_rad):.1f}°" in words
 

@@ -83,7 +83,7 @@ def _all(*patches: Patch) -> Patch:
 # -- the bugs ------------------------------------------------------------------------------------
 
 _take_reply, _take_order, _leased = replies.take, orders._take, orders._leased
-_account, _trip, _end_run = gaps.account, stopping.trip, stopping.end_run
+_tell_missing, _trip, _end_run = gaps.tell_missing, stopping.trip, stopping.end_run
 _say_allows = Rules.allows
 
 
@@ -144,7 +144,7 @@ def _any_owner(state: Any, now_ns: int, order: Any) -> Any:
 
 
 def _no_gaps(*args: Any, **kwargs: Any) -> Any:
-    state, _ = _account(*args, **kwargs)
+    state, _ = _tell_missing(*args, **kwargs)
     return state, []
 
 
@@ -284,7 +284,7 @@ MUTANTS = (
         breaks=frozenset({"S2", "S3", "S5", "S6"}),
         faults=("replay to_device",),
     ),
-    Mutant(name="silent gap", plant=_put(gaps, "account", _no_gaps), breaks=frozenset({"L2"})),
+    Mutant(name="silent gap", plant=_put(gaps, "tell_missing", _no_gaps), breaks=frozenset({"L2"})),
     Mutant(
         name="wrong scale in the host", plant=_put(Run, "code", _half), breaks=frozenset({"S5"})
     ),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from armrig_core.commands import LastRun, RunAccepted, StatusReport
-from armrig_core.rehearsal import Rehearsal, in_words
+from armrig_core.rehearsal import Rehearsal, sentence
 from numpy.typing import NDArray
 
 from armrig.recordings.loading import load
@@ -130,7 +130,7 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
     def accepted(run: RunAccepted) -> None:
         if run.rehearsal is not None:
             rehearsals.append(run.rehearsal)
-            tell(in_words(run.rehearsal))
+            tell(sentence(run.rehearsal))
 
     with Rig(rig, connect=connect) as opened:
         status = opened.status()

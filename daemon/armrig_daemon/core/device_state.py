@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from armrig_daemon.core import setpoints
 from armrig_daemon.core.budget import check, exchange_us
 from armrig_daemon.core.clockmap import ClockMap
-from armrig_daemon.core.faults import Fault, Id, in_words
+from armrig_daemon.core.faults import Fault, Id, sentence
 from armrig_daemon.core.requests import (
     MANY_TRIES,
     Step,
@@ -80,20 +80,22 @@ def retry(state: State, now_ns: int) -> Step:
             scheduled=asked.scheduled,
             tries=asked.tries + 1,
         )
-        return state, [*actions, *_told_unanswered(state, now_ns)]
-    return failed(state, now_ns, f"the device does not answer {asked.want}")
+        return state, [*actions, *_unanswered_notice(state, now_ns)]
+    return give_up(state, now_ns, f"the device does not answer {asked.want}")
 
 
-def _told_unanswered(state: State, now_ns: int) -> list[Action]:
+def _unanswered_notice(state: State, now_ns: int) -> list[Action]:
     """Return what is said of a device that does not answer: in the state, and seldom in the log."""
     text, tries = unanswered(state), state.asked.tries if state.asked else 0
     if not text or (tries - MANY_TRIES) % _TRIES_A_SECOND:
         return []
-    is_due = (tries - MANY_TRIES) % _TRIES_A_MINUTE == 0
-    return [log(now_ns, "warning", text)] * is_due + [say_state(state, now_ns)]
+    notice = [say_state(state, now_ns)]
+    if (tries - MANY_TRIES) % _TRIES_A_MINUTE == 0:
+        notice.insert(0, log(now_ns, "warning", text))
+    return notice
 
 
-def failed(state: State, now_ns: int, error: str) -> Step:
+def give_up(state: State, now_ns: int, error: str) -> Step:
     """Give up what was asked for."""
     asked = state.asked
     state = replace(state, asked=None)
@@ -115,7 +117,7 @@ def failed(state: State, now_ns: int, error: str) -> Step:
     return state, [*done, log(now_ns, "warning", error), *actions]
 
 
-def seen(state: State, now_ns: int, device_state: int, *, ended: bool = False) -> Step:
+def note_state(state: State, now_ns: int, device_state: int, *, ended: bool = False) -> Step:
     """Take note of the state in a frame of the device: it is what shows that a request worked.
 
     `ended` says that the frame tells of the end of a run, at its k_stop.
@@ -231,7 +233,7 @@ def rest(state: State, now_ns: int, order: Order | None) -> Step:
     return state, done + actions
 
 
-def hello(state: State, now_ns: int, reply: HelloReply) -> Step:
+def take_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     """Meet the device: from here on it is sampled, at 0 V."""
     asked = state.asked
     if asked is None or asked.want is not Want.HELLO:
@@ -292,11 +294,11 @@ def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
     done = refuse(asked.order, fault.cause)
     if state.fault != fault:
         state = replace(state, phase=Phase.FAULT, fault=fault)
-        done.append(log(now_ns, "error", in_words(fault)))
+        done.append(log(now_ns, "error", sentence(fault)))
     return state, [*done, say_state(state, now_ns)]  # in any case: the device is known again
 
 
-def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
+def take_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     """Take the device's answer to CONFIG, which carries what it really accepted."""
     asked = state.asked
     if asked is not None and asked.want is Want.ARM and _is_renewed(state, reply):
@@ -309,10 +311,10 @@ def configured(state: State, now_ns: int, reply: ConfigReply) -> Step:
         return state, []
     if reply.code != Code.OK:
         error = f"the device refuses the configuration: {name_of(reply.code)}"
-        return failed(state, now_ns, error)
+        return give_up(state, now_ns, error)
     wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
-        return failed(state, now_ns, "the device accepted another configuration than was sent")
+        return give_up(state, now_ns, "the device accepted another configuration than was sent")
     before_us = _pace_us(state.ts_us, scheduled=state.scheduled)
     arms = isinstance(asked.order, Take | Play)
     # The pace begins anew here: the ticks before it say nothing of the new period. Which of our

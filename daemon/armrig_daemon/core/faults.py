@@ -66,6 +66,6 @@ REMEDIES: dict[Id, str] = {
 """What to do about each, before `armrig reset`."""
 
 
-def in_words(fault: Fault) -> str:
+def sentence(fault: Fault) -> str:
     """Return cause and remedy as one sentence."""
     return f"{fault.cause}; {REMEDIES[fault.id]}"

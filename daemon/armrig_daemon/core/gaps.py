@@ -23,7 +23,7 @@ def lost(sent: Sent, now_ns: int) -> Absent:
     return Absent(sent.k, 1, "a frame was lost", sent.code, sent.sent_ns, now_ns)
 
 
-def account(state: State, end: int, now_ns: int, u_before: int | None = None) -> Step:
+def tell_missing(state: State, end: int, now_ns: int, u_before: int | None = None) -> Step:
     """Tell all samples behind the last one and before `end` that were not published.
 
     Parameters

@@ -44,16 +44,16 @@ class _Due(NamedTuple):
 def take(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Return the state after a sample of the boot that we know."""
     if state.scheduled and m.flags & _RUN:
-        return _made_by_device(state, now_ns, m)
-    return _answered(state, now_ns, m)
+        return _take_self_paced(state, now_ns, m)
+    return _take_answer(state, now_ns, m)
 
 
-def _answered(state: State, now_ns: int, m: DeviceSample) -> Step:
+def _take_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take the answer to an EXCHANGE; what answers none of ours is ignored, its state as well."""
-    at, device = _place(state.sent, m.k), state.device
+    at, device = _find_exchange(state.sent, m.k), state.device
     if at is None or device is None or is_ahead(state, m.echo):
         return state, []  # an old burst, or an echo of another host
-    if _is_of_before(state, m):
+    if _is_older_than_last(state, m):
         return state, []
     sent, behind = state.sent[at], state.sent[at + 1 :]
     if sent.k <= state.told:
@@ -62,21 +62,21 @@ def _answered(state: State, now_ns: int, m: DeviceSample) -> Step:
         state = gaps.note(state, gaps.lost(before, now_ns))
     expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
     due = _Due(sent.k, sent.sched_ns, sent.sent_ns, sent.code, expected)
-    state, done = _published(replace(state, sent=behind, fresh_ns=sent.sent_ns), now_ns, m, due)
+    state, done = _publish(replace(state, sent=behind, fresh_ns=sent.sent_ns), now_ns, m, due)
     done.append(RoundTrip(now_ns - sent.sent_ns))
     state = clock_comparison.by_sample(state, now_ns, sent, m)
     # The state is looked at behind the sample: where the device has stopped, this one still counts.
-    state, actions = device_state.seen(state, now_ns, m.state)
+    state, actions = device_state.note_state(state, now_ns, m.state)
     done += actions
-    state, actions = setpoints.counted(state, now_ns, 0, m.queued)
+    state, actions = setpoints.note_queue(state, now_ns, 0, m.queued)
     done += actions
     if state.phase is _FAULT:
         return state, done  # its code is 0 from here on, and the first cause stands
-    state, actions = _checked(state, now_ns, m, due)
+    state, actions = _check_applied(state, now_ns, m, due)
     return state, done + actions
 
 
-def _place(sent: tuple[Sent, ...], k: int) -> int | None:
+def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
     """Return which EXCHANGE asked for sample `k`, a number that wraps; None where none did."""
     for at, one in enumerate(sent):
         if one.k & 0xFFFFFFFF == k:
@@ -84,13 +84,13 @@ def _place(sent: tuple[Sent, ...], k: int) -> int | None:
     return None
 
 
-def _made_by_device(state: State, now_ns: int, m: DeviceSample) -> Step:
+def _take_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a device that paces itself."""
     # Judged before setpoints are sent: behind them an echo ahead would look like one of ours.
     next_seq, foreign = state.seq, is_ahead(state, m.echo)
     # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
-    state, done = device_state.seen(heard(state, m.echo), now_ns, m.state)
-    state, actions = _of_run(state, now_ns, m)
+    state, done = device_state.note_state(note_echo(state, m.echo), now_ns, m.state)
+    state, actions = _take_of_run(state, now_ns, m)
     done += actions
     if foreign and state.phase in (_ARMED, _ACTIVE):
         # What it has heard was not of us, and has made our own frames stale.
@@ -100,26 +100,26 @@ def _made_by_device(state: State, now_ns: int, m: DeviceSample) -> Step:
     return state, done
 
 
-def _of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
+def _take_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a scheduled run; one that came before, or belongs to none, is ignored."""
     run, device = state.run, state.device
     if run is None or run.k_first < 0 or device is None or not run.due <= m.k < run.samples:
         return state, []
-    if _is_of_before(state, m):
+    if _is_older_than_last(state, m):
         return state, []
     code = run.code(m.k)
     expected = applied_code(code, device.pwm_bits)
     due = _Due(run.k_first + m.k, _sched_ns(state, run, m), now_ns, code, expected)
-    state = setpoints.without(state, run, m.k, now_ns)
+    state = setpoints.note_missing(state, run, m.k, now_ns)
     state = replace(state, run=replace(run, due=m.k + 1))
-    state, done = _published(state, now_ns, m, due, m.queued)
-    state, actions = setpoints.counted(state, now_ns, m.k + 1, m.queued)
+    state, done = _publish(state, now_ns, m, due, m.queued)
+    state, actions = setpoints.note_queue(state, now_ns, m.k + 1, m.queued)
     done += actions
     if m.flags & _UNDERRUN:
         text = f"no setpoint was there for sample {due.k}: the input was {volts_of(m.u_k):.3g} V"
         return state, [*done, log(now_ns, "warning", text)]
     # In a fault, too: it drives on by its own queue, and STOP goes out again at once.
-    state, actions = _checked(state, now_ns, m, due)
+    state, actions = _check_applied(state, now_ns, m, due)
     return state, done + actions
 
 
@@ -130,7 +130,7 @@ def _sched_ns(state: State, run: Run, m: DeviceSample) -> int:
     return run.t_zero_ns + m.k * state.ts_us * 1000
 
 
-def heard(state: State, echo: int) -> State:
+def note_echo(state: State, echo: int) -> State:
     """Take note that the device has heard the frame `echo`: that is what proves a round trip."""
     if is_ahead(state, echo):
         return state
@@ -145,14 +145,14 @@ def is_ahead(state: State, echo: int) -> bool:
     return (echo - state.seq) & 0xFFFF < 0x8000
 
 
-def _is_of_before(state: State, m: DeviceSample) -> bool:
+def _is_older_than_last(state: State, m: DeviceSample) -> bool:
     """Return whether a sample is older than the last: within a boot the clock never goes back."""
     return bool(state.sampled_ns) and is_older(state.t_us, m.t_us)
 
 
-def _published(state: State, now_ns: int, m: DeviceSample, due: _Due, queued: int = -1) -> Step:
+def _publish(state: State, now_ns: int, m: DeviceSample, due: _Due, queued: int = -1) -> Step:
     """Publish a sample, behind the gaps that it shows."""
-    state, done = gaps.account(state, due.k, now_ns, m.u_km1)
+    state, done = gaps.tell_missing(state, due.k, now_ns, m.u_km1)
     t_us = extended(state.t_us, m.t_us)
     calibration = state.rules.calibration
     sample = converted(calibration, m, due.k, due.sched_ns, due.asked_ns, t_us, due.code)
@@ -160,7 +160,7 @@ def _published(state: State, now_ns: int, m: DeviceSample, due: _Due, queued: in
     return replace(state, sampled_ns=due.asked_ns, t_us=t_us, applied=m.u_k, told=due.k), done
 
 
-def _checked(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
+def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
     """Trip where the device applied another code than the one commanded (S5)."""
     if m.u_k == due.expected:
         return state, []

@@ -65,7 +65,7 @@ def refill(state: State, now_ns: int) -> Step:
     return replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns)), done
 
 
-def counted(state: State, now_ns: int, base: int, queued: int) -> Step:
+def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
     """Take note of what the device holds, start when it is enough, and send more."""
     queue, run = state.queue, state.run
     if queue is None or run is None:
@@ -115,12 +115,12 @@ def complete(state: State, now_ns: int) -> Step:
     run = state.run
     if run is None:
         return state, []
-    state = without(state, run, run.samples, now_ns)
+    state = note_missing(state, run, run.samples, now_ns)
     run = replace(run, due=run.samples)
     return replace(state, run=run, outcome=state.outcome or "complete"), []
 
 
-def without(state: State, run: Run, end: int, now_ns: int) -> State:
+def note_missing(state: State, run: Run, end: int, now_ns: int) -> State:
     """Note the samples of a run before `end` that have not come; their input was the queue's."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MOST_ABSENT), end):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from armrig_daemon.core import gaps
-from armrig_daemon.core.faults import Fault, in_words
+from armrig_daemon.core.faults import Fault, sentence
 from armrig_daemon.core.requests import Step, ask, log, refuse, say_state
 from armrig_daemon.core.state import Absent, Emit, Phase, Repace, State, Want
 from armrig_daemon.pipe import Order, RunEnded
@@ -28,7 +28,7 @@ def end_run(state: State, now_ns: int) -> Step:
             n = max(0, min(by_now, run.samples) - run.due)
             state = gaps.note(state, Absent(end, n, state.outcome, 0, state.tick_ns, now_ns))
             run, end = replace(run, due=run.due + n), end + n
-        state, actions = gaps.account(state, end, now_ns)
+        state, actions = gaps.tell_missing(state, end, now_ns)
         done += actions
         state = replace(state, sent=tuple(s for s in state.sent if s.k >= end))
     if run.scheduled and run.k_first >= 0:
@@ -61,5 +61,5 @@ def trip(state: State, now_ns: int, fault: Fault) -> Step:
     else:
         # No way to tell the device: its own watchdog stops it.
         state, done = end_run(state, now_ns)
-    text = f"stopped at 0 V: {in_words(fault)}; then `armrig reset`, then arm again"
+    text = f"stopped at 0 V: {sentence(fault)}; then `armrig reset`, then arm again"
     return state, [*done, log(now_ns, "error", text), say_state(state, now_ns)]

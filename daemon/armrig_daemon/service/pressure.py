@@ -64,11 +64,12 @@ def load(path: Path = CPU) -> str:
         mean, cpus = os.getloadavg()[0], len(os.sched_getaffinity(0))
     except OSError:
         return "load not told by this kernel"
-    told = f"load {mean:.1f} on {cpus} processor{'s' * (cpus > 1)}"
+    processors = "1 processor" if cpus == 1 else f"{cpus} processors"
+    text = f"load {mean:.1f} on {processors}"
     with contextlib.suppress(OSError, ValueError, IndexError):
         share = float(path.read_text(encoding="ascii").split()[1].removeprefix("avg10="))
-        told += f", some task waited for one {share:.0f} % of the last 10 s"
-    return told
+        text += f", some task waited for one {share:.0f} % of the last 10 s"
+    return text
 
 
 def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> str:

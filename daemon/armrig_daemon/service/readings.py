@@ -40,7 +40,7 @@ class Readings(NamedTuple):
     """Integral of the voltage beyond the friction since then, in Vs."""
 
 
-def seen(before: Readings, sample: Sample) -> Readings:
+def updated(before: Readings, sample: Sample) -> Readings:
     """Return the readings after one more sample."""
     last, y0 = before.newest, sample.theta_1_counts
     free = before.alpha_free_ns

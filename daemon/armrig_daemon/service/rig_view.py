@@ -52,7 +52,7 @@ class RigView:
 
     def take_sample(self, sample: Sample) -> None:
         """Take note of a sample."""
-        self._readings = readings.seen(self._readings, sample)
+        self._readings = readings.updated(self._readings, sample)
 
     def take_timing(self, timing: Timing) -> Timing:
         """Take note of the last second; return it with what else this machine was doing."""
@@ -90,6 +90,6 @@ class RigView:
             host=self.host,
             last_run=last_run,
             recordings=str(self._directory),
-            calibration=config.calibration_in_words,
+            calibration=config.calibration_sentence,
             arm_removed=config.arm.removed,
         )

@@ -182,7 +182,7 @@ class Service:
                 case Trace():
                     batch.append(outgoing(record, self._offset_ns))
                 case Log():
-                    if self._thinning.said(record):
+                    if self._thinning.lets_through(record):
                         batch += self._published([record])
                 case Timing():
                     batch += self._published([self._rig.take_timing(record)])

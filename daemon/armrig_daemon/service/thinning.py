@@ -16,7 +16,7 @@ MOST_KINDS = 100
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
-class _Said(NamedTuple):
+class _Repeated(NamedTuple):
     """A kind of line."""
 
     ns: int
@@ -32,16 +32,16 @@ class Thinning:
 
     def __init__(self) -> None:
         """Begin with nothing said."""
-        self._kinds: dict[str, _Said] = {}
+        self._kinds: dict[str, _Repeated] = {}
 
-    def said(self, log: Log) -> bool:
+    def lets_through(self, log: Log) -> bool:
         """Return whether a line is to be said now; else it is counted."""
         kind = _NUMBER.sub("#", log.message)
         before = self._kinds.get(kind)
         if log.level == "error" or (before is None and len(self._kinds) >= MOST_KINDS):
             return True
         if before is None:
-            self._kinds[kind] = _Said(log.t_host_ns)
+            self._kinds[kind] = _Repeated(log.t_host_ns)
             return True
         self._kinds[kind] = before._replace(held=before.held + 1, newest=log)
         return False
@@ -57,5 +57,5 @@ class Thinning:
                 continue
             more = f" ({held} like it since the last)" if held > 1 else ""
             lines.append(replace(newest, message=newest.message + more))
-            self._kinds[kind] = _Said(newest.t_host_ns)
+            self._kinds[kind] = _Repeated(newest.t_host_ns)
         return lines

@@ -308,8 +308,8 @@ def test_a_device_that_was_latched_before_is_not_told_again() -> None:
     bench = rested()
     latched = replace(bench.loop.state, device_state=int(DeviceState.ESTOP))
 
-    again = device_state.seen(latched, bench.ports.now, int(DeviceState.ESTOP))
-    first = device_state.seen(bench.loop.state, bench.ports.now, int(DeviceState.ESTOP))
+    again = device_state.note_state(latched, bench.ports.now, int(DeviceState.ESTOP))
+    first = device_state.note_state(bench.loop.state, bench.ports.now, int(DeviceState.ESTOP))
 
     assert again == (latched, [])
     assert first[0].fault == Fault(Id.DEVICE, "the device is in ESTOP")
@@ -321,7 +321,7 @@ def test_a_device_that_was_latched_before_is_not_told_again() -> None:
 def test_a_device_that_leaves_the_run_unasked_is_a_fault(state: int, name: str) -> None:
     """S6: named where it has a name."""
     bench = driven()
-    after, _ = device_state.seen(bench.loop.state, bench.ports.now, int(state))
+    after, _ = device_state.note_state(bench.loop.state, bench.ports.now, int(state))
 
     assert after.fault == Fault(Id.STATE, f"the device is in {name}, and nobody asked it to")
 
@@ -338,7 +338,7 @@ def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: s
     bench = armed()
     at = replace(bench.loop.state, device_state=int(DeviceState.READY))
 
-    after, _ = device_state.seen(awaiting(at, want), bench.ports.now, int(state))
+    after, _ = device_state.note_state(awaiting(at, want), bench.ports.now, int(state))
 
     assert after.fault == Fault(Id.INTERNAL, cause)
     assert after.asked is not None
@@ -350,7 +350,7 @@ def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
     bench = armed()
     at = awaiting(replace(bench.loop.state, lease=None), Want.START, HOLD)
 
-    after, _ = device_state.seen(at, bench.ports.now, int(DeviceState.RUN))
+    after, _ = device_state.note_state(at, bench.ports.now, int(DeviceState.RUN))
 
     assert after.fault == Fault(Id.INTERNAL, "started without an owner")
 
@@ -362,8 +362,8 @@ def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
     at = replace(bench.loop.state, phase=Phase.FAULT, device_state=int(DeviceState.FAULT))
     at = awaiting(at, Want.CLEAR, Reset(order=8))
 
-    waiting, _ = device_state.seen(at, bench.ports.now, int(state))
-    cleared, _ = device_state.seen(at, bench.ports.now, int(DeviceState.IDLE))
+    waiting, _ = device_state.note_state(at, bench.ports.now, int(state))
+    cleared, _ = device_state.note_state(at, bench.ports.now, int(DeviceState.IDLE))
 
     assert waiting.asked == at.asked
     assert cleared.asked is not None
@@ -377,7 +377,7 @@ def test_a_stop_has_its_effect_where_the_motor_cannot_turn(state: DeviceState) -
     bench = driven()
     at = awaiting(bench.loop.state, Want.STOP)
 
-    after, _ = device_state.seen(at, bench.ports.now, int(state))
+    after, _ = device_state.note_state(at, bench.ports.now, int(state))
 
     drives = state in (DeviceState.ARMED, DeviceState.RUN)
     assert (after.asked == at.asked) == drives

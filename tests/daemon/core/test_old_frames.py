@@ -33,7 +33,7 @@ def _with_beats(*seqs: int) -> State:
 
 def test_the_echo_of_a_frame_of_ours_proves_a_round_trip() -> None:
     """Also across the wrap of seq; what was sent later is not proven yet."""
-    state = sampling.heard(_with_beats(65_534, 65_535, 0, 1), 0)
+    state = sampling.note_echo(_with_beats(65_534, 65_535, 0, 1), 0)
 
     assert state.fresh_ns == 3_000_000
     assert [b.seq for b in state.beats] == [1]
@@ -43,8 +43,8 @@ def test_an_echo_ahead_of_all_that_was_sent_proves_nothing() -> None:
     """It is of an earlier session: the device may not hear us at all (S4)."""
     before = _with_beats(60, 61, 62, 63)
 
-    assert sampling.heard(before, 64) == before
-    assert sampling.heard(before, 334) == before
+    assert sampling.note_echo(before, 64) == before
+    assert sampling.note_echo(before, 334) == before
 
 
 def _sample(echo: int) -> Sample:

@@ -447,11 +447,11 @@ def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
     older, newer = HeardFrame(0xFFFF, 11), HeardFrame(0, 22)
     waiting = replace(state, beats=(older, newer), fresh_ns=5)
 
-    assert sampling.heard(waiting, 0xFFFE) == waiting
+    assert sampling.note_echo(waiting, 0xFFFE) == waiting
     half_a_round_away = replace(waiting, beats=(older,))
-    assert sampling.heard(half_a_round_away, 0x7FFF) == half_a_round_away
-    assert sampling.heard(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
-    assert sampling.heard(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
+    assert sampling.note_echo(half_a_round_away, 0x7FFF) == half_a_round_away
+    assert sampling.note_echo(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
+    assert sampling.note_echo(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
 
 
 def test_a_run_that_is_over_already_is_not_completed_again() -> None:
@@ -467,8 +467,8 @@ def test_a_queue_without_a_device_starts_nothing() -> None:
     now = bench.ports.now
     filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
 
-    gone, actions = setpoints.counted(replace(filling, device=None), now, 0, 2)
-    there, (start,) = setpoints.counted(filling, now, 0, 2)
+    gone, actions = setpoints.note_queue(replace(filling, device=None), now, 0, 2)
+    there, (start,) = setpoints.note_queue(filling, now, 0, 2)
 
     assert (gone.asked, actions) == (None, [])
     assert there.asked is not None
@@ -482,7 +482,7 @@ def test_a_start_carries_the_length_of_the_run() -> None:
     now = bench.ports.now
     filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
 
-    started, _ = setpoints.counted(filling, now, 0, 2)
+    started, _ = setpoints.note_queue(filling, now, 0, 2)
 
     assert started.asked is not None
     (start,) = Decided(started, now + 50 * MS, Beat()).sent

@@ -207,13 +207,13 @@ def test_a_run_starts_when_its_queue_is_full_but_for_a_frame(
     """Or holds the whole run."""
     state = _state(samples, sent=samples)
 
-    after, _ = setpoints.counted(state, NOW, 0, queued)
+    after, _ = setpoints.note_queue(state, NOW, 0, queued)
 
     asks = after.asked is not None and after.asked.want is Want.START
     assert asks == starts
     if after.asked is not None:
         assert after.asked.order == ORDER
-    busy, _ = setpoints.counted(awaiting(state, Want.ARM), NOW, 0, queued)
+    busy, _ = setpoints.note_queue(awaiting(state, Want.ARM), NOW, 0, queued)
     assert busy.asked is not None
     assert busy.asked.want is Want.ARM
 
@@ -223,7 +223,7 @@ def test_a_queue_that_does_not_fill_in_2_s_is_given_up(after_ns: int, gives_up: 
     """In good order: a STOP, and whoever asked is told in its effect."""
     state = _state(sent=512, moved_ns=NOW + after_ns)
 
-    after, _ = setpoints.counted(state, NOW + after_ns, 0, 3)
+    after, _ = setpoints.note_queue(state, NOW + after_ns, 0, 3)
 
     stops = after.asked is not None and after.asked.want is Want.STOP
     assert stops == gives_up
@@ -240,7 +240,7 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
     """Growth alone winds the clock of the retries; nothing counts as unsent that it has."""
     state = _state(50, base=0, held=24, sent=50, moved_ns=7)
 
-    after, _ = setpoints.counted(replace(state, phase=Phase.FAULT), NOW, base, queued)
+    after, _ = setpoints.note_queue(replace(state, phase=Phase.FAULT), NOW, base, queued)
 
     assert after.queue is not None
     known = (after.queue.base, after.queue.held, after.queue.sent, after.queue.moved_ns)
@@ -251,14 +251,14 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
 def test_without_a_run_nothing_is_counted(gone: str) -> None:
     """A sample at rest says that 0 are held, of nothing."""
     state = replace(_state(), **{gone: None})
-    assert setpoints.counted(state, NOW, 5, 6) == (state, [])
+    assert setpoints.note_queue(state, NOW, 5, 6) == (state, [])
 
 
 def test_what_the_device_holds_makes_room_for_more() -> None:
     """In the same step."""
     state = replace(_state(held=512, sent=512), phase=Phase.ACTIVE)
 
-    _, actions = setpoints.counted(state, NOW, 48, 464)
+    _, actions = setpoints.note_queue(state, NOW, 48, 464)
 
     assert _frames(actions) == [(512, N), (536, N)]
 

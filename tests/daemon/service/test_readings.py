@@ -6,7 +6,7 @@ from math import nan
 
 import pytest
 from armrig_core.telemetry import Sample
-from armrig_daemon.service.readings import Readings, objection, seen, theta_1_rad
+from armrig_daemon.service.readings import Readings, objection, theta_1_rad, updated
 from armrig_protocol.messages import Flag
 
 MS = 1_000_000
@@ -32,7 +32,7 @@ def _after(
         angle = nan if flags & Flag.ADC0_RAIL else 0.5
         alpha = 0 if flags & Flag.ADC1_RAIL else 32768
         sample = Sample(k, t_ns, t_ns, t_ns // 1000, angle, 0.0, u, u, counts, alpha, flags)
-        readings = seen(readings, sample)
+        readings = updated(readings, sample)
     return readings
 
 
@@ -108,10 +108,10 @@ def test_alpha_may_be_at_its_end_for_less_than_a_fifth_of_a_second(
 ) -> None:
     """From the last sample inside its range on, to the ns; the first sample counts as inside."""
     for flags in (0, int(Flag.ADC1_RAIL)):
-        readings = seen(seen(Readings(), _sample(0)), _sample(10, flags=0))
+        readings = updated(updated(Readings(), _sample(0)), _sample(10, flags=0))
         if flags:
-            readings = seen(Readings(), _sample(10, flags=flags))
-        readings = seen(readings, _sample(t_ms, flags=int(Flag.ADC1_RAIL)))
+            readings = updated(Readings(), _sample(10, flags=flags))
+        readings = updated(readings, _sample(t_ms, flags=int(Flag.ADC1_RAIL)))
         assert bool(_objection(readings)) == named
 
 
@@ -126,9 +126,9 @@ def test_a_whole_turn_of_driving_is_what_it_takes(turn: float, named: bool) -> N
 @pytest.mark.parametrize(("counts", "moved"), [(256, False), (257, True), (-256, False)])
 def test_readings_within_256_counts_are_one_place(counts: int, moved: bool) -> None:
     """Smallest and greatest are of one place: from where it was left, all begins anew."""
-    before = seen(seen(Readings(), _sample(0, u=3.0)), _sample(10, u=3.0))
+    before = updated(updated(Readings(), _sample(0, u=3.0)), _sample(10, u=3.0))
 
-    after = seen(before, _sample(20, y0=20_000 + counts))
+    after = updated(before, _sample(20, y0=20_000 + counts))
 
     y0 = 20_000 + counts
     assert before.volt_s == pytest.approx(0.02)
@@ -146,6 +146,6 @@ def test_only_what_turns_a_free_motor_counts_as_driving(
     apart_ms: float, volts: float, volt_s: float
 ) -> None:
     """More than the friction takes, over no longer than a turn could hide in."""
-    first = seen(Readings(), _sample(1000, u=volts))
+    first = updated(Readings(), _sample(1000, u=volts))
 
-    assert seen(first, _sample(1000 + apart_ms)).volt_s == pytest.approx(volt_s)
+    assert updated(first, _sample(1000 + apart_ms)).volt_s == pytest.approx(volt_s)

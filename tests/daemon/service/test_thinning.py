@@ -20,7 +20,7 @@ def test_lines_that_differ_in_numbers_only_are_said_once_a_second() -> None:
     """The first at once; of the others the last, with their number."""
     thinning = Thinning()
 
-    said = [log for ms in range(1000) if thinning.said(log := _missed(ms))]
+    said = [log for ms in range(1000) if thinning.lets_through(log := _missed(ms))]
     due = thinning.due(AGAIN_NS)
 
     assert said == [_missed(0)]
@@ -35,7 +35,7 @@ def test_a_flood_goes_on_at_a_line_a_second() -> None:
     thinning = Thinning()
     lines, counted = 0, 0
     for ms in range(5000):
-        lines += thinning.said(_missed(ms))
+        lines += thinning.lets_through(_missed(ms))
         for line in thinning.due(ms * MS):
             lines += 1
             counted += int(line.message.rsplit("(", 1)[1].split()[0])
@@ -48,29 +48,29 @@ def test_a_flood_goes_on_at_a_line_a_second() -> None:
 def test_a_line_that_comes_now_and_then_is_said_as_it_is() -> None:
     """Two in a second are two lines, the second late and without a count."""
     thinning = Thinning()
-    assert thinning.said(_missed(0))
-    assert not thinning.said(_missed(500))
+    assert thinning.lets_through(_missed(0))
+    assert not thinning.lets_through(_missed(500))
 
     assert thinning.due(999 * MS) == []
     assert thinning.due(1000 * MS) == [_missed(500)]
     assert thinning.due(2000 * MS) == []
-    assert thinning.said(_missed(3000))
+    assert thinning.lets_through(_missed(3000))
 
 
 def test_other_lines_and_errors_are_not_held_back() -> None:
     """An error may repeat itself."""
     thinning = Thinning()
-    assert thinning.said(_missed(0))
+    assert thinning.lets_through(_missed(0))
 
-    assert thinning.said(_log(1, "the device was reset"))
-    assert all(thinning.said(_log(ms, "u[3] is not allowed", "error")) for ms in range(10))
+    assert thinning.lets_through(_log(1, "the device was reset"))
+    assert all(thinning.lets_through(_log(ms, "u[3] is not allowed", "error")) for ms in range(10))
 
 
 def test_at_the_end_nothing_stays_held_back() -> None:
     """A run's recording has what belongs to it."""
     thinning = Thinning()
     for ms in range(3):
-        thinning.said(_missed(ms))
+        thinning.lets_through(_missed(ms))
 
     (line,) = thinning.due(3 * MS, end=True)
 
@@ -82,6 +82,6 @@ def test_the_kinds_that_are_told_apart_have_a_bound() -> None:
     thinning = Thinning()
     words = ["".join(chr(97 + int(d)) for d in str(i)) for i in range(MOST_KINDS + 50)]
 
-    assert all(thinning.said(_log(0, word)) for word in words)
-    assert thinning.said(_log(0, words[-1]))
-    assert not thinning.said(_log(0, words[0]))
+    assert all(thinning.lets_through(_log(0, word)) for word in words)
+    assert thinning.lets_through(_log(0, words[-1]))
+    assert not thinning.lets_through(_log(0, words[0]))
