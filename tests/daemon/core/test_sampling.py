@@ -1,10 +1,12 @@
-"""A sample that answers an EXCHANGE, and one that the device makes by itself: where they differ."""
+"""A sample that answers an EXCHANGE, and one that the device makes by itself."""
 
 from __future__ import annotations
 
 import pytest
 from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of
+from armrig_daemon.core import sampling
+from armrig_daemon.core.clockmap import ClockMap
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.state import (
     Action,
@@ -13,6 +15,7 @@ from armrig_daemon.core.state import (
     Phase,
     Publish,
     RoundTrip,
+    Sent,
     State,
     Want,
 )
@@ -28,10 +31,10 @@ LATCHED = Fault(Id.LEASE, "ran out")
 
 
 def _asked(bench: Bench, ms: float = 21) -> State:
-    """Return a state with EXCHANGEs on their way whose answers do not come."""
-    bench.ports.to_device = lambda data: b""
+    """Return the state after two exchanges that nothing answered."""
+    bench.ports.from_device = lambda data: b""
     bench.run_for(ms)
-    assert len(bench.loop.state.sent) > 1
+    assert len(bench.loop.state.sent) == 2
     return bench.loop.state
 
 
@@ -57,11 +60,11 @@ def _answer(bench: Bench, now: State, at: int = 0, **fields: int) -> Decided:
     return heard(bench, device_sample(now, k=now.sent[at].k)._replace(**fields), now)
 
 
-def _due(bench: Bench, now: State, **fields: int) -> Decided:
-    """Return what follows from the sample of the run that is due next, as it must be."""
+def _due(bench: Bench, now: State, ahead: int = 0, **fields: int) -> Decided:
+    """Return what follows from the sample of the run that is due next, or one `ahead` of it."""
     assert now.run is not None
     u = _duty(now, now.run.code(0))
-    known = {"k": now.run.due, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.seq - 1}
+    known = {"k": now.run.due + ahead, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.seq - 1}
     return heard(bench, device_sample(now)._replace(**{**known, **fields}), now)
 
 
@@ -96,30 +99,6 @@ def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
     assert f"where {state.sent[0].code} was commanded" in wrong.state.fault.cause
     assert [type(m) for m in wrong.sent] == [Stop]
     assert right.state.fault is None
-
-
-@pytest.mark.parametrize(("flags", "trips"), [(RUN, True), (RUN | UNDERRUN, False)])
-def test_in_a_run_only_an_underrun_excuses_another_code(flags: int, trips: bool) -> None:
-    """S5: the device says that no setpoint was there; the policy's code is told."""
-    bench = _playing()
-
-    decided = _due(bench, bench.loop.state, u_k=0, flags=flags)
-
-    assert (decided.state.fault is not None) == trips
-    assert len(_published(decided)) == 1
-    said = [log.message for log in decided.told(Log) if "no setpoint was there" in log.message]
-    assert len(said) == (not trips)
-
-
-def test_an_exchange_in_a_fault_is_no_second_fault() -> None:
-    """S6: the motor is on its way to 0 V already, and the first cause stands."""
-    bench = driven()
-    state = replace(_asked(bench), phase=Phase.FAULT, fault=LATCHED)
-
-    decided = _answer(bench, state, u_k=9, flags=RUN)
-
-    assert decided.state.fault == LATCHED
-    assert decided.sent == []
 
 
 def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> None:
@@ -325,3 +304,210 @@ def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start()
 
     assert _order(decided, RunStarted, Publish) == ["RunStarted", "Publish"]
     assert [s.k for s in _published(decided)] == [starting.k + 1]
+
+
+# -- answers to exchanges ------------------------------------------------------------------------
+
+
+def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
+    """L2: the first is a gap, with the voltage that was commanded."""
+    bench = driven()
+    first, second = _asked(bench).sent
+    held, t_us = code_of(1.0), bench.loop.state.t_us + 5
+    sample = device_sample(
+        bench.loop.state, k=second.k, u_k=held, u_km1=held, flags=int(Flag.RUN), t_us=t_us
+    )
+
+    decided = heard(bench, sample)
+
+    (gap,) = decided.told(Gap)
+    assert (gap.k_first, gap.count, gap.reason) == (first.k, 1, "a frame was lost")
+    assert (gap.t_from_ns, gap.t_to_ns) == (first.sent_ns, bench.ports.now)
+    (published,) = _published(decided)
+    assert (published.k, published.t_sched_ns, published.t_host_ns) == second[1:4]
+    assert decided.of(RoundTrip) == [RoundTrip(bench.ports.now - second.sent_ns)]
+    after = decided.state
+    assert (after.sent, after.fresh_ns, after.told) == ((), second.sent_ns, second.k)
+    assert (after.applied, after.t_us) == (held, t_us)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None:
+    """S5: the k began anew, and an old sample is played again; of a new link any stamp is new."""
+    bench = driven()
+    state = _asked(bench)
+    state = state if known else replace(state, sampled_ns=0)
+    sample = device_sample(state, k=state.sent[0].k, t_us=(state.t_us - 1) & 0xFFFFFFFF)
+
+    decided = heard(bench, sample, state)
+
+    assert len(_published(decided)) == (not known)
+
+
+def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
+    """An old burst, or the echo of another host: nothing is published, nothing proved."""
+    bench = rested()
+    state = _asked(bench)
+
+    decided = heard(bench, device_sample(state, k=state.sent[-1].k + 1))
+
+    assert decided.actions == []
+    assert decided.state == replace(state, pending=decided.state.pending)
+
+
+def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
+    """S4: an old EXCHANGE that was played again asked for it, under the k of ours on its way."""
+    bench = rested()
+    state, now = bench.loop.state, bench.ports.now
+    ours = Sent(state.seq - 1, state.told + 1, now, now, 0)
+    state = replace(state, sent=(ours,), fresh_ns=now - 40 * MS)
+    sample = device_sample(state, k=ours.k, echo=ours.seq)
+
+    assert heard(bench, sample, state).state.fresh_ns == now
+    old = heard(bench, sample._replace(echo=state.seq + 3), state)
+    assert old.state.fresh_ns == now - 40 * MS
+    assert old.state.sent == (ours,)
+    assert old.of(Publish) == []
+
+
+def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:
+    """S4: it proves nothing of whoever will be met next."""
+    bench = rested()
+    state = _asked(bench)
+    sample = device_sample(state, k=state.sent[0].k)
+    unmet = replace(state, device=None)
+
+    decided = heard(bench, sample, unmet)
+
+    assert decided.actions == []
+    assert decided.state == replace(unmet, pending=decided.state.pending)
+
+
+@pytest.mark.parametrize(("u_k", "trips"), [(0, False), (1, True)])
+def test_at_rest_the_device_applies_nothing(u_k: int, trips: bool) -> None:
+    """S5: outside RUN 0 is what is expected, whatever the code of the exchange was."""
+    bench = rested()
+    state = _asked(bench)
+
+    decided = heard(bench, device_sample(state, k=state.sent[0].k, u_k=u_k))
+
+    assert (decided.state.fault is not None) == trips
+    if decided.state.fault is not None:
+        assert decided.state.fault.id is Id.APPLIED
+
+
+def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
+    """S5: 10 bits of duty round the code; the code itself would be another."""
+    bench = driven()
+    state = _asked(bench)
+    held = state.sent[0].code
+    assert state.device is not None
+    coarse = replace(state, device=state.device._replace(pwm_bits=10))
+
+    as_sent = heard(
+        bench, device_sample(state, k=state.sent[0].k, u_k=held, flags=int(Flag.RUN)), coarse
+    )
+
+    assert as_sent.state.fault is not None
+    assert f"applied code {held} where {held} was commanded" in as_sent.state.fault.cause
+
+
+def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
+    """The motor is on its way to 0 V already."""
+    bench = rested()
+    state = replace(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+
+    decided = heard(bench, device_sample(state, k=state.sent[0].k, u_k=9), state)
+
+    assert decided.state.fault == Fault(Id.LEASE, "ran out")
+
+
+# -- samples of scheduled runs -------------------------------------------------------------------
+
+
+def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start() -> None:
+    """t_zero + i Ts: until eight exchanges have told more."""
+    bench = _playing()
+    state = replace(bench.loop.state, clock=ClockMap())
+    run = state.run
+    assert run is not None
+
+    (sample,) = _published(_due(bench, state))
+
+    assert sample.t_sched_ns == run.t_zero_ns + run.due * 5_000_000
+    assert sample.k == run.k_first + run.due
+
+
+@pytest.mark.parametrize("known", [7, 8])
+def test_eight_exchanges_make_a_map(known: int) -> None:
+    """One fewer, and the start's own time is better."""
+    bench = _playing()
+    state = bench.loop.state
+    trips = state.clock.round_trips
+    few = replace(state, clock=state.clock._replace(round_trips=trips[:1] * known))
+    run = state.run
+    assert run is not None
+
+    (sample,) = _published(_due(bench, few, t_us=state.t_us + 5_000 & 0xFFFFFFFF))
+
+    assert (sample.t_sched_ns == run.t_zero_ns + run.due * 5_000_000) == (known < 8)
+
+
+@pytest.mark.parametrize(
+    ("flags", "u", "trips"),
+    [
+        (Flag.RUN, 0, True),
+        (Flag.RUN | Flag.UNDERRUN, 0, False),
+    ],
+)
+def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
+    flags: Flag, u: int, trips: bool
+) -> None:
+    """S5: where no setpoint was there the device says so, and the policy's code is told."""
+    bench = _playing()
+    decided = _due(bench, bench.loop.state, flags=int(flags), u_k=u)
+
+    assert (decided.state.fault is not None) == trips
+    if trips:
+        assert decided.state.fault is not None
+        assert decided.state.fault.id is Id.APPLIED
+    else:
+        assert "no setpoint was there" in decided.told(Log)[0].message
+
+
+def test_a_sample_that_is_ahead_tells_of_those_before_it() -> None:
+    """L2: each with the voltage of its own setpoint."""
+    bench = _playing()
+    run = bench.loop.state.run
+    assert run is not None
+
+    decided = _due(bench, bench.loop.state, ahead=3)
+
+    gaps = decided.told(Gap)
+    first = run.k_first + run.due
+    assert [(g.k_first, g.count) for g in gaps] == [(first + i, 1) for i in range(3)]
+    assert all(g.u_held_v == pytest.approx(2.0, abs=0.003) for g in gaps)
+    assert decided.state.run is not None
+    assert decided.state.run.due == run.due + 4
+
+
+@pytest.mark.parametrize("ahead", [-1, 1000])
+def test_a_sample_twice_or_behind_the_end_is_none(ahead: int) -> None:
+    """It has been published, or belongs to no run of ours."""
+    bench = _playing()
+
+    assert _published(_due(bench, bench.loop.state, ahead=ahead)) == []
+
+
+def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
+    """S4: the age is that of the newest frame whose echo has come."""
+    bench = _playing()
+    state = bench.loop.state
+    older, newer = Heard(0xFFFF, 11), Heard(0, 22)
+    waiting = replace(state, beats=(older, newer), fresh_ns=5)
+
+    assert sampling.note_echo(waiting, 0xFFFE) == waiting
+    half_a_round_away = replace(waiting, beats=(older,))
+    assert sampling.note_echo(half_a_round_away, 0x7FFF) == half_a_round_away
+    assert sampling.note_echo(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
+    assert sampling.note_echo(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
