@@ -1,4 +1,4 @@
-"""Who is turned away at the door: commands that cannot be the holder's, before anybody reads them.
+"""Commands that cannot be those of the holder are refused here, before anybody reads them.
 
 Cheap, on zenoh's thread: a stranger must not keep the service from those who hold the rig. What
 is let in is judged anew, by the service and by the core; the core alone decides.
