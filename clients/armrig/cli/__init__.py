@@ -17,6 +17,7 @@ import typer
 from armrig.cli import (
     calibrate,
     collect,
+    comparison,
     files,
     host,
     identification,
@@ -46,7 +47,7 @@ for _command in (
     files.replay,
     identification.identify,
     validation.validate,
-    validation.compare,
+    comparison.compare,
     physics.check,
     physics.greybox,
     physics.split,

@@ -3,66 +3,76 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
 from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
 
 if TYPE_CHECKING:
+    from armrig_core.calibration import Calibration
+
     from armrig.recordings.calibration import Estimate
     from armrig.recordings.recording import Recording
 
-_OWNER = "armrig calibrate"
-_DEAD_MAN_S = 1.0
-_LONGEST_LEVEL_S = 600.0
-_START_S = 0.5  # at 0 V, for the arm's reading before it is set in motion
+Output = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="TOML", help="File to write; the user's by default."),
+]
+Volts = Annotated[
+    list[float] | None,
+    typer.Option("--volts", help="Voltage to turn at; several times for several. 1, 2 and 3."),
+]
+LevelSeconds = Annotated[
+    float, typer.Option("--level-seconds", help="How long each voltage is held.")
+]
+RestSeconds = Annotated[
+    float, typer.Option("--rest-seconds", help="Length of the rest, and of a hand's deflection.")
+]
+Meter = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--meter",
+        metavar="CODE=VOLTS",
+        help="What a meter shows at the motor for a code of 1 to 65535; several times.",
+    ),
+]
+MeterStd = Annotated[
+    float, typer.Option("--meter-std", help="Standard deviation of such a reading in V.")
+]
+ByHand = Annotated[
+    bool, typer.Option("--by-hand", help="No motor: the arm's sign from a deflection by hand.")
+]
+RestFile = Annotated[
+    Path | None, typer.Option("--rest", metavar="F", help="A recording of a rest made before.")
+]
+TurnsFile = Annotated[
+    Path | None, typer.Option("--turns", metavar="F", help="A recording of turns made before.")
+]
+SamplingTime = Annotated[
+    float | None, typer.Option("--Ts", help="Sampling time in s; the daemon's by default.")
+]
+Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing.")]
+
+_LEVELS_V = (1.0, 2.0, 3.0)
 
 
 def calibrate(
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", metavar="TOML", help="File to write; the user's by default."
-        ),
-    ] = None,
-    volts: Annotated[
-        list[float] | None,
-        typer.Option("--volts", help="Voltage to turn at; several times for several. 1, 2 and 3."),
-    ] = None,
-    level_seconds: Annotated[
-        float, typer.Option("--level-seconds", help="How long each voltage is held.")
-    ] = 12.0,
-    rest_seconds: Annotated[
-        float,
-        typer.Option("--rest-seconds", help="Length of the rest, and of a hand's deflection."),
-    ] = 3.0,
-    meter: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--meter",
-            metavar="CODE=VOLTS",
-            help="What a meter shows at the motor for a code of 1 to 65535; several times.",
-        ),
-    ] = None,
-    meter_std: Annotated[
-        float, typer.Option("--meter-std", help="Standard deviation of such a reading in V.")
-    ] = 0.01,
-    by_hand: Annotated[
-        bool,
-        typer.Option("--by-hand", help="No motor: the arm's sign from a deflection by hand."),
-    ] = False,
-    rest_file: Annotated[
-        Path | None, typer.Option("--rest", metavar="F", help="A recording of a rest made before.")
-    ] = None,
-    turns_file: Annotated[
-        Path | None, typer.Option("--turns", metavar="F", help="A recording of turns made before.")
-    ] = None,
-    Ts: Annotated[
-        float | None, typer.Option("--Ts", help="Sampling time in s; the daemon's by default.")
-    ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing.")] = False,
+    output: Output = None,
+    volts: Volts = None,
+    level_seconds: LevelSeconds = 12.0,
+    rest_seconds: RestSeconds = 3.0,
+    meter: Meter = None,
+    meter_std: MeterStd = 0.01,
+    by_hand: ByHand = False,
+    rest_file: RestFile = None,
+    turns_file: TurnsFile = None,
+    Ts: SamplingTime = None,
+    yes: Yes = False,
     rig: RigId = "1",
     connect: Connect = None,
     json: Json = False,
@@ -71,112 +81,91 @@ def calibrate(
 
     Each figure comes with its standard deviation.
     """
-    from armrig.recordings.calibration import estimate
-
-    readings = [_meter(text) for text in meter or []]
-    levels = volts or [1.0, 2.0, 3.0]
-    path = _checked(output or _default(rig))
-    _check_turns(levels, level_seconds)
-    _check_questions(yes=yes, asked=by_hand or rest_file is None or turns_file is None)
-    ask = _Dialogue(yes=yes)
-    play = _Player(Ts=Ts, rig=rig, connect=connect)
-    rest, turns, deflected = _loaded(rest_file), _loaded(turns_file), None
-    if rest is None:
-        ask.ready("Turn the chassis to its mark for theta_1 = 0 and let the arm hang still.")
-        rest = play.rest("calibrate-rest", rest_seconds)
-    if by_hand:
-        ask.ready(
-            "Deflect the arm the way that the chassis turns with a voltage, hold it, and go on "
-            f"holding it for {rest_seconds:g} s."
-        )
-        deflected = play.rest("calibrate-hand", rest_seconds)
-    elif turns is None:
-        text = ", ".join(f"{v:g} V" for v in levels)
-        ask.ready(f"The chassis will turn at {text}, {level_seconds:g} s each: keep clear of it.")
-        turns = play.turns(levels, level_seconds)
-    if not by_hand and turns_file is None and not readings:
-        readings = ask.meter(levels)
-    base = _base(rest)
-    recordings = {"rest": rest, "turns": turns, "deflected": deflected}
-    found = estimate(
-        rest,
-        turns,
-        deflected=deflected,
-        meter=[(_applied(code, rest), shown) for code, shown in readings],
-        meter_std_v=meter_std,
-        base=base,
+    wanted = _Wanted(
+        readings=[meter_reading(text) for text in meter or []],
+        levels=volts or list(_LEVELS_V),
+        level_seconds=level_seconds,
+        rest_seconds=rest_seconds,
+        by_hand=by_hand,
+        rest_file=rest_file,
+        turns_file=turns_file,
     )
-    _write(path, found, base, {name: r for name, r in recordings.items() if r is not None})
+    path = _checked(output or _default(rig))
+    check_turns(wanted.levels, level_seconds)
+    _check_terminal(wanted, yes=yes)
+    measured = _measured(wanted, Dialogue(yes=yes), Player(Ts=Ts, rig=rig, connect=connect))
+    base = _base(measured.rest)
+    found = _estimated(measured, meter_std, base)
+    _write(path, found, base, measured.recordings())
     _print(path, found, json=json)
 
 
-class _Dialogue:
-    """Asks the person at the terminal, or nobody."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wanted:
+    """What to measure, and what was measured before."""
 
-    def __init__(self, *, yes: bool) -> None:
-        self._quiet = yes
-
-    def ready(self, text: str) -> None:
-        """Say what to do, and wait until it is done."""
-        if not self._quiet:
-            typer.prompt(f"{text} Then press Enter", default="", show_default=False, err=True)
-
-    def meter(self, levels: list[float]) -> list[tuple[int, float]]:
-        """Return what a meter showed at the motor's terminals."""
-        from armrig_core.volts import code_of
-
-        readings: list[tuple[int, float]] = []
-        for u in [] if self._quiet else levels:
-            text = f"What a meter showed at the motor for {u:g} V, in V (Enter: nothing)"
-            shown = typer.prompt(text, default="", show_default=False, err=True)
-            if shown:
-                readings.append(_meter(f"{code_of(u)}={shown}"))
-        return readings
+    readings: list[tuple[int, float]]
+    """Codes, and what a meter showed for each, in V."""
+    levels: list[float]
+    """Voltages to turn at, in V."""
+    level_seconds: float
+    rest_seconds: float
+    by_hand: bool
+    """The arm is deflected by a person, and the motor is left alone."""
+    rest_file: Path | None
+    turns_file: Path | None
 
 
-class _Player:
-    """Plays the runs of a calibration, and gives their recordings."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Measured:
+    """The recordings and readings that a calibration is estimated from."""
 
-    def __init__(self, *, Ts: float | None, rig: str, connect: str | None) -> None:
-        self._Ts, self._rig, self._connect = Ts, rig, connect
+    rest: Recording
+    turns: Recording | None
+    deflected: Recording | None
+    readings: list[tuple[int, float]]
 
-    def rest(self, experiment: str, seconds: float) -> Recording:
-        """Record the rig at 0 V."""
-        import numpy as np
+    def recordings(self) -> dict[str, Recording]:
+        """Return those that there are, by name."""
+        named = {"rest": self.rest, "turns": self.turns, "deflected": self.deflected}
+        return {name: recording for name, recording in named.items() if recording is not None}
 
-        return self._played(experiment, seconds, {}, lambda N, _: np.zeros(N))
 
-    def turns(self, levels: list[float], level_seconds: float) -> Recording:
-        """Record the rig turning at one voltage after the other."""
-        import numpy as np
-
-        seconds = _START_S + level_seconds * len(levels)
-
-        def make(N: int, Ts: float) -> Any:
-            t = np.arange(N) * Ts - _START_S
-            at = np.minimum((t / level_seconds).astype(int), len(levels) - 1)
-            return np.where(t < 0, 0.0, np.array(levels)[at])
-
-        details = {"levels": levels, "level_seconds": level_seconds}
-        return self._played("calibrate-turns", seconds, details, make)
-
-    def _played(
-        self, experiment: str, seconds: float, details: dict[str, Any], make: Any
-    ) -> Recording:
-        from armrig.recordings.loading import load
-        from armrig.rig.collection import Plan, collect
-
-        plan = Plan(
-            experiment=experiment,
-            make=make,
-            details=details,
-            seconds=seconds,
-            Ts=self._Ts,
-            pacing="scheduled",
-            owner=_OWNER,
-            dead_man=_DEAD_MAN_S,
+def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
+    """Lead the person and the rig through what was not measured before."""
+    rest, turns = _loaded(wanted.rest_file), _loaded(wanted.turns_file)
+    deflected = None
+    if rest is None:
+        ask.ready("Turn the chassis to its mark for theta_1 = 0 and let the arm hang still.")
+        rest = play.rest("calibrate-rest", wanted.rest_seconds)
+    if wanted.by_hand:
+        ask.ready(
+            "Deflect the arm the way that the chassis turns with a voltage, hold it, and go on "
+            f"holding it for {wanted.rest_seconds:g} s."
         )
-        return load(collect(plan, rig=self._rig, connect=self._connect, tell=tell).path)
+        deflected = play.rest("calibrate-hand", wanted.rest_seconds)
+    elif turns is None:
+        text = ", ".join(f"{v:g} V" for v in wanted.levels)
+        seconds = wanted.level_seconds
+        ask.ready(f"The chassis will turn at {text}, {seconds:g} s each: keep clear of it.")
+        turns = play.turns(wanted.levels, seconds)
+    readings = wanted.readings
+    if not wanted.by_hand and wanted.turns_file is None and not readings:
+        readings = ask.meter(wanted.levels)
+    return _Measured(rest=rest, turns=turns, deflected=deflected, readings=readings)
+
+
+def _estimated(measured: _Measured, meter_std_v: float, base: Calibration) -> Estimate:
+    from armrig.recordings.calibration import estimate
+
+    return estimate(
+        measured.rest,
+        measured.turns,
+        deflected=measured.deflected,
+        meter=[(_applied(code, measured.rest), shown) for code, shown in measured.readings],
+        meter_std_v=meter_std_v,
+        base=base,
+    )
 
 
 def _default(rig: str) -> Path:
@@ -206,42 +195,12 @@ def _checked(path: Path) -> Path:
     return path
 
 
-def _check_turns(levels: list[float], level_seconds: float) -> None:
-    """Refuse voltages that the rig does not stand, and times too short for a speed to settle."""
-    from armrig_core.volts import U_MAX_V
-
-    from armrig.recordings.calibration.rotation import LEAST_S, SETTLE_S
-
-    for u in levels:
-        if not 0 < u <= U_MAX_V:
-            msg = f"--volts {u:g}: must be more than 0 and at most {U_MAX_V:g} V"
-            raise ValueError(msg)
-    if not SETTLE_S + LEAST_S < level_seconds <= _LONGEST_LEVEL_S:
-        msg = f"--level-seconds {level_seconds:g}: must be more than {SETTLE_S + LEAST_S:g} s, "
-        msg += f"of which the first {SETTLE_S:g} s are not used, and at most {_LONGEST_LEVEL_S:g}"
-        raise ValueError(msg)
-
-
-def _check_questions(*, yes: bool, asked: bool) -> None:
-    if asked and not yes and not sys.stdin.isatty():
+def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
+    """Refuse to begin where there are questions and nobody to answer them."""
+    asks = wanted.by_hand or wanted.rest_file is None or wanted.turns_file is None
+    if asks and not yes and not sys.stdin.isatty():
         msg = "there is no terminal to ask at: give --yes when the rig is ready, see --help"
         raise ValueError(msg)
-
-
-def _meter(text: str) -> tuple[int, float]:
-    """Return the code and the reading of CODE=VOLTS."""
-    from armrig_protocol.messages import CODE_FULL_SCALE
-
-    code, _, volts = text.partition("=")
-    try:
-        reading = int(code), float(volts)
-    except ValueError:
-        reading = 0, 0.0
-    if not 0 < reading[0] <= CODE_FULL_SCALE or not 0 < reading[1] <= 10:
-        msg = f"--meter {text}: must be CODE=VOLTS, a code of 1 to {CODE_FULL_SCALE} and what the "
-        msg += "meter shows, such as 32768=2.49"
-        raise ValueError(msg)
-    return reading
 
 
 def _applied(code: int, rest: Recording) -> float:
@@ -258,7 +217,7 @@ def _loaded(path: Path | None) -> Recording | None:
     return None if path is None else load(path)
 
 
-def _base(rest: Recording) -> Any:
+def _base(rest: Recording) -> Calibration:
     """Return what was in force at the rest, for what is not measured."""
     from armrig_core.calibration import Calibration
     from msgspec.structs import replace
@@ -266,7 +225,9 @@ def _base(rest: Recording) -> Any:
     return replace(rest.calibration or Calibration(), made=None)
 
 
-def _write(path: Path, found: Estimate, base: Any, recordings: dict[str, Recording]) -> None:
+def _write(
+    path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, Recording]
+) -> None:
     """Write the calibration and its samples, each as a whole."""
     import hashlib
     from importlib.metadata import version
@@ -306,7 +267,7 @@ def _print(path: Path, found: Estimate, *, json: bool) -> None:
         facts = {"calibration": str(path), "figures": figures, "alpha_sign": found.alpha_sign}
         print_json(facts | {"warnings": found.warnings})
         return
-    rows = [(name, f"{_in_words(f.value, f.std)}") for name, f in figures.items()]
+    rows = [(name, _with_std(figure.value, figure.std)) for name, figure in figures.items()]
     sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
     print_table(*rows, ("alpha", sign[found.alpha_sign]), ("calibration", str(path)))
     tell(
@@ -315,7 +276,7 @@ def _print(path: Path, found: Estimate, *, json: bool) -> None:
     )
 
 
-def _in_words(value: float, std: float) -> str:
+def _with_std(value: float, std: float) -> str:
     from armrig.numerics.quantities import places
 
     if not std:

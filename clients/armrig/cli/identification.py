@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +18,8 @@ from armrig.cli.model_structures import (
     NfOrNone,
     OrderOrNone,
     Structure,
+    StructureOrNone,
+    Weights,
     WeightsOrNone,
     check_integrator,
     chosen_orders,
@@ -37,18 +40,34 @@ from armrig.cli.options import (
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
-    from armrig.validation.search_result import SearchResult
+    from armrig.validation.comparison import ComparisonTable, ResidualTest
+    from armrig.validation.model_search import SearchResult
 
 Output = Annotated[
     Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")
+]
+Integrator = Annotated[
+    bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")
+]
+Search = Annotated[
+    bool,
+    typer.Option("--search", help="Try all structures, or the one given, with several orders."),
+]
+MaxOrder = Annotated[
+    int, typer.Option("--max-order", min=1, help="Highest order that --search tries.")
+]
+Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes that --search estimates in.")]
+ValidationFile = Annotated[
+    Path | None, typer.Option("--validate", metavar="F2", help="Recording to validate with.")
+]
+Save = Annotated[
+    Path | None, typer.Option("--save", metavar="JSON", help="File to write the model to.")
 ]
 
 
 def identify(
     file: File,
-    structure: Annotated[
-        Structure | None, typer.Option("--structure", help="Which model.", show_default=False)
-    ] = None,
+    structure: StructureOrNone = None,
     na: NaOrNone = None,
     nb: NbOrNone = None,
     nc: NcOrNone = None,
@@ -57,28 +76,14 @@ def identify(
     order: OrderOrNone = None,
     nk: Nk = 1,
     weights: WeightsOrNone = None,
-    integrator: Annotated[
-        bool,
-        typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID)."),
-    ] = False,
-    search: Annotated[
-        bool,
-        typer.Option("--search", help="Try all structures, or the one given, with several orders."),
-    ] = False,
-    most: Annotated[
-        int, typer.Option("--max-order", min=1, help="Highest order that --search tries.")
-    ] = 5,
-    jobs: Annotated[
-        int, typer.Option("--jobs", min=1, help="Processes that --search estimates in.")
-    ] = 1,
-    validate: Annotated[
-        Path | None, typer.Option("--validate", metavar="F2", help="Recording to validate with.")
-    ] = None,
+    integrator: Integrator = False,
+    search: Search = False,
+    most: MaxOrder = 5,
+    jobs: Jobs = 1,
+    validate: ValidationFile = None,
     output: Output = "theta_1",
     calibration: CalibrationFile = None,
-    save: Annotated[
-        Path | None, typer.Option("--save", metavar="JSON", help="File to write the model to.")
-    ] = None,
+    save: Save = None,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
@@ -86,52 +91,82 @@ def identify(
 
     Says how sure each parameter is.
     """
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-    from armrig.recordings.loading import load
-
     given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}
-    orders: dict[str, int | None] = {}
+    wanted = _Wanted(
+        structure=structure,
+        orders=_checked_orders(structure, given, weights=weights, search=search),
+        weights=_checked_weights(structure, weights),
+        nk=nk,
+        integrator=_checked_integrator(structure, output, integrator=integrator),
+        search=search,
+        most=most,
+        jobs=jobs,
+    )
+    _check_files(file, validate, plot=plot, save=save)
+    data = _dataset(file, output, calibration)
+    # Before the minutes that an estimation may take.
+    other = None if validate is None else _dataset(validate, output, calibration)
+    found = _found(wanted, data, other)
+    if json:
+        _print_json(found, data)
+    else:
+        _print_lines(found, validate)
+    if save is not None:
+        found.fit.save(save)
+    _plot_model(found.fit, plot)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wanted:
+    """What to estimate, by options that go with each other."""
+
+    structure: Structure | None
+    """None in a search through all of them."""
+    orders: dict[str, int | None]
+    """By name; None lets the data choose. There are none in a search."""
+    weights: Weights | None
+    nk: int
+    integrator: bool
+    search: bool
+    most: int
+    """Highest order that a search tries."""
+    jobs: int
+    """Processes that a search estimates in."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Validation:
+    """What other data say of the model."""
+
+    data: Dataset
+    table: ComparisonTable
+    tests: ResidualTest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Found:
+    """The model, and how it was come by."""
+
+    fit: Fit
+    search: SearchResult | None
+    validation: _Validation | None
+
+
+def _checked_orders(
+    structure: Structure | None,
+    given: dict[str, int | None],
+    *,
+    weights: Weights | None,
+    search: bool,
+) -> dict[str, int | None]:
+    """Return the structure's orders; a search has none, and refuses those given."""
     if search:
         _check_nothing_fixed(given, weights=weights)
-    elif structure is None:
+        return {}
+    if structure is None:
         msg = "give --structure, such as --structure oe --integrator, or --search"
         raise typer.BadParameter(msg)
-    else:
-        orders = chosen_orders(structure, given)
-    if integrator and structure is not None:
-        check_integrator(structure)
-    if weights is not None and structure != "n4sid":
-        msg = f"--weights {weights} goes with --structure n4sid"
-        raise typer.BadParameter(msg)
-    if integrator and output not in INTEGRATING_OUTPUTS:
-        tell(f"--integrator: {output} does not integrate, a root at 1 is not the rig's")
-    inputs = [file, *([validate] if validate else [])]
-    check_plot(plot, inputs)
-    if save is not None:
-        check_output(save, inputs)
-    data = warned(load(file, calibration)).dataset(output)
-    # Before the minutes that an estimation may take.
-    other = None if validate is None else warned(load(validate, calibration)).dataset(output)
-    found = None
-    if search:
-        found = _searched(
-            data, other, structure, nk=nk, integrator=integrator, most=most, jobs=jobs
-        )
-        fit = found.fit
-    elif structure is not None:
-        fit = estimated(data, structure, orders, nk=nk, integrator=integrator, weights=weights)
-    _told(fit, found, data, other, where=validate, json=json)
-    if save is not None:
-        fit.save(save)
-    if plot is not None:
-        from armrig.plots import plot_bode, plot_poles_zeros, plot_step
-
-        write_plot(
-            plot,
-            lambda ax: plot_bode(fit, ax=ax),
-            lambda ax: plot_step(fit, ax=ax),
-            lambda ax: plot_poles_zeros(fit, ax=ax),
-        )
+    return chosen_orders(structure, given)
 
 
 def _check_nothing_fixed(given: dict[str, int | None], *, weights: str | None) -> None:
@@ -142,72 +177,130 @@ def _check_nothing_fixed(given: dict[str, int | None], *, weights: str | None) -
         raise typer.BadParameter(msg)
 
 
-def _searched(
-    data: Dataset,
-    other: Dataset | None,
-    structure: Structure | None,
-    *,
-    nk: int,
-    integrator: bool,
-    most: int,
-    jobs: int,
-) -> SearchResult:
+def _checked_weights(structure: Structure | None, weights: Weights | None) -> Weights | None:
+    """Refuse weights of a projection where there is none."""
+    if weights is not None and structure != "n4sid":
+        msg = f"--weights {weights} goes with --structure n4sid"
+        raise typer.BadParameter(msg)
+    return weights
+
+
+def _checked_integrator(structure: Structure | None, output: str, *, integrator: bool) -> bool:
+    """Refuse an integrator in a structure without one, and warn where the rig has none."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    if integrator and structure is not None:
+        check_integrator(structure)
+    if integrator and output not in INTEGRATING_OUTPUTS:
+        tell(f"--integrator: {output} does not integrate, so the rig has no root at 1 for it")
+    return integrator
+
+
+def _check_files(
+    file: Path, validate: Path | None, *, plot: Path | None, save: Path | None
+) -> None:
+    """Refuse, before any work, files that cannot or must not be written."""
+    inputs = [file] if validate is None else [file, validate]
+    check_plot(plot, inputs)
+    if save is not None:
+        check_output(save, inputs)
+
+
+def _dataset(file: Path, output: Any, calibration: Path | None) -> Dataset:
+    from armrig.recordings.recording import load
+
+    data: Dataset = warned(load(file, calibration)).dataset(output)
+    return data
+
+
+def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:
+    """Estimate the model, or search for it, and validate it where there are other data."""
+    searched = None
+    if wanted.search or wanted.structure is None:
+        searched = _searched(wanted, data, other)
+        fit = searched.fit
+    else:
+        fit = estimated(
+            data,
+            wanted.structure,
+            wanted.orders,
+            nk=wanted.nk,
+            integrator=wanted.integrator,
+            weights=wanted.weights,
+        )
+    validation = None if other is None else _validated(fit, other)
+    return _Found(fit=fit, search=searched, validation=validation)
+
+
+def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchResult:
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
     from armrig.cli.waiting import estimating
     from armrig.validation.model_search import FAMILIES, search
 
-    families = FAMILIES if structure is None else (structure,)
-    pool = ProcessPoolExecutor(jobs) if jobs > 1 else nullcontext()
+    pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
     with estimating("--max-order"), pool as executor:
         return search(
             data,
             other,
-            families=families,
-            orders=range(1, most + 1),
-            nk=nk,
-            integrator=True if integrator else None,
+            families=FAMILIES if wanted.structure is None else (wanted.structure,),
+            orders=range(1, wanted.most + 1),
+            nk=wanted.nk,
+            # Without the option the search itself chooses.
+            integrator=True if wanted.integrator else None,
             executor=executor,
         )
 
 
-def _told(
-    fit: Fit,
-    found: SearchResult | None,
-    data: Dataset,
-    other: Dataset | None,
-    *,
-    where: Path | None,
-    json: bool,
-) -> None:
-    from armrig.cli import model_output
+def _validated(fit: Fit, other: Dataset) -> _Validation:
     from armrig.cli.waiting import estimating
     from armrig.validation.comparison import compare
     from armrig.validation.residuals import residuals
 
-    judged = None
-    if other is not None:
-        with estimating("the orders"):
-            judged = compare(other, fit), residuals(fit, other)
-        if judged[0][0].on_estimation_data:
-            tell(SAME_DATA)
-    if not json:
-        if found is not None:
-            say("\n".join(model_output.of_search(found)))
-        say("\n".join(model_output.of_model(fit)))
-        if judged is not None:
-            say(f"validation on {where}\n{judged[0]!r}")
-            say("\n".join(model_output.of_tests(judged[1])))
-        if hint := model_output.hint(fit):
-            tell(hint)
-        return
-    facts = model_output.facts_of_model(fit) | {"recording": data.source}
-    if found is not None:
-        facts["search"] = _search_facts(found)
-    if other is not None and judged is not None:
-        facts["validation"] = model_output.facts_of_tests(other, judged[0][0], judged[1])
+    with estimating("the orders"):
+        table, tests = compare(other, fit), residuals(fit, other)
+    if table[0].on_estimation_data:
+        tell(SAME_DATA)
+    return _Validation(data=other, table=table, tests=tests)
+
+
+def _print_lines(found: _Found, validate: Path | None) -> None:
+    from armrig.cli import model_output
+
+    if found.search is not None:
+        say("\n".join(model_output.search_lines(found.search)))
+    say("\n".join(model_output.model_lines(found.fit)))
+    if found.validation is not None:
+        say(f"validation on {validate}\n{found.validation.table!r}")
+        say("\n".join(model_output.residual_lines(found.validation.tests)))
+    if hint := model_output.hint(found.fit):
+        tell(hint)
+
+
+def _print_json(found: _Found, data: Dataset) -> None:
+    from armrig.cli import model_output
+
+    facts = model_output.model_facts(found.fit) | {"recording": data.source}
+    if found.search is not None:
+        facts["search"] = _search_facts(found.search)
+    if found.validation is not None:
+        v = found.validation
+        facts["validation"] = model_output.residual_facts(v.data, v.table[0], v.tests)
     print_json(facts)
+
+
+def _plot_model(fit: Fit, plot: Path | None) -> None:
+    if plot is None:
+        return
+    from armrig.plots import plot_bode, plot_poles_zeros, plot_step
+
+    write_plot(
+        plot,
+        lambda ax: plot_bode(fit, ax=ax),
+        lambda ax: plot_step(fit, ax=ax),
+        lambda ax: plot_poles_zeros(fit, ax=ax),
+    )
 
 
 def _search_facts(found: SearchResult) -> dict[str, Any]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,31 +15,34 @@ from armrig.cli.options import Json, print_json, say
 
 if TYPE_CHECKING:
     from armrig.physics.integrators.accuracy import Sinusoid
+    from armrig.physics.integrators.step_choice import Recommendation
+
+Methods = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method",
+        help="forward_euler, ab2, trapezoidal, heun, midpoint; repeatable; all by default.",
+    ),
+]
+Steps = Annotated[
+    list[float] | None,
+    typer.Option("--h", metavar="S", help="Step; may be repeated. By default one is recommended."),
+]
+Span = Annotated[
+    float | None,
+    typer.Option("--span", metavar="S", help="Length.", show_default="three periods"),
+]
 
 _MOST_STEPS = 2_000_000
 _STATE = 2  # the speed, which shows more than an angle that runs away
 
 
 def integrate(
-    method: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--method",
-            help="forward_euler, ab2, trapezoidal, heun, midpoint; repeatable; all by default.",
-        ),
-    ] = None,
-    h: Annotated[
-        list[float] | None,
-        typer.Option(
-            "--h", metavar="S", help="Step; may be repeated. By default one is recommended."
-        ),
-    ] = None,
+    method: Methods = None,
+    h: Steps = None,
     omega: Annotated[float, typer.Option("--omega", help="Of the input, in rad/s.")] = 10.0,
     amplitude: Annotated[float, typer.Option("--amplitude", help="Of the input, in V.")] = 2.5,
-    span: Annotated[
-        float | None,
-        typer.Option("--span", metavar="S", help="Length.", show_default="three periods"),
-    ] = None,
+    span: Span = None,
     tolerance: Annotated[
         float, typer.Option("--tolerance", help="Largest error of a recommended step.")
     ] = 1e-3,
@@ -47,91 +53,149 @@ def integrate(
 
     u = A sin(ωt), against the exact solution.
     """
+    check_plot(plot)
+    problem = _problem(amplitude=amplitude, omega=omega, span=span)
+    solved = _solved(problem, method or (), h or (), tolerance)
+    _plot_solutions(solved, plot)
+    if json:
+        _print_json(solved)
+    else:
+        _print_table(solved)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Row:
+    """One method at one step."""
+
+    method: str
+    h: float
+    limit: float
+    """Largest stable step, in s."""
+    stable: bool
+    error: float
+    """Largest over the span, each state against its own largest value; may be infinite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Solved:
+    """The solutions of a problem."""
+
+    problem: Sinusoid
+    rows: list[_Row]
+    advice: Recommendation | None
+    """Where the steps were recommended."""
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Each method once, in the order of the rows."""
+        return tuple(dict.fromkeys(row.method for row in self.rows))
+
+
+def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
     from armrig_core.arm import ArmParameters, arm_matrices
 
-    from armrig.cli.waiting import waiting
     from armrig.physics.integrators.accuracy import sinusoid
+
+    A, B, _ = arm_matrices(ArmParameters())
+    return sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
+
+
+def _solved(
+    problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
+) -> _Solved:
+    """Solve by the methods, all where none is given, at the steps, or at a recommended one."""
+    from armrig.cli.waiting import waiting
+    from armrig.physics.integrators.accuracy import all_methods
     from armrig.physics.integrators.stability import stability_limit
+
+    limits = {m: stability_limit(problem.A, m) for m in all_methods(tuple(methods) or None)}
+    for h in steps:
+        _check_step(h, problem)
+    advice = None
+    with waiting("integrating"):
+        if steps:
+            steps_of = {m: list(steps) for m in limits}
+        else:
+            advice = _recommended(problem, tuple(limits), tolerance)
+            steps_of = {row.method: [row.h] for row in advice.rows}
+        rows = [
+            _Row(method=m, h=h, limit=limit, stable=h < limit, error=problem.error(h, m))
+            for m, limit in limits.items()
+            for h in steps_of[m]
+        ]
+    return _Solved(problem=problem, rows=rows, advice=advice)
+
+
+def _recommended(problem: Sinusoid, methods: Sequence[str], tolerance: float) -> Recommendation:
     from armrig.physics.integrators.step_choice import recommend_step
 
-    check_plot(plot)
-    A, B, _ = arm_matrices(ArmParameters())
-    problem = sinusoid(A, B, amplitude=amplitude, omega=omega, span=span)
-    methods = tuple(dict.fromkeys(method)) if method else None
-    limits = {m: stability_limit(A, m) for m in _all(methods)}
-    steps = [_checked(x, problem) for x in h or ()]
-    with waiting("integrating"):
-        advised = None
-        if not steps:
-            advised = recommend_step(
-                A,
-                B,
-                omega=omega,
-                tolerance=tolerance,
-                amplitude=amplitude,
-                span=span,
-                methods=methods,
-            )
-            steps_of = {r.method: [r.h] for r in advised.rows}
-        else:
-            steps_of = dict.fromkeys(limits, steps)
-        rows: list[dict[str, Any]] = [
-            {"method": m, "h": x, "limit": limits[m], "stable": x < limits[m]}
-            | {"error": problem.error(x, m)}
-            for m in limits
-            for x in steps_of[m]
-        ]
-    if plot is not None:
-        from armrig.plots import plot_solution
-
-        shown = max(x for chosen in steps_of.values() for x in chosen)
-        write_plot(
-            plot,
-            lambda ax: plot_solution(
-                problem, shown, methods=methods, state=_STATE, label="speed [rad/s]", ax=ax
-            ),
-            height=5.0,
-        )
-    if json:
-        facts = {"omega": omega, "amplitude": amplitude, "span": problem.span}
-        print_json(facts | {"rows": [_finite(row) for row in rows]})
-        return
-    say(
-        f"x' = A x + B u, the handout's arm, u = {amplitude:g} sin({omega:g} t) V, "
-        f"{problem.span:.4g} s from rest; error: largest, each state against its own largest value"
-    )
-    say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10} {'':8} {'error':>10}")
-    for row in rows:
-        limit = f"{row['limit']:10.5g}" if isfinite(row["limit"]) else f"{'none':>10}"
-        error = f"{row['error']:10.3g}" if isfinite(row["error"]) else f"{'overflow':>10}"
-        stable = "stable" if row["stable"] else "UNSTABLE"
-        say(f"{row['method']:14} {row['h']:10.4g} {limit} {stable:8} {error}")
-    if advised is not None:
-        say(advised.explain())
-    say(
-        "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
-        "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
+    return recommend_step(
+        problem.A,
+        problem.B,
+        omega=problem.omega,
+        tolerance=tolerance,
+        amplitude=problem.amplitude,
+        span=problem.span,
+        methods=methods,
     )
 
 
-def _all(methods: Any) -> tuple[str, ...]:
-    from armrig.physics.integrators.accuracy import all_methods
-
-    return all_methods(methods)
-
-
-def _checked(h: float, problem: Sinusoid) -> float:
-    """Refuse a step that is none, or that would take for ever."""
+def _check_step(h: float, problem: Sinusoid) -> None:
+    """Refuse a step that is not positive, longer than the span, or that would take for ever."""
     if not (isfinite(h) and 0 < h <= problem.span):
         msg = f"--h {h:g}: a step is > 0 and at most the span, {problem.span:.4g} s"
         raise typer.BadParameter(msg)
     if problem.span / h > _MOST_STEPS:
-        msg = (
-            f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MOST_STEPS}: take a larger step, "
-        )
-        msg += "or a shorter --span"
+        msg = f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MOST_STEPS}: "
+        msg += "take a larger step, or a shorter --span"
         raise typer.BadParameter(msg)
-    return h
+
+
+def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
+    """Write the solutions at the largest of the steps."""
+    if plot is None:
+        return
+    from armrig.physics.integrators.figures import plot_solution
+
+    largest = max(row.h for row in solved.rows)
+    write_plot(
+        plot,
+        lambda ax: plot_solution(
+            solved.problem,
+            largest,
+            methods=solved.methods,
+            state=_STATE,
+            label="speed [rad/s]",
+            ax=ax,
+        ),
+        height=5.0,
+    )
+
+
+def _print_json(solved: _Solved) -> None:
+    problem = solved.problem
+    facts = {"omega": problem.omega, "amplitude": problem.amplitude, "span": problem.span}
+    print_json(facts | {"rows": [_finite(asdict(row)) for row in solved.rows]})
+
+
+def _print_table(solved: _Solved) -> None:
+    problem = solved.problem
+    say(
+        f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
+        f"{problem.span:.4g} s from rest; error: largest, each state against its own largest value"
+    )
+    say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10} {'':8} {'error':>10}")
+    for row in solved.rows:
+        limit = f"{row.limit:10.5g}" if isfinite(row.limit) else f"{'none':>10}"
+        error = f"{row.error:10.3g}" if isfinite(row.error) else f"{'overflow':>10}"
+        stable = "stable" if row.stable else "UNSTABLE"
+        say(f"{row.method:14} {row.h:10.4g} {limit} {stable:8} {error}")
+    if solved.advice is not None:
+        say(solved.advice.explain())
+    say(
+        "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
+        "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
+    )
 
 
 def _finite(row: dict[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ _MOST_DECIMALS = 9
 _TRUST_ROBUST = "trust σ robust, not σ, or raise the orders"
 
 
-def of_model(fit: Fit) -> list[str]:
+def model_lines(fit: Fit) -> list[str]:
     """Return the model: equation, coefficients with both standard deviations, and verdict."""
     squared = _squared(fit.unit)
     root = f"; one root of {fit.integrating.upper()} is 1 by construction" if fit.integrator else ""
@@ -47,7 +47,7 @@ def of_model(fit: Fit) -> list[str]:
     return [*lines, *(f"  warning: {in_symbols(w)}" for w in told)]
 
 
-def of_search(found: SearchResult) -> list[str]:
+def search_lines(found: SearchResult) -> list[str]:
     """Return the table and the reasons of a search, without the warnings of the model chosen."""
     lines = repr(found).splitlines()
     return [in_symbols(line) for line in lines if line.removeprefix("- ") not in found.fit.warnings]
@@ -78,7 +78,7 @@ def coefficients(fit: Fit) -> list[str]:
     return lines
 
 
-def of_tests(tests: ResidualTest) -> list[str]:
+def residual_lines(tests: ResidualTest) -> list[str]:
     """Return the tests of the residuals, each with the hypothesis that its p value is of."""
     where = "estimation" if tests.on_estimation_data else "validation"
     return [
@@ -89,7 +89,7 @@ def of_tests(tests: ResidualTest) -> list[str]:
     ]
 
 
-def facts_of_model(fit: Fit) -> dict[str, Any]:
+def model_facts(fit: Fit) -> dict[str, Any]:
     """Return the model for a program."""
     rows = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
     facts = {
@@ -119,7 +119,7 @@ def facts_of_model(fit: Fit) -> dict[str, Any]:
     return facts
 
 
-def facts_of_tests(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[str, Any]:
+def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[str, Any]:
     """Return the verdict of validation data for a program."""
     return {
         "recording": data.source,

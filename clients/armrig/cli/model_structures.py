@@ -23,6 +23,9 @@ def _option(name: str, what: str, default: str) -> Any:
     return typer.Option(f"--{name}", help=f"Number of {what} ({used}).", show_default=default)
 
 
+StructureOrNone = Annotated[
+    Structure | None, typer.Option("--structure", help="Which model.", show_default=False)
+]
 # None says that the option was not given: what does not apply is refused, not ignored.
 NaOrNone = Annotated[int | None, _option("na", "a's", "4")]
 NbOrNone = Annotated[int | None, _option("nb", "b's", "4")]

@@ -1,0 +1,123 @@
+"""What a calibration asks of the person and of the rig: questions, a rest, and slow turns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from armrig.cli.options import tell
+
+if TYPE_CHECKING:
+    from armrig.recordings.recording import Recording
+
+_OWNER = "armrig calibrate"
+_DEAD_MAN_S = 1.0
+_LONGEST_LEVEL_S = 600.0
+_START_S = 0.5  # at 0 V, for the arm's reading before it is set in motion
+
+
+class Dialogue:
+    """Asks the person at the terminal, or nobody."""
+
+    def __init__(self, *, yes: bool) -> None:
+        self._quiet = yes
+
+    def ready(self, text: str) -> None:
+        """Say what to do, and wait until it is done."""
+        if not self._quiet:
+            typer.prompt(f"{text} Then press Enter", default="", show_default=False, err=True)
+
+    def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
+        """Return what a meter showed at the motor's terminals."""
+        from armrig_core.volts import code_of
+
+        readings: list[tuple[int, float]] = []
+        for u in [] if self._quiet else levels:
+            text = f"What a meter showed at the motor for {u:g} V, in V (Enter: nothing)"
+            shown = typer.prompt(text, default="", show_default=False, err=True)
+            if shown:
+                readings.append(meter_reading(f"{code_of(u)}={shown}"))
+        return readings
+
+
+class Player:
+    """Plays the runs of a calibration, and gives their recordings."""
+
+    def __init__(self, *, Ts: float | None, rig: str, connect: str | None) -> None:
+        self._Ts, self._rig, self._connect = Ts, rig, connect
+
+    def rest(self, experiment: str, seconds: float) -> Recording:
+        """Record the rig at 0 V."""
+        import numpy as np
+
+        return self._played(experiment, seconds, {}, lambda N, _: np.zeros(N))
+
+    def turns(self, levels: Sequence[float], level_seconds: float) -> Recording:
+        """Record the rig turning at one voltage after the other."""
+        import numpy as np
+
+        seconds = _START_S + level_seconds * len(levels)
+
+        def make(N: int, Ts: float) -> Any:
+            t = np.arange(N) * Ts - _START_S
+            at = np.minimum((t / level_seconds).astype(int), len(levels) - 1)
+            return np.where(t < 0, 0.0, np.array(levels)[at])
+
+        details = {"levels": list(levels), "level_seconds": level_seconds}
+        return self._played("calibrate-turns", seconds, details, make)
+
+    def _played(
+        self,
+        experiment: str,
+        seconds: float,
+        details: Mapping[str, Any],
+        make: Callable[[int, float], Any],
+    ) -> Recording:
+        from armrig.recordings.recording import load
+        from armrig.rig.collection import Plan, collect
+
+        plan = Plan(
+            experiment=experiment,
+            make=make,
+            details=details,
+            seconds=seconds,
+            Ts=self._Ts,
+            pacing="scheduled",
+            owner=_OWNER,
+            dead_man=_DEAD_MAN_S,
+        )
+        return load(collect(plan, rig=self._rig, connect=self._connect, tell=tell).path)
+
+
+def check_turns(levels: Sequence[float], level_seconds: float) -> None:
+    """Refuse voltages that the rig does not stand, and times too short for a speed to settle."""
+    from armrig_core.volts import U_MAX_V
+
+    from armrig.recordings.calibration.rotation import LEAST_S, SETTLE_S
+
+    for u in levels:
+        if not 0 < u <= U_MAX_V:
+            msg = f"--volts {u:g}: must be more than 0 and at most {U_MAX_V:g} V"
+            raise ValueError(msg)
+    if not SETTLE_S + LEAST_S < level_seconds <= _LONGEST_LEVEL_S:
+        msg = f"--level-seconds {level_seconds:g}: must be more than {SETTLE_S + LEAST_S:g} s, "
+        msg += f"of which the first {SETTLE_S:g} s are not used, and at most {_LONGEST_LEVEL_S:g}"
+        raise ValueError(msg)
+
+
+def meter_reading(text: str) -> tuple[int, float]:
+    """Return the code and the reading of CODE=VOLTS."""
+    from armrig_protocol.messages import CODE_FULL_SCALE
+
+    code, _, volts = text.partition("=")
+    try:
+        reading = int(code), float(volts)
+    except ValueError:
+        reading = 0, 0.0
+    if not 0 < reading[0] <= CODE_FULL_SCALE or not 0 < reading[1] <= 10:
+        msg = f"--meter {text}: must be CODE=VOLTS, a code of 1 to {CODE_FULL_SCALE} and what the "
+        msg += "meter shows, such as 32768=2.49"
+        raise ValueError(msg)
+    return reading

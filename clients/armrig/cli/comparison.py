@@ -1,0 +1,165 @@
+"""The command that compares models: compare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from armrig.cli.comparison_rows import row_facts, row_line
+from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.judged_data import (
+    dataset_of,
+    loaded,
+    spectral_beside,
+    warn_of_estimation_data,
+)
+from armrig.cli.options import CalibrationFile, File, Json, Na, Nb, Nf, Nk, echo, print_json
+
+if TYPE_CHECKING:
+    from armrig.data.dataset import Dataset
+    from armrig.models.fit import Fit
+    from armrig.recordings.recording import Recording
+    from armrig.validation.comparison import ComparisonTable
+
+Models = Annotated[
+    list[Path] | None,
+    typer.Option("--model", metavar="JSON", help="Model that identify --save has written."),
+]
+OtherFile = Annotated[
+    Path | None,
+    typer.Argument(metavar="F2", help="Recording to validate with.", show_default=False),
+]
+Horizon = Annotated[
+    int | None,
+    typer.Option("--horizon", min=1, help="Samples ahead.", show_default="simulation"),
+]
+
+
+def compare(
+    file: File,
+    other: OtherFile = None,
+    na: Na = 4,
+    nb: Nb = 4,
+    nf: Nf = 4,
+    nk: Nk = 1,
+    model: Models = None,
+    horizon: Horizon = None,
+    calibration: CalibrationFile = None,
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Compare models on a recording that they never saw.
+
+    Identify ARX and OE from F and compare them, the physics and those of --model on F2; without
+    F2 compare those of --model on F.
+    """
+    if other is None and not model:
+        msg = "give a second recording to validate with, or the models to compare, --model FILE "
+        msg += "(from `armrig identify --save FILE`)"
+        raise typer.BadParameter(msg)
+    files = [file] if other is None else [file, other]
+    check_plot(plot, [*files, *(model or [])])
+    saved = _saved_models(model or [])
+    recordings = loaded(files, calibration)
+    if other is None:
+        data = dataset_of(recordings[0], saved[0][1])
+        compared = _Compared(models=saved, data=data, where=str(file))
+    else:
+        compared = _studied(recordings, saved, na=na, nb=nb, nf=nf, nk=nk)
+    table = _table(compared, horizon)
+    _plot_comparison(compared, table, plot)
+    if json:
+        rows = [row_facts(row) for row in table.rows]
+        print_json({"validation": compared.data.source, "models": rows})
+    else:
+        _print_comparison(compared, table)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Compared:
+    """Models, and the data that they are compared on."""
+
+    models: list[tuple[str, Fit]]
+    """Each with its name, which several may share."""
+    data: Dataset
+    where: str
+    """What a person calls the data."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the models."""
+        return [name for name, _ in self.models]
+
+    @property
+    def fits(self) -> list[Fit]:
+        """The models themselves."""
+        return [fit for _, fit in self.models]
+
+
+def _saved_models(files: Sequence[Path]) -> list[tuple[str, Fit]]:
+    from armrig.models.model_file import load_fit
+
+    return [(path.stem, load_fit(path)) for path in files]
+
+
+def _studied(
+    recordings: list[Recording],
+    saved: list[tuple[str, Fit]],
+    *,
+    na: int,
+    nb: int,
+    nf: int,
+    nk: int,
+) -> _Compared:
+    """Return ARX, OE and the physics, and the saved models, on the second recording."""
+    from armrig.cli.waiting import estimating
+    from armrig.report.study import Orders, study
+
+    with estimating("na, nb and nf"):
+        done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
+    where = str(done.recording_of(done.validation.source).path)
+    if done.halves:
+        where += ", its second half, the first one estimates"
+    models = [(judged.name, judged.fit) for judged in done.models]
+    return _Compared(models=models + saved, data=done.validation, where=where)
+
+
+def _table(compared: _Compared, horizon: int | None) -> ComparisonTable:
+    from armrig.validation.comparison import compare as comparison_of
+
+    table = comparison_of(compared.data, *compared.fits, horizon=horizon, labels=compared.names)
+    warn_of_estimation_data(table)
+    return table
+
+
+def _plot_comparison(compared: _Compared, table: ComparisonTable, plot: Path | None) -> None:
+    if plot is None:
+        return
+    from armrig.plots import plot_bode, plot_compare, plot_poles_zeros, plot_step
+
+    data, fits, names = compared.data, compared.fits, compared.names
+    beside = spectral_beside(data)
+    with_spectral = [*names, *("spectral analysis, 95 %" for _ in beside)]
+    write_plot(
+        plot,
+        lambda ax: plot_compare(data, *fits, labels=names, table=table, ax=ax),
+        lambda ax: plot_bode(*fits, *beside, labels=with_spectral, ax=ax),
+        lambda ax: plot_step(*fits, labels=names, ax=ax),
+        lambda ax: plot_poles_zeros(*fits, labels=names, ax=ax),
+        height=4.2,
+    )
+
+
+def _print_comparison(compared: _Compared, table: ComparisonTable) -> None:
+    how = "simulated"
+    if table.horizon is not None:
+        how = f"predicted {table.horizon} samples ahead"
+    echo(f"{how} on {compared.where} (recording {compared.data.source[:12]})")
+    width = max(8, *(len(name) for name in compared.names))
+    for row in table.rows:
+        echo(row_line(f"{row.name:{width}}", row, table.unit))
+    echo(f"{table.table()}\n{table.explain()}")

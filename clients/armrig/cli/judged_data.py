@@ -1,0 +1,51 @@
+"""What the commands share that judge models on a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from armrig.cli.options import SAME_DATA, tell, warned
+
+if TYPE_CHECKING:
+    from armrig.data.dataset import Dataset
+    from armrig.models.fit import Fit
+    from armrig.models.spectral_estimate import SpectralEstimate
+    from armrig.recordings.recording import Recording
+    from armrig.validation.comparison import ComparisonTable
+
+Output = Literal["theta_1", "alpha", "velocity"]
+
+
+def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
+    """Return the recordings; their damage is told."""
+    from armrig.recordings.recording import load
+
+    return [warned(load(file, calibration)) for file in files]
+
+
+def warn_of_estimation_data(table: ComparisonTable) -> None:
+    """Say it where a model is judged on the very data that it was estimated from."""
+    if any(row.on_estimation_data for row in table.rows):
+        tell(SAME_DATA)
+
+
+def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
+    """Return what the data themselves say of the frequency response, if they say anything."""
+    from armrig.nonparametric.spectral_reference import spectral_reference
+
+    try:
+        return [spectral_reference(data)]
+    except ValueError as err:
+        tell(f"no spectral analysis beside the model: {err}")
+        return []
+
+
+def dataset_of(recording: Recording, fit: Fit) -> Any:
+    """Return the data of the output that the model is of."""
+    for output in get_args(Output):
+        if output == fit.output:
+            return recording.dataset(output)
+    msg = f"the model is of {fit.output!r}, a recording has {', '.join(get_args(Output))}"
+    raise ValueError(msg)
