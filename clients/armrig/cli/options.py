@@ -31,6 +31,8 @@ Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]
 Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE), the integrator's included.")]
 Nk = Annotated[int, typer.Option("--nk", help="Samples before u reaches y.")]
 
+_NO_BREAK_SPACE = "\u00a0"
+
 SAME_DATA = (
     "the models are judged on the very data that they were estimated from, which flatters them: "
     "validate on another recording"
@@ -40,7 +42,7 @@ SAME_DATA = (
 def tell(message: str) -> None:
     """Print a line for the person, beside what was asked for."""
     with suppress(OSError):  # the terminal may be closed
-        line = printable(f"armrig: {' '.join(message.split())}")
+        line = _shown(f"armrig: {' '.join(message.split())}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
 
 
@@ -55,7 +57,12 @@ def echo(text: str) -> None:
     Everything goes this way, or through the two that are named `print`: a name or a reason may
     come from another user, or from a file of unknown origin.
     """
-    typer.echo(printable(text, keep="\n"))
+    typer.echo(_shown(text, keep="\n"))
+
+
+def _shown(text: str, keep: str = "") -> str:
+    """Return the text for a terminal; a number's blank before its unit becomes an ordinary one."""
+    return printable(text.replace(_NO_BREAK_SPACE, " "), keep)
 
 
 def folded(text: str, columns: int, indent: int | None = None) -> str:
@@ -104,7 +111,7 @@ def print_table(*rows: tuple[str, str]) -> None:
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
     for name, value in rows:
-        line = printable(f"{name:{width}}  {value}")
+        line = _shown(f"{name:{width}}  {value}")
         typer.echo(folded(line, columns, indent=width + 2))
 
 

@@ -197,6 +197,8 @@ def test_info_says_what_a_recording_holds(
     facts = json.loads(capsys.readouterr().out)
 
     assert "1195 at 0.01 s, 5 missing" in text
+    assert "rad rms within a second" in text
+    assert "\\x" not in text  # a blank between number and unit is no stranger's character
     assert facts["samples"] == 1195
     assert facts["missing"] == 5
     assert facts["gaps"][0]["count"] == 5
