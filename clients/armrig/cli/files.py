@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +25,7 @@ from armrig.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from armrig.cli.replay import Replay
     from armrig.recordings.recording import Recording
 
 _MCAP = b"\x89MCAP0\r\n"
@@ -39,54 +40,84 @@ def info(
     ] = None,
 ) -> None:
     """Say what a recording holds and how well it was sampled."""
-    from armrig.recordings.calibration.staleness import calibrated, remarks
-    from armrig.recordings.gap_summary import gap_lines
-    from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.loading import load
-    from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
-    from armrig.recordings.usability import data_verdict
+    from armrig.recordings.recording import load
 
     if plot is not None:
         check_output(plot, [file])
-    rec = load(file, calibration)
+    recording = load(file, calibration)
     if plot is not None:
-        _plot_timing(rec, plot)
-    timing = sampling_statistics(rec)
+        _plot_timing(recording, plot)
     if json:
-        facts = {"sha256": rec.sha256, "manifest": rec.manifest, "outcome": rec.outcome}
-        facts |= {"samples": int(rec.samples.size), "missing": rec.missing, "invalid": rec.hidden}
-        facts |= {"truncated": rec.truncated, "damage": rec.damage, "sampling": timing}
-        facts |= {"causes": disturbances(rec), "calibration": rec.calibration}
-        facts |= {"remarks": remarks(rec.calibration, rec.manifest)}
-        facts |= {"verdict": data_verdict(rec).facts()}
-        print_json(facts | {"gaps": rec.gaps, "events": rec.events})
-        return
-    manifest = rec.manifest
-    jitter, lateness = timing.jitter, timing.lateness
+        print_json(_recording_facts(recording))
+    else:
+        print_table(*_recording_rows(recording))
+
+
+def _recording_facts(rec: Recording) -> dict[str, Any]:
+    """Return what a recording holds, for a program."""
+    from armrig.recordings.calibration.staleness import remarks
+    from armrig.recordings.jitter import sampling_statistics
+    from armrig.recordings.timing_disturbances import causes
+    from armrig.recordings.usability import data_verdict
+
+    return {
+        "sha256": rec.sha256,
+        "manifest": rec.manifest,
+        "outcome": rec.outcome,
+        "samples": int(rec.samples.size),
+        "missing": rec.missing,
+        "invalid": rec.hidden,
+        "truncated": rec.truncated,
+        "damage": rec.damage,
+        "sampling": sampling_statistics(rec),
+        "causes": causes(rec),
+        "calibration": rec.calibration,
+        "remarks": remarks(rec.calibration, rec.manifest),
+        "verdict": data_verdict(rec).facts(),
+        "gaps": rec.gaps,
+        "events": rec.events,
+    }
+
+
+def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
+    """Give what a recording holds, for a person: names and values."""
+    from armrig.recordings.calibration.staleness import calibrated, remarks
+    from armrig.recordings.gap_summary import in_lines
+    from armrig.recordings.jitter import sampling_statistics
+    from armrig.recordings.timing_disturbances import causes, in_words
+    from armrig.recordings.usability import data_verdict
+
+    manifest, timing = rec.manifest, sampling_statistics(rec)
     details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
-    print_table(
-        ("recording", str(rec.path)),
-        ("sha256", rec.sha256),
-        ("run", f"{manifest.run_id} of rig {manifest.rig}, {manifest.started}"),
-        ("experiment", f"{manifest.experiment}: {details}" if details else manifest.experiment),
-        (
-            "samples",
-            f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
-            "an angle (dead band, and the sample after)"
-            + f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
-            * rec.truncated,
-        ),
-        ("paced by", "the device" if manifest.pacing == "scheduled" else "the host"),
-        ("outcome", _outcome(rec)),
-        ("calibrated", calibrated(rec.calibration)),
-        *(("remark", text) for text in remarks(rec.calibration, rec.manifest)),
-        ("jitter", _microseconds(jitter, 0)),
-        ("lateness", _lateness(lateness, manifest.pacing)),
-        *disturbance_rows(disturbances(rec)),
-        *(("gap", text) for text in gap_lines(rec.gaps)),
-        *(("damage", rec.damage) for _ in range(rec.truncated)),
-        ("verdict", data_verdict(rec).in_a_line),
+    yield "recording", str(rec.path)
+    yield "sha256", rec.sha256
+    yield "run", f"{manifest.run_id} of rig {manifest.rig}, {manifest.started}"
+    yield "experiment", f"{manifest.experiment}: {details}" if details else manifest.experiment
+    yield "samples", _sample_count(rec)
+    yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"
+    yield "outcome", _outcome(rec)
+    yield "calibrated", calibrated(rec.calibration)
+    for text in remarks(rec.calibration, manifest):
+        yield "remark", text
+    yield "jitter", _microseconds(timing.jitter, 0)
+    yield "lateness", _lateness(timing.lateness, manifest.pacing)
+    yield from in_words(causes(rec))
+    for text in in_lines(rec.gaps):
+        yield "gap", text
+    if rec.truncated:
+        yield "damage", rec.damage
+    yield "verdict", data_verdict(rec).in_a_line
+
+
+def _sample_count(rec: Recording) -> str:
+    """Return how many samples there are, how many are missing, and up to when they go."""
+    text = (
+        f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
+        "an angle (dead band, and the sample after)"
     )
+    if rec.truncated:
+        text += f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
+    return text
 
 
 def replay(file: File, json: Json = False) -> None:
@@ -100,18 +131,23 @@ def replay(file: File, json: Json = False) -> None:
     if json:
         print_json(found)
     else:
-        same = found.difference or "decided the same, to the last bit"
-        if found.until and not found.difference:
-            same += f", as far as both go: {found.until}"
         print_table(
             ("replayed", f"{found.steps} steps of the core over {found.seconds:.3f} s"),
             ("frames", f"{found.frames} to the device, as recorded"),
             ("samples", f"{found.samples} as recorded"),
             *((s.level, f"{s.t:.3f} s: {s.message}") for s in found.said),
-            ("verdict", f"DIFFERS: {same}" if found.difference else same),
+            ("verdict", _replay_verdict(found)),
         )
     if found.difference:
         raise typer.Exit(1)
+
+
+def _replay_verdict(found: Replay) -> str:
+    if found.difference:
+        return f"DIFFERS: {found.difference}"
+    if found.until:
+        return f"decided the same, to the last bit, as far as both go: {found.until}"
+    return "decided the same, to the last bit"
 
 
 def report(
@@ -139,11 +175,12 @@ def report(
     recordings = [warned(load(f, calibration)) for f in files]
     with estimating("na, nb and nf"):
         done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
-    same = done.validation.digest == done.estimation.digest
-    if same:
+    remarks = []
+    if done.validation.digest == done.estimation.digest:
         tell(SAME_DATA)
+        remarks.append(f"{SAME_DATA[0].upper()}{SAME_DATA[1:]}.")
     with waiting("typesetting"):
-        typeset(done, output, remarks=[f"{SAME_DATA[0].upper()}{SAME_DATA[1:]}."] * same)
+        typeset(done, output, remarks=remarks)
     if json:
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
@@ -174,7 +211,7 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
 
 
 def _outcome(rec: Recording) -> str:
-    """Return how the run ended, and whether the file ended before it."""
+    """Return how the run ended, and whether the file ends before that."""
     if not rec.truncated:
         return rec.outcome.outcome if rec.outcome else "not known: the file does not say"
     what = "is cut off" if rec.cut_off else "is damaged"
@@ -187,15 +224,17 @@ def _outcome(rec: Recording) -> str:
 def _microseconds(spread: Any, decimals: int) -> str:
     if spread.n == 0:
         return "too few samples"
-    parts = (("p50", spread.p50, decimals), ("p99", spread.p99, decimals), ("max", spread.max, 0))
-    return ", ".join(f"{name} {value:.{places}f}" for name, value, places in parts) + " µs"
+    p50, p99 = f"{spread.p50:.{decimals}f}", f"{spread.p99:.{decimals}f}"
+    return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs"
 
 
 def _lateness(spread: Any, pacing: str) -> str:
-    of = "the host's request for each sample"
+    text = _microseconds(spread, 1)
+    if spread.n == 0:
+        return text
     if pacing == "scheduled":
-        of = "the samples' arrival at the host, which changes nothing in them"
-    return _microseconds(spread, 1) + (f"; of {of}" if spread.n else "")
+        return f"{text}; of the samples' arrival at the host, which changes nothing in them"
+    return f"{text}; of the host's request for each sample"
 
 
 def _plot_timing(recording: Any, path: Path) -> None:
