@@ -49,9 +49,8 @@ def chosen(
     validation: bool,
     Ts: float | None,
 ) -> list[Played]:
-    """Return what to play; what is not allowed is told before a rig is asked for."""
-    from armrig.excitation import from_csv
-    from armrig.excitation.named_signals import SEEDED, details_of, named_signal
+    """Return what to play; refuses what is not allowed before a rig is asked for."""
+    from armrig.excitation.named_signals import SEEDED, by_name, details_of
 
     name = input or ("telegraph" if file is None else "csv")
     if (name == "csv") != (file is not None):
@@ -63,26 +62,33 @@ def chosen(
         msg += f"({', '.join(SEEDED)}), or collect twice"
         raise ValueError(msg)
     if file is not None:
-        if seconds is not None:
-            msg = f"--seconds {seconds:g}: a file has its own length; leave it out"
-            raise ValueError(msg)
-        file.stat()
-        if Ts is not None:
-            from_csv(file, Ts)
-        details: dict[str, Any] = {"input": "csv", "file": file.name}
-        return [Played(experiment, lambda _, Ts: from_csv(file, Ts), details, None)]
+        return [_from_file(experiment, file, seconds, Ts)]
     figures = {"a": a, "low": low, "high": high}
-    named_signal(name, 3, 0.01, seed=seed, **figures)
-    named = [(experiment, seed), (f"{experiment}-validation", seed + 1)][: 1 + validation]
-    return [
-        Played(
-            told,
-            lambda N, Ts, seed=seed: named_signal(name, N, Ts, seed=seed, **figures),  # type: ignore[misc]
+    by_name(name, 3, 0.01, seed=seed, **figures)  # refuses here what it would refuse at the rig
+
+    def played(kind: str, seed: int) -> Played:
+        return Played(
+            kind,
+            lambda N, Ts: by_name(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
             SECONDS if seconds is None else seconds,
         )
-        for told, seed in named
-    ]
+
+    first = played(experiment, seed)
+    return [first, played(f"{experiment}-validation", seed + 1)] if validation else [first]
+
+
+def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | None) -> Played:
+    from armrig.excitation import from_csv
+
+    if seconds is not None:
+        msg = f"--seconds {seconds:g}: a file has its own length; leave it out"
+        raise ValueError(msg)
+    file.stat()  # a file that is not there is told here
+    if Ts is not None:
+        from_csv(file, Ts)
+    details = {"input": "csv", "file": file.name}
+    return Played(experiment, lambda _, Ts: from_csv(file, Ts), details, None)
 
 
 def _named(experiment: str, name: str) -> str:
@@ -120,9 +126,9 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         done = collect(plan, rig=run.rig, connect=run.connect, tell=tell)
         verdict = done.verdict
         if run.json:
-            told = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
-            told |= {"rehearsal": done.rehearsal}
-            print_json(told | {"verdict": verdict and verdict.facts()})
+            facts = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
+            facts |= {"rehearsal": done.rehearsal}
+            print_json(facts | {"verdict": verdict.facts() if verdict else None})
         else:
             echo(str(done.path))
         if verdict is None:

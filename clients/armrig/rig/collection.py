@@ -125,48 +125,53 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
     ValueError
         The length is not possible at the sampling time in force; the rig is given back.
     """
-    rehearsals: list[Rehearsal] = []
-
-    def accepted(run: RunAccepted) -> None:
-        if run.rehearsal is not None:
-            rehearsals.append(run.rehearsal)
-            tell(sentence(run.rehearsal))
-
     with Rig(rig, connect=connect) as opened:
         status = opened.status()
         if plan.without_arm:
             _require_arm_off(status)
         elif status.arm_removed:
             tell(f"rig {status.rig} has its arm off, says [arm] removed: this is the chassis alone")
-        before = status.last_run
-        granted = None
+        armed = False
         try:
             granted = opened.arm(plan.owner, plan.Ts)
+            armed = True
             u = _input(plan, granted.Ts, tell)
-            with (
-                timing_note(opened) as note,
-                bar(plan.experiment, note=note) as progress,
-            ):
-                path = opened.run(
-                    u,
-                    pacing=plan.pacing,
-                    experiment=plan.experiment,
-                    details=plan.details,
-                    dead_man=plan.dead_man,
-                    accepted=accepted,
-                    progress=progress,
-                )
+            path, rehearsal = _played(opened, plan, u, tell)
         except KeyboardInterrupt as err:
-            if granted is None:
+            if not armed:
                 raise
-            raise InterruptedRunError(_left(opened, before)) from err
+            raise InterruptedRunError(_left(opened, status.last_run)) from err
         except NoReplyError:
             raise
         except RigError as err:
             raise RigError(_reason(opened, err, connect)) from err
-    rehearsal = rehearsals[0] if rehearsals else None
     verdict = data_verdict(load(path)) if path.is_file() else None
     return Collected(path, u.size, granted.Ts, verdict, rehearsal)
+
+
+def _played(
+    rig: Rig, plan: Plan, u: NDArray[Any], tell: Callable[[str], None]
+) -> tuple[Path, Rehearsal | None]:
+    """Play an input under a progress bar; return the recording, and what the rehearsal said."""
+    rehearsal: Rehearsal | None = None
+
+    def accepted(run: RunAccepted) -> None:
+        nonlocal rehearsal
+        rehearsal = run.rehearsal
+        if rehearsal is not None:
+            tell(in_words(rehearsal))
+
+    with timing_note(rig) as note, bar(plan.experiment, note=note) as progress:
+        path = rig.run(
+            u,
+            pacing=plan.pacing,
+            experiment=plan.experiment,
+            details=plan.details,
+            dead_man=plan.dead_man,
+            accepted=accepted,
+            progress=progress,
+        )
+    return path, rehearsal
 
 
 ARM_OFF = (
@@ -205,8 +210,12 @@ def with_commands(text: str, rig: str, connect: str | None) -> str:
 
 def reset_command(rig: str, connect: str | None) -> str:
     """Return what a person types to reset this very rig."""
-    given = [*(["--rig", rig] * (rig != "1")), *(["--connect", connect] if connect else [])]
-    return f"`{' '.join(['armrig', 'reset', *given])}`"
+    words = ["armrig", "reset"]
+    if rig != "1":
+        words += ["--rig", rig]
+    if connect:
+        words += ["--connect", connect]
+    return f"`{' '.join(words)}`"
 
 
 def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
