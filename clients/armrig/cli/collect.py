@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from armrig.cli.collect_runs import SECONDS, Played, Run, chosen, collect_each
+from armrig.cli.collect_runs import SECONDS, Played, Run, chosen_inputs, collect_each
 from armrig.cli.options import Connect, Json, RigId
 
 app = typer.Typer(
@@ -89,7 +89,7 @@ def blackbox(
     """Play a random input, or one of your own, to the whole rig."""
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
     collect_each(
-        chosen(
+        chosen_inputs(
             "blackbox",
             input=input,
             file=file,
@@ -129,7 +129,7 @@ def greybox(
     The rotating part is taken off.
     """
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
-    plan = chosen(
+    plan = chosen_inputs(
         "greybox",
         input=input,
         file=file,

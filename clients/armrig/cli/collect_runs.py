@@ -36,7 +36,7 @@ class Played(NamedTuple):
     seconds: float | None
 
 
-def chosen(
+def chosen_inputs(
     experiment: str,
     *,
     input: str | None,
@@ -91,7 +91,7 @@ def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | N
     return Played(experiment, lambda _, Ts: from_csv(file, Ts), details, None)
 
 
-def _named(experiment: str, name: str) -> str:
+def _experiment_name(experiment: str, name: str) -> str:
     """Return the kind of experiment with the name that the student gives it."""
     whole = f"{experiment}-{name}" if name else experiment
     if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _LONGEST_NAME:
@@ -110,7 +110,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
 
     plans = [
         Plan(
-            experiment=_named(p.experiment, run.name),
+            experiment=_experiment_name(p.experiment, run.name),
             make=p.make,
             details=p.details,
             seconds=p.seconds,

@@ -26,7 +26,7 @@ from armrig.report.figures import write_figures
 from armrig.report.study import Study, study
 from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
 from armrig.rig.progress import bar, timing_note
-from armrig.rig.realtime_status import scheduling
+from armrig.rig.realtime_status import scheduling_sentences
 from armrig.rig.session import NoReplyError, RigError
 
 RIG = "demo"
@@ -76,7 +76,7 @@ def demo(directory: Path, *, seconds: float = 30.0, console: Console | None = No
     began = time.monotonic()
     left_s = Ts * sum(u.size for _, u, _ in plan)
     with running(directory, console), Rig(RIG) as rig:
-        for line in scheduling(rig.status().host):
+        for line in scheduling_sentences(rig.status().host):
             console.print(f"  {line}", highlight=False, markup=False)
         for (experiment, u, seed), name in zip(
             plan, ("step", "telegraph", "validation"), strict=True
@@ -91,7 +91,7 @@ def demo(directory: Path, *, seconds: float = 30.0, console: Console | None = No
         done = study(recordings)
         pdf = report(done, directory / "report.pdf", remarks=[_EMULATED])
         write_figures(done, directory)
-    _tell(console, done, directory, pdf)
+    _print_results(console, done, directory, pdf)
 
 
 def _recorded(
@@ -175,9 +175,9 @@ def _wait_until_ready(daemon: subprocess.Popen[bytes], log: Path) -> StatusRepor
     until = time.monotonic() + _START_S
     while time.monotonic() < until:
         if daemon.poll() is not None:
-            said = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
             msg = f"the daemon ended with exit code {daemon.returncode}: "
-            msg += said[-1] if said else f"it said nothing in {log}"
+            msg += lines[-1] if lines else f"it said nothing in {log}"
             raise RigError(msg)
         try:
             with Rig(RIG) as rig:
@@ -191,7 +191,7 @@ def _wait_until_ready(daemon: subprocess.Popen[bytes], log: Path) -> StatusRepor
     raise RigError(msg)
 
 
-def _tell(console: Console, done: Study, directory: Path, pdf: Path) -> None:
+def _print_results(console: Console, done: Study, directory: Path, pdf: Path) -> None:
     models = Table(title="simulated on the validation recording", title_justify="left")
     for heading in ("model", "rms error", "fit of the angle", "fit of the velocity"):
         models.add_column(heading, justify="left" if heading == "model" else "right")
@@ -208,14 +208,14 @@ def _tell(console: Console, done: Study, directory: Path, pdf: Path) -> None:
     for recording, name in zip(done.recordings, ("step", "telegraph", "validation"), strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
         samples = f"{recording.samples.size} samples{missing}, sha256 {recording.short_hash}"
-        where.add_row(name, f"{escape(str(_near(recording.path)))}\n[dim]{samples}[/dim]")
+        where.add_row(name, f"{escape(str(_from_here(recording.path)))}\n[dim]{samples}[/dim]")
     where.add_row("figures", escape(str(directory / "*.svg")))
     where.add_row("daemon's log", escape(str(directory / "armrigd.log")))
     where.add_row("report", f"[bold]{escape(str(pdf))}[/bold]")
     console.print(where)
 
 
-def _near(path: Path) -> Path:
+def _from_here(path: Path) -> Path:
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
 

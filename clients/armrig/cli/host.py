@@ -84,14 +84,15 @@ def doctor(json: Json = False) -> None:
 
     What cannot be told or mended here is a note, and does not count.
     """
-    from armrig.rig import doctor as looks
+    from armrig.rig.doctor import doctor as examine_this_host
+    from armrig.rig.doctor import is_well
 
-    findings = looks.doctor()
+    checks = examine_this_host()
     if json:
-        print_json(findings)
+        print_json(checks)
     else:
-        echo("\n".join(map(str, findings)))
-    if not looks.is_well(findings):
+        echo("\n".join(map(str, checks)))
+    if not is_well(checks):
         raise typer.Exit(1)
 
 

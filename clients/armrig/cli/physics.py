@@ -112,7 +112,7 @@ def greybox(
 
     check_plot(plot, [file])
     fixed = _parameters(given)
-    data, model = _grey_data(file, output, calibration, model)
+    data, model = _data_and_rig(file, output, calibration, model)
     with waiting("estimating"):
         fit = estimate(
             data, _model(model), tuple(free or ("J_1",)), fixed, output, friction=friction
@@ -161,7 +161,7 @@ def split(
 
     check_plot(plot, [file])
     cuts, fixed = _cuts(parts), _parameters(given)
-    data, model = _grey_data(file, output, calibration, model)
+    data, model = _data_and_rig(file, output, calibration, model)
     rig = _model(model)
 
     def estimate(part: Dataset) -> Any:
@@ -259,7 +259,7 @@ def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:
     return data
 
 
-def _grey_data(
+def _data_and_rig(
     file: Path, output: Any, calibration: Path | None, model: Literal["chassis", "arm"] | None
 ) -> tuple[Dataset, Literal["chassis", "arm"]]:
     """Return the data, and of which rig they are; another one than was said is refused."""

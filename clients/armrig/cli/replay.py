@@ -27,15 +27,15 @@ MOST = 1 << 28
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Said:
-    """What the core had to say in the replay."""
+class CoreMessage:
+    """A warning or an error of the core in the replay."""
 
     t: float
     """When, in s from the first step."""
     level: str
     """debug, info, warning or error."""
     message: str
-    """What it said."""
+    """Its text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ class Replay:
     """Where the replay first parts from the recording; "" where it nowhere does."""
     until: str
     """Why it ends before the run does: what is wrong with the file; "" for a whole one."""
-    said: tuple[Said, ...]
+    said: tuple[CoreMessage, ...]
     """Warnings and errors of the core on the way, trips among them."""
 
 
@@ -110,7 +110,7 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
             break
         frames += len(sent)
         published += [a.sample for a in actions if isinstance(a, Publish)]
-        said += list(_said(actions, first))
+        said += list(_messages(actions, first))
     ours = np.array([tuple(s) for s in published], dtype=SAMPLE_DTYPE)
     end = manifest.k_first + manifest.samples
     ours = ours[(ours["k"] >= manifest.k_first) & (ours["k"] < end)]
@@ -180,10 +180,10 @@ def _name(frame: bytes) -> str:
     return f"{type(message).__name__}({', '.join(f'{k}={v}' for k, v in body.items())})"
 
 
-def _said(actions: Sequence[Action], first_ns: int) -> Iterator[Said]:
+def _messages(actions: Sequence[Action], first_ns: int) -> Iterator[CoreMessage]:
     for action in actions:
         if isinstance(action, Emit) and isinstance(action.record, Log):
             log = action.record
             if log.level in ("warning", "error"):
                 t = (log.t_host_ns - first_ns) / 1e9
-                yield Said(t=t, level=log.level, message=log.message)
+                yield CoreMessage(t=t, level=log.level, message=log.message)

@@ -14,7 +14,7 @@ from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_tab
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Say how the daemon and its rig are."""
-    from armrig.rig.realtime_status import scheduling
+    from armrig.rig.realtime_status import scheduling_sentences
 
     with _opened(rig, connect) as opened:
         report = opened.status()
@@ -37,8 +37,8 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
         ("calibration", report.calibration or "not said by this daemon"),
         ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
-        ("device", report.line or _in_words(device) or "has not answered yet"),
-        ("host", "; ".join(scheduling(report.host))),
+        ("device", report.line or _device_text(device) or "has not answered yet"),
+        ("host", "; ".join(scheduling_sentences(report.host))),
         (
             "last run",
             "none"
@@ -50,7 +50,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
     )
 
 
-def _in_words(device: dict[str, Any]) -> str:
+def _device_text(device: dict[str, Any]) -> str:
     return ", ".join(f"{name} {value}" for name, value in device.items())
 
 
@@ -96,13 +96,13 @@ def reset(rig: RigId = "1", connect: Connect = None) -> None:
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
     """Give the rig; what its daemon refuses is told with the command that helps."""
     from armrig.rig.client import RefusedError, Rig
-    from armrig.rig.collection import with_commands
+    from armrig.rig.collection import with_reset_command
 
     with Rig(rig, connect=connect) as opened:
         try:
             yield opened
         except RefusedError as err:
-            raise RefusedError(with_commands(str(err), rig, connect)) from err
+            raise RefusedError(with_reset_command(str(err), rig, connect)) from err
 
 
 _WATCH_HEADING = f"{'k':>10} {'u [V]':>8} {'theta_1 [°]':>12} {'alpha [°]':>10} {'late [µs]':>10}"
@@ -114,17 +114,17 @@ def _watch(samples: Any) -> None:
 
     with Live(console=Console(), refresh_per_second=10) as live:
         for sample in samples:
-            live.update(f"{_WATCH_HEADING}\n{_in_a_line(sample)}")
+            live.update(f"{_WATCH_HEADING}\n{_sample_line(sample)}")
 
 
 def _watch_in_lines(samples: Any) -> None:
     """Print a line for each sample, at once: a program reads them."""
     echo(_WATCH_HEADING)
     for sample in samples:
-        echo(_in_a_line(sample))
+        echo(_sample_line(sample))
 
 
-def _in_a_line(sample: Any) -> str:
+def _sample_line(sample: Any) -> str:
     from math import degrees
 
     late = (sample.t_host_ns - sample.t_sched_ns) / 1e3

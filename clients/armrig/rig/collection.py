@@ -140,7 +140,7 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
         except KeyboardInterrupt as err:
             if not armed:
                 raise
-            raise InterruptedRunError(_left(opened, status.last_run)) from err
+            raise InterruptedRunError(_interrupted_sentence(opened, status.last_run)) from err
         except NoReplyError:
             raise
         except RigError as err:
@@ -203,7 +203,7 @@ def _input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
     return u
 
 
-def with_commands(text: str, rig: str, connect: str | None) -> str:
+def with_reset_command(text: str, rig: str, connect: str | None) -> str:
     """Return what the daemon said with the command in place of a bare `reset`."""
     return re.sub(r"then `?reset\b`?", f"then {reset_command(rig, connect)}", text)
 
@@ -225,26 +225,26 @@ def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
     except RigError:
         return str(err)
     if status.phase != "fault":
-        return with_commands(str(err), rig.rig, connect)
+        return with_reset_command(str(err), rig.rig, connect)
     way_out = f"{status.remedy or 'mend it'}; then {reset_command(rig.rig, connect)}"
     if isinstance(err, RunEndedError):
         return f"{err}; {way_out}"
     return f"rig {rig.rig} is in fault: {status.reason}; {way_out}"
 
 
-def _left(rig: Rig, before: LastRun | None) -> str:
+def _interrupted_sentence(rig: Rig, before: LastRun | None) -> str:
     """Return how an interrupted run has left the rig, once its recording is finished."""
-    told = f"interrupted: rig {rig.rig} was told to stop (0 V)"
+    stopped = f"interrupted: rig {rig.rig} was told to stop (0 V)"
     until = time.monotonic() + _FINISHED_S
     try:
         while True:
             last = rig.status().last_run
             if last is None or (before is not None and last.run_id == before.run_id):
-                return f"{told}; nothing was recorded"
+                return f"{stopped}; nothing was recorded"
             if last.finished:
-                return f"{told}; the {last.samples} samples until then are in {last.recording}"
+                return f"{stopped}; the {last.samples} samples until then are in {last.recording}"
             if time.monotonic() > until:
-                return f"{told}; its recording is still being written: {last.recording}"
+                return f"{stopped}; its recording is still being written: {last.recording}"
             time.sleep(_POLL_S)
     except RigError:
-        return f"{told}, but its daemon does not answer: look at the rig"
+        return f"{stopped}, but its daemon does not answer: look at the rig"

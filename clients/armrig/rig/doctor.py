@@ -34,7 +34,7 @@ _LIMITS = "/etc/security/limits.d/armrig.conf, then log in anew"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class HostCheck:
     """One thing that was looked at."""
 
     name: str
@@ -79,19 +79,19 @@ class Host:
     granted: Granted
 
 
-def doctor() -> list[Finding]:
+def doctor() -> list[HostCheck]:
     """Look at this host and return what was found."""
     return examine(Host(root=Path("/"), granted=probe()))
 
 
-def examine(host: Host) -> list[Finding]:
+def examine(host: Host) -> list[HostCheck]:
     """Return what was found on a host, each check's in turn."""
-    return [finding for check in _CHECKS for finding in check(host)]
+    return [found for examined in _CHECKS for found in examined(host)]
 
 
-def is_well(findings: Iterable[Finding]) -> bool:
+def is_well(checks: Iterable[HostCheck]) -> bool:
     """Return whether nothing found costs timing here."""
-    return not any(finding.level == "bad" for finding in findings)
+    return not any(check.level == "bad" for check in checks)
 
 
 def probe() -> Granted:
@@ -126,7 +126,7 @@ def recordings_directory(root: Path, user: Path) -> Path:
     return Path(platformdirs.user_data_dir("armrig")) / "recordings"
 
 
-def _fifo(host: Host) -> list[Finding]:
+def _fifo(host: Host) -> list[HostCheck]:
     if host.granted.fifo:
         return [_good("SCHED_FIFO", f"allowed at priority {PRIORITY}")]
     return [
@@ -139,7 +139,7 @@ def _fifo(host: Host) -> list[Finding]:
     ]
 
 
-def _memory_lock(host: Host) -> list[Finding]:
+def _memory_lock(host: Host) -> list[HostCheck]:
     if host.granted.memory_lock:
         return [_good("mlockall", "allowed")]
     return [
@@ -152,7 +152,7 @@ def _memory_lock(host: Host) -> list[Finding]:
     ]
 
 
-def _governor(host: Host) -> list[Finding]:
+def _governor(host: Host) -> list[HostCheck]:
     found = governors(host.root)
     if not found:
         return [_good("governor", "the kernel scales no frequency")]
@@ -169,7 +169,7 @@ def _governor(host: Host) -> list[Finding]:
     ]
 
 
-def _idle(host: Host) -> list[Finding]:
+def _idle(host: Host) -> list[HostCheck]:
     deepest, name = 0, ""
     for state in (host.root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpuidle/state[0-9]*"):
         latency = text(state / "latency")
@@ -189,7 +189,7 @@ def _idle(host: Host) -> list[Finding]:
     ]
 
 
-def _dma_latency(host: Host) -> list[Finding]:
+def _dma_latency(host: Host) -> list[HostCheck]:
     device = host.root / "dev/cpu_dma_latency"
     if not device.exists():
         return [_note("cpu_dma_latency", "not there", "idle states cannot be held off by a file")]
@@ -205,14 +205,14 @@ def _dma_latency(host: Host) -> list[Finding]:
     ]
 
 
-def _timer_slack(host: Host) -> list[Finding]:
+def _timer_slack(host: Host) -> list[HostCheck]:
     slack = text(host.root / "proc/self/timerslack_ns")
     if not slack.isdigit():
         return [_note("timer slack", "not told by this kernel")]
     return [_good("timer slack", f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")]
 
 
-def _swap(host: Host) -> list[Finding]:
+def _swap(host: Host) -> list[HostCheck]:
     rows = [row.split() for row in text(host.root / "proc/swaps").splitlines()[1:]]
     used_kb = sum(int(row[3]) for row in rows if len(row) > 3 and row[3].isdigit())
     if not used_kb:
@@ -227,7 +227,7 @@ def _swap(host: Host) -> list[Finding]:
     ]
 
 
-def _preemption(host: Host) -> list[Finding]:
+def _preemption(host: Host) -> list[HostCheck]:
     model = preemption(host.root)
     if model == "PREEMPT_RT":
         return [_good("preemption", model)]
@@ -250,15 +250,15 @@ def _preemption(host: Host) -> list[Finding]:
     ]
 
 
-def _ftdi(host: Host) -> list[Finding]:
+def _ftdi(host: Host) -> list[HostCheck]:
     files = sorted((host.root / "sys/bus/usb-serial/devices").glob("*/latency_timer"))
-    findings = []
+    checks = []
     for file in files:
         ms, port = text(file), file.parent.name
         if not ms.isdigit() or int(ms) <= 1:
-            findings.append(_good("FTDI latency timer", f"{port} {ms or '?'} ms"))
+            checks.append(_good("FTDI latency timer", f"{port} {ms or '?'} ms"))
             continue
-        findings.append(
+        checks.append(
             _bad(
                 "FTDI latency timer",
                 f"{port} {ms} ms",
@@ -267,10 +267,10 @@ def _ftdi(host: Host) -> list[Finding]:
                 " (armrigd asks for it, too)",
             )
         )
-    return findings or [_good("FTDI latency timer", "no such port here")]
+    return checks or [_good("FTDI latency timer", "no such port here")]
 
 
-def _throttling(host: Host) -> list[Finding]:
+def _throttling(host: Host) -> list[HostCheck]:
     kernel = host.root / "proc/sys/kernel"
     runtime, period = text(kernel / "sched_rt_runtime_us"), text(kernel / "sched_rt_period_us")
     if not re.fullmatch(r"-?\d+", runtime):
@@ -290,7 +290,7 @@ def _throttling(host: Host) -> list[Finding]:
     ]
 
 
-def _virtual(host: Host) -> list[Finding]:
+def _virtual(host: Host) -> list[HostCheck]:
     fields = (text(host.root / "proc/stat").splitlines() or [""])[0].split()[1:9]
     ticks = [int(f) for f in fields if f.isdigit()]
     total = sum(ticks)
@@ -316,7 +316,7 @@ def _virtual(host: Host) -> list[Finding]:
     return [_good("virtual machine", "no")]
 
 
-def _load(host: Host) -> list[Finding]:
+def _load(host: Host) -> list[HostCheck]:
     mean, cpus = load(host.root), host.granted.cpus
     if not mean > cpus:  # NaN is not told
         return [_good("load", f"{mean:g} on {cpus} processors")]
@@ -330,7 +330,7 @@ def _load(host: Host) -> list[Finding]:
     ]
 
 
-def _serial_group(host: Host) -> list[Finding]:
+def _serial_group(host: Host) -> list[HostCheck]:
     ours = sorted(host.granted.groups & {"dialout", "uucp"})
     if ours or host.granted.is_root:
         return [_good("serial ports", f"member of {', '.join(ours)}" if ours else "root")]
@@ -344,7 +344,7 @@ def _serial_group(host: Host) -> list[Finding]:
     ]
 
 
-def _disk(host: Host) -> list[Finding]:
+def _disk(host: Host) -> list[HostCheck]:
     free, where = host.granted.free_bytes, host.granted.recordings
     if free >= FREE_LEAST:
         return [_good("disk", f"{free / 2**30:.1f} GiB free in {where}")]
@@ -358,19 +358,31 @@ def _disk(host: Host) -> list[Finding]:
     ]
 
 
-_CHECKS: tuple[Callable[[Host], list[Finding]], ...] = (
-    *(_fifo, _memory_lock, _governor, _idle, _dma_latency, _timer_slack, _swap, _preemption),
-    *(_ftdi, _throttling, _virtual, _load, _serial_group, _disk),
+_CHECKS: tuple[Callable[[Host], list[HostCheck]], ...] = (
+    _fifo,
+    _memory_lock,
+    _governor,
+    _idle,
+    _dma_latency,
+    _timer_slack,
+    _swap,
+    _preemption,
+    _ftdi,
+    _throttling,
+    _virtual,
+    _load,
+    _serial_group,
+    _disk,
 )
 
 
-def _good(name: str, found: str) -> Finding:
-    return Finding(name=name, level="good", found=found)
+def _good(name: str, found: str) -> HostCheck:
+    return HostCheck(name=name, level="good", found=found)
 
 
-def _note(name: str, found: str, costs: str = "", mend: str = "") -> Finding:
-    return Finding(name=name, level="note", found=found, costs=costs, mend=mend)
+def _note(name: str, found: str, costs: str = "", mend: str = "") -> HostCheck:
+    return HostCheck(name=name, level="note", found=found, costs=costs, mend=mend)
 
 
-def _bad(name: str, found: str, costs: str, mend: str) -> Finding:
-    return Finding(name=name, level="bad", found=found, costs=costs, mend=mend)
+def _bad(name: str, found: str, costs: str, mend: str) -> HostCheck:
+    return HostCheck(name=name, level="bad", found=found, costs=costs, mend=mend)

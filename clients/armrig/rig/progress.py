@@ -16,7 +16,7 @@ from armrig.numerics.quantities import number
 from armrig.rig.client import Progress as Callback
 from armrig.rig.client import Rig
 
-_Come = Callable[[], list[Any]]
+_Arrived = Callable[[], list[Any]]
 _WINDOW_NS = 1_000_000_000
 
 
@@ -43,8 +43,8 @@ def bar(
 class TimingNote:
     """What a rig's streams say of the timing of the run so far, in the words of `armrig info`."""
 
-    def __init__(self, samples: _Come, gaps: _Come, reports: _Come) -> None:
-        """Take the functions that return what has come of each stream."""
+    def __init__(self, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
+        """Take a function for each stream that returns what has arrived since its last call."""
         self._samples, self._gaps, self._reports = samples, gaps, reports
         self._late: NDArray[np.int64] = np.zeros((0, 2), np.int64)
         self._k_first: int | None = None
@@ -53,12 +53,12 @@ class TimingNote:
 
     def __call__(self) -> str:
         """Return the last second's lateness, all samples missing, and the setpoints held ahead."""
-        came = [s for s in self._samples() if s.flags & Flag.RUN]
-        if came and self._k_first is None:
-            self._k_first = came[0].k
+        arrived = [s for s in self._samples() if s.flags & Flag.RUN]
+        if arrived and self._k_first is None:
+            self._k_first = arrived[0].k
         if self._k_first is None:
             return ""
-        late = [(s.t_sched_ns, s.t_host_ns - s.t_sched_ns) for s in came]
+        late = [(s.t_sched_ns, s.t_host_ns - s.t_sched_ns) for s in arrived]
         self._late = np.concatenate([self._late, np.array(late, np.int64).reshape(-1, 2)])
         self._late = self._late[self._late[:, 0] > self._late[-1, 0] - _WINDOW_NS]
         # What was missing before the run is not missing from its recording.

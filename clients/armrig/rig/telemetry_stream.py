@@ -85,13 +85,13 @@ def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any
     rig, name = _stream_of(key)
     with session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber:
 
-        def come() -> list[Any]:
+        def messages_since() -> list[Any]:
             messages = []
             while (received := subscriber.try_recv()) is not None:
                 messages.append(_read(rig, name, received.payload.to_bytes()))
             return messages
 
-        yield come
+        yield messages_since
 
 
 def decoded(name: str, payload: bytes) -> Any:

@@ -19,7 +19,7 @@ from armrig.cli import main
 from armrig.rig.bench import cyclictest, machine, programs, rounds, targets
 from armrig.rig.bench.programs import program
 from armrig.rig.bench.rounds import ROUNDS, Plan
-from armrig.rig.bench.targets import Rate, Verdict, verdicts
+from armrig.rig.bench.targets import Rate, Target, against_targets
 from armrig.rig.session import RigError
 from armrig_core.volts import applied_code, code_of, volts_of
 from made_recordings import recorded, sample, written
@@ -68,10 +68,10 @@ def rate(rate_hz: int = 1000, **times_us: list[float]) -> Rate:
     return made
 
 
-def of(made: list[Verdict], what: str) -> Verdict:
-    """Return the one verdict on something."""
-    (verdict,) = (v for v in made if v.what.startswith(what))
-    return verdict
+def of(made: list[Target], what: str) -> Target:
+    """Return the one target of something."""
+    (target,) = (v for v in made if v.what.startswith(what))
+    return target
 
 
 def test_cyclictests_histogram_is_read_as_single_times() -> None:
@@ -172,7 +172,7 @@ def test_wake_lateness_is_judged_against_cyclictest_at_1_khz(
     """p99 at most a tenth of it, p99.9 at most as much."""
     made = rate(REFERENCE=[20.0] * 2000, DAEMON=[daemon_us] * 2000)
 
-    p99, p999 = verdicts(made, 20)
+    p99, p999 = against_targets(made, 20)
 
     assert (p99.what, p99.value, p99.met) == ("wake lateness p99", daemon_us / 20, p99_met)
     assert (p999.what, p999.value, p999.met) == ("wake lateness p99.9", daemon_us / 20, p999_met)
@@ -184,8 +184,8 @@ def test_a_target_is_judged_at_its_own_rate_and_reference_only() -> None:
     stand_in = rate(1000, STAND_IN=[20.0] * 10, DAEMON=[1.0] * 10)
 
     for made, remark in ((elsewhere, "1000 Hz"), (stand_in, "stand-in")):
-        assert [v.met for v in verdicts(made, 20)] == [None, None]
-        assert all(remark in v.remark for v in verdicts(made, 20))
+        assert [v.met for v in against_targets(made, 20)] == [None, None]
+        assert all(remark in v.remark for v in against_targets(made, 20))
 
 
 @pytest.mark.parametrize(("daemon_us", "met"), [(155.0, True), (165.0, False)])
@@ -193,9 +193,9 @@ def test_own_work_is_what_the_bare_loop_does_not_need(daemon_us: float, met: boo
     """The difference of two medians."""
     made = rate(BARE_CPU=[90.0, 100.0, 900.0], DAEMON_CPU=[daemon_us] * 3)
 
-    verdict = of(verdicts(made, 20), "own work")
+    target = of(against_targets(made, 20), "own work")
 
-    assert (verdict.value, verdict.met) == (daemon_us - 100, met)
+    assert (target.value, target.met) == (daemon_us - 100, met)
 
 
 @pytest.mark.parametrize(("way_us", "met"), [(129.0, True), (131.0, False)])
@@ -203,9 +203,9 @@ def test_the_way_to_a_subscriber_is_judged_against_a_bare_put(way_us: float, met
     """By the medians."""
     made = rate(PUT=[100.0] * 5, SUBSCRIBER=[way_us] * 5)
 
-    verdict = of(verdicts(made, 20), "sample to subscriber")
+    target = of(against_targets(made, 20), "sample to subscriber")
 
-    assert (verdict.value, verdict.met) == (pytest.approx(way_us / 100), met)
+    assert (target.value, target.met) == (pytest.approx(way_us / 100), met)
 
 
 def test_what_the_same_load_and_a_pipe_cost_anybody_is_told_beside_the_ratios() -> None:
@@ -213,11 +213,11 @@ def test_what_the_same_load_and_a_pipe_cost_anybody_is_told_beside_the_ratios() 
     waking = rate(REFERENCE=[10.0] * 10, DAEMON=[30.0] * 10, BESIDE=[60.0] * 10)
     passing = rate(PUT=[100.0] * 5, SUBSCRIBER=[150.0] * 5, PIPED=[140.0] * 5)
 
-    p99, p999 = verdicts(waking, 20)
+    p99, p999 = against_targets(waking, 20)
 
     assert (p99.remark, p999.remark) == ("", "0.50 × cyclictest beside the daemon")
     assert p999.met is False
-    assert "behind a pipe 1.40 ×" in of(verdicts(passing, 20), "sample to subscriber").remark
+    assert "behind a pipe 1.40 ×" in of(against_targets(passing, 20), "sample to subscriber").remark
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_nothing_lost_is_claimed_after_the_full_time_only(
     for name, n in (("asked", 1000), ("lost", lost), ("misplaced", 0)):
         made.count(f"scheduled {name}", n)
 
-    assert of(verdicts(made, seconds), "scheduled").met is met
+    assert of(against_targets(made, seconds), "scheduled").met is met
 
 
 def test_the_time_of_a_contestant_is_shared_by_the_rounds() -> None:

@@ -11,7 +11,7 @@ import pytest
 from armrig.cli import main
 from armrig.rig import doctor
 from armrig.rig.bench import machine
-from armrig.rig.doctor import Finding, Granted, Host, examine, is_well
+from armrig.rig.doctor import Granted, Host, HostCheck, examine, is_well
 
 GRANTED: dict[str, Any] = {
     "fifo": True,
@@ -50,7 +50,7 @@ def host(root: Path, files: dict[str, str] | None = None, **granted: Any) -> Hos
     return Host(root=root, granted=Granted(**(GRANTED | granted)))
 
 
-def found(findings: list[Finding], name: str) -> Finding:
+def found(findings: list[HostCheck], name: str) -> HostCheck:
     """Return the one finding of a name."""
     (finding,) = (f for f in findings if f.name == name)
     return finding

@@ -47,8 +47,8 @@ def lateness_us(output: str) -> NDArray[np.float64]:
     bins = np.array(_LINE.findall(output), np.int64).reshape(-1, 2)
     greatest = _GREATEST.search(output)
     if not bins.size or not bins[:, 1].any() or greatest is None:
-        said = " ".join(output.split())[-120:] or "nothing"
-        msg = f"cyclictest printed no histogram of one thread: {said}"
+        end = " ".join(output.split())[-120:] or "nothing"
+        msg = f"cyclictest printed no histogram of one thread: {end}"
         raise OutputError(msg)
     late = np.repeat(bins[:, 0], bins[:, 1]).astype(np.float64)
     overflows = _OVERFLOWS.search(output)

@@ -26,11 +26,11 @@ def main() -> None:
     tty.setraw(slave)  # kept open, or the master would see the end of it between two openings
     print(os.ttyname(slave), flush=True)
     be_punctual(PRIORITY)
-    answer, come = bytes(ANSWER_LENGTH), 0
+    answer, received = bytes(ANSWER_LENGTH), 0
     while True:
-        come += len(os.read(master, 4096))
-        while come >= REQUEST_LENGTH:
-            come -= REQUEST_LENGTH
+        received += len(os.read(master, 4096))
+        while received >= REQUEST_LENGTH:
+            received -= REQUEST_LENGTH
             os.write(master, answer)
 
 

@@ -54,8 +54,8 @@ def machine(root: Path = Path("/")) -> Machine:
 def granted() -> tuple[bool, bool]:
     """Return whether SCHED_FIFO and mlockall are granted, tried in a process of its own."""
     program = [sys.executable, "-m", "armrig.rig.bench.granted", str(PRIORITY)]
-    said = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
-    return said[0] == "1", said[1] == "1"
+    printed = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
+    return printed[0] == "1", printed[1] == "1"
 
 
 def text(path: Path) -> str:

@@ -58,7 +58,7 @@ def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[b
 
 
 def output(process: subprocess.Popen[bytes], within_s: float) -> bytes:
-    """Return what a program says until it ends by itself.
+    """Return what a program prints until it ends by itself.
 
     Raises
     ------
@@ -67,24 +67,24 @@ def output(process: subprocess.Popen[bytes], within_s: float) -> bytes:
     """
     name = _name(process)
     try:
-        said, complained = process.communicate(timeout=within_s)
+        printed, errors = process.communicate(timeout=within_s)
     except subprocess.TimeoutExpired as err:
         msg = f"{name} did not end within {within_s:.0f} s; is this machine very busy?"
         raise RigError(msg) from err
     if process.returncode:
-        why = (complained or b"").decode(errors="replace").strip().splitlines()[-1:]
+        why = (errors or b"").decode(errors="replace").strip().splitlines()[-1:]
         msg = f"{name} ended with exit code {process.returncode} {' '.join(why)}".strip()
         raise RigError(msg)
-    return said
+    return printed
 
 
 def line(process: subprocess.Popen[bytes]) -> str:
-    """Return the next line that a program says."""
-    said = process.stdout.readline().decode().strip() if process.stdout else ""
-    if not said:
+    """Return the next line that a program prints."""
+    printed = process.stdout.readline().decode().strip() if process.stdout else ""
+    if not printed:
         msg = f"{_name(process)} did not start; see what it says above"
         raise RigError(msg)
-    return said
+    return printed
 
 
 def tell(process: subprocess.Popen[bytes], text: str) -> None:
@@ -136,13 +136,14 @@ class Daemon:
         until = time.monotonic() + _START_S
         while time.monotonic() < until:
             if self._process.poll() is not None:
-                msg = f"the daemon ended with exit code {self._process.returncode}: {self._said()}"
+                msg = f"the daemon ended with exit code {self._process.returncode}: "
+                msg += self._last_line()
                 raise RigError(msg)
             with suppress(NoReplyError), self.rig() as rig:
                 if rig.status().phase == "safe":
                     return
             time.sleep(0.1)
-        msg = f"the daemon is not ready after {_START_S:g} s: {self._said()}"
+        msg = f"the daemon is not ready after {_START_S:g} s: {self._last_line()}"
         raise RigError(msg)
 
     def rig(self) -> Rig:
@@ -166,9 +167,9 @@ class Daemon:
         if self._process is not None:
             _end(self._process)
 
-    def _said(self) -> str:
-        said = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return said[-1] if said else "it said nothing"
+    def _last_line(self) -> str:
+        lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return lines[-1] if lines else "it said nothing"
 
 
 @contextmanager

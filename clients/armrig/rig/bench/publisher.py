@@ -38,10 +38,10 @@ def session_config(endpoint: str) -> zenoh.Config:
     )
 
 
-def told(where: int) -> None:
-    """Write so many samples to a descriptor, each with its time, for each line `period_ns count`.
+def write_samples(where: int) -> None:
+    """Read lines `period_ns count`; for each write so many samples, with their times.
 
-    Whole, or not at all: a pipe takes up to 4096 bytes as one.
+    A sample is written whole or not at all: a pipe takes up to 4096 bytes as one.
     """
     for line in sys.stdin:
         period_ns, count = map(int, line.split())
@@ -94,7 +94,7 @@ def _forked() -> int:
         os.environ[PARENT] = str(here)
         end_with_parent()
         os.close(source)
-        told(sink)
+        write_samples(sink)
         os._exit(0)
     os.close(sink)
     return source

@@ -12,7 +12,7 @@ import numpy as np
 from armrig.rig.bench import targets
 from armrig.rig.bench.machine import Machine
 from armrig.rig.bench.rounds import ROUNDS, Plan
-from armrig.rig.bench.targets import Rate, Verdict
+from armrig.rig.bench.targets import Rate, Target
 
 _ABOVE_ONE = ("p50", "p99", "p99.9", "max")
 
@@ -25,9 +25,10 @@ class Result:
     plan: Plan
     rates: Sequence[Rate]
 
-    def verdicts(self) -> list[Verdict]:
+    def targets(self) -> list[Target]:
         """Return all figures that have a target."""
-        return [v for rate in self.rates for v in targets.verdicts(rate, self.plan.seconds)]
+        seconds = self.plan.seconds
+        return [t for rate in self.rates for t in targets.against_targets(rate, seconds)]
 
     def facts(self) -> dict[str, Any]:
         """Return all of it but the single times, for JSON."""
@@ -43,7 +44,7 @@ class Result:
                 }
                 for rate in self.rates
             ],
-            "verdicts": [asdict(verdict) for verdict in self.verdicts()],
+            "verdicts": [asdict(target) for target in self.targets()],
             "definitions": targets.DEFINITIONS,
         }
 
@@ -65,10 +66,10 @@ def lines(result: Result) -> Iterator[str]:
             yield f"  {remark}"
     yield ""
     yield f"{'against the targets':40}{'Hz':>6}{'measured':>12}{'at most':>10}"
-    for v in result.verdicts():
-        met = {True: "met", False: "NOT MET", None: "-"}[v.met]
-        value = f"{v.value:.3g} {v.unit}"
-        yield (f"  {v.what:38}{v.rate_hz:>6}{value:>12}{v.limit:>10g}  {met:8}{v.remark}").rstrip()
+    for t in result.targets():
+        met = {True: "met", False: "NOT MET", None: "-"}[t.met]
+        value = f"{t.value:.3g} {t.unit}"
+        yield f"  {t.what:38}{t.rate_hz:>6}{value:>12}{t.limit:>10g}  {met:8}{t.remark}".rstrip()
     yield ""
     measured = {name for rate in result.rates for name in rate.tails()}
     for name, text in targets.DEFINITIONS.items():

@@ -119,8 +119,8 @@ def _reference(rate: Rate, ticks: int, host: Machine) -> None:
         rate.add(targets.STAND_IN, np.array(done.late_ns) / 1e3)
         return
     with program(*command, module=False) as process:
-        said = output(process, _within_s(rate, ticks)).decode(errors="replace")
-    rate.add(targets.REFERENCE, cyclictest.lateness_us(said))
+        printed = output(process, _within_s(rate, ticks)).decode(errors="replace")
+    rate.add(targets.REFERENCE, cyclictest.lateness_us(printed))
 
 
 def _cyclictest(rate: Rate, ticks: int, host: Machine, priority: int) -> list[str] | None:
@@ -143,8 +143,8 @@ def _beside(rate: Rate, ticks: int, host: Machine) -> Iterator[None]:
         return
     with program(*command, module=False) as process:
         yield
-        said = output(process, _within_s(rate, ticks)).decode(errors="replace")
-    rate.add(targets.BESIDE, cyclictest.lateness_us(said))
+        printed = output(process, _within_s(rate, ticks)).decode(errors="replace")
+    rate.add(targets.BESIDE, cyclictest.lateness_us(printed))
 
 
 def _bare(rate: Rate, ticks: int, host: Machine) -> None:

@@ -95,10 +95,10 @@ class Line:
     def exchange(self, began_ns: int, until_ns: int) -> int:
         """Write a request and read the answer; return how long it took, in ns."""
         os.write(self._fd, bytes(REQUEST_LENGTH))
-        come = 0
-        while come < ANSWER_LENGTH:
+        received = 0
+        while received < ANSWER_LENGTH:
             if self._waiter.wait_until(until_ns):
-                come += len(os.read(self._fd, TERMINAL_BYTES))
+                received += len(os.read(self._fd, TERMINAL_BYTES))
             elif until_ns < began_ns + ANSWER_NS:
                 until_ns = began_ns + ANSWER_NS
             else:

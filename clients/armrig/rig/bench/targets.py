@@ -105,7 +105,7 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class Target:
     """A figure beside its target."""
 
     rate_hz: int
@@ -184,7 +184,7 @@ def cpu_per_tick_us(
     return np.asarray(used[ticks > 0] / ticks[ticks > 0] / 1e3)
 
 
-def verdicts(rate: Rate, seconds: float) -> list[Verdict]:
+def against_targets(rate: Rate, seconds: float) -> list[Target]:
     """Return the figures that have a target, as far as their parts were measured."""
     tails = rate.tails()
     return [
@@ -195,7 +195,7 @@ def verdicts(rate: Rate, seconds: float) -> list[Verdict]:
     ]
 
 
-def _wake(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
+def _wake(rate: Rate, tails: Mapping[str, Tail]) -> list[Target]:
     name = REFERENCE if REFERENCE in tails else STAND_IN
     if name not in tails or DAEMON not in tails:
         return []
@@ -211,7 +211,7 @@ def _wake(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
         ("p99.9", daemon.p999, reference.p999, WAKE_P999, (remark + of_beside).strip("; ")),
     )
     return [
-        Verdict(
+        Target(
             rate_hz=rate.rate_hz,
             what=f"wake lateness {which}",
             value=value / below if below else float("inf"),
@@ -224,12 +224,12 @@ def _wake(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
     ]
 
 
-def _own_work(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
+def _own_work(rate: Rate, tails: Mapping[str, Tail]) -> list[Target]:
     if DAEMON_CPU not in tails or BARE_CPU not in tails:
         return []
     work = tails[DAEMON_CPU].p50 - tails[BARE_CPU].p50
     return [
-        Verdict(
+        Target(
             rate_hz=rate.rate_hz,
             what="own work per tick",
             value=work,
@@ -240,7 +240,7 @@ def _own_work(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
     ]
 
 
-def _latency(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
+def _latency(rate: Rate, tails: Mapping[str, Tail]) -> list[Target]:
     if PUT not in tails or SUBSCRIBER not in tails:
         return []
     ratio = tails[SUBSCRIBER].p50 / tails[PUT].p50
@@ -248,7 +248,7 @@ def _latency(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
     if PIPED in tails:
         remark += f"; behind a pipe {tails[PIPED].p50 / tails[PUT].p50:.2f} ×"
     return [
-        Verdict(
+        Target(
             rate_hz=rate.rate_hz,
             what="sample to subscriber p50",
             value=ratio,
@@ -260,7 +260,7 @@ def _latency(rate: Rate, tails: Mapping[str, Tail]) -> list[Verdict]:
     ]
 
 
-def _loss(rate: Rate, seconds: float) -> list[Verdict]:
+def _loss(rate: Rate, seconds: float) -> list[Target]:
     if "scheduled asked" not in rate.counts:
         return []
     wrong = rate.counts["scheduled lost"] + rate.counts["scheduled misplaced"]
@@ -271,7 +271,7 @@ def _loss(rate: Rate, seconds: float) -> list[Verdict]:
     elif not long and not wrong:
         remark += f"; {seconds:g} s, the target is for {LOSSLESS_S:g} s"
     return [
-        Verdict(
+        Target(
             rate_hz=rate.rate_hz,
             what="scheduled: lost or misplaced",
             value=wrong,
