@@ -201,13 +201,7 @@ class Rig:
                 self.stop()
             raise
         self._lease = ""
-        recording = Path(last.recording)
-        if last.outcome != "complete":
-            msg = f"the run ended after {last.samples} of {voltage.size} samples: {last.outcome}"
-            if last.recording not in last.outcome:  # else what became of the file is said there
-                msg += f"; recorded in {recording}"
-            raise RunEndedError(msg, recording)
-        return recording
+        return _complete_recording(last, voltage.size)
 
     def _finished(
         self, request: commands.Run, run: commands.RunAccepted, progress: Progress
@@ -335,6 +329,17 @@ class Rig:
         except MalformedReplyError as err:
             raise no_daemon(self.rig, self.endpoint, str(err)) from err
         raise no_reply(self.rig, self.endpoint)
+
+
+def _complete_recording(last: commands.LastRun, asked: int) -> Path:
+    """Return the recording of a run that has played all samples asked for."""
+    recording = Path(last.recording)
+    if last.outcome != "complete":
+        msg = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"
+        if last.recording not in last.outcome:  # else what became of the file is said there
+            msg += f"; recorded in {recording}"
+        raise RunEndedError(msg, recording)
+    return recording
 
 
 def _refused(error: str) -> RefusedError:
