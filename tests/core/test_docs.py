@@ -1,17 +1,53 @@
-"""The pages hold no gap that somebody meant to fill."""
+"""The pages hold no gap that somebody meant to fill, and name what is there."""
 
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
+PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("firmware_protocol/*.md")]
+FOLDERS = {"armrig": ROOT / "clients/armrig", "armrig_daemon": ROOT / "daemon/armrig_daemon"}
 
 
 def test_no_page_has_a_placeholder() -> None:
     """Such as @FIGURE@ or TODO."""
-    pages = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("firmware_protocol/*.md")]
-    found = {p.name: re.findall(r"@[A-Z]+@|\bTODO\b|\bMEASURE\b", p.read_text()) for p in pages}
+    found = {p.name: re.findall(r"@[A-Z]+@|\bTODO\b|\bMEASURE\b", p.read_text()) for p in PAGES}
 
-    assert len(pages) > 10
+    assert len(PAGES) > 10
     assert {name: gaps for name, gaps in found.items() if gaps} == {}
+
+
+@pytest.mark.parametrize("package", FOLDERS)
+def test_the_architecture_has_a_line_for_each_room(package: str) -> None:
+    """A room that is not told is not found."""
+    page = (ROOT / "ARCHITECTURE.md").read_text()
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    contracts = settings["tool"]["importlinter"]["contracts"]
+    (layers,) = (c["layers"] for c in contracts if c.get("containers") == [package])
+    rooms = {room for layer in layers for room in layer.replace(" ", "").split("|")}
+    rooms -= {"__main__"}
+
+    names = {r: f"{r}/" if (FOLDERS[package] / r).is_dir() else f"{r}.py" for r in rooms}
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert {r for r in rooms if not any(f"`{names[r]}`" in row for row in rows)} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_module_that_a_page_names_is_there(page: Path) -> None:
+    """By its path, from the root of the project or of its package."""
+    named = re.findall(r"`([\w/]+/\w+\.py)`", page.read_text())
+    homes = (ROOT, ROOT / "daemon", *FOLDERS.values(), ROOT / "firmware_protocol")
+
+    assert {name for name in named if not any((home / name).is_file() for home in homes)} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_page_that_a_page_links_to_is_there(page: Path) -> None:
+    """A link into the project leads somewhere."""
+    links = re.findall(r"\]\((?!https?:|#)([^)#]+)(?:#[^)]*)?\)", page.read_text())
+
+    assert {link for link in links if not (page.parent / link).exists()} == set()
