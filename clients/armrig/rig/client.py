@@ -1,4 +1,4 @@
-"""A rig at work: ask its daemon, command it, listen to it."""
+"""The client of a rig: it asks the daemon, commands it, and listens to it."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Progress = Callable[[int, int], None]
 REPLY_S = 5.0
 """How long a reply may take, in s."""
 _POLL_S = 0.1
-_AGAIN_S = 0.02  # until what was refused for the moment is tried again
-# For what the daemon refuses only until it, or the device, is ready. It reports its timing once a
-# second, and a stall may spoil two reports: the next one is clean.
+_AGAIN_S = 0.02  # until a command that was refused for the moment is repeated
+# How long a command is repeated that the daemon refuses only until it, or the device, is ready. The
+# daemon reports its timing once a second, and a stall may spoil two reports: the next one is clean.
 _SETTLE_S = 2.5
 _R = TypeVar("_R")
 
@@ -37,7 +37,7 @@ class RefusedError(RigError):
 
 
 class BusyError(RefusedError):
-    """The daemon refuses a command for the moment: the same may be taken a little later."""
+    """The daemon refuses a command for the moment, and may take the same a little later."""
 
 
 class RunEndedError(RigError):
@@ -65,7 +65,7 @@ class Rig:
     RigError
         On entering: the directory of that socket may be another user's.
     ValueError
-        The id is none.
+        The id is not valid.
     """
 
     def __init__(self, rig: str = "1", *, connect: str | None = None) -> None:
@@ -88,7 +88,7 @@ class Rig:
             return
         try:
             if self._lease:
-                # The lease may be gone, and the daemon too; both are as good as given back.
+                # Where the lease or the daemon is gone, there is nothing left to give back.
                 with suppress(RigError):
                     self.disarm()
         finally:
@@ -100,7 +100,7 @@ class Rig:
         return self._ask_again(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
-        """Take the rig, at 0 V; asks again, for up to 2.5 s, what is refused for the moment only.
+        """Take the rig, at 0 V; repeats a command refused for the moment only, for up to 2.5 s.
 
         Parameters
         ----------
@@ -156,8 +156,8 @@ class Rig:
             What the experiment was made of, such as its seed; kept in the recording.
         dead_man : float, optional
             The daemon stops the run when this process has given no sign for so long, in s, 0.5 to
-            60: killed, frozen, or cut off. Left out, the run plays on without it. A sign is given
-            between two calls of `progress`: one that takes longer ends the run.
+            60: killed, frozen, or cut off. Left out, the run plays on without this process. A sign
+            is given after each call of `progress`, so a call that takes longer ends the run.
         accepted : callable, optional
             Called once with the daemon's answer, when the run begins: its `rehearsal` says what
             the model of the rig does.
@@ -208,8 +208,8 @@ class Rig:
     ) -> commands.LastRun:
         while True:
             wait_s = _AGAIN_S
-            # In a flood of others' commands ours may be refused: the run goes on, and so do we.
-            # One try at a time: a sign of life must not wait behind several.
+            # In a flood of others' commands ours may be refused. The run goes on, and so do we, one
+            # try at a time: a sign of life must not wait behind several.
             with suppress(BusyError):
                 status = self._ask(commands.Status(), commands.StatusReport)
                 wait_s = _POLL_S
@@ -218,13 +218,13 @@ class Rig:
                     msg = f"the daemon does not know the run {run.run_id} any more: it was "
                     msg += "started anew meanwhile; look at its log"
                     raise RigError(msg)
-                # A complete run may be short of samples that are missing; it is at its end, too.
+                # A complete run may lack samples that are missing; it has ended all the same.
                 total = len(request.u)
                 progress(total if last.outcome == "complete" else last.samples, total)
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:
-                # Here, in whose wait it is: a thread would give signs for a client that hangs.
+                # The sign comes from this very wait: a thread would go on for a client that hangs.
                 with suppress(RefusedError):  # it has just ended
                     self._ask(commands.Renew(**self._stamp()), commands.Done)
             time.sleep(wait_s)
@@ -272,11 +272,11 @@ class Rig:
         return listen(self._connected(), topics.stream_key(self.rig, name))
 
     def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
-        """Give, in a `with` block, a function that returns what has come of a stream, at once."""
+        """Give, in a `with` block, a function that returns at once what a stream has brought."""
         return arrivals(self._connected(), topics.stream_key(self.rig, name))
 
     def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:
-        """Return the voltages (N,), or refuse them: never clamped, and never sent."""
+        """Return the voltages (N,), or refuse them: they are never clamped."""
         volts = np.asarray(u, dtype=np.float64)
         if volts.ndim != 1 or volts.size == 0:
             msg = f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage a sample"
@@ -304,7 +304,7 @@ class Rig:
         return self._session
 
     def _ask_again(self, request: commands.Request, answer: type[_R]) -> _R:
-        """Ask until it is not refused for the moment only, or that has lasted too long."""
+        """Repeat a command that is refused for the moment only, for up to `_SETTLE_S`."""
         until = time.monotonic() + _SETTLE_S
         while True:
             try:

@@ -1,4 +1,4 @@
-"""One collection: how long it may be, and what is told when it does not end well."""
+"""One collection: arm, play, record; and the reason where it does not end well."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _POLL_S = 0.05
 
 
 class InterruptedRunError(KeyboardInterrupt):
-    """Ctrl-C in a collection; says how the rig was left and where the recording lies."""
+    """Ctrl-C in a collection; the message says how the rig was left and where the recording is."""
 
 
 class Collected(NamedTuple):
@@ -58,7 +58,7 @@ class Plan:
     make: Callable[[int, float], NDArray[Any]]
     """N and Ts in s -> u in V; (N,), or whatever whole periods in N or a file make."""
     details: Mapping[str, Any]
-    """What makes the same input again."""
+    """What the input was made of, so that the same can be made again."""
     seconds: float | None
     """Length, in s; None is the input's own, and N is then 0."""
     Ts: float | None
@@ -70,10 +70,10 @@ class Plan:
     dead_man: float | None = None
     """Silence of this process after which the daemon stops the run, in s; None plays on."""
     without_arm: bool = False
-    """It is for the chassis alone."""
+    """The experiment is for the chassis alone."""
 
     def __post_init__(self) -> None:
-        """Refuse what no sampling time makes possible, before a rig is asked for."""
+        """Refuse, before the daemon is asked, what is possible at no sampling time."""
         for name, value in (("--seconds", self.seconds), ("--Ts", self.Ts)):
             if value is not None and not (isfinite(value) and value > 0):
                 msg = f"{name} {value:g}: must be a number of seconds, more than 0"
@@ -100,7 +100,7 @@ def number_of_samples(seconds: float, Ts: float) -> int:
     Raises
     ------
     ValueError
-        It is none, or more than one run may have.
+        There is not one sample, or there are more than one run may have.
     """
     N = floor(seconds / Ts + 0.5)
     if N < 1:
@@ -114,23 +114,23 @@ def number_of_samples(seconds: float, Ts: float) -> int:
 
 
 def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], None]) -> Collected:
-    """Arm, play, record, and return what came of it; the rehearsal is told when the run begins.
+    """Arm, play, record, and return what was recorded; tell the rehearsal when the run begins.
 
     Raises
     ------
     InterruptedRunError
-        Ctrl-C, once the rig was ours; it has been told to stop.
+        Ctrl-C after the rig was armed; the rig has been told to stop.
     RigError
-        It was refused, or ended early; a fault is told with its reason.
+        The run was refused, or ended early; the message says why, and what to do.
     ValueError
-        The length is not possible at the sampling time in force; the rig is given back.
+        The length is not possible at the sampling time in force. The rig is given back.
     """
     with Rig(rig, connect=connect) as opened:
         status = opened.status()
         if plan.without_arm:
             _require_arm_off(status)
         elif status.arm_removed:
-            tell(f"rig {status.rig} has its arm off, says [arm] removed: this is the chassis alone")
+            tell(f"rig {status.rig} has no arm ([arm] removed): this is the chassis alone")
         armed = False
         try:
             granted = opened.arm(plan.owner, plan.Ts)
@@ -189,7 +189,7 @@ def _require_arm_off(status: StatusReport) -> None:
 
 
 def _input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
-    """Return the input at the sampling time in force; a length that is not as asked is told."""
+    """Return the input at the sampling time in force, and tell where its length is not as asked."""
     if plan.seconds is None:
         u = plan.make(0, Ts)
         number_of_samples(u.size * Ts, Ts)
@@ -197,14 +197,14 @@ def _input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
     u = plan.make(number_of_samples(plan.seconds, Ts), Ts)
     if not isclose(u.size * Ts, plan.seconds, rel_tol=1e-9):
         tell(
-            f"{plan.seconds:g} s are no whole number of samples of {Ts:g} s: "
-            f"{u.size} are played, {u.size * Ts:g} s"
+            f"{plan.seconds:g} s is not a whole number of samples of {Ts:g} s: "
+            f"{u.size} samples are played, {u.size * Ts:g} s"
         )
     return u
 
 
 def with_reset_command(text: str, rig: str, connect: str | None) -> str:
-    """Return what the daemon said with the command in place of a bare `reset`."""
+    """Return the daemon's message with the whole command in place of a bare `reset`."""
     return re.sub(r"then `?reset\b`?", f"then {reset_command(rig, connect)}", text)
 
 
@@ -219,7 +219,7 @@ def reset_command(rig: str, connect: str | None) -> str:
 
 
 def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
-    """Return why it failed: a trip shows only as a lease or a run that is gone."""
+    """Return why a collection failed. Of a trip the error shows only that lease or run are gone."""
     try:
         status = rig.status()
     except RigError:

@@ -1,7 +1,7 @@
 """What on this host costs timing, and how to mend each.
 
-Read from the kernel's files under a root that a test can make up; what only a trial tells is in
-`Granted`. Nothing is changed.
+The doctor reads the kernel's files, under a root that a test can make up. What only a trial tells
+is in `Granted`. It changes nothing.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ _LIMITS = "/etc/security/limits.d/armrig.conf, then log in anew"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostCheck:
-    """One thing that was looked at."""
+    """One thing that was examined, and what was found."""
 
     name: str
     level: Level
-    """good; bad: it costs timing here; note: it cannot be told or mended here, or costs little."""
+    """bad: it costs timing here; note: it costs little, or cannot be told or mended here; good."""
     found: str
     costs: str = ""
-    """What it costs; nothing where it is good."""
+    """What it costs; empty where it is good."""
     mend: str = ""
     """How to mend it."""
 
     def __str__(self) -> str:
-        """Say it in a line."""
+        """Return the line for a person."""
         parts = [f"{self.level:4}  {self.name}: {self.found}", self.costs, self.mend]
         return "; ".join(part for part in parts if part)
 
@@ -80,12 +80,12 @@ class Host:
 
 
 def doctor() -> list[HostCheck]:
-    """Look at this host and return what was found."""
+    """Examine this host."""
     return examine(Host(root=Path("/"), granted=probe()))
 
 
 def examine(host: Host) -> list[HostCheck]:
-    """Return what was found on a host, each check's in turn."""
+    """Examine a host, check by check."""
     return [found for examined in _CHECKS for found in examined(host)]
 
 
@@ -95,7 +95,7 @@ def is_well(checks: Iterable[HostCheck]) -> bool:
 
 
 def probe() -> Granted:
-    """Try what only a trial tells, in a process of its own."""
+    """Try, in a process of its own, what only a trial tells."""
     fifo, memory_lock = granted()
     directory = recordings_directory(Path("/"), Path(platformdirs.user_config_dir("armrig")))
     there = next(path for path in (directory, *directory.parents) if path.exists())

@@ -26,7 +26,7 @@ def bar(
 ) -> Iterator[Callback]:
     """Show a bar and give the function that moves it: done, total.
 
-    `note` is asked each time for what is to stand behind it.
+    At each move `note` returns the text that stands behind it.
     """
     columns = (
         TextColumn("{task.description:12}", markup=False),
@@ -41,7 +41,7 @@ def bar(
 
 
 class TimingNote:
-    """What a rig's streams say of the timing of the run so far, in the words of `armrig info`."""
+    """The timing of a run so far, from the rig's streams, in the words of `armrig info`."""
 
     def __init__(self, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
         """Take a function for each stream that returns what has arrived since its last call."""

@@ -1,4 +1,4 @@
-"""What a daemon answered: read, or refused where it is nothing that a daemon answers."""
+"""The replies of a daemon: decoded, or refused where no daemon of this version replies so."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from armrig_core import commands
 
 MOST_BYTES = 1 << 20
 """Longest reply that is read, in B; a daemon's longest have a few thousand."""
-_MOST_TOLD = 1000  # characters of an error
+_LONGEST_ERROR = 1000  # characters that are shown
 
 _R = TypeVar("_R")
 
 
 class MalformedReplyError(ValueError):
-    """Nothing that a daemon of this version answers."""
+    """No reply of a daemon of this version."""
 
 
 def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
@@ -24,7 +24,8 @@ def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
     Raises
     ------
     MalformedReplyError
-        It is too long, no JSON, or a field is missing or of another type; the message says which.
+        It is too long, is not JSON, or a field is missing or of another type; the message says
+        which.
     """
     _check_length(name, payload)
     try:
@@ -44,8 +45,8 @@ def refusal_of(name: str, payload: bytes) -> str:
         error = reply_of(name, payload, commands.Refused).error
     except MalformedReplyError:
         error = f"{name}: {payload[:200].decode(errors='replace')}"
-    if len(error) > _MOST_TOLD:
-        error = f"{error[:_MOST_TOLD]} …"
+    if len(error) > _LONGEST_ERROR:
+        error = f"{error[:_LONGEST_ERROR]} …"
     return error
 
 

@@ -1,4 +1,4 @@
-"""The way to a daemon: its endpoint, a zenoh session there, and what is said of none."""
+"""The way to a daemon: its endpoint, a zenoh session, and the errors where nobody replies."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ MOST_RECEIVED = 16 << 20
 
 
 class RigError(RuntimeError):
-    """What a rig, or the way to it, refuses; says what to do."""
+    """A rig, or the way to it, refuses; the message says what to do."""
 
     def __init__(self, message: str) -> None:
-        """Take the message; what others have put into it does not reach a terminal as it is."""
+        """Take the message; characters that do not print, as others may write them, are escaped."""
         super().__init__(printable(message))
 
 
 class NoReplyError(RigError):
-    """Nobody answers."""
+    """Nobody replies."""
 
 
 def default_endpoint(rig: str) -> str:
@@ -38,15 +38,15 @@ def open_session(connect: str | None, *, rig: str) -> zenoh.Session:
     Parameters
     ----------
     connect : str, optional
-        None is the daemon of this user and rig. Then its directory must be one that no other user
-        can have put a socket into.
+        None is the daemon of this user and rig. Then no other user may be able to put a socket
+        into its directory.
 
     Raises
     ------
     NoReplyError
         Nobody listens there.
     RigError
-        `connect` is no endpoint, or the directory may be another user's.
+        `connect` is not an endpoint, or the directory may be another user's.
     """
     where = connect or default_endpoint(rig)
     if not connect:
@@ -55,11 +55,11 @@ def open_session(connect: str | None, *, rig: str) -> zenoh.Session:
     for key, value in (
         ("mode", "client"),
         ("connect/endpoints", [where]),
-        # Only the endpoint asked for: nobody is looked for, nobody is told of.
+        # Only the endpoint asked for: zenoh looks for nobody else, and tells nobody of us.
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/shared_memory/enabled", False),
-        # Longer than anything that a daemon sends: who listens there may be none.
+        # Longer than anything that a daemon sends. What listens there may not be a daemon.
         ("transport/link/rx/max_message_size", MOST_RECEIVED),
     ):
         try:
@@ -78,7 +78,7 @@ def _socket_directory() -> PurePosixPath:
 
 
 def _check_directory(rig: str, where: str) -> None:
-    """Refuse a directory that others may have made: in a temporary one anybody could."""
+    """Refuse a directory that others may have made, as anybody could in a temporary one."""
     directory = Path(_socket_directory())
     try:
         found = directory.lstat()
@@ -101,7 +101,7 @@ def no_reply(rig: str, where: str) -> NoReplyError:
 
 
 def no_daemon(rig: str, where: str, what: str) -> RigError:
-    """Return the error of what answers otherwise than a daemon of this version would."""
+    """Return the error where the replies are not those of a daemon of this version."""
     return RigError(
         f"rig {rig} at {where}: {what}; what listens there is no armrigd, or one of another version"
     )

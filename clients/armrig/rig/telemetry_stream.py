@@ -15,7 +15,7 @@ from armrig.rig.session import NoReplyError, RigError, open_session
 
 SILENCE_S = 1.0
 """After so long without a message the daemon is looked for, in s."""
-_LOOK_S = 1.0
+_LOOK_S = 1.0  # how long a daemon may take to show that it is there
 _LISTEN_S = 0.002
 _RING = 10_000  # samples that a slow listener may be behind before it misses some
 
@@ -43,10 +43,9 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
     NoReplyError
         There is no daemon, or it went away.
     RigError
-        The directory of this user's socket may be another user's; or a message is none of an
-        armrigd.
+        The directory of this user's socket may be another user's, or a message is not armrigd's.
     ValueError
-        The key is no stream of a rig.
+        The key is not a stream of a rig.
     """
     rig, _ = _stream_of(key)
     with open_session(connect, rig=rig) as session:
@@ -56,7 +55,7 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
 def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
     """Iterate over the messages of a key in an open session: see `stream`."""
     rig, name = _stream_of(key)
-    # A ring, not a queue: one that nobody drains would block zenoh's own thread.
+    # A ring, for a queue that nobody drains would block zenoh's own thread.
     with (
         session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber,
         session.liveliness().declare_subscriber(
@@ -71,8 +70,8 @@ def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
             if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
                 raise _gone(rig)
             if time.monotonic() - heard_s > SILENCE_S:
-                # A token is withdrawn over the very connection that ends with the daemon, so its
-                # withdrawal may never come: ask.
+                # The daemon's token is withdrawn over the connection that ends with the daemon, so
+                # its withdrawal may never arrive: ask.
                 if not _is_alive(session, rig):
                     raise _gone(rig)
                 heard_s = time.monotonic()
@@ -81,7 +80,7 @@ def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
 
 @contextmanager
 def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
-    """Give a function that returns what has come of a key since it was last asked, at once."""
+    """Give a function that returns at once what a key has brought since its last call."""
     rig, name = _stream_of(key)
     with session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber:
 
@@ -101,13 +100,13 @@ def decoded(name: str, payload: bytes) -> Any:
     sample = telemetry.decode_sample(payload)
     if sample is not None:
         return sample
-    # A later version's, with more fields.
+    # The sample of a later version, with more fields.
     message = protobuf.message_class(protobuf.SAMPLE).FromString(payload)
     return telemetry.Sample._make(getattr(message, field) for field in telemetry.Sample._fields)
 
 
 def _read(rig: str, name: str, payload: bytes) -> Any:
-    """Return one message of a stream; raises RigError where it is none."""
+    """Return one message of a stream; raises RigError where it cannot be decoded."""
     try:
         return decoded(name, payload)
     except DecodeError as err:

@@ -352,7 +352,7 @@ def test_collect_blackbox_says_where_the_arm_is_off(
     assert main(["collect", "blackbox", "--seconds", "2", "--connect", where]) == 0
 
     said = capsys.readouterr().err
-    assert ("rig 1 has its arm off, says [arm] removed" in said) == arm_removed
+    assert ("rig 1 has no arm ([arm] removed)" in said) == arm_removed
 
 
 def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str) -> None:
@@ -812,7 +812,7 @@ def test_a_length_between_two_samples_is_rounded_and_told(
     assert main(arguments) == 0
 
     said = capsys.readouterr().err
-    assert "1 s are no whole number of samples of 0.6 s: 2 are played, 1.2 s" in said
+    assert "1 s is not a whole number of samples of 0.6 s: 2 samples are played, 1.2 s" in said
 
 
 @pytest.mark.parametrize("refused", ["arm", "run"])

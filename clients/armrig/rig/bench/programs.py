@@ -204,7 +204,7 @@ def _environment(directory: Path) -> dict[str, str]:
 
 
 def _name(process: subprocess.Popen[bytes]) -> str:
-    """Return what a person calls the program: our module's name, or what is on the leash."""
+    """Return what a person calls the program: our module's name, or that of another program."""
     arguments = process.args if isinstance(process.args, list) else [process.args]
     named = [
         str(a) for a in arguments if a not in (sys.executable, "-m", "armrig.rig.bench.leashed")
