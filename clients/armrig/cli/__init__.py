@@ -33,7 +33,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-# In the order in which `armrig --help` tells them.
+# In the order in which `armrig --help` lists them.
 for _command in (
     host.demo,
     rig.status,
@@ -58,7 +58,7 @@ for _command in (
     app.command()(_command)
 app.add_typer(collect.app, name="collect")
 
-# Newer typers bring a click of their own, older ones use the click installed: this is either's.
+# Newer versions of typer bring a click of their own, older ones use the click installed.
 _UsageError: Any = typer.BadParameter.__base__
 
 
@@ -95,16 +95,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _signals() -> Iterator[list[signal.Signals]]:
-    """Raise KeyboardInterrupt at the first of SIGTERM and SIGHUP; give those that came."""
+    """Raise KeyboardInterrupt at the first of SIGTERM and SIGHUP; give the signals received."""
     received: list[signal.Signals] = []
 
     def interrupt(number: int, _: object) -> None:
         received.append(signal.Signals(number))
-        # Only once: a second one, such as SIGHUP before SIGTERM, must not end the stopping.
+        # Only once: a second signal, such as SIGTERM after SIGHUP, must not interrupt the stop.
         if len(received) == 1:
             raise KeyboardInterrupt
 
-    # What nohup ignores stays ignored.
+    # A signal that nohup ignores stays ignored.
     before = {
         number: handler
         for number in (signal.SIGTERM, signal.SIGHUP)
@@ -127,7 +127,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         with command.make_context("armrig", [*given] or ["--help"]) as context:
             command.invoke(context)
     except typer.Exit as err:
-        return int(err.exit_code) if given else 2  # nothing was asked for: help, as armrigd does
+        return int(err.exit_code) if given else 2  # without a command there is help, as of armrigd
     except _UsageError as err:
         where = err.ctx.command_path if err.ctx else "armrig"
         what = _missing(err) or _plainly(err.format_message())
@@ -135,7 +135,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except (typer.Abort, KeyboardInterrupt) as err:
         return _failed(str(err) or "interrupted", 130)
     except BrokenPipeError:  # `armrig info F | head`
-        # Nobody reads: what is still buffered must not complain when the interpreter ends.
+        # Nobody reads any more: what is buffered must raise nothing when the interpreter ends.
         with suppress(OSError, ValueError), Path(os.devnull).open("wb") as nothing:
             os.dup2(nothing.fileno(), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
@@ -153,7 +153,7 @@ def _failed(message: str, code: int) -> int:
 
 
 def _missing(err: Any) -> str:
-    """Return what is missing and what it is, where that is the error, or nothing."""
+    """Return which parameter is missing and what it is; empty where that is not the error."""
     parameter = getattr(err, "param", None)
     if parameter is None or type(err).__name__ != "MissingParameter":
         return ""
@@ -165,7 +165,7 @@ def _missing(err: Any) -> str:
 
 
 def _plainly(message: str) -> str:
-    """Return what typer and its checks say in our words: option first, then what is allowed."""
+    """Return a message of typer and its checks in our words: first the option, then what is allowed."""
     message = message.strip().rstrip(".")
     for theirs, ours in (
         (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),

@@ -185,7 +185,7 @@ def _checked(path: Path) -> Path:
         try:
             made = read_calibration(path).made
         except CalibrationFileError as err:
-            if "csv.gz" not in str(err):  # a calibration that has lost its samples may go
+            if "csv.gz" not in str(err):  # a calibration that has lost its samples may be replaced
                 msg = f"-o {path}: is there already, and no calibration; give another name"
                 raise ValueError(msg) from err
         else:
@@ -204,7 +204,7 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
 
 
 def _applied(code: int, rest: Recording) -> float:
-    """Return the voltage that the device makes of a code; a duty has few steps."""
+    """Return the voltage that the device makes of a code; its duty has only so many steps."""
     from armrig_core.volts import applied_code, volts_of
 
     bits = rest.manifest.device.get("pwm_bits")
@@ -218,7 +218,7 @@ def _loaded(path: Path | None) -> Recording | None:
 
 
 def _base(rest: Recording) -> Calibration:
-    """Return what was in force at the rest, for what is not measured."""
+    """Return the calibration in force at the rest, which stands for all that is not measured."""
     from armrig_core.calibration import Calibration
     from msgspec.structs import replace
 
@@ -228,7 +228,7 @@ def _base(rest: Recording) -> Calibration:
 def _write(
     path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, Recording]
 ) -> None:
-    """Write the calibration and its samples, each as a whole."""
+    """Write the calibration and its samples, each whole or not at all."""
     import hashlib
     from importlib.metadata import version
 
@@ -271,7 +271,7 @@ def _print(path: Path, found: Estimate, *, json: bool) -> None:
     sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
     print_table(*rows, ("alpha", sign[found.alpha_sign]), ("calibration", str(path)))
     tell(
-        f'to use it: [calibration] file = "{path.absolute()}" in armrigd\'s configuration, and '
+        f'to use it, set [calibration] file = "{path.absolute()}" in armrigd\'s configuration and '
         "start armrigd anew"
     )
 

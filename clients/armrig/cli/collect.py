@@ -64,7 +64,7 @@ DeadMan = Annotated[
 ]
 PERIOD_S = 5.0
 DEAD_MAN_S = 1.0
-"""Who closes the terminal, or loses the connection, expects that the motor stops."""
+"""Whoever closes the terminal, or loses the connection, expects the motor to stop."""
 
 
 @app.command()
@@ -170,7 +170,7 @@ def step(
     details = {"input": "step", "low": low, "high": high, "at": at}
 
     def make(N: int, Ts: float) -> Any:
-        # A time just before the end may be nearest to the end, where it would be no step.
+        # A time just before the end may round to the end, where there would be no step.
         return stepped(N, low=low, high=high, at=min(round(at / Ts), N - 1))
 
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)

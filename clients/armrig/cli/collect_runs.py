@@ -1,4 +1,4 @@
-"""What `armrig collect` plays, recording by recording, and how it tells what came of each."""
+"""The recordings that `armrig collect` makes: what each plays, and what is printed of it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, Literal, NamedTuple
 from armrig.cli.options import echo, print_json, tell
 
 SECONDS = 30.0
-_LONGEST_NAME = 40  # what the daemon takes as a kind of experiment
+_LONGEST_NAME = 40  # of a kind of experiment, as the daemon takes it
 
 
 class Run(NamedTuple):
-    """What all kinds are recorded with."""
+    """The options that all kinds of experiment have."""
 
     Ts: float | None
     name: str
@@ -92,7 +92,7 @@ def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | N
 
 
 def _experiment_name(experiment: str, name: str) -> str:
-    """Return the kind of experiment with the name that the student gives it."""
+    """Return the kind of experiment, with the name that the student has added."""
     whole = f"{experiment}-{name}" if name else experiment
     if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _LONGEST_NAME:
         most = _LONGEST_NAME - len(experiment) - 1
@@ -102,9 +102,9 @@ def _experiment_name(experiment: str, name: str) -> str:
 
 
 def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = False) -> None:
-    """Record one after the other, and tell each; data that cannot be used end it.
+    """Record one after the other and print each; end where the data cannot be used.
 
-    `without_arm` is for the chassis alone: a daemon that was told otherwise is not asked to play.
+    `without_arm` is an experiment with the chassis alone: a rig that has its arm is refused.
     """
     from armrig.rig.collection import Plan, collect
 
@@ -132,7 +132,9 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         else:
             echo(str(done.path))
         if verdict is None:
-            tell("the recording lies where the daemon is: `armrig info` says there what it holds")
+            tell(
+                "the recording is on the daemon's machine: run `armrig info` there to see what it holds"
+            )
         elif not verdict.usable:
             raise RuntimeError(verdict.in_a_line)
         else:

@@ -102,7 +102,7 @@ def _recorded(
     console: Console,
     retry_until: float,
 ) -> Path:
-    """Arm and run `u`; once more, and said so, where a busy machine has held up the emulator."""
+    """Arm and run `u`; where a busy machine has held up the emulator, say so and run once more."""
     while True:
         wait_for_phase(rig, "safe")
         try:
@@ -124,7 +124,7 @@ def _recorded(
             if has_tripped:
                 rig.reset()
             else:
-                rig.stop()  # a rig that is armed still is given back
+                rig.stop()  # gives back a rig that is still armed
 
 
 def wait_for_phase(rig: Rig, phase: str) -> StatusReport:
@@ -141,7 +141,7 @@ def wait_for_phase(rig: Rig, phase: str) -> StatusReport:
 
 @contextmanager
 def running(directory: Path, console: Console) -> Iterator[None]:
-    """Run the daemon on an emulated rig; it is stopped whatever happens."""
+    """Run the daemon on an emulated rig, and stop it whatever happens."""
     config, log = directory / "armrig.toml", directory / "armrigd.log"
     text = _CONFIG.format(rig=RIG, Ts=Ts, directory=_toml(directory.absolute()))
     config.write_text(text, encoding="utf-8")
@@ -160,7 +160,7 @@ def running(directory: Path, console: Console) -> Iterator[None]:
 
 
 def stop(daemon: subprocess.Popen[bytes]) -> None:
-    """Have the daemon end by itself, which brings the motor to 0 V, or else end it."""
+    """Ask the daemon to end, which brings the motor to 0 V; kill it where it does not."""
     if daemon.poll() is not None:
         return
     daemon.send_signal(signal.SIGTERM)

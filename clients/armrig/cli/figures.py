@@ -33,7 +33,7 @@ def write_plot(path: Path | None, *draw: Callable[[Axes], Any], height: float = 
         return
     from matplotlib.figure import Figure
 
-    # No constrained layout: it does not see the panels that a figure hangs below its axes.
+    # No constrained layout: it overlooks the panels that a figure appends below its axes.
     figure = Figure(figsize=(8.0, height * len(draw)))
     below = figure.subplots(len(draw), squeeze=False, gridspec_kw={"hspace": 0.32})[:, 0]
     for ax, one in zip(below, draw, strict=True):

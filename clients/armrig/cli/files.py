@@ -188,7 +188,7 @@ def report(
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
-    """Refuse, before any work, what cannot or must not be written: a recording is never lost."""
+    """Refuse, before any work, a file that cannot be written, or must not: a recording is kept."""
     name = f"-o {path}" if suffix else str(path)
     if path.is_dir():
         example = path / ("report.pdf" if suffix else "timing.png")

@@ -1,4 +1,4 @@
-"""What the commands share that judge models on a recording."""
+"""What validate and compare share: the data that models are judged on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Output = Literal["theta_1", "alpha", "velocity"]
 
 
 def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
-    """Return the recordings; their damage is told."""
+    """Return the recordings, and tell their damage."""
     from armrig.recordings.recording import load
 
     return [warned(load(file, calibration)) for file in files]
@@ -32,7 +32,7 @@ def warn_of_estimation_data(table: ComparisonTable) -> None:
 
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
-    """Return what the data themselves say of the frequency response, if they say anything."""
+    """Return the frequency response that the data show without a model; empty where they do not."""
     from armrig.nonparametric.spectral_reference import spectral_reference
 
     try:

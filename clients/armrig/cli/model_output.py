@@ -42,9 +42,9 @@ def model_lines(fit: Fit) -> list[str]:
         lines.append(f"  starts {how}: {ends}{squared}" + ("" if fit.converged else _UNFINISHED))
     if isinstance(fit, SubspaceFit):
         lines += [f"  {line}" for line in fit.explain().splitlines()]
-    # What the line on white residuals says is not said twice.
-    told = (w for w in fit.warnings if not (_COLOURED in w and fit.whiteness < WHITE_LEVEL))
-    return [*lines, *(f"  warning: {in_symbols(w)}" for w in told)]
+    # The line on white residuals says this already.
+    new = (w for w in fit.warnings if not (_COLOURED in w and fit.whiteness < WHITE_LEVEL))
+    return [*lines, *(f"  warning: {in_symbols(w)}" for w in new)]
 
 
 def search_lines(found: SearchResult) -> list[str]:
@@ -54,7 +54,7 @@ def search_lines(found: SearchResult) -> list[str]:
 
 
 def in_symbols(text: str) -> str:
-    """Return a sentence with the name that the table's column has."""
+    """Return a sentence with std_robust as the column of the table is headed."""
     return text.replace("std_robust", "σ robust")
 
 
@@ -149,8 +149,9 @@ def _whiteness(fit: Fit) -> str:
 def _p(p: float, otherwise: str, good: str = "") -> str:
     if isnan(p):
         return "too few samples, or no residual, to test"
-    said = f", rejected: {otherwise}" if p < WHITE_LEVEL else f": {good}" if good else ""
-    return f"p {p_relation(p)}{said}"
+    if p < WHITE_LEVEL:
+        return f"p {p_relation(p)}, rejected: {otherwise}"
+    return f"p {p_relation(p)}: {good}" if good else f"p {p_relation(p)}"
 
 
 def _std(std: float) -> str:

@@ -26,7 +26,7 @@ def _option(name: str, what: str, default: str) -> Any:
 StructureOrNone = Annotated[
     Structure | None, typer.Option("--structure", help="Which model.", show_default=False)
 ]
-# None says that the option was not given: what does not apply is refused, not ignored.
+# None: the option was not given. An option that does not apply is refused, not ignored.
 NaOrNone = Annotated[int | None, _option("na", "a's", "4")]
 NbOrNone = Annotated[int | None, _option("nb", "b's", "4")]
 NcOrNone = Annotated[int | None, _option("nc", "c's", "ARMAX 4, BJ 1")]
@@ -40,8 +40,8 @@ WeightsOrNone = Annotated[
 
 
 def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[str, int | None]:
-    """Return the structure's orders; one of another structure, without effect here, is refused."""
-    own = dict(_KINDS[structure].orders)
+    """Return the structure's orders; refuse those of another structure, without effect here."""
+    own = _ORDERS[structure]
     for name, value in given.items():
         if value is not None and name not in own:
             users = " or ".join(s for s, kind in _KINDS.items() if name in kind.orders)

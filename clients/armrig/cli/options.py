@@ -52,10 +52,10 @@ def say(text: str) -> None:
 
 
 def echo(text: str) -> None:
-    """Print what was asked for as it is, but for what others may have put into it to hide.
+    """Print what was asked for; a character that does not print is escaped.
 
-    Everything goes this way, or through the two that are named `print`: a name or a reason may
-    come from another user, or from a file of unknown origin.
+    All output goes this way, or through the two that are named `print`: a name or a reason may come
+    from another user, or from a file of unknown origin.
     """
     typer.echo(_shown(text, keep="\n"))
 
@@ -71,9 +71,9 @@ def folded(text: str, columns: int, indent: int | None = None) -> str:
     Parameters
     ----------
     columns : int
-        Of the terminal; 0 leaves the text as it is.
+        Width of the terminal; 0 leaves the text as it is.
     indent : int, optional
-        Of all lines but the first of each; two more than the line's own by default.
+        Of what is folded of a line; two more than the line's own by default.
     """
     if not columns:
         return text
@@ -92,7 +92,7 @@ def folded(text: str, columns: int, indent: int | None = None) -> str:
 
 
 def _columns(stream: TextIO) -> int:
-    """Return the width of the terminal, 0 for what is none."""
+    """Return the width of the terminal; 0 where the stream is not a terminal."""
     try:
         return os.get_terminal_size(stream.fileno()).columns if stream.isatty() else 0
     except (OSError, ValueError):
@@ -116,7 +116,7 @@ def print_table(*rows: tuple[str, str]) -> None:
 
 
 def warned(recording: Any) -> Any:
-    """Return the recording; its damage is told."""
+    """Return the recording, and tell its damage."""
     if recording.truncated:
         tell(f"{recording.path}: {recording.damage}")
     return recording

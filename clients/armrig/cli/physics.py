@@ -262,7 +262,7 @@ def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:
 def _data_and_rig(
     file: Path, output: Any, calibration: Path | None, model: Literal["chassis", "arm"] | None
 ) -> tuple[Dataset, Literal["chassis", "arm"]]:
-    """Return the data, and of which rig they are; another one than was said is refused."""
+    """Return the data, and of which rig they are; refuse another one than was given."""
     from armrig.recordings.findings import alpha_moves
     from armrig.recordings.loading import load
 

@@ -1,4 +1,4 @@
-"""A recorded run decided once more, by the very function that decided it."""
+"""The replay of a recorded run: the daemon's own function decides it once more."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class CoreMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """What came of deciding a run once more."""
+    """The decisions of a recorded run, made once more and compared."""
 
     steps: int
     """Calls of the core."""
@@ -51,11 +51,11 @@ class Replay:
     seconds: float
     """From the first step to the last, in s."""
     difference: str
-    """Where the replay first parts from the recording; "" where it nowhere does."""
+    """Where the replay first differs from the recording; empty where it does not."""
     until: str
-    """Why it ends before the run does: what is wrong with the file; "" for a whole one."""
+    """What is wrong with the file where the replay ends before the run; empty for a whole file."""
     said: tuple[CoreMessage, ...]
-    """Warnings and errors of the core on the way, trips among them."""
+    """Warnings and errors of the core during the replay, trips among them."""
 
 
 def replay(path: str | Path) -> Replay:
@@ -86,7 +86,7 @@ def replay(path: str | Path) -> Replay:
         raise RecordingError(msg)
     try:
         return _replayed(content, chunks)
-    except Exception as err:  # what somebody wrote there is run: anything may come of it
+    except Exception as err:  # the core runs on what somebody wrote there: anything may be raised
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         msg = f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
         raise RecordingError(msg) from err
@@ -114,10 +114,10 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
     ours = np.array([tuple(s) for s in published], dtype=SAMPLE_DTYPE)
     end = manifest.k_first + manifest.samples
     ours = ours[(ours["k"] >= manifest.k_first) & (ours["k"] < end)]
-    # Samples that came in one read with the answer to START are of the step before the first.
+    # Samples read together with the answer to START belong to the step before the first.
     theirs = content.samples[content.samples["k"] > told]
     same = _same_rows(ours, theirs)
-    # In a file that is cut off, samples or steps may reach further than the others.
+    # In a file that is cut off, the samples may reach further than the steps, or less far.
     reached = same == (min if content.cut_off else max)(ours.size, theirs.size)
     if not difference and not reached:
         difference = f"the file has {theirs.size} samples, the replay {ours.size}; "

@@ -65,7 +65,7 @@ def watch(
 
     with _opened(rig, connect) as opened:
         samples = islice(opened.stream("sample"), count)
-        with suppress(KeyboardInterrupt):  # the way to end it
+        with suppress(KeyboardInterrupt):  # Ctrl-C is the way to end it
             if json:
                 for sample in samples:
                     print_json(sample._asdict())
@@ -94,7 +94,7 @@ def reset(rig: RigId = "1", connect: Connect = None) -> None:
 
 @contextmanager
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
-    """Give the rig; what its daemon refuses is told with the command that helps."""
+    """Give the rig; a refusal of its daemon names the whole command that helps."""
     from armrig.rig.client import RefusedError, Rig
     from armrig.rig.collection import with_reset_command
 
@@ -118,7 +118,7 @@ def _watch(samples: Any) -> None:
 
 
 def _watch_in_lines(samples: Any) -> None:
-    """Print a line for each sample, at once: a program reads them."""
+    """Print a line for each sample as it comes, for a program that reads them."""
     echo(_WATCH_HEADING)
     for sample in samples:
         echo(_sample_line(sample))

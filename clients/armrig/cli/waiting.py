@@ -1,4 +1,4 @@
-"""An estimation as a person waits for it: a sign of life, and no library's warnings."""
+"""While a person waits for an estimation: a spinner, and no warnings of libraries."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from rich.console import Console
 from armrig.models.fit import Fit
 
 AFTER_S = 1.0
-"""What takes no longer needs no sign of life, in s."""
+"""A wait that is shorter shows no spinner, in s."""
 
 
 class OrdersTooHighError(ValueError):
-    """The numerics gave up."""
+    """A matrix could not be decomposed, or the model has an infinite or undefined parameter."""
 
 
 @contextmanager
 def estimating(orders: str, console: Console | None = None) -> Iterator[None]:
-    """Estimate in here; `orders` names those that may be too high.
+    """Show a spinner during an estimation; `orders` names those that may be too high.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[None]:
         A matrix of the estimation could not be decomposed.
     """
     with waiting("estimating", console), np.errstate(all="ignore"), warnings.catch_warnings():
-        # Overflows on the way are seen by the search, and told by its verdict.
+        # The search sees overflows on its way, and its verdict tells them.
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
             yield
@@ -39,7 +39,7 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[None]:
 
 
 def require_finite(fit: Fit, orders: str) -> None:
-    """Refuse a model that is no numbers."""
+    """Refuse a model whose parameters or loss are not finite."""
     if not (np.isfinite(fit.theta).all() and np.isfinite(fit.loss)):
         raise _too_high(orders)
 
