@@ -165,7 +165,7 @@ def _missing(err: Any) -> str:
 
 
 def _plainly(message: str) -> str:
-    """Return a message of typer and its checks in our words: first the option, then what is allowed."""
+    """Return a message of typer in our words: first the option, then what is allowed."""
     message = message.strip().rstrip(".")
     for theirs, ours in (
         (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),

@@ -75,7 +75,7 @@ class Player:
         details: Mapping[str, Any],
         make: Callable[[int, float], Any],
     ) -> Recording:
-        from armrig.recordings.recording import load
+        from armrig.recordings.loading import load
         from armrig.rig.collection import Plan, collect
 
         plan = Plan(

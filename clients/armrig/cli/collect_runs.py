@@ -50,7 +50,7 @@ def chosen_inputs(
     Ts: float | None,
 ) -> list[Played]:
     """Return what to play; refuses what is not allowed before a rig is asked for."""
-    from armrig.excitation.named_signals import SEEDED, by_name, details_of
+    from armrig.excitation.named_signals import SEEDED, details_of, named_signal
 
     name = input or ("telegraph" if file is None else "csv")
     if (name == "csv") != (file is not None):
@@ -64,12 +64,13 @@ def chosen_inputs(
     if file is not None:
         return [_from_file(experiment, file, seconds, Ts)]
     figures = {"a": a, "low": low, "high": high}
-    by_name(name, 3, 0.01, seed=seed, **figures)  # refuses here what it would refuse at the rig
+    # Refuses here what it would refuse at the rig.
+    named_signal(name, 3, 0.01, seed=seed, **figures)
 
     def played(kind: str, seed: int) -> Played:
         return Played(
             kind,
-            lambda N, Ts: by_name(name, N, Ts, seed=seed, **figures),
+            lambda N, Ts: named_signal(name, N, Ts, seed=seed, **figures),
             details_of(name, seed=seed, **figures),
             SECONDS if seconds is None else seconds,
         )
@@ -133,7 +134,8 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
             echo(str(done.path))
         if verdict is None:
             tell(
-                "the recording is on the daemon's machine: run `armrig info` there to see what it holds"
+                "the recording is on the daemon's machine: run `armrig info` there to see what it "
+                "holds"
             )
         elif not verdict.usable:
             raise RuntimeError(verdict.in_a_line)

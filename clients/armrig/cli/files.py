@@ -40,7 +40,7 @@ def info(
     ] = None,
 ) -> None:
     """Say what a recording holds and how well it was sampled."""
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
 
     if plot is not None:
         check_output(plot, [file])
@@ -57,7 +57,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
     """Return what a recording holds, for a program."""
     from armrig.recordings.calibration.staleness import remarks
     from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.timing_disturbances import causes
+    from armrig.recordings.timing_disturbances import disturbances
     from armrig.recordings.usability import data_verdict
 
     return {
@@ -70,7 +70,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
         "truncated": rec.truncated,
         "damage": rec.damage,
         "sampling": sampling_statistics(rec),
-        "causes": causes(rec),
+        "causes": disturbances(rec),
         "calibration": rec.calibration,
         "remarks": remarks(rec.calibration, rec.manifest),
         "verdict": data_verdict(rec).facts(),
@@ -82,9 +82,9 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
 def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
     """Give what a recording holds, for a person: names and values."""
     from armrig.recordings.calibration.staleness import calibrated, remarks
-    from armrig.recordings.gap_summary import in_lines
+    from armrig.recordings.gap_summary import gap_lines
     from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.timing_disturbances import causes, in_words
+    from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
     from armrig.recordings.usability import data_verdict
 
     manifest, timing = rec.manifest, sampling_statistics(rec)
@@ -101,8 +101,8 @@ def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
         yield "remark", text
     yield "jitter", _microseconds(timing.jitter, 0)
     yield "lateness", _lateness(timing.lateness, manifest.pacing)
-    yield from in_words(causes(rec))
-    for text in in_lines(rec.gaps):
+    yield from disturbance_rows(disturbances(rec))
+    for text in gap_lines(rec.gaps):
         yield "gap", text
     if rec.truncated:
         yield "damage", rec.damage

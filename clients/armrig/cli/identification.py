@@ -40,8 +40,9 @@ from armrig.cli.options import (
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
-    from armrig.validation.comparison import ComparisonTable, ResidualTest
+    from armrig.validation.comparison import ComparisonTable
     from armrig.validation.model_search import SearchResult
+    from armrig.validation.residuals import ResidualTest
 
 Output = Annotated[
     Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")
@@ -207,7 +208,7 @@ def _check_files(
 
 
 def _dataset(file: Path, output: Any, calibration: Path | None) -> Dataset:
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
 
     data: Dataset = warned(load(file, calibration)).dataset(output)
     return data

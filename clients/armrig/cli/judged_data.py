@@ -20,7 +20,7 @@ Output = Literal["theta_1", "alpha", "velocity"]
 
 def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
     """Return the recordings, and tell their damage."""
-    from armrig.recordings.recording import load
+    from armrig.recordings.loading import load
 
     return [warned(load(file, calibration)) for file in files]
 

@@ -41,7 +41,7 @@ WeightsOrNone = Annotated[
 
 def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[str, int | None]:
     """Return the structure's orders; refuse those of another structure, without effect here."""
-    own = _ORDERS[structure]
+    own = _KINDS[structure].orders
     for name, value in given.items():
         if value is not None and name not in own:
             users = " or ".join(s for s, kind in _KINDS.items() if name in kind.orders)

@@ -22,7 +22,8 @@ from armrig.cli.options import CalibrationFile, File, Json, echo, print_json
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
-    from armrig.validation.comparison import ComparisonTable, ResidualTest
+    from armrig.validation.comparison import ComparisonTable
+    from armrig.validation.residuals import ResidualTest
 
 ModelFile = Annotated[
     Path, typer.Option("--model", metavar="JSON", help="Model that identify --save has written.")
@@ -80,7 +81,7 @@ class _Validated:
 def _validated(fit: Fit, data: Dataset, horizons: Sequence[int], lags: int | None) -> _Validated:
     from armrig.cli.waiting import estimating
     from armrig.validation.comparison import compare as compared
-    from armrig.validation.comparison import residuals
+    from armrig.validation.residuals import residuals
 
     with estimating("the orders"):
         simulated = compared(data, fit)

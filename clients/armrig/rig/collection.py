@@ -159,7 +159,7 @@ def _played(
         nonlocal rehearsal
         rehearsal = run.rehearsal
         if rehearsal is not None:
-            tell(in_words(rehearsal))
+            tell(sentence(rehearsal))
 
     with timing_note(rig) as note, bar(plan.experiment, note=note) as progress:
         path = rig.run(

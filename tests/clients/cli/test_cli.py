@@ -21,7 +21,7 @@ from armrig.cli import main
 from armrig.cli.options import folded
 from armrig.cli.waiting import estimating, waiting
 from armrig.rig.collection import MOST_SAMPLES
-from armrig.rig.realtime_status import scheduling
+from armrig.rig.realtime_status import scheduling_sentences
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
@@ -662,8 +662,10 @@ def test_watch_gives_each_sample_as_a_line_of_json(daemon: FakeDaemon, where: st
 
 def test_where_the_host_allows_all_nothing_is_complained_of() -> None:
     """One line with the priority."""
-    assert scheduling({"fifo": 80, "refused": []}) == ["real-time scheduling at priority 80"]
-    assert scheduling({}) == ["nothing known yet"]
+    assert scheduling_sentences({"fifo": 80, "refused": []}) == [
+        "real-time scheduling at priority 80"
+    ]
+    assert scheduling_sentences({}) == ["nothing known yet"]
 
 
 @pytest.mark.parametrize("program", ["import armrig", "import armrig.cli"])

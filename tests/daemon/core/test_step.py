@@ -8,7 +8,7 @@ from armrig_core.volts import code_of
 from armrig_daemon.core import step as core_step
 from armrig_daemon.core import trace
 from armrig_daemon.core.faults import Fault, Id
-from armrig_daemon.core.gaps import MOST_ABSENT, account, note
+from armrig_daemon.core.gaps import MOST_ABSENT, note, tell_missing
 from armrig_daemon.core.requests import motor
 from armrig_daemon.core.state import (
     Absent,
@@ -471,7 +471,7 @@ def test_samples_of_a_run_that_never_come_are_told_before_its_end() -> None:
 
 
 def _told(state: State, end: int, u_before: int | None = None) -> list[tuple[int, int, float]]:
-    _, actions = account(state, end, 777, u_before)
+    _, actions = tell_missing(state, end, 777, u_before)
     gaps = [a.record for a in actions]
     assert all(isinstance(g, Gap) for g in gaps)
     return [(g.k_first, g.count, round(g.u_held_v, 3)) for g in gaps]
@@ -507,7 +507,7 @@ def test_what_lies_behind_a_sample_is_kept_for_the_next() -> None:
     before, across, behind = (Absent(k, 2, "late", None, 1, 2) for k in (10, 11, 12))
     known = note(note(note(state, before), across), behind)
 
-    after, _ = account(known, 12, 777)
+    after, _ = tell_missing(known, 12, 777)
 
     assert (after.told, after.absent) == (11, (across, behind))
 
@@ -516,7 +516,7 @@ def test_before_the_first_sample_nothing_is_missed() -> None:
     """The count begins with what comes first."""
     state = replace(rested().loop.state, told=-1, absent=(Absent(3, 1, "late", None, 1, 2),))
 
-    after, actions = account(state, 7, 777)
+    after, actions = tell_missing(state, 7, 777)
 
     assert (after.told, after.absent, actions) == (6, (), [])
 
