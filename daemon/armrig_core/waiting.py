@@ -19,8 +19,6 @@ import time
 _TIMER_ABSTIME = 1  # <time.h>
 _TFD_TIMER_ABSTIME = 1  # <sys/timerfd.h>
 _MOST_READY = 8
-STEP_NS = 10_000
-"""By how much a `Sleeper` spins longer after a wake-up that was too late, in ns."""
 _IN, _OUT, _ET = select.EPOLLIN, select.EPOLLOUT, select.EPOLLET
 
 
@@ -40,41 +38,17 @@ _until = _Timespec()
 _until_at = ctypes.byref(_until)
 
 
-class Sleeper:
-    """Sleeps until a deadline, the last moment of it awake: for as long as this host wakes late.
-
-    A host that wakes 20 µs late and one that wakes 100 µs late, after the same sleep, want another
-    time of spinning each. It follows the lateness that one wake-up in 200 exceeds: a step up
-    where that happened, a 199th of it down where not.
-
-    References
-    ----------
-    .. [1] H. Robbins and S. Monro, "A stochastic approximation method", Ann. Math. Statist. 22
-       (1951) 400-407: a quantile, followed step by step.
-    """
-
-    def __init__(self, most_ns: int = 0) -> None:
-        """Begin in the middle; `most_ns` is how long it may spin at most, 0 is not at all."""
-        self.spin_ns = most_ns // 2
-        """How long it spins before the next deadline, in ns."""
-        self._most_ns = most_ns
-
-    def sleep_until(self, deadline_ns: int) -> int:
-        """Sleep until shortly before a deadline, spin the rest, and return the time it then is."""
-        wake_ns = deadline_ns - self.spin_ns
-        now = time.monotonic_ns()
-        if now < wake_ns:
-            _until.tv_sec, _until.tv_nsec = divmod(wake_ns, 1_000_000_000)
-            while _clock_nanosleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, _until_at, None):
-                pass  # interrupted by a signal; the deadline is absolute
-            now = time.monotonic_ns()
-            if now > deadline_ns:
-                self.spin_ns = min(self.spin_ns + STEP_NS, self._most_ns)
-            elif self.spin_ns:
-                self.spin_ns = max(self.spin_ns - STEP_NS // 199, 0)
-        while now < deadline_ns:
-            now = time.monotonic_ns()
-        return now
+def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
+    """Sleep until shortly before the deadline, spin the rest, and return the time it then is."""
+    now = time.monotonic_ns()
+    wake = deadline_ns - spin_ns
+    if now < wake:
+        _until.tv_sec, _until.tv_nsec = divmod(wake, 1_000_000_000)
+        while _clock_nanosleep(time.CLOCK_MONOTONIC, _TIMER_ABSTIME, _until_at, None):
+            pass  # interrupted by a signal; the deadline is absolute
+    while (now := time.monotonic_ns()) < deadline_ns:
+        pass
+    return now
 
 
 class Waiter:

@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, suppress
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
-from armrig_core import waiting
-from armrig_core.waiting import TERMINAL_BYTES, Sleeper, Waiter
+from armrig_core.waiting import TERMINAL_BYTES, Waiter, sleep_until
 
 MS = 1_000_000
 LONG_NS = 10_000 * MS
@@ -147,53 +144,8 @@ def test_room_on_a_terminal_is_told_where_it_is_wanted(
 
 def test_a_sleep_ends_at_its_deadline_or_later() -> None:
     """With a spin before it and without."""
-    for most_ns in (0, 50_000):
+    for spin_ns in (0, 50_000):
         due = now_ns() + MS
-        assert Sleeper(most_ns).sleep_until(due) >= due
+        assert sleep_until(due, spin_ns) >= due
     past = now_ns() - MS
-    assert Sleeper(50_000).sleep_until(past) > past
-
-
-class Host:
-    """A host that wakes late, in virtual time: now and the sleep."""
-
-    def __init__(self, late_ns: Callable[[], int]) -> None:
-        self.now = 0
-        self._late_ns = late_ns
-
-    def monotonic_ns(self) -> int:
-        """Return the time; a spin makes it pass."""
-        self.now += 2_000
-        return self.now
-
-    def sleep(self, *_: object) -> int:
-        """Sleep until the time that was asked for, and longer."""
-        wake_ns = waiting._until.tv_sec * 1_000_000_000 + waiting._until.tv_nsec
-        self.now = max(self.now, wake_ns + self._late_ns())
-        return 0
-
-
-@pytest.mark.parametrize("scale_us", [5.0, 20.0, 60.0])
-def test_the_spin_follows_how_late_this_host_wakes(
-    monkeypatch: pytest.MonkeyPatch, scale_us: float
-) -> None:
-    """One deadline in 200 is missed, whatever the host; and nobody spins longer than he may."""
-    rng = np.random.default_rng(1)
-    host = Host(lambda: round(1000 * rng.exponential(scale_us)))
-    clock = SimpleNamespace(monotonic_ns=host.monotonic_ns, CLOCK_MONOTONIC=1)
-    monkeypatch.setattr(waiting, "time", clock)
-    monkeypatch.setattr(waiting, "_clock_nanosleep", host.sleep)
-    sleeper = Sleeper(500_000)
-    late, spins = 0, []
-    for k in range(1, 20_001):
-        late += sleeper.sleep_until(k * MS) > k * MS + 2_000
-        spins.append(sleeper.spin_ns)
-
-    assert 0.002 < late / k < 0.008
-    median_us = np.median(spins[4000:]) / 1000
-    assert 0.7 < median_us / (scale_us * np.log(200)) < 1.3  # the quantile of that distribution
-
-    bounded = Sleeper(20_000)
-    for k in range(20_001, 21_000):
-        bounded.sleep_until(k * MS)
-        assert 0 <= bounded.spin_ns <= 20_000
+    assert sleep_until(past) > past

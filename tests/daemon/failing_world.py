@@ -89,7 +89,7 @@ class World:
                 realtime=clock,
                 os=calls,
                 gc=idle,
-                Sleeper=lambda: SimpleNamespace(spin_ns=0, sleep_until=self._sleep_until),
+                sleep_until=self._sleep_until,
                 Waiter=lambda: _Waiter(self),
             ),
             mock.patch.multiple(
@@ -156,7 +156,7 @@ class World:
                 return [(fd, EPOLLIN) for fd in sorted(ready)]
             self._advance(max(self.now_ns, min(until_ns, self.device.next_ns(), *due.values())))
 
-    def _sleep_until(self, deadline_ns: int) -> int:
+    def _sleep_until(self, deadline_ns: int, _: int = 0) -> int:
         self._advance(max(self.now_ns, deadline_ns))
         return self.now_ns
 

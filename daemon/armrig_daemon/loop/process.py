@@ -14,7 +14,7 @@ from select import EPOLLIN
 from types import FrameType
 
 import msgspec
-from armrig_core.waiting import Sleeper, Waiter
+from armrig_core.waiting import Waiter, sleep_until
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 
@@ -69,12 +69,12 @@ class ProcessPorts:
         self._said = ""
         self._unheard = False
         self.quit_reason = ""
-        self._sleeper = Sleeper()
+        self.spin_ns = 0
 
     @property
     def margin_ns(self) -> int:
         """Return the time of the spin and of a short sleep before it."""
-        return self._sleeper.spin_ns + _MARGIN_NS
+        return self.spin_ns + _MARGIN_NS
 
     @property
     def collections(self) -> int:
@@ -87,11 +87,7 @@ class ProcessPorts:
 
     def sleep_until(self, deadline_ns: int) -> int:
         """Sleep, then spin, until the deadline."""
-        return self._sleeper.sleep_until(deadline_ns)
-
-    def spin(self, most_ns: int) -> None:
-        """Spin before each deadline from here on, as long as this host asks for."""
-        self._sleeper = Sleeper(most_ns)
+        return sleep_until(deadline_ns, self.spin_ns)
 
     def wait(self, until_ns: int) -> list[Event]:
         """Wait for the line, the service or a signal."""
@@ -233,7 +229,7 @@ def main(arguments: list[str]) -> int:
     realtime.end_with_parent()
     granted = realtime.prepare(settings.priority, settings.cpu)
     if granted["fifo"]:  # without it a spin only takes the time of who would let us run
-        ports.spin(settings.spin_ns)
+        ports.spin_ns = settings.spin_ns
     ports.put(record_bytes(Host(granted=granted)))
     try:
         Loop(settings.rules, ports).run()

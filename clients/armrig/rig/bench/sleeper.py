@@ -11,7 +11,7 @@ import sys
 import time
 
 import msgspec
-from armrig_core.waiting import TERMINAL_BYTES, Sleeper, Waiter
+from armrig_core.waiting import TERMINAL_BYTES, Waiter, sleep_until
 
 from armrig.rig.bench.echo import ANSWER_LENGTH, REQUEST_LENGTH
 from armrig.rig.bench.kernel import be_punctual, end_with_parent
@@ -34,7 +34,6 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     priority: int
     """SCHED_FIFO priority; 0 is the ordinary policy."""
     spin_ns: int = 0
-    """How long it may spin before a deadline, in ns."""
     port: str = ""
     """Where to write and read at each tick; empty is nowhere."""
 
@@ -57,18 +56,18 @@ def play(task: Task, *, fifo: bool) -> Done:
     late: list[int] = []
     trips: list[int] = []
     cpu: list[float] = []
-    sleeper = Sleeper(task.spin_ns if fifo else 0)
+    spin_ns = task.spin_ns if fifo else 0
     due = time.monotonic_ns() + task.period_ns
     window = due, 0, 0
     for n in range(-WARM_UP, task.count + 1):
         if line is not None:
-            line.wait_until(due - sleeper.spin_ns - MARGIN_NS)
-        now = sleeper.sleep_until(due)
+            line.wait_until(due - spin_ns - MARGIN_NS)
+        now = sleep_until(due, spin_ns)
         if n > 0:
             late.append(now - due)
         due += task.period_ns * (1 + max(0, now - due) // task.period_ns)
         if line is not None:
-            trip = line.exchange(now, due - sleeper.spin_ns - MARGIN_NS)
+            trip = line.exchange(now, due - spin_ns - MARGIN_NS)
             if n > 0:
                 trips.append(trip)
         if n == 0:
