@@ -91,7 +91,7 @@ class Timing(Table, frozen=True, kw_only=True):
     """Core that the loop is kept on."""
     stop_after: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
     """Ticks missed in a row after which the motor is stopped; 0 skips them and goes on."""
-    spin_us: Annotated[float, Meta(ge=0, le=500)] = 60
+    spin_us: Annotated[float, Meta(ge=0, le=500)] = 120
     """How long before a deadline the loop stops sleeping and spins, in µs; under FIFO only."""
 
     def __post_init__(self) -> None:

@@ -32,7 +32,7 @@ from armrig.rig.session import RigError
 ROUNDS = 4
 EXCHANGE_MOST_HZ = 1000
 """Above it exchange mode is not carried at 1 Mbaud; the device's own timer goes further."""
-SPIN_NS = 60_000
+SPIN_NS = 120_000
 """How long the daemon's loop spins before each deadline, and so the bare loop."""
 LEAST_TICKS = 10
 MOST_S = 600
