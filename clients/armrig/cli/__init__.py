@@ -18,6 +18,7 @@ from armrig.cli import (
     calibrate,
     collect,
     comparison,
+    feedback_and_delay,
     files,
     host,
     identification,
@@ -48,7 +49,7 @@ for _command in (
     identification.identify,
     validation.validate,
     comparison.compare,
-    physics.check,
+    feedback_and_delay.check,
     physics.greybox,
     physics.split,
     physics.simulate,
@@ -165,7 +166,7 @@ def _missing(err: Any) -> str:
 
 
 def _plainly(message: str) -> str:
-    """Return a message of typer in our words: first the option, then what is allowed."""
+    """Return a message of typer and its checks in our words: the option, and what is allowed."""
     message = message.strip().rstrip(".")
     for theirs, ours in (
         (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),

@@ -133,10 +133,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         else:
             echo(str(done.path))
         if verdict is None:
-            tell(
-                "the recording is on the daemon's machine: run `armrig info` there to see what it "
-                "holds"
-            )
+            tell("the recording is on the daemon's machine: `armrig info` there says what it holds")
         elif not verdict.usable:
             raise RuntimeError(verdict.in_a_line)
         else:

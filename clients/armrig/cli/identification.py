@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -31,11 +31,12 @@ from armrig.cli.options import (
     File,
     Json,
     Nk,
+    Output,
     print_json,
     say,
     tell,
-    warned,
 )
+from armrig.cli.recorded_data import dataset
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -44,9 +45,6 @@ if TYPE_CHECKING:
     from armrig.validation.model_search import SearchResult
     from armrig.validation.residuals import ResidualTest
 
-Output = Annotated[
-    Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")
-]
 Integrator = Annotated[
     bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")
 ]
@@ -104,9 +102,9 @@ def identify(
         jobs=jobs,
     )
     _check_files(file, validate, plot=plot, save=save)
-    data = _dataset(file, output, calibration)
+    data = dataset(file, output, calibration)
     # Before the minutes that an estimation may take.
-    other = None if validate is None else _dataset(validate, output, calibration)
+    other = None if validate is None else dataset(validate, output, calibration)
     found = _found(wanted, data, other)
     if json:
         _print_json(found, data)
@@ -205,13 +203,6 @@ def _check_files(
     check_plot(plot, inputs)
     if save is not None:
         check_output(save, inputs)
-
-
-def _dataset(file: Path, output: Any, calibration: Path | None) -> Dataset:
-    from armrig.recordings.loading import load
-
-    data: Dataset = warned(load(file, calibration)).dataset(output)
-    return data
 
 
 def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:

@@ -7,7 +7,7 @@ import sys
 import textwrap
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any, Literal, TextIO
 
 import typer
 from armrig_core.printable import json_printable, printable
@@ -26,6 +26,8 @@ CalibrationFile = Annotated[
     ),
 ]
 File = Annotated[Path, typer.Argument(metavar="F", help="Recording (*.mcap).")]
+OutputName = Literal["theta_1", "alpha", "velocity"]
+Output = Annotated[OutputName, typer.Option("--output", help="Which output.")]
 Na = Annotated[int, typer.Option("--na", help="Number of a's (ARX).")]
 Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]
 Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE), the integrator's included.")]

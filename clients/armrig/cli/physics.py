@@ -1,4 +1,4 @@
-"""The commands that hold a recording against the physics: check, greybox, split, simulate."""
+"""The commands that hold a recording against the physics: greybox, split, simulate."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ import typer
 from armrig.cli.comparison_rows import row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import CalibrationFile, File, Json, echo, print_json, warned
+from armrig.cli.recorded_data import dataset
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
     from armrig.data.dataset import Dataset
 
-Output = Annotated[
-    Literal["theta_1", "alpha", "velocity"], typer.Option("--output", help="Which output.")
-]
 GreyOutput = Annotated[Literal["theta_1", "alpha"], typer.Option("--output", help="Which output.")]
 Given = Annotated[
     list[str] | None,
@@ -43,55 +41,6 @@ Friction = Annotated[
     Literal["viscous", "coulomb", "both"] | None,
     typer.Option("--friction", help="Estimate friction too; the handout neglects it."),
 ]
-
-
-def check(
-    file: File,
-    output: Output = "theta_1",
-    level: Annotated[float, typer.Option("--level", help="Of the test for feedback.")] = 0.05,
-    calibration: CalibrationFile = None,
-    json: Json = False,
-    plot: Plot = None,
-) -> None:
-    """Test for open loop and for a delay (handout 3.7, 3.8)."""
-    from armrig.cli.waiting import waiting
-    from armrig.validation.feedback_and_delay.delay import delay
-    from armrig.validation.feedback_and_delay.open_loop import open_loop
-
-    check_plot(plot, [file])
-    data = _data(file, output, calibration)
-    with waiting("testing"):
-        loop, late = open_loop(data, level), delay(data)
-    write_plot(plot, lambda ax: loop.plot(ax=ax), lambda ax: late.plot(ax=ax))
-    if json:
-        print_json(
-            {
-                "recording": data.source,
-                "open_loop": {
-                    "feedback": loop.feedback,
-                    "p_value": loop.p_value,
-                    "level": loop.level,
-                    "lags": loop.granger.lags,
-                    "others": loop.others,
-                    "remarks": loop.remarks,
-                },
-                "delay": {
-                    "nk": late.nk,
-                    "delay": late.delay,
-                    "told": late.told,
-                    "interval": late.interval,
-                    "level": late.level,
-                    "p_values": late.p_values,
-                    "before": late.before,
-                    "misfit": late.misfit,
-                    "t_q": late.t_q,
-                    "remarks": late.remarks,
-                },
-            }
-        )
-        return
-    echo(f"open loop (handout 3.7)\n{_indented(loop.explain())}")
-    echo(f"delay (handout 3.8)\n{_indented(late.explain())}")
 
 
 def greybox(
@@ -223,7 +172,7 @@ def simulate(
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 
-    data = _data(file, "theta_1", calibration)
+    data = dataset(file, "theta_1", calibration)
     fits = [*(load_fit(path) for path in model or ()), physical_model(p, data)]
     labels = [*(path.stem for path in model or ()), "physics"]
     table = compare(data, *fits, labels=labels)
@@ -250,13 +199,6 @@ def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
         print_json({name: getattr(found, name) for name in figures} | roots)
         return
     echo(found.explain())
-
-
-def _data(file: Path, output: Any, calibration: Path | None) -> Dataset:
-    from armrig.recordings.loading import load
-
-    data: Dataset = warned(load(file, calibration)).dataset(output)
-    return data
 
 
 def _data_and_rig(
@@ -309,7 +251,3 @@ def _cuts(text: str) -> tuple[int, ...]:
     except ValueError as err:
         msg = f"--parts {text!r}: whole numbers with commas are wanted, such as 1,2,4"
         raise typer.BadParameter(msg) from err
-
-
-def _indented(text: str) -> str:
-    return "\n".join(f"  {line}" for line in text.splitlines())

@@ -11,13 +11,13 @@ import typer
 
 from armrig.cli.comparison_rows import row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.judged_data import (
+from armrig.cli.options import CalibrationFile, File, Json, echo, print_json
+from armrig.cli.recorded_data import (
     dataset_of,
     loaded,
     spectral_beside,
     warn_of_estimation_data,
 )
-from armrig.cli.options import CalibrationFile, File, Json, echo, print_json
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset

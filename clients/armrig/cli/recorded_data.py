@@ -1,12 +1,12 @@
-"""What validate and compare share: the data that models are judged on."""
+"""The data that commands read from recordings, and what is told of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, get_args
 
-from armrig.cli.options import SAME_DATA, tell, warned
+from armrig.cli.options import SAME_DATA, OutputName, tell, warned
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -15,14 +15,17 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
 
-Output = Literal["theta_1", "alpha", "velocity"]
-
 
 def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
     """Return the recordings, and tell their damage."""
     from armrig.recordings.loading import load
 
     return [warned(load(file, calibration)) for file in files]
+
+
+def dataset(file: Path, output: OutputName, calibration: Path | None) -> Dataset:
+    """Return the data of one output, and tell the recording's damage."""
+    return loaded([file], calibration)[0].dataset(output)
 
 
 def warn_of_estimation_data(table: ComparisonTable) -> None:
@@ -42,10 +45,10 @@ def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
         return []
 
 
-def dataset_of(recording: Recording, fit: Fit) -> Any:
+def dataset_of(recording: Recording, fit: Fit) -> Dataset:
     """Return the data of the output that the model is of."""
-    for output in get_args(Output):
+    for output in get_args(OutputName):
         if output == fit.output:
             return recording.dataset(output)
-    msg = f"the model is of {fit.output!r}, a recording has {', '.join(get_args(Output))}"
+    msg = f"the model is of {fit.output!r}, a recording has {', '.join(get_args(OutputName))}"
     raise ValueError(msg)

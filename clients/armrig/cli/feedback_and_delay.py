@@ -1,0 +1,72 @@
+"""The command that tests a recording for feedback and for a delay: check."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.options import CalibrationFile, File, Json, Output, echo, print_json
+from armrig.cli.recorded_data import dataset
+
+if TYPE_CHECKING:
+    from armrig.validation.feedback_and_delay.delay import Delay
+    from armrig.validation.feedback_and_delay.open_loop import OpenLoop
+
+
+def check(
+    file: File,
+    output: Output = "theta_1",
+    level: Annotated[float, typer.Option("--level", help="Of the test for feedback.")] = 0.05,
+    calibration: CalibrationFile = None,
+    json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Test for open loop and for a delay (handout 3.7, 3.8)."""
+    from armrig.cli.waiting import waiting
+    from armrig.validation.feedback_and_delay.delay import delay
+    from armrig.validation.feedback_and_delay.open_loop import open_loop
+
+    check_plot(plot, [file])
+    data = dataset(file, output, calibration)
+    with waiting("testing"):
+        loop, late = open_loop(data, level), delay(data)
+    write_plot(plot, lambda ax: loop.plot(ax=ax), lambda ax: late.plot(ax=ax))
+    if json:
+        print_json(
+            {"recording": data.source, "open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
+        )
+        return
+    echo(f"open loop (handout 3.7)\n{_indented(loop.explain())}")
+    echo(f"delay (handout 3.8)\n{_indented(late.explain())}")
+
+
+def _loop_facts(loop: OpenLoop) -> dict[str, Any]:
+    return {
+        "feedback": loop.feedback,
+        "p_value": loop.p_value,
+        "level": loop.level,
+        "lags": loop.granger.lags,
+        "others": loop.others,
+        "remarks": loop.remarks,
+    }
+
+
+def _delay_facts(late: Delay) -> dict[str, Any]:
+    return {
+        "nk": late.nk,
+        "delay": late.delay,
+        "told": late.told,
+        "interval": late.interval,
+        "level": late.level,
+        "p_values": late.p_values,
+        "before": late.before,
+        "misfit": late.misfit,
+        "t_q": late.t_q,
+        "remarks": late.remarks,
+    }
+
+
+def _indented(text: str) -> str:
+    return "\n".join(f"  {line}" for line in text.splitlines())
