@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
     from armrig.data.dataset import Dataset
+    from armrig.physics.grey_box.fit import GreyFit
+    from armrig.physics.grey_box.split_study import SplitStudy
 
 GreyOutput = Annotated[Literal["theta_1", "alpha"], typer.Option("--output", help="Which output.")]
 Given = Annotated[
@@ -57,7 +59,6 @@ def greybox(
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
     from armrig.cli.waiting import waiting
     from armrig.physics.grey_box.estimate import greybox as estimate
-    from armrig.physics.grey_box.parameters import UNITS
 
     check_plot(plot, [file])
     fixed = _parameters(given)
@@ -69,22 +70,34 @@ def greybox(
     fit.require_result()
     write_plot(plot, lambda ax: fit.plot(data, ax=ax), height=4.5)
     if json:
-        parameters = {
-            name: {
-                "value": fit.values[name],
-                "std": fit.std[name],
-                "std_robust": fit.std_robust[name],
-                "unit": UNITS.get(name, ""),
-            }
-            for name in fit.names
-        }
-        facts: dict[str, Any] = {"recording": data.source, "model": model}
-        facts |= {"parameters": parameters}
-        facts |= {"influence": fit.influence, "fit_percent": fit.fit_percent, "loss": fit.loss}
-        facts |= {"p_white": fit.whiteness, "N": fit.N, "Ts": fit.Ts}
-        print_json(facts | {"converged": fit.converged, "warnings": fit.warnings})
+        print_json({"recording": data.source, "model": model} | _grey_facts(fit))
         return
     echo(f"{fit!r}\n{fit.explain()}")
+
+
+def _grey_facts(fit: GreyFit) -> dict[str, Any]:
+    from armrig.physics.grey_box.fit import UNITS
+
+    parameters = {
+        name: {
+            "value": fit.values[name],
+            "std": fit.std[name],
+            "std_robust": fit.std_robust[name],
+            "unit": UNITS.get(name, ""),
+        }
+        for name in fit.names
+    }
+    return {
+        "parameters": parameters,
+        "influence": fit.influence,
+        "fit_percent": fit.fit_percent,
+        "loss": fit.loss,
+        "p_white": fit.whiteness,
+        "N": fit.N,
+        "Ts": fit.Ts,
+        "converged": fit.converged,
+        "warnings": fit.warnings,
+    }
 
 
 def split(
@@ -120,23 +133,26 @@ def split(
         study = split_study(data, cuts, estimate)
     write_plot(plot, lambda ax: study.plot(ax=ax), height=5.0)
     if json:
-        rows = [
-            {
-                "parts": s.k,
-                "N": s.N.tolist(),
-                "values": s.values.tolist(),
-                "std": s.std.tolist(),
-                "pooled": s.pooled,
-                "scaled_std": s.scaled_std,
-                "chi2": s.chi2,
-                "p_value": s.p_value,
-            }
-            for s in study.splits
-        ]
-        facts = {"recording": data.source, "parameter": study.parameter, "splits": rows}
-        print_json(facts | {"exponent": study.exponent})
+        print_json({"recording": data.source} | _split_facts(study))
         return
     echo(f"{study!r}\n{study.explain()}")
+
+
+def _split_facts(study: SplitStudy) -> dict[str, Any]:
+    splits = [
+        {
+            "parts": s.k,
+            "N": s.N.tolist(),
+            "values": s.values.tolist(),
+            "std": s.std.tolist(),
+            "pooled": s.pooled,
+            "scaled_std": s.scaled_std,
+            "chi2": s.chi2,
+            "p_value": s.p_value,
+        }
+        for s in study.splits
+    ]
+    return {"parameter": study.parameter, "splits": splits, "exponent": study.exponent}
 
 
 def simulate(
