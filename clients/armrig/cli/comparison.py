@@ -21,7 +21,7 @@ from armrig.cli.recorded_data import (
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
 
@@ -83,7 +83,7 @@ def compare(
 class _Compared:
     """Models, and the data that they are compared on."""
 
-    models: list[tuple[str, Fit]]
+    models: list[tuple[str, Model]]
     """Each with its name, which several may share."""
     data: Dataset
     where: str
@@ -95,12 +95,12 @@ class _Compared:
         return [name for name, _ in self.models]
 
     @property
-    def fits(self) -> list[Fit]:
+    def fits(self) -> list[Model]:
         """The models themselves."""
         return [fit for _, fit in self.models]
 
 
-def _saved_models(files: Sequence[Path]) -> list[tuple[str, Fit]]:
+def _saved_models(files: Sequence[Path]) -> list[tuple[str, Model]]:
     from armrig.models.model_file import load_fit
 
     return [(path.stem, load_fit(path)) for path in files]
@@ -108,7 +108,7 @@ def _saved_models(files: Sequence[Path]) -> list[tuple[str, Fit]]:
 
 def _studied(
     recordings: list[Recording],
-    saved: list[tuple[str, Fit]],
+    saved: list[tuple[str, Model]],
     *,
     na: int,
     nb: int,
@@ -124,7 +124,7 @@ def _studied(
     where = str(done.recording_of(done.validation.source).path)
     if done.halves:
         where += ", its second half, the first one estimates"
-    models = [(judged.name, judged.fit) for judged in done.models]
+    models = [(assessed.name, assessed.model) for assessed in done.models]
     return _Compared(models=models + saved, data=done.validation, where=where)
 
 

@@ -10,7 +10,7 @@ from armrig.cli.options import SAME_DATA, OutputName, tell, warned
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
-    from armrig.models.fit import Fit
+    from armrig.models.model import Model
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
@@ -45,10 +45,10 @@ def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
         return []
 
 
-def dataset_of(recording: Recording, fit: Fit) -> Dataset:
+def dataset_of(recording: Recording, model: Model) -> Dataset:
     """Return the data of the output that the model is of."""
     for output in get_args(OutputName):
-        if output == fit.output:
+        if output == model.output:
             return recording.dataset(output)
-    msg = f"the model is of {fit.output!r}, a recording has {', '.join(get_args(OutputName))}"
+    msg = f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}"
     raise ValueError(msg)
