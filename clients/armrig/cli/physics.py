@@ -184,7 +184,7 @@ def simulate(
         _step(p, json=json, plot=plot)
         return
     from armrig.models.model_file import load_fit
-    from armrig.report.study import physical_model
+    from armrig.physics.physical_model import physical_model
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from armrig.report.document import ReportError, report, treatment
+    from armrig.report.data_facts import treatment
+    from armrig.report.document import ReportError, report
 
 __all__ = ["ReportError", "report", "treatment"]
 
@@ -15,6 +16,6 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         msg = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(msg)
-    from armrig.report import document
+    from armrig.report import data_facts, document
 
-    return getattr(document, name)
+    return getattr(data_facts if name == "treatment" else document, name)

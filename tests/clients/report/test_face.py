@@ -7,10 +7,10 @@ import pytest
 
 def test_the_report_is_imported_from_the_room() -> None:
     """`from armrig.report import …` gives what typesets a study, and its sentences."""
-    from armrig.report import ReportError, document, report, treatment
+    from armrig.report import ReportError, data_facts, document, report, treatment
 
     assert report is document.report
-    assert treatment is document.treatment
+    assert treatment is data_facts.treatment
     assert ReportError is document.ReportError
 
 
