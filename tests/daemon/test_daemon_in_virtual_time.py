@@ -229,7 +229,7 @@ def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
     bench.run_for(100)
 
     answers = {a.order: a for a in bench.of(Answer)}
-    assert "overtaken by STOP" in answers[7].error
+    assert answers[7].error == "not begun: stopped"
     assert answers[8].body == {"done": True}
     assert bench.phase is Phase.SAFE
 
@@ -242,7 +242,7 @@ def test_a_release_is_never_too_early(bench: Bench) -> None:
     bench.run_for(60)
 
     answers = {a.order: a for a in bench.of(Answer)}
-    assert "overtaken by STOP" in answers[7].error
+    assert answers[7].error == "not begun: disarmed"
     assert answers[8].body == {"done": True}
     assert bench.phase is Phase.SAFE
     assert all(s.u_applied_v == 0.0 for s in bench.samples)

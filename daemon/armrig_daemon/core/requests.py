@@ -159,7 +159,7 @@ def ask(
     It takes the place of what was asked for before; whoever wished that is told.
     """
     before = state.asked.order if state.asked else None
-    overtaken = [] if before is order else _overtaken(before, want)
+    overtaken = [] if before is order else _overtaken(before, want, state.outcome)
     if want is Want.HELLO and tries == 1:
         state = replace(state, came=Came())
     boot_id = state.device.boot_id if state.device else 0
@@ -184,8 +184,9 @@ def ask(
     return state, [*overtaken, *sending]
 
 
-def _overtaken(order: Order | None, want: Want) -> list[Action]:
+def _overtaken(order: Order | None, want: Want, outcome: str) -> list[Action]:
     """Return what is said to who had wished for something else; a wish to stop is granted."""
     if isinstance(order, Halt | Release):
         return answer(order, {"done": True})
-    return refuse(order, f"overtaken by {want}")
+    stopped = want is Want.STOP and outcome
+    return refuse(order, f"not begun: {outcome}" if stopped else f"overtaken by {want}")

@@ -199,7 +199,7 @@ def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
     decided = ordered(bench, Halt(order=6), awaiting(bench.loop.state, Want.CONFIGURE, TAKE))
 
     assert [type(m) for m in decided.sent] == [Stop]
-    assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "overtaken by STOP")]
+    assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "not begun: stopped")]
 
 
 @pytest.mark.parametrize(
