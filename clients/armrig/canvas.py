@@ -10,6 +10,7 @@ from armrig.numerics.stretches import stretches
 if TYPE_CHECKING:
     import numpy as np
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from numpy.typing import NDArray
 
 # M. Okabe, K. Ito, "Color Universal Design", 2008; without the yellow, too pale on paper.
@@ -86,6 +87,14 @@ def shade(ax: Axes, data: Sampled) -> None:
     for gap in stretches(~data.valid):
         begin, end = (gap.start - 0.5) * data.Ts, (gap.stop - 0.5) * data.Ts
         ax.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
+
+
+def bare_minor(*shown: Axis) -> None:
+    """Write no number between the decades of logarithmic axes."""
+    from matplotlib.ticker import NullFormatter
+
+    for axis in shown:
+        axis.set_minor_formatter(NullFormatter())
 
 
 def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
     from armrig.validation.comparison import ComparisonTable
-    from armrig.validation.model_search import SearchResult
     from armrig.validation.residuals import ResidualTest
+    from armrig.validation.search_result import SearchResult
 
 Integrator = Annotated[
     bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")

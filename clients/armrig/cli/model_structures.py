@@ -48,7 +48,7 @@ def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[st
             msg = f"--{name} {value} goes with --structure {users}; "
             msg += f"{with_article(structure.upper())} model has {_listed([*own, 'nk'])}"
             raise typer.BadParameter(msg)
-    return own | {name: value for name, value in given.items() if value is not None}
+    return {**own, **{name: value for name, value in given.items() if value is not None}}
 
 
 def check_integrator(structure: Structure) -> None:

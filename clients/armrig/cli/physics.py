@@ -76,7 +76,7 @@ def greybox(
 
 
 def _grey_facts(fit: GreyFit) -> dict[str, Any]:
-    from armrig.physics.grey_box.fit import UNITS
+    from armrig.physics.grey_box.parameters import UNITS
 
     parameters = {
         name: {

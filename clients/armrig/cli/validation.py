@@ -122,7 +122,8 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
 
 
 def _print_validation(validated: _Validated, file: Path) -> None:
-    from armrig.cli.model_output import heading, residual_lines
+    from armrig.cli.model_output import residual_lines
+    from armrig.models.equation import heading
 
     echo(heading(validated.fit))
     echo(f"validated on {file} (recording {validated.data.source[:12]})")

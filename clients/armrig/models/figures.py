@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.canvas import GREY, INK, NAMES, axes, finish, panels, pens, sign
+from armrig.canvas import GREY, INK, NAMES, axes, bare_minor, finish, panels, pens, sign
 from armrig.models.labels import (
     Labels,
     gain_unit,
@@ -218,12 +218,10 @@ def _phase(G: NDArray[Any]) -> NDArray[np.float64]:
 
 def _decades(ax: Axes, low: float, high: float) -> None:
     """Limit a logarithmic axis; a short one to whole decades, or it would have none to label."""
-    from matplotlib.ticker import NullFormatter
-
     if high < 100 * low:
         low, high = (float(10.0 ** f(np.log10(x))) for f, x in ((np.floor, low), (np.ceil, high)))
     ax.set_ylim(low, high)
-    ax.yaxis.set_minor_formatter(NullFormatter())
+    bare_minor(ax.yaxis)
 
 
 def _limited(ax: Axes, y: NDArray[np.float64]) -> None:

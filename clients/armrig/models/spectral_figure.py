@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, GREEN, GREY, SKY, VERMILION, finish, panels, sign
+from armrig.canvas import BLUE, GREEN, GREY, SKY, VERMILION, bare_minor, finish, panels, sign
 from armrig.numerics.confidence_regions import HALF_WIDTH
 
 if TYPE_CHECKING:
@@ -100,17 +100,9 @@ def plot_spectral(estimate: Spectrum, *, ax: Axes | None = None) -> Axes:
     ax.legend(
         loc="lower left" if estimate.nonlinear_std is None else "upper right", fontsize="small"
     )
-    _plain_minor(*shown)
+    bare_minor(*(ax.xaxis for ax in shown))
     finish(*shown, xlim=(float(w[0]), float(w[-1])) if w.size > 1 else None)
     return sign(ax, estimate.source)
-
-
-def _plain_minor(*shown: Axes) -> None:
-    """Write no number between decades."""
-    from matplotlib.ticker import NullFormatter
-
-    for ax in shown:
-        ax.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]:
