@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tomllib
+from ast import literal_eval
 from pathlib import Path
 
 import pytest
@@ -17,7 +19,7 @@ from mutation.__main__ import ROOT, modules
 from mutation.outcomes import Outcomes
 from mutation.planting import path_of, plant_in_started
 from mutation.sites import Site, planted, sites
-from mutation.trial import Outcome, Verdict, in_child, timed
+from mutation.trial import Outcome, Verdict, in_child
 
 SITE = Site("armrig_daemon.service.runs", 17, 100, "constant")
 CAUGHT = Verdict(Outcome.CAUGHT, "tests/a.py::test_it", 1.5)
@@ -147,9 +149,18 @@ def test_tests_are_timed_without_a_bug(tmp_path: Path) -> None:
     """Those that fail then are named."""
     path = tmp_path / "test_these.py"
     path.write_text("def test_a(): pass\ndef test_b(): assert False\n")
+    program = f"from mutation.trial import timed; print(timed([{str(path)!r}], 60.0))"
+    paths = os.pathsep.join(p for p in sys.path if p)
 
-    took_s, failed = timed([str(path)], 60.0)
+    said = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
 
+    took_s, failed = literal_eval(said.stdout)
     assert [name.rpartition("::")[2] for name in took_s] == ["test_a", "test_b"]
     assert [name.rpartition("::")[2] for name in failed] == ["test_b"]
 
