@@ -7,8 +7,10 @@ BIN := .venv/bin
 demo: .venv/run
 	$(BIN)/armrig demo
 
+# Two side by side; then what is timed, alone, and also where something before it failed.
 test: .venv/dev
-	$(BIN)/pytest
+	$(BIN)/pytest -m "not timed" -n 2 --dist worksteal; \
+	  beside=$$?; $(BIN)/pytest -m timed tests/integration && exit $$beside
 
 check: .venv/dev
 	$(BIN)/ruff check

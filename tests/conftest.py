@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Generator
 from typing import Any
 
@@ -10,6 +11,16 @@ import pytest
 
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A shell's background job ignores them and its children with it, which some tests send them to.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Refuse a timed test that `make test` would not find, which looks for it in one folder."""
+    if item.get_closest_marker("timed") and "integration" not in item.path.parts:
+        msg = f"{item.nodeid}: is marked as timed and does not stand in tests/integration"
+        raise pytest.UsageError(msg)
 
 
 @pytest.hookimpl(wrapper=True)

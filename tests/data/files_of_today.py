@@ -55,8 +55,7 @@ def main(folder: Path) -> None:
             _calibrate(bench, folder)
             _play(bench, folder)
         finally:
-            for process in reversed(bench.processes):
-                process.end()
+            bench.end()
     data = armrig.load(folder / "scheduled.mcap").dataset(output="alpha")
     fits = {
         "bj": armrig.bj(data, nb=2, nc=1, nd=1, nf=2, nk=1),

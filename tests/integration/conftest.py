@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from processes import Bench
+from processes import Bench, wait_for
 
 
 @pytest.fixture
@@ -14,5 +14,26 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     """Give a bench, and end all that was started on it."""
     bench = Bench(tmp_path)
     yield bench
-    for process in reversed(bench.processes):
-        process.end()
+    bench.end()
+
+
+@pytest.fixture(scope="module")
+def _serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    bench = Bench(tmp_path_factory.mktemp("served"))
+    # The longest watchdog: under a flood a pseudo-terminal may hold bytes back for long.
+    bench.configure(watchdog_ms=250)
+    bench.emulate()
+    bench.serve()
+    yield bench
+    bench.end()
+
+
+@pytest.fixture
+def served(_serving: Bench) -> Bench:
+    """Give a rig and a daemon that a module's tests share: at 0 V, and nobody's."""
+    with _serving.rig() as rig:
+        rig.stop()
+        wait_for(lambda: rig.status().phase in ("safe", "fault"))
+        rig.reset()
+        wait_for(lambda: rig.status().phase == "safe")
+    return _serving

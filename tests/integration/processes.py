@@ -15,6 +15,7 @@ from pathlib import Path
 from armrig.rig.client import Rig
 
 WITHIN_S = 10.0
+_LAST_LINES = 1000  # B
 _BURNER = """
 import os
 parent = os.getppid()
@@ -164,18 +165,29 @@ class Bench:
         (pid,) = (int(text) for text in children.read_text().split())
         return pid
 
+    def end(self) -> None:
+        """End all that was started, the last first."""
+        for process in reversed(self.processes):
+            process.end()
+
     def voltage_changes(self) -> list[tuple[int, float]]:
         """Return what the witness saw at the motor's terminals: monotonic ns, V."""
-        lines = self.trace.read_text().splitlines()
-        fields = [line.split(",") for line in lines]
-        return [(int(t), float(volts)) for t, volts, *_ in fields if t.isdigit()]
+        return _changes(self.trace.read_text().splitlines())
 
     def volts(self) -> float:
-        """Return the voltage at the motor's terminals."""
-        return self.voltage_changes()[-1][1]
+        """Return the voltage at the motor's terminals, read from the end: it is asked often."""
+        with self.trace.open("rb") as trace:
+            skipped = trace.seek(max(trace.seek(0, os.SEEK_END) - _LAST_LINES, 0))
+            lines = trace.read().decode().splitlines()
+        return _changes(lines[1:] if skipped else lines)[-1][1]  # half a line is none
 
     def went_to_0_v_after(self, t_ns: int) -> float:
         """Return how long after `t_ns` the motor stood at 0 V for good, in s."""
         wait_for(lambda: self.volts() == 0.0)
         changes = self.voltage_changes()
         return max(0, changes[-1][0] - t_ns) / 1e9
+
+
+def _changes(lines: list[str]) -> list[tuple[int, float]]:
+    fields = [line.split(",") for line in lines]
+    return [(int(t), float(volts)) for t, volts, *_ in fields if t.isdigit()]

@@ -11,6 +11,7 @@ import armrig
 import pytest
 from processes import Bench, wait_for
 
+pytestmark = pytest.mark.timed
 DEAD_MAN_S = 0.6
 LATE_S = 0.5
 """What a busy machine may add; docs/safety.md has the measured times."""

@@ -198,6 +198,7 @@ def test_a_client_that_is_killed_does_not_cost_the_recording(bench: Bench) -> No
     assert last.outcome == "complete"
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize(("frozen_s", "survives"), [(0.15, True), (0.35, False)])
 def test_a_loop_frozen_for_less_than_the_watchdog_costs_nothing(
     bench: Bench, frozen_s: float, survives: bool

@@ -115,6 +115,7 @@ def test_more_signals_to_an_emulator_change_nothing(bench: Bench) -> None:
     assert not bench.port.is_symlink()
 
 
+@pytest.mark.timed
 def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
     """SIGSTOP, 300 ms, SIGCONT: at its first tick, or by what the device said meanwhile.
 
@@ -138,6 +139,7 @@ def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
     assert bench.voltage_changes()[-1][0] < thawed_ns, "driven on by the frames of before"
 
 
+@pytest.mark.timed
 def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) -> None:
     """It was valid when it was sent; at its turn the rig has tripped."""
     bench.emulate()
@@ -167,6 +169,7 @@ def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) ->
     assert max(volts for _, volts in bench.voltage_changes()) < 1.1
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize("stop_after", [0, 1])
 def test_ticks_that_an_overloaded_host_misses_are_counted_then_trip(
     bench: Bench, stop_after: int

@@ -17,6 +17,7 @@ from armrig_daemon.service.publish import MOST_BYTES
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
 from processes import Bench
 
+pytestmark = pytest.mark.timed
 MORE_MIB = 64.0
 """What a client may cost the service, R1."""
 _OPEN = """

@@ -16,6 +16,7 @@ from armrig_core import commands
 from processes import Bench, wait_for
 from test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
 
+pytestmark = pytest.mark.timed
 NOT_HELD = "not the lease in force: arm first"
 STRANGER = """
 import sys, time, zenoh
@@ -53,13 +54,6 @@ def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
         stranger.communicate()
 
 
-def _served(bench: Bench, more: str = "") -> None:
-    # The longest watchdog: under such a load a pseudo-terminal may hold bytes back for long.
-    bench.configure(more=more, watchdog_ms=250)
-    bench.emulate()
-    bench.serve()
-
-
 def _said_to(rig: Rig, name: str, **fields: object) -> str:
     """Return what a command of anybody is answered with."""
     payload = json.dumps(fields)
@@ -69,7 +63,9 @@ def _said_to(rig: Rig, name: str, **fields: object) -> str:
 
 def test_a_run_that_is_not_the_holder_s_next_is_not_rehearsed(bench: Bench) -> None:
     """A stranger's, an old one, one by who drives by hand: none gets as far as the model."""
-    _served(bench, "[limits]\nrevolutions = 1.0")
+    bench.configure(more="[limits]\nrevolutions = 1.0")
+    bench.emulate()
+    bench.serve()
     far = {"u": [5.0] * 1000}
 
     with bench.rig() as rig:
@@ -87,11 +83,9 @@ def test_a_run_that_is_not_the_holder_s_next_is_not_rehearsed(bench: Bench) -> N
     assert by_hand == "the motor is driven by hand: disarm first"
 
 
-def test_a_lease_that_is_over_lets_nobody_in(bench: Bench) -> None:
+def test_a_lease_that_is_over_lets_nobody_in(served: Bench) -> None:
     """After a stop its holder is a stranger, to each of his commands."""
-    _served(bench)
-
-    with bench.rig() as rig:
+    with served.rig() as rig:
         lease = rig.arm("a test").lease
         rig.stop()
         wait_for(lambda: rig.status().phase == "safe")
@@ -105,19 +99,17 @@ def test_a_lease_that_is_over_lets_nobody_in(bench: Bench) -> None:
         rig.arm("another")
 
 
-def test_strangers_who_ask_for_runs_do_not_keep_the_holder_from_his(bench: Bench) -> None:
+def test_strangers_who_ask_for_runs_do_not_keep_the_holder_from_his(served: Bench) -> None:
     """Neither from the run nor from a stop."""
-    _served(bench)
-
     with (
-        _flooded(bench, "run", lease="0" * 32, n=1, u=[1.0, 2.0] * 10_000),
-        bench.rig() as rig,
+        _flooded(served, "run", lease="0" * 32, n=1, u=[1.0, 2.0] * 10_000),
+        served.rig() as rig,
     ):
         rig.arm("a test", Ts=0.01)
         rig._ask(commands.Run(**rig._stamp(), u=[1.0] * 500), commands.RunAccepted)
-        wait_for(lambda: bench.volts() > 0)
+        wait_for(lambda: served.volts() > 0)
         rig.stop()
-        wait_for(lambda: bench.volts() == 0)
+        wait_for(lambda: served.volts() == 0)
 
 
 @pytest.mark.parametrize(
@@ -130,19 +122,18 @@ def test_strangers_who_ask_for_runs_do_not_keep_the_holder_from_his(bench: Bench
     ],
 )
 def test_a_flood_hides_neither_the_client_nor_its_end(
-    bench: Bench, name: str, fields: dict[str, object]
+    served: Bench, name: str, fields: dict[str, object]
 ) -> None:
     """Its run goes on while it lives, and stops a period after its last sign.
 
     Tried up to three times: on a busy machine such a flood starves the pseudo-terminal's kernel
     worker, and the device's watchdog ends the run before its client does.
     """
-    _served(bench)
     for _ in range(3):
-        took_s, last = _killed_in_a_flood(bench, name, fields)
+        took_s, last = _killed_in_a_flood(served, name, fields)
         if "stopped by itself: WATCHDOG" not in last.outcome:
             break
-        with bench.rig() as rig:
+        with served.rig() as rig:
             rig.reset()
 
     assert last.outcome == "its client went away: no sign of it for 0.6 s"
@@ -175,11 +166,9 @@ def _killed_in_a_flood(
     return took_s, last
 
 
-def test_a_rig_that_somebody_holds_is_not_looked_at_for_another(bench: Bench) -> None:
+def test_a_rig_that_somebody_holds_is_not_looked_at_for_another(served: Bench) -> None:
     """The refusal names the holder, as the core's does."""
-    _served(bench)
-
-    with bench.rig() as rig, bench.rig() as other:
+    with served.rig() as rig, served.rig() as other:
         rig.arm("a student")
         with pytest.raises(RefusedError, match="held by a student: wait, or stop it"):
             other.arm("another")

@@ -16,13 +16,11 @@ from processes import Bench
 
 @pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
 def test_a_real_run_is_decided_once_more_to_the_last_bit(
-    bench: Bench, pacing: str, monkeypatch: pytest.MonkeyPatch
+    served: Bench, pacing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every frame and every sample; and a core that decides otherwise is found out."""
-    bench.emulate()
-    bench.serve()
     u = armrig.telegraph(400, 0.1, low=0.0, high=5.0, seed=1)
-    with bench.rig() as rig:
+    with served.rig() as rig:
         rig.arm("a test", Ts=0.005)
         path = rig.run(u, pacing=pacing)  # type: ignore[arg-type]
 
@@ -38,19 +36,17 @@ def test_a_real_run_is_decided_once_more_to_the_last_bit(
 
 
 def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
-    bench: Bench, tmp_path: Path
+    served: Bench, tmp_path: Path
 ) -> None:
     """Wherever it was cut; and where no step is left, it is told to be cut off."""
-    bench.emulate()
-    bench.serve()
     growing = tmp_path / "growing.mcap.active"
 
     def copy(done: int, total: int) -> None:
         if done > 300 and not growing.exists():
-            (active,) = bench.recordings.glob("*.active")
+            (active,) = served.recordings.glob("*.active")
             growing.write_bytes(active.read_bytes())
 
-    with bench.rig() as rig:
+    with served.rig() as rig:
         rig.arm("a test", Ts=0.005)
         u = armrig.telegraph(600, 0.1, low=0.0, high=5.0, seed=1)
         path = rig.run(u, progress=copy)

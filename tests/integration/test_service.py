@@ -44,13 +44,11 @@ print(ks[-1] - ks[0] + 1)
 """
 
 
-def test_a_run_comes_back_as_a_recording_that_others_read(bench: Bench) -> None:
+def test_a_run_comes_back_as_a_recording_that_others_read(served: Bench) -> None:
     """Arm, run, load: every u at its k; the independent doctor finds nothing."""
-    bench.emulate()
-    bench.serve()
     u = armrig.telegraph(300, 0.1, low=0.0, high=5.0, seed=1)
 
-    with bench.rig() as rig:
+    with served.rig() as rig:
         rig.arm("a test", Ts=0.005)
         path = rig.run(u, experiment="blackbox", details={"seed": 1})
 
@@ -73,11 +71,9 @@ def test_a_run_comes_back_as_a_recording_that_others_read(bench: Bench) -> None:
     assert "warning" not in doctor.stdout
 
 
-def test_a_plain_zenoh_subscriber_needs_only_endpoint_and_schema(bench: Bench) -> None:
+def test_a_plain_zenoh_subscriber_needs_only_endpoint_and_schema(served: Bench) -> None:
     """No armrig in that process: the served descriptors decode live samples."""
-    bench.emulate()
-    bench.serve()
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    endpoint = f"unixsock-stream/{served.folder}/armrig/1.sock"
 
     result = subprocess.run(
         [sys.executable, "-I", "-c", SUBSCRIBER, endpoint, "100"],
@@ -91,12 +87,9 @@ def test_a_plain_zenoh_subscriber_needs_only_endpoint_and_schema(bench: Bench) -
     assert int(result.stdout) >= 100
 
 
-def test_a_command_with_a_wrong_field_is_told_which(bench: Bench) -> None:
+def test_a_command_with_a_wrong_field_is_told_which(served: Bench) -> None:
     """The refusal crosses the network as a sentence."""
-    bench.emulate()
-    bench.serve()
-
-    with bench.rig() as rig:
+    with served.rig() as rig:
         with pytest.raises(RefusedError, match=r"scheduled mode: at least 0.000401 s"):
             rig.arm("a test", Ts=0.0003)
         rig.arm("a test")
@@ -104,15 +97,13 @@ def test_a_command_with_a_wrong_field_is_told_which(bench: Bench) -> None:
             rig.run(np.array([1.0, 6.0]))
         with pytest.raises(ValueError, match=r"u\[0\] = nan V is outside"):
             rig.set(float("nan"))
-    assert bench.volts() == 0.0
+    assert served.volts() == 0.0
 
 
-def test_a_client_that_checks_nothing_is_refused_by_the_daemon(bench: Bench) -> None:
+def test_a_client_that_checks_nothing_is_refused_by_the_daemon(served: Bench) -> None:
     """S1: the service checks by itself; no command of a broken client reaches the motor."""
-    bench.emulate()
-    bench.serve()
-
-    with bench.rig() as rig:
+    before = len(served.voltage_changes())
+    with served.rig() as rig:
         lease = rig.arm("a test").lease
         for volts in ("6.0", "-1.0", "1e999", "NaN", "null", "true", '"3"'):
             payload = f'{{"lease": "{lease}", "n": 1, "u": {volts}}}'
@@ -120,31 +111,25 @@ def test_a_client_that_checks_nothing_is_refused_by_the_daemon(bench: Bench) -> 
             (reply,) = session.get("rig/1/cmd/set", payload=payload, timeout=5)
             assert reply.err is not None, volts
             assert b"set: " in reply.err.payload.to_bytes()
-    assert {volts for _, volts in bench.voltage_changes()} == {0.0}
+    assert {volts for _, volts in served.voltage_changes()[before:]} <= {0.0}
 
 
-def test_the_voltage_follows_the_hand_and_the_stop(bench: Bench) -> None:
+def test_the_voltage_follows_the_hand_and_the_stop(served: Bench) -> None:
     """The witness at the terminals sees what was set, and 0 V after a stop."""
-    bench.emulate()
-    bench.serve()
-
-    with bench.rig() as rig:
+    with served.rig() as rig:
         rig.arm("a test")
         rig.set(2.0)
-        wait_for(lambda: abs(bench.volts() - 2.0) < 0.01)
+        wait_for(lambda: abs(served.volts() - 2.0) < 0.01)
         rig.stop()
-        wait_for(lambda: bench.volts() == 0.0)
+        wait_for(lambda: served.volts() == 0.0)
 
 
-def test_the_socket_is_for_the_user_and_the_group_alone(bench: Bench) -> None:
+def test_the_socket_is_for_the_user_and_the_group_alone(served: Bench) -> None:
     """A1: no TCP port, no multicast, no access for others."""
-    bench.emulate()
-    daemon = bench.serve()
-
-    socket = bench.folder / "armrig" / "1.sock"
+    socket = served.folder / "armrig" / "1.sock"
     assert socket.stat().st_mode & 0o007 == 0
     assert socket.parent.stat().st_mode & 0o077 == 0
-    links = [f.readlink() for f in Path(f"/proc/{daemon.popen.pid}/fd").iterdir()]
+    links = [f.readlink() for f in Path(f"/proc/{served.processes[1].popen.pid}/fd").iterdir()]
     inodes = {str(link)[8:-1] for link in links if str(link).startswith("socket:[")}
     for table in ("tcp", "tcp6", "udp", "udp6"):
         rows = Path(f"/proc/net/{table}").read_text().splitlines()[1:]
@@ -194,29 +179,23 @@ def test_a_port_that_is_not_there_is_said(bench: Bench) -> None:
     assert "Traceback" not in daemon.said
 
 
-def test_a_port_that_is_taken_is_said(bench: Bench) -> None:
+def test_a_port_that_is_taken_is_said(served: Bench) -> None:
     """Two daemons on one port: the second gives up, the first goes on."""
-    bench.emulate()
-    bench.serve()
-
-    second = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--rig", "2")
+    second = served.start("armrig_daemon", "run", "--config", str(served.config), "--rig", "2")
 
     assert second.popen.wait(WITHIN_S) == 1
     assert "it is taken by another program" in second.said
-    assert bench.phase() == "safe"
+    assert served.phase() == "safe"
 
 
-def test_two_daemons_of_one_rig_are_one_too_many(bench: Bench) -> None:
+def test_two_daemons_of_one_rig_are_one_too_many(served: Bench) -> None:
     """The second finds the endpoint taken."""
-    bench.emulate()
-    bench.serve()
-
-    second = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--emulate")
+    second = served.start("armrig_daemon", "run", "--config", str(served.config), "--emulate")
 
     assert second.popen.wait(WITHIN_S) == 1
     assert "1.sock" in second.said
     assert "Traceback" not in second.said
-    assert bench.phase() == "safe"
+    assert served.phase() == "safe"
 
 
 @pytest.mark.parametrize(("said", "watchdog_ms"), [("", 250), ("watchdog_ms = 100", 100)])

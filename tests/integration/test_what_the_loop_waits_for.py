@@ -16,6 +16,7 @@ import pytest
 from driving import driven
 from processes import Bench, wait_for
 
+pytestmark = pytest.mark.timed
 WAITS = {"epoll_wait", "epoll_pwait", "clock_nanosleep"}
 """Calls that may wait: on the set of descriptors with its timer, and to the deadline."""
 NEVER_WAIT = {"timerfd_settime", "rt_sigreturn", "gettimeofday", "clock_gettime"}
