@@ -16,7 +16,7 @@ from armrig.numerics.covariance import correlated_score
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals
 
-RUNS, N = 300, 500
+RUNS, N = 200, 500
 B, A = np.array([0, 1, 0.5]), np.array([1, -1.2, 0.6])
 
 

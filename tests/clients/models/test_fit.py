@@ -71,7 +71,7 @@ def test_deviations_are_carried_on_as_a_small_change_would(fit: Fit) -> None:
     omega = np.array([0.5, 5.0, 20.0])
     tight = dataclasses.replace(fit, covariance=1e-4 * fit.covariance)
     poles, zeros, magnitude, phase, step = [], [], [], [], []
-    for theta in rng.multivariate_normal(fit.theta, tight.covariance, 4000):
+    for theta in rng.multivariate_normal(fit.theta, tight.covariance, 1500):
         moved = dataclasses.replace(fit, B=np.append([0, 0], theta[:2]), F=np.append(1, theta[2:]))
         poles.append(moved.poles().values)
         zeros.append(moved.zeros().values)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import armrig
 import numpy as np
 import pytest
@@ -35,10 +37,16 @@ def observed(seed: int, *, late: float = 0.0, output: str = "theta_1") -> Datase
     return Dataset(u=u, y=y, Ts=Ts, output=output, unit="rad")
 
 
+@cache
+def undelayed() -> Delay:
+    """Return what is found where nothing is late."""
+    return armrig.delay(observed(1))
+
+
 @pytest.mark.parametrize("samples", [0, 1, 5])
 def test_at_a_short_sampling_time_the_shape_of_the_onset_tells(samples: int) -> None:
     """Where the first coefficient alone is within the noise."""
-    found = armrig.delay(observed(1, late=samples))
+    found = armrig.delay(observed(1, late=samples)) if samples else undelayed()
 
     assert found.told
     assert found.delay == samples
@@ -59,15 +67,15 @@ def test_half_a_sample_is_neither_of_its_neighbours() -> None:
 
 def test_without_knowing_the_kind_of_onset_the_lag_before_is_not_ruled_out() -> None:
     """An output of no known name may begin as slowly as an angle does."""
-    found = [armrig.delay(observed(seed, output="y"), integrator=True) for seed in (1, 2, 3)]
+    found = armrig.delay(observed(3, output="y"), integrator=True)
 
-    assert all(f.interval[0] <= 1 for f in found)
-    assert not all(f.told for f in found)
+    assert found.interval == (1, 2)
+    assert not found.told
 
 
 def test_the_level_of_the_tests_is_told() -> None:
     """Beside the result and in the explanation."""
-    found = armrig.delay(observed(1))
+    found = undelayed()
 
     assert "level 1 %" in repr(found)
     assert "a level of 1 %" in found.explain()

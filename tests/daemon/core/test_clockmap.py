@@ -98,9 +98,9 @@ def rms(values: list[float]) -> float:
 def test_drift_and_offset_lie_within_their_own_deviations(
     wait_us: tuple[float, float], drift_ppm: float
 ) -> None:
-    """One-sided waiting times, however they are shared, do not make the map lie; 100 seeds."""
+    """One-sided waiting times, however they are shared, do not make the map lie; 50 seeds."""
     offsets, drifts, errors_us, stds_us = [], [], [], []
-    for seed in range(100):
+    for seed in range(50):
         rig = Rig(seed=seed, wait_us=wait_us, drift_ppm=drift_ppm)
         clock = follow(rig, 600)
         error, std = error_ns(rig, clock)
@@ -112,8 +112,8 @@ def test_drift_and_offset_lie_within_their_own_deviations(
         assert found.drift_std_ppm < 1.5
         assert abs(found.drift_ppm - drift_ppm) < 0.4
 
-    assert sum(offsets) >= 95
-    assert sum(drifts) >= 95
+    assert sum(offsets) >= 48
+    assert sum(drifts) >= 48
     # Believable, not only safe: a deviation of a second would cover all.
     assert rms(errors_us) < 4
     assert 0.15 < rms(errors_us) / rms(stds_us) < 1.5
