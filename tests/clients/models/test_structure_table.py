@@ -46,7 +46,7 @@ def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: Kind) -> None:
     assert list(fit.orders) == [*kind.orders, "nk"]
     values = " ".join(str(n) for n in fit.orders.values())
     assert fit.label == f"{kind.name.upper()}[{values}]"
-    assert repr(fit).startswith(f"{kind.name.upper()}({named(fit.orders)}): u to y")
+    assert repr(fit).startswith(f"{kind.name.upper()}({named(fit.orders)}): u ")
 
 
 def test_orders_and_articles_are_written_as_they_are_read() -> None:

@@ -71,7 +71,8 @@ def test_rows_of_zeros_change_a_basis_only_by_rows_of_zeros() -> None:
     basis = orthonormal(M).spread(rows)
 
     assert not basis.Q[~rows].any()
-    np.testing.assert_array_equal(basis.coefficients(y), orthonormal(M).coefficients(y[rows]))
+    ours, plain = basis.coefficients(y), orthonormal(M).coefficients(y[rows])
+    np.testing.assert_allclose(ours, plain, rtol=1e-13)  # as sums in another order may differ
 
 
 def test_the_summation_is_the_response_from_a_rate_to_its_sum() -> None:
