@@ -109,7 +109,8 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
         if state.phase is Phase.FAULT:
             return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
         state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
-        return replace(state, asked=None), done + actions
+        # The run is over: this cause is of no later one.
+        return replace(state, asked=None, outcome=""), done + actions
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
         state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
         return state, done + actions

@@ -86,7 +86,7 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
 
 def _take_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a device that paces itself."""
-    # Judged before setpoints are sent: behind them an echo ahead would look like one of ours.
+    # Told before setpoints go out with this sample: behind them an echo ahead would look like ours.
     next_seq, foreign = state.seq, is_ahead(state, m.echo)
     # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
     state, done = device_state.note_state(note_echo(state, m.echo), now_ns, m.state)

@@ -227,7 +227,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     """Counted while HELLO is asked."""
     sent: tuple[Sent, ...] = ()
     fresh_ns: int = 0
-    """When the newest EXCHANGE was sent of which the answer has come."""
+    """When the newest frame was sent that the device has shown to have heard (S4)."""
     sampled_ns: int = 0
     """When the newest sample was asked for, or came by itself; 0 where this link has seen none."""
     any_ns: int = 0

@@ -13,6 +13,7 @@ from armrig_daemon.core.state import (
     Emit,
     Event,
     Exit,
+    Ordered,
     Publish,
     Repace,
     RoundTrip,
@@ -44,6 +45,7 @@ class Loop:
         self._outbox = Outbox(ports)
         self._meter = Meter(now)
         self._trace: Trace | None = None
+        self._late: list[Event] = []  # orders that came with a deadline that was missed
 
     def run(self) -> None:
         """Tick until the core wants to exit."""
@@ -54,12 +56,15 @@ class Loop:
         """Serve what comes until the next tick is due, and tick."""
         due = self._pace.due_ns(self._k)
         until = due - self.ports.margin_ns
-        now = self._serve_until(until)
+        now = self._serve_until(until, due)
         # Else the pace has changed meanwhile, or it is over.
         if not self.ended and now >= until:
             self._tick(due)
+        if self._late and not self.ended:
+            late, self._late = self._late, []
+            self._step(self.ports.now_ns(), late)
 
-    def _serve_until(self, until_ns: int) -> int:
+    def _serve_until(self, until_ns: int, due_ns: int) -> int:
         """Take what comes, and wake for the core's own times, until shortly before the tick."""
         pace, ports = self._pace, self.ports
         now = ports.now_ns()
@@ -67,6 +72,10 @@ class Loop:
             wake = step.wake_ns(self.state)
             events = ports.wait(until_ns if wake > until_ns else max(wake, now))
             now = ports.now_ns()
+            if now >= due_ns:
+                # The tick first: after a pause it trips, and orders of before it are refused.
+                self._late = [e for e in events if isinstance(e, Ordered)]
+                events = [e for e in events if not isinstance(e, Ordered)]
             if events:
                 self._step(now, events)
             elif now >= wake:
@@ -79,7 +88,6 @@ class Loop:
         sched_ns = self._pace.due_ns(k)
         self._meter.woke(now - due_ns, k - self._k, self._pace.period_ns)
         self._k = k + 1
-        # The tick first: after a pause it trips before orders from before the pause are looked at.
         self._step(now, [Tick(k, sched_ns)])
         self._outbox.flush()
         timing = self._meter.each_second(now, self.ports.collections)

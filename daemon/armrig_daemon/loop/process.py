@@ -98,10 +98,7 @@ class ProcessPorts:
         waiter = self._waiter
         for fd, flags in waiter.ready() if events else waiter.wait_until(until_ns):
             if fd == self._orders_fd:
-                # Behind the deadline the tick comes first: after a pause it trips, and what was
-                # ordered before the pause is refused. It is still told then.
-                if realtime.now_ns() < until_ns:
-                    events += self._take_orders()
+                events += self._take_orders()
             elif self._link is not None:
                 # It is told once: of a line that hung up, what it still held is read before.
                 self._is_hung_up = bool(flags & ~EPOLLIN)

@@ -126,6 +126,7 @@ def test_a_stop_that_is_not_confirmed_is_a_fault() -> None:
     assert (fault.id, decided.state.phase) == (Id.REQUEST, Phase.FAULT)
     assert decided.state.asked is None
     assert decided.state.lease is None
+    assert decided.state.outcome == ""  # of a later order it would be the wrong cause
     assert len(decided.told(RunEnded)) == 1
 
 

@@ -180,13 +180,3 @@ def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int])
         taken += ports.wait(realtime.now_ns() + 100 * MS)
 
     assert taken == [Ordered(Halt()), Ordered(play), Ordered(Reset())]
-
-
-def test_behind_its_deadline_the_loop_ticks_before_it_looks_at_orders(
-    ports: ProcessPorts, pipes: dict[str, int]
-) -> None:
-    """A loop that was frozen has orders of before; they are told behind the tick that trips."""
-    os.write(pipes["orders_in"], record_bytes(Alive()))
-
-    assert ports.wait(realtime.now_ns() - MS) == []
-    assert ports.wait(realtime.now_ns() + 10_000 * MS) == [Ordered(Alive())]

@@ -1,0 +1,63 @@
+"""The loop between its ports and the core: what comes first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+from armrig_core.volts import code_of
+from armrig_daemon.config import Config
+from armrig_daemon.core.state import Event, Ordered, Phase, Received, Want
+from armrig_daemon.pipe import Answer, Halt, Hold
+from virtual_bench import LEASE, MS, Bench
+
+
+def _answer(bench: Bench, order: int) -> Answer:
+    (answer,) = [a for a in bench.of(Answer) if a.order == order]
+    return answer
+
+
+def test_orders_of_before_a_pause_are_looked_at_behind_the_tick_that_trips() -> None:
+    """S6: a wait that was frozen tells them with the deadline that was missed meanwhile."""
+    bench = Bench()
+    bench.take()
+    bench.drive(1.0, n=1)
+    wait = bench.ports.wait
+
+    def frozen(until_ns: int) -> list[Event]:
+        bench.ports.wait = wait  # type: ignore[method-assign]
+        bench.ports._advance(until_ns + 300 * MS)
+        return [Ordered(Hold(order=50, lease=LEASE, n=2, code=code_of(4.0)))]
+
+    bench.ports.wait = frozen  # type: ignore[method-assign]
+    bench.run_for(100)
+
+    assert _answer(bench, 50).error
+    assert bench.phase is Phase.FAULT
+    assert bench.volts == 0.0
+
+
+def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
+    """A stop is looked at when it comes, though the core's own times wait for a quiet moment."""
+    bench = Bench(msgspec.convert({"timing": {"Ts": 0.5}}, Config))
+    bench.run_for(2000)  # a sample of this link has come
+    bench.take()
+    bench.drive(1.0, n=1)
+    assert bench.phase is Phase.ACTIVE
+    wait: Callable[[int], list[Event]] = bench.ports.wait
+    stopping_ns: list[int] = []
+
+    def noisy(_: int) -> list[Event]:
+        bench.ports._advance(bench.ports.now + MS // 20)
+        asked = bench.loop.state.asked
+        if asked is not None and asked.want is Want.STOP:
+            stopping_ns.append(bench.ports.now)
+        return [*wait(bench.ports.now), Received(b"\xff")]
+
+    bench.ports.wait = noisy  # type: ignore[method-assign]
+    bench.run_for(600)
+    ordered_ns = bench.ports.now
+    bench.order(Halt(order=60))
+    bench.run_for(1)
+
+    assert 0 < stopping_ns[0] - ordered_ns < MS
