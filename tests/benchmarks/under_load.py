@@ -1,9 +1,13 @@
 """Runs and kills beside other work, and whether a trip was forced by the machine.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/under_load.py [runs [kills [seconds]]]`: so
-many of each beside a flood of `status` with one busy program, and beside four busy programs. Ts
-5 ms, device watchdog 100 ms. A control at a higher priority than the loop's tells what the machine
-did meanwhile: how late it woke, and how long a byte took through a pseudo-terminal of its own.
+`PYTHONPATH=tests/integration python tests/benchmarks/under_load.py [runs [kills [seconds [1]]]]`:
+so many of each beside a flood of `status` with one busy program, and beside four busy programs; a
+1 at the end gives the kernel's workers the real-time priority 79 meanwhile. Ts 5 ms, device
+watchdog 100 ms.
+
+What the machine did meanwhile is told by a control at a higher priority than the loop's (how late
+it woke, how long a byte took through a pseudo-terminal of its own), and by the kernel's trace (how
+long bytes of any terminal waited for a kernel worker; it needs root).
 """
 
 from __future__ import annotations
@@ -17,18 +21,19 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import armrig
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
 from control import Control, Lateness
+from kernel_worker import KernelWorker, raised
 from processes import burning
 from stand import Stand
 
 FORCED_MS = {"exchange": 25.0, "scheduled": 50.0}
 """A machine that was late by so much may have forced a trip: half of what a round trip may take,
-for a byte goes either way."""
+for a byte goes either way. Until START the rig is read in exchange mode."""
 BOUND_MS = 110.0
 STRANGERS, QUERIES_HZ = 2, 2500
 Pacing = Literal["exchange", "scheduled"]
@@ -82,14 +87,38 @@ LOADS: dict[str, Callable[[str], contextlib.AbstractContextManager[None]]] = {
 }
 
 
-def told(late: Lateness) -> str:
-    """Return what the machine did, in words."""
-    return f"control {late.worst_ms:.1f} ms late, a byte {late.delivery_ms:.1f} ms on its way"
+class Machine:
+    """The control and the kernel's trace: what the machine did since it was last asked."""
+
+    def __init__(self) -> None:
+        self.control = Control()
+        self._worker = KernelWorker()
+
+    def asked(self) -> Told:
+        """Return what it did since the last call."""
+        return Told(self.control.lateness(), self._worker.slowest_ms())
+
+    def end(self) -> None:
+        """Look no more."""
+        self.control.end()
+        self._worker.end()
 
 
-def is_forced(late: Lateness, mode: Pacing) -> bool:
-    """Return whether the machine alone may have led to a trip."""
-    return max(late.worst_ms, late.delivery_ms) >= FORCED_MS[mode]
+class Told(NamedTuple):
+    """What the machine did, in ms."""
+
+    control: Lateness
+    worker_ms: float
+
+    def __str__(self) -> str:
+        control = f"control {self.control.worst_ms:.1f} ms late"
+        own = f"a byte of its own {self.control.delivery_ms:.1f}"
+        return f"{control}, {own}, a kernel worker {self.worker_ms:.1f}"
+
+    def may_have_led_to_a_trip(self, mode: Pacing) -> bool:
+        """Return whether the machine alone may have led to a trip."""
+        worst_ms = max(self.control.worst_ms, self.control.delivery_ms, self.worker_ms)
+        return worst_ms >= FORCED_MS[mode]
 
 
 def woken(path: Path, pacing: Pacing) -> str:
@@ -101,29 +130,30 @@ def woken(path: Path, pacing: Pacing) -> str:
     return f", the loop {late_ms.max():.1f} ms late"
 
 
-def runs(stand: Stand, control: Control, n: int, seconds: float) -> tuple[int, int]:
+def runs(stand: Stand, machine: Machine, n: int, seconds: float) -> tuple[int, int]:
     """Play runs in either mode in turn; return how many tripped, and how many of these unforced."""
     tripped = unforced = 0
     for i in range(n):
         stand.make_ready()
         pacing: Pacing = "scheduled" if i % 2 else "exchange"
-        control.lateness()
-        trip, host = "", ""
+        machine.asked()
+        trip, host, had_begun = "", "", False
         try:
             with Rig(connect=stand.endpoint) as rig:
                 rig.arm("benchmark", Ts=_Ts)
                 u = [1.0, 4.0] * round(seconds / _Ts / 2)
                 host = woken(rig.run(u, pacing=pacing), pacing)
         except RigError as err:
-            trip = f": {err}"
-        late = control.lateness()
+            trip, had_begun = f": {err}", "the run ended" in str(err)
+        did = machine.asked()
         tripped += bool(trip)
-        unforced += bool(trip) and not is_forced(late, pacing)
-        print(f"   run {i + 1:2d} {pacing:9s} {told(late)}{host}{trip}", flush=True)
+        at_the_time: Pacing = pacing if had_begun else "exchange"
+        unforced += bool(trip) and not did.may_have_led_to_a_trip(at_the_time)
+        print(f"   run {i + 1:2d} {pacing:9s} {did}{host}{trip}", flush=True)
     return tripped, unforced
 
 
-def kills(stand: Stand, control: Control, n: int, rng: random.Random) -> tuple[float, int]:
+def kills(stand: Stand, machine: Machine, n: int, rng: random.Random) -> tuple[float, int]:
     """Kill what drives at random moments; return the longest time to 0 V, and how many too long."""
     worst, beyond = 0.0, 0
     whom: dict[str, Callable[[], object]] = {
@@ -141,15 +171,15 @@ def kills(stand: Stand, control: Control, n: int, rng: random.Random) -> tuple[f
         if stand.witness.look()[-1][1] == 0.0:
             print(f"   kill {i + 1:2d} {name}: the run had ended before", flush=True)
             continue
-        control.lateness()
+        machine.asked()
         at_ns = time.monotonic_ns()
         whom[name]()
         ms = stand.witness.stopped_ms_after(at_ns)
-        late = control.lateness()
+        did = machine.asked()
         worst = max(worst, ms)
-        beyond += ms > BOUND_MS and not is_forced(late, mode)
+        beyond += ms > BOUND_MS and not did.may_have_led_to_a_trip(mode)
         print(
-            f"   kill {i + 1:2d} {name:8s} {mode:9s} 0 V after {ms:.1f} ms, {told(late)}",
+            f"   kill {i + 1:2d} {name:8s} {mode:9s} 0 V after {ms:.1f} ms, {did}",
             flush=True,
         )
     return worst, beyond
@@ -158,9 +188,9 @@ def kills(stand: Stand, control: Control, n: int, rng: random.Random) -> tuple[f
 def main() -> None:
     """Play 20 runs of 5 s and 24 kills beside each load, by default."""
     given = [float(argument) for argument in sys.argv[1:]]
-    n_runs, n_kills, seconds = (*given, *(20.0, 24.0, 5.0)[len(given) :])
-    control = Control()
-    print(f"control: {control.policy}; {os.cpu_count()} processors", flush=True)
+    n_runs, n_kills, seconds, is_raised = (*given, *(20.0, 24.0, 5.0, 0.0)[len(given) :])
+    machine = Machine()
+    print(f"control: {machine.control.policy}; {os.cpu_count()} processors", flush=True)
     try:
         for name, load in LOADS.items():
             print(f"-- beside {name}, load {os.getloadavg()[0]:.1f} before", flush=True)
@@ -168,9 +198,9 @@ def main() -> None:
                 stand = Stand(Path(folder), has_line=False)
                 try:
                     stand.make_ready()
-                    with load(stand.endpoint):
-                        tripped, unforced = runs(stand, control, round(n_runs), seconds)
-                        worst, beyond = kills(stand, control, round(n_kills), random.Random(1))
+                    with load(stand.endpoint), raised() if is_raised else contextlib.nullcontext():
+                        tripped, unforced = runs(stand, machine, round(n_runs), seconds)
+                        worst, beyond = kills(stand, machine, round(n_kills), random.Random(1))
                 finally:
                     stand.end()
             print(
@@ -180,7 +210,7 @@ def main() -> None:
                 flush=True,
             )
     finally:
-        control.end()
+        machine.end()
 
 
 if __name__ == "__main__":

@@ -30,6 +30,8 @@ STEAL_MOST = 0.01
 """Share of the time that a hypervisor may take away."""
 FREE_LEAST = 1 << 30
 """Free space for recordings, in B; 2 kHz takes some 15 MB a minute."""
+_PRIORITY_FIELD = 15
+"""Of proc_pid_stat(5), counted behind the name; negative for real-time priority."""
 _LIMITS = "/etc/security/limits.d/armrig.conf, then log in anew"
 
 
@@ -270,6 +272,28 @@ def _ftdi(host: Host) -> list[HostCheck]:
     return checks or [_good("FTDI latency timer", "no such port here")]
 
 
+def _kernel_workers(host: Host) -> list[HostCheck]:
+    ordinary = total = 0
+    for process in (host.root / "proc").glob("[0-9]*"):
+        name, _, fields = text(process / "stat").rpartition(") ")
+        if "(kworker/u" in name:
+            total += 1
+            ordinary += int(fields.split()[_PRIORITY_FIELD]) >= 0
+    if not total:
+        return [_note("kernel workers", "not seen from here")]
+    if not ordinary:
+        return [_good("kernel workers", "real-time priority")]
+    return [
+        _note(
+            "kernel workers",
+            f"{ordinary} of {total} have ordinary priority",
+            "they carry a serial port's bytes: beside other programs answers come late, runs stop",
+            f"`for p in $(pgrep kworker/u); do sudo chrt -f -p {PRIORITY - 1} $p; done`, at each "
+            "start (docs/timing.md)",
+        )
+    ]
+
+
 def _throttling(host: Host) -> list[HostCheck]:
     kernel = host.root / "proc/sys/kernel"
     runtime, period = text(kernel / "sched_rt_runtime_us"), text(kernel / "sched_rt_period_us")
@@ -368,6 +392,7 @@ _CHECKS: tuple[Callable[[Host], list[HostCheck]], ...] = (
     _swap,
     _preemption,
     _ftdi,
+    _kernel_workers,
     _throttling,
     _virtual,
     _load,

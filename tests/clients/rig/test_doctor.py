@@ -38,6 +38,8 @@ GOOD = {
     "sys/devices/system/cpu/cpu0/cpuidle/state1/disable": "0",
     "sys/bus/usb-serial/devices/ttyUSB0/latency_timer": "1",
     "dev/cpu_dma_latency": "",
+    "proc/48/stat": "48 (kworker/u9:0-events) I 2 0 0 0 -1 69238880 0 0 0 0 0 0 0 0 -80 0 1 0",
+    "proc/49/stat": "49 (a (b) c) S 2 0 0 0 -1 69238880 0 0 0 0 0 0 0 0 20 0 1 0",
 }
 
 
@@ -61,7 +63,7 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
     findings = examine(host(tmp_path))
 
     assert {f.level for f in findings} == {"good"}
-    assert len(findings) == 14
+    assert len(findings) == 15
     assert all("\n" not in str(f) and not f.mend for f in findings)
 
 
@@ -158,7 +160,7 @@ def test_a_host_that_tells_nothing_is_no_error(tmp_path: Path) -> None:
     findings = examine(Host(root=tmp_path, granted=Granted(**GRANTED)))
 
     assert {f.name for f in findings if f.level == "note"} == {
-        *("cpu_dma_latency", "timer slack", "preemption", "RT throttling"),
+        *("cpu_dma_latency", "timer slack", "preemption", "kernel workers", "RT throttling"),
     }
     assert is_well(findings)
 
@@ -256,3 +258,15 @@ def test_the_exit_code_says_whether_all_is_well(
 def test_this_host_is_looked_at_whatever_it_is() -> None:
     """The real files and a real trial: all checks say something."""
     assert len(doctor.doctor()) >= 14
+
+
+def test_kernel_workers_of_ordinary_priority_are_told_with_the_way_out(tmp_path: Path) -> None:
+    """They carry the serial port's bytes; that nobody raised them makes no host a bad one."""
+    stat = "50 (kworker/u8:1-events_unbound) I 2 0 0 0 -1 69238880 0 0 0 0 0 0 0 0 20 0 1 0"
+    findings = examine(host(tmp_path, {"proc/50/stat": stat}))
+
+    workers = found(findings, "kernel workers")
+    assert workers.level == "note"
+    assert "1 of 2" in workers.found
+    assert "chrt -f -p 79" in workers.mend
+    assert is_well(findings)
