@@ -86,18 +86,21 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
 
 def _take_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a device that paces itself."""
-    # Told before setpoints go out with this sample: behind them an echo ahead would look like ours.
-    next_seq, foreign = state.seq, is_ahead(state, m.echo)
+    # First: with the sample setpoints go out, and behind them an echo ahead would look like ours.
+    state, done = _check_echo(state, now_ns, m)
     # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
-    state, done = device_state.note_state(note_echo(state, m.echo), now_ns, m.state)
-    state, actions = _take_of_run(state, now_ns, m)
+    state, actions = device_state.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
-    if foreign and state.phase in (_ARMED, _ACTIVE):
-        # What it has heard was not of us, and has made our own frames stale.
-        cause = f"the device has heard frame {m.echo}, and the next of ours is {next_seq}"
-        state, actions = trip(state, now_ns, Fault(Id.STATE, cause))
-        done += actions
-    return state, done
+    state, actions = _take_of_run(state, now_ns, m)
+    return state, done + actions
+
+
+def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
+    """Trip where the device that we drive has heard somebody else: our own frames are stale now."""
+    if state.phase not in (_ARMED, _ACTIVE) or not is_ahead(state, m.echo):
+        return state, []
+    cause = f"the device has heard frame {m.echo}, and the next of ours is {state.seq}"
+    return trip(state, now_ns, Fault(Id.STATE, cause))
 
 
 def _take_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:

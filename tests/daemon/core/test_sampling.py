@@ -19,8 +19,8 @@ from armrig_daemon.core.state import (
     State,
     Want,
 )
-from armrig_daemon.pipe import Gap, Log, Play, RunEnded, RunStarted
-from armrig_protocol.messages import Config, Flag, Stop
+from armrig_daemon.pipe import Answer, Gap, Log, Play, RunEnded, RunStarted
+from armrig_protocol.messages import Config, Flag, Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
 from core_states import Decided, awaiting, device_sample, driven, heard, rested
 from msgspec.structs import replace
@@ -193,13 +193,28 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
 
     decided = _due(bench, sends_more, echo=state.seq, queued=24)
 
-    assert len(decided.sent) > 1
     assert decided.state.fault is not None
     assert decided.state.fault.id is Id.STATE
     assert f"heard frame {state.seq}, and the next of ours is {state.seq}" in (
         decided.state.fault.cause
     )
-    assert type(decided.sent[-1]) is Stop
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert len(_published(decided)) == 1
+
+
+def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() -> None:
+    """S4: not even those of a run that the device has just been armed for."""
+    bench = _playing()
+    state, play = bench.loop.state, Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0))
+    arming = awaiting(replace(state, phase=Phase.ARMED, run=None, queue=None), Want.ARM, play)
+    sample = device_sample(state, flags=RUN)._replace(state=DeviceState.ARMED)
+
+    ours = heard(bench, sample._replace(echo=state.seq - 1), arming)
+    foreign = heard(bench, sample._replace(echo=state.seq), arming)
+
+    assert [type(m) for m in ours.sent] == [Setpoints]
+    assert [type(m) for m in foreign.sent] == [Stop]
+    assert foreign.told(Answer)[0].error.startswith("not begun: the device has heard frame")
 
 
 def test_only_an_exchange_compares_the_clocks() -> None:
