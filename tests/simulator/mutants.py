@@ -14,7 +14,6 @@ from typing import Any
 from unittest.mock import patch
 
 from armrig_daemon.core import (
-    device_state,
     gaps,
     orders,
     replies,
@@ -22,6 +21,7 @@ from armrig_daemon.core import (
     setpoints,
     step,
     stopping,
+    transitions,
 )
 from armrig_daemon.core import requests as core_requests
 from armrig_daemon.core.state import Emit, Lease, Phase, Rules, Run
@@ -187,7 +187,7 @@ def _only_said(state: Any, now_ns: int, *, driving: bool) -> Any:
 
 def _out_of_fault(state: Any, now_ns: int, order: Any) -> Any:
     if state.phase is Phase.FAULT and state.device is not None and state.asked is None:
-        return device_state.begin_arming(replace(state, lease=None), now_ns, order)
+        return transitions.begin_arming(replace(state, lease=None), now_ns, order)
     return _take_order(state, now_ns, order)
 
 
@@ -219,7 +219,7 @@ def _said_once(state: Any, now_ns: int, asked: Any, fault: Any) -> Any:
     return _latch(state, now_ns, asked, fault)
 
 
-_latch = device_state._latch
+_latch = transitions._latch
 NO_AGE = _put(Rules, "age_ns", lambda *_, **__: AGES)
 NO_RANGE = _all(
     _put(orders, "_out_of_range", lambda *_: ""), _put(Rules, "allows", lambda *_: True)
@@ -331,7 +331,7 @@ MUTANTS = (
         plant=_all(
             *(
                 _put(m, "trip", _unlatched)
-                for m in (step, replies, sampling, device_state, setpoints)
+                for m in (step, replies, sampling, setpoints, transitions)
             )
         ),
         breaks=frozenset({"S6"}),
@@ -358,7 +358,7 @@ MUTANTS = (
     ),
     Mutant(
         name="a request that is not sent again",
-        plant=_put(device_state, "retry", _no_retry),
+        plant=_put(transitions, "retry", _no_retry),
         breaks=frozenset({"T1", "S2", "S3", "S4", "S6"}),
     ),
     Mutant(
@@ -375,7 +375,7 @@ MUTANTS = (
     ),
     Mutant(
         name="a latched device that is known again, and not said to be",
-        plant=_put(device_state, "_latch", _said_once),
+        plant=_put(transitions, "_latch", _said_once),
         breaks=frozenset({"T1"}),
         faults=("delay to_device",),
     ),

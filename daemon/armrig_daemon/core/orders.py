@@ -7,10 +7,10 @@ from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.core.device_state import begin_arming
 from armrig_daemon.core.requests import Step, answer, ask, refuse
 from armrig_daemon.core.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.core.stopping import end_run, stop
+from armrig_daemon.core.transitions import begin_arming
 from armrig_daemon.pipe import Alive, Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
 
 NOT_HELD = "not the lease in force: arm first"

@@ -24,7 +24,7 @@ from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.core import clock_comparison, device_state, sampling
+from armrig_daemon.core import clock_comparison, sampling, transitions
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.requests import Step, ask, log, say_state, send
 from armrig_daemon.core.state import Action, Phase, RoundTrip, State, Want
@@ -48,9 +48,9 @@ def take(state: State, now_ns: int, message: Message) -> Step:
                 return _rebooted(state, now_ns)
             return sampling.take(state, now_ns, message)
         case HelloReply():
-            return device_state.take_hello(state, now_ns, message)
+            return transitions.take_hello(state, now_ns, message)
         case ConfigReply():
-            return device_state.take_config(state, now_ns, message)
+            return transitions.take_config(state, now_ns, message)
         case Ack():
             return _ack(state, now_ns, message)
         case DeviceEvent():
@@ -66,7 +66,7 @@ def _pong(state: State, now_ns: int, pong: Pong) -> Step:
     round_trip = RoundTrip(now_ns - pong.host_ns)
     state = replace(state, fresh_ns=max(state.fresh_ns, pong.host_ns))
     state = clock_comparison.by_pong(state, now_ns, pong)
-    state, done = device_state.note_state(state, now_ns, pong.state)
+    state, done = transitions.note_state(state, now_ns, pong.state)
     return state, [round_trip, *done]
 
 
@@ -93,18 +93,18 @@ def _rebooted(state: State, now_ns: int) -> Step:
 def _ack(state: State, now_ns: int, ack: Ack) -> Step:
     asked = state.asked
     if asked is None or ack.of_seq != asked.seq:
-        return device_state.note_state(state, now_ns, ack.state)
+        return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.OK:
         if ack.of_type == _TYPES[asked.want]:
             state = replace(state, fresh_ns=max(state.fresh_ns, asked.sent_ns))
-        return device_state.note_state(state, now_ns, ack.state)
+        return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.STALE:
         if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
             # Old frames hold it there, played again, and HELLO has to wait: STOP has not.
             return send(state, now_ns, encode(Stop(0, state.seq)))
         return state, []  # it will be sent again, with a newer seq
-    text = f"the device refuses {asked.want}: {device_state.name_of(ack.code)}"
-    return device_state.give_up(state, now_ns, text)
+    text = f"the device refuses {asked.want}: {transitions.name_of(ack.code)}"
+    return transitions.give_up(state, now_ns, text)
 
 
 def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
@@ -117,4 +117,4 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
         state = replace(state, device_state=event.state)
         fault = Fault(Id.DEVICE, f"the device stopped by itself: {cause}{detail}")
         return trip(state, now_ns, fault)
-    return device_state.note_state(state, now_ns, event.state, ended=event.cause == Cause.END)
+    return transitions.note_state(state, now_ns, event.state, ended=event.cause == Cause.END)

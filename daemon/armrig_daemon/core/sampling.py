@@ -13,7 +13,7 @@ from armrig_protocol.messages import Flag
 from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 
-from armrig_daemon.core import clock_comparison, device_state, gaps, setpoints
+from armrig_daemon.core import clock_comparison, gaps, setpoints, transitions
 from armrig_daemon.core.clockmap import extend, host_ns_at
 from armrig_daemon.core.conversion import converted, extended, is_older
 from armrig_daemon.core.faults import Fault, Id
@@ -66,7 +66,7 @@ def _take_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     done.append(RoundTrip(now_ns - sent.sent_ns))
     state = clock_comparison.by_sample(state, now_ns, sent, m)
     # The state is looked at behind the sample: where the device has stopped, this one still counts.
-    state, actions = device_state.note_state(state, now_ns, m.state)
+    state, actions = transitions.note_state(state, now_ns, m.state)
     done += actions
     state, actions = setpoints.note_queue(state, now_ns, 0, m.queued)
     done += actions
@@ -89,7 +89,7 @@ def _take_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     # First: with the sample setpoints go out, and behind them an echo ahead would look like ours.
     state, done = _check_echo(state, now_ns, m)
     # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
-    state, actions = device_state.note_state(note_echo(state, m.echo), now_ns, m.state)
+    state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
     state, actions = _take_of_run(state, now_ns, m)
     return state, done + actions

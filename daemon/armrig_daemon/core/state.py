@@ -216,6 +216,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     boot_id: int = 0
     """Of the boot that the clocks were compared in."""
     device_state: int = 0
+    """What the device last said of its own state, as the wire numbers it."""
     token: int = 0
     config_crc: int = 0
     nonce: int = 0

@@ -15,7 +15,7 @@ from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.core import device_state, gaps, orders, replies, setpoints
+from armrig_daemon.core import gaps, orders, replies, setpoints, transitions
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.requests import Step, ask, log, refuse, say_state, send
 from armrig_daemon.core.state import (
@@ -66,7 +66,7 @@ def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
 def wake_ns(state: State) -> int:
     """Return when the core wants a `Beat`, should nothing happen before."""
     if state.asked is not None:
-        return device_state.retry_ns(state.asked)
+        return transitions.retry_ns(state.asked)
     return state.any_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
@@ -125,7 +125,7 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
 
 def _beat(state: State, now_ns: int) -> Step:
     if state.asked is not None:
-        return device_state.retry(state, now_ns)
+        return transitions.retry(state, now_ns)
     drives = state.device_state == _RUN
     if not state.link_up or (drives and setpoints.is_stopping(state)):
         return replace(state, any_ns=now_ns), []  # nothing that would feed its watchdog
@@ -144,7 +144,7 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
         return state, done
     if state.device is None:
         if state.asked is not None:
-            return device_state.retry(state, now_ns)  # where a line is never quiet there is no beat
+            return transitions.retry(state, now_ns)  # where a line is never quiet there is no beat
         # A HELLO that a STOP has overtaken must not be the last one (T1).
         return ask(state, now_ns, Want.HELLO)
     rules, driving = state.rules, state.phase in _DRIVING

@@ -1,4 +1,4 @@
-"""From HELLO to a running motor and back: each request, its effect, its refusal, its retry."""
+"""From state to state of the device: each request, its effect, its refusal, its retry."""
 
 from __future__ import annotations
 
@@ -118,39 +118,44 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
     return state, [*done, log(now_ns, "warning", error), *actions]
 
 
-def note_state(state: State, now_ns: int, device_state: int, *, ended: bool = False) -> Step:
+def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
     """Take note of the state in a frame of the device: it is what shows that a request worked.
 
-    `ended` says that the frame tells of the end of a run, at its k_stop.
+    Parameters
+    ----------
+    reported : int
+        The device's state, as the frame says it.
+    ended : bool, default False
+        The frame tells of the end of a run, at its k_stop.
     """
     before = state.device_state
-    if device_state != before:
-        state = replace(state, device_state=device_state)
+    if reported != before:
+        state = replace(state, device_state=reported)
     if state.asked is not None:
         reached = {
-            Want.ARM: device_state == DeviceState.ARMED,
-            Want.START: device_state == DeviceState.RUN,
-            Want.STOP: device_state not in _DRIVES,
-            Want.CLEAR: device_state == DeviceState.IDLE,
+            Want.ARM: reported == DeviceState.ARMED,
+            Want.START: reported == DeviceState.RUN,
+            Want.STOP: reported not in _DRIVES,
+            Want.CLEAR: reported == DeviceState.IDLE,
         }
         if reached.get(state.asked.want, False):
             return _reached(state, now_ns, state.asked)
     run = state.run
-    idle = device_state == DeviceState.IDLE and before == DeviceState.RUN
+    idle = reported == DeviceState.IDLE and before == DeviceState.RUN
     if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
         # The device has come to k_stop; what it sampled before has arrived before this.
         state, done = setpoints.complete(state, now_ns)
         state, actions = rest(state, now_ns, None)
         return state, done + actions
     expected = _EXPECTED.get(state.phase)
-    if expected is not None and state.asked is None and device_state != expected:
-        name = DeviceState(device_state).name if device_state in set(DeviceState) else device_state
-        if device_state not in _LATCHED:
+    if expected is not None and state.asked is None and reported != expected:
+        name = DeviceState(reported).name if reported in set(DeviceState) else reported
+        if reported not in _LATCHED:
             cause = f"the device is in {name}, and nobody asked it to"
             return trip(state, now_ns, Fault(Id.STATE, cause))
-    latched = device_state in _LATCHED
+    latched = reported in _LATCHED
     if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
-        cause = f"the device is in {DeviceState(device_state).name}"
+        cause = f"the device is in {DeviceState(reported).name}"
         return trip(state, now_ns, Fault(Id.DEVICE, cause))
     return state, []
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.core import device_state
+from armrig_daemon.core import transitions
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.requests import config
 from armrig_daemon.core.state import Beat, Exit, Phase, Repace, Run, State, Tick, Want
@@ -87,7 +87,7 @@ def test_where_nothing_was_asked_nothing_is_asked_again() -> None:
     state = rested().loop.state
 
     assert state.asked is None
-    assert device_state.retry(state, 1 << 60) == (state, [])
+    assert transitions.retry(state, 1 << 60) == (state, [])
 
 
 def test_hello_is_asked_for_ever() -> None:
@@ -309,8 +309,8 @@ def test_a_device_that_was_latched_before_is_not_told_again() -> None:
     bench = rested()
     latched = replace(bench.loop.state, device_state=int(DeviceState.ESTOP))
 
-    again = device_state.note_state(latched, bench.ports.now, int(DeviceState.ESTOP))
-    first = device_state.note_state(bench.loop.state, bench.ports.now, int(DeviceState.ESTOP))
+    again = transitions.note_state(latched, bench.ports.now, int(DeviceState.ESTOP))
+    first = transitions.note_state(bench.loop.state, bench.ports.now, int(DeviceState.ESTOP))
 
     assert again == (latched, [])
     assert first[0].fault == Fault(Id.DEVICE, "the device is in ESTOP")
@@ -322,7 +322,7 @@ def test_a_device_that_was_latched_before_is_not_told_again() -> None:
 def test_a_device_that_leaves_the_run_unasked_is_a_fault(state: int, name: str) -> None:
     """S6: named where it has a name."""
     bench = driven()
-    after, _ = device_state.note_state(bench.loop.state, bench.ports.now, int(state))
+    after, _ = transitions.note_state(bench.loop.state, bench.ports.now, int(state))
 
     assert after.fault == Fault(Id.STATE, f"the device is in {name}, and nobody asked it to")
 
@@ -339,7 +339,7 @@ def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: s
     bench = armed()
     at = replace(bench.loop.state, device_state=int(DeviceState.READY))
 
-    after, _ = device_state.note_state(awaiting(at, want), bench.ports.now, int(state))
+    after, _ = transitions.note_state(awaiting(at, want), bench.ports.now, int(state))
 
     assert after.fault == Fault(Id.INTERNAL, cause)
     assert after.asked is not None
@@ -351,7 +351,7 @@ def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
     bench = armed()
     at = awaiting(replace(bench.loop.state, lease=None), Want.START, HOLD)
 
-    after, _ = device_state.note_state(at, bench.ports.now, int(DeviceState.RUN))
+    after, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.RUN))
 
     assert after.fault == Fault(Id.INTERNAL, "started without an owner")
 
@@ -363,8 +363,8 @@ def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
     at = replace(bench.loop.state, phase=Phase.FAULT, device_state=int(DeviceState.FAULT))
     at = awaiting(at, Want.CLEAR, Reset(order=8))
 
-    waiting, _ = device_state.note_state(at, bench.ports.now, int(state))
-    cleared, _ = device_state.note_state(at, bench.ports.now, int(DeviceState.IDLE))
+    waiting, _ = transitions.note_state(at, bench.ports.now, int(state))
+    cleared, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.IDLE))
 
     assert waiting.asked == at.asked
     assert cleared.asked is not None
@@ -378,7 +378,7 @@ def test_a_stop_has_its_effect_where_the_motor_cannot_turn(state: DeviceState) -
     bench = driven()
     at = awaiting(bench.loop.state, Want.STOP)
 
-    after, _ = device_state.note_state(at, bench.ports.now, int(state))
+    after, _ = transitions.note_state(at, bench.ports.now, int(state))
 
     drives = state in (DeviceState.ARMED, DeviceState.RUN)
     assert (after.asked == at.asked) == drives
@@ -649,7 +649,7 @@ def test_nothing_is_armed_without_a_device() -> None:
     bench = rested()
     state = replace(bench.loop.state, device=None)
 
-    after, (said,) = device_state.begin_arming(state, bench.ports.now, TAKE)
+    after, (said,) = transitions.begin_arming(state, bench.ports.now, TAKE)
 
     assert after == state
     assert "there is no device" in said.record.error
