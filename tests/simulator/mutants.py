@@ -274,7 +274,7 @@ MUTANTS = (
     Mutant(name="no staleness", plant=NO_AGE, breaks=frozenset({"S4"})),
     Mutant(
         name="no firmware timeout",
-        plant=_put(firmware.Firmware, "_wind", _never_bites),
+        plant=_put(firmware.Firmware, "_set_watchdog", _never_bites),
         breaks=frozenset({"S2", "S3"}),
         faults=("kill",),
     ),

@@ -51,12 +51,12 @@ class Watched(Device):
 
     def _latch(self, now_ns: int, code: int, cause: Cause) -> None:
         fw, checks = self._fw, self.checks
-        orders = fw.orders
+        pending = fw.pending
         if fw.state is not _RUN:
             self._really_latch(now_ns, code, cause)
             return
         scheduled = fw.timer is not None
-        k, seq = (orders[0].k, orders[0].seq) if orders else (-1, -1)
+        k, seq = (pending[0].k, pending[0].seq) if pending else (-1, -1)
         if scheduled:
             seq = fw.u_seq  # of the SETPOINTS that brought what is latched now
         checks.latch(now_ns, code, k, seq, scheduled=scheduled)

@@ -15,7 +15,7 @@ HEADER_FIELDS = 2
 NONE_IN_FORCE = (0,) * (len(Config._fields) - HEADER_FIELDS)
 
 
-def verdict(config: Config, *, ts_min_us: int) -> Code:
+def check_config(config: Config, *, ts_min_us: int) -> Code:
     """Return OK, or why this device refuses `config`."""
     allowed = (
         config.ts_us >= ts_min_us

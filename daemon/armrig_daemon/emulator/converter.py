@@ -13,13 +13,13 @@ from armrig_daemon.emulator.sampling import latch, sample
 
 
 class Converter:
-    """Takes the samples that wait in `fw.orders`."""
+    """Takes the samples that wait in `fw.pending`."""
 
     def __init__(self, fw: Firmware) -> None:
         """Begin idle."""
         self._fw = fw
-        self._conversion_ns = fw.traits.conversion_ns
-        self._hold_ns = fw.traits.hold_ns
+        self._conversion_ns = fw.hardware.conversion_ns
+        self._hold_ns = fw.hardware.hold_ns
         self._y1 = self._y0 = 0
         self._trigger_ns = 0
         self._act = 0
@@ -29,9 +29,9 @@ class Converter:
         """When the sample under way will have ended."""
 
     def wake(self) -> None:
-        """Begin with the first order, unless one is being converted."""
-        if self._fw.orders and not self._act:
-            self._trigger(self._fw.orders[0].due_ns)
+        """Begin with the first pending sample, unless one is being converted."""
+        if self._fw.pending and not self._act:
+            self._trigger(self._fw.pending[0].due_ns)
 
     def step(self, t_ns: int) -> list[Message]:
         """Do the next of a sample's three acts: hold alpha; hold theta_1 and latch; answer."""
@@ -48,12 +48,12 @@ class Converter:
             self._act, self.due_ns = 3, self.end_ns
             return []
         t_us = microseconds(self._trigger_ns + self._conversion_ns)
-        late = self._trigger_ns > fw.orders[0].due_ns
+        late = self._trigger_ns > fw.pending[0].due_ns
         messages = sample(fw, t_ns, t_us, self._y0, self._y1, late=late)
         end_ns = self._trigger_ns + 2 * self._conversion_ns
         self._act, self.due_ns, self.end_ns = 0, NEVER, NEVER
-        if fw.orders:
-            self._trigger(max(end_ns, fw.orders[0].due_ns))
+        if fw.pending:
+            self._trigger(max(end_ns, fw.pending[0].due_ns))
         return messages
 
     def _trigger(self, device_ns: int) -> None:

@@ -14,9 +14,9 @@ from armrig_daemon.emulator import clock
 from armrig_daemon.emulator.board import Board, Witness
 from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.converter import Converter
-from armrig_daemon.emulator.firmware import NEVER, Firmware, Traits
+from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware
 from armrig_daemon.emulator.reception import Reception
-from armrig_daemon.emulator.requests import makes_sample, take
+from armrig_daemon.emulator.requests import handle, makes_sample
 from armrig_daemon.emulator.sensors import CODE_BITS
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.transmission import Transmission
@@ -25,7 +25,7 @@ from armrig_daemon.emulator.uart import wire_ns
 HOLD_NS = 12_000  # ATmega328P data sheet, table 24-1: sample and hold after 1.5 clocks of 125 kHz
 LEAD_NS = 80_000  # twice what an answer takes to be made, so that it is there when it is due
 STATUS_NS = 1_000_000_000
-MOST_ORDERS = 2
+MOST_PENDING = 2
 _BOOT = State.BOOT
 POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
 
@@ -52,7 +52,7 @@ class Device:
         self._sample_ns = wire_ns(frame.wire_length(Sample), self._baud)
         self._settings = settings
         self._boot_ns = round(settings.boot_ms * 1e6)
-        self._traits = Traits(
+        self._hardware = Hardware(
             conversion_ns=round(settings.conversion_us * 1e3),
             hold_ns=HOLD_NS,
             adc_bits=settings.adc_bits or CODE_BITS,
@@ -96,7 +96,7 @@ class Device:
         return self._next_ns
 
     def visible_ns(self) -> int:
-        """Return a time before which no byte can leave and the watchdog cannot bite.
+        """Return a time before which no byte can leave and the watchdog cannot trip.
 
         Later than `next_ns` where only inner work is due: who has nothing to do but write bytes
         can sleep until then, have the same bytes, and have answers `LEAD_NS` before they are due.
@@ -106,12 +106,12 @@ class Device:
         timer_ns, answer_ns = fw.timer_ns, max(0, sample_ns - LEAD_NS)
         rx_ns = self._rx.first_ns + self._shortest_ns
         if self._rx.first_ns < NEVER and self._next_makes_sample():
-            end_ns = fw.clock.after(self._rx.first_ns, 2 * self._traits.conversion_ns)
+            end_ns = fw.clock.after(self._rx.first_ns, 2 * self._hardware.conversion_ns)
             rx_ns = min(end_ns + answer_ns, self._rx.second_ns() + self._shortest_ns)
         if fw.timer is not None:
             answer_ns = sample_ns
             if not fw.timer.ends:
-                timer_ns = fw.clock.after(timer_ns, 2 * self._traits.conversion_ns) + sample_ns
+                timer_ns = fw.clock.after(timer_ns, 2 * self._hardware.conversion_ns) + sample_ns
         return min(
             rx_ns,
             timer_ns,
@@ -125,7 +125,7 @@ class Device:
         """Do what is due until `now_ns`; return frames, each with its last byte's departure."""
         while self._next_ns <= now_ns:
             self._step(self._next_ns)
-        return self._tx.take()
+        return self._tx.pop_sent()
 
     def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Do what is due until `now_ns` or the next frame, whatever is first; return as `advance`.
@@ -138,8 +138,8 @@ class Device:
         tx = self._tx
         while self._next_ns <= now_ns:
             self._step(self._next_ns)
-            if tx.left:
-                return tx.take()
+            if tx.sent:
+                return tx.pop_sent()
         return []
 
     def _begin(self, now_ns: int, mcusr: int) -> None:
@@ -148,7 +148,7 @@ class Device:
             self._boot_id = int(self._rng.integers(1, U32, endpoint=True))
         self._fw = Firmware(
             board=self._board,
-            traits=self._traits,
+            hardware=self._hardware,
             rng=self._rng,
             clock=clock.started(self._settings, now_ns),
             boot_id=self._boot_id,
@@ -174,9 +174,9 @@ class Device:
             self._booted_ns = NEVER
             rx.forget(t_ns)
             self._tx.begin(t_ns)
-            self._tx.send(fw, t_ns, [fw.go(t_ns, State.IDLE, fw.cause)])
+            self._tx.send(fw, t_ns, [fw.enter(t_ns, State.IDLE, fw.cause)])
         elif fw.watchdog_ns == t_ns:
-            self._tx.send(fw, t_ns, fw.bite(t_ns))
+            self._tx.send(fw, t_ns, fw.trip_on_silence(t_ns))
         elif converter.due_ns == t_ns:
             made = converter.step(t_ns)
             if made:  # two of three acts make nothing
@@ -206,16 +206,16 @@ class Device:
     def _arrive(self, t_ns: int) -> None:
         """Take in the piece that is complete at `t_ns`."""
         fw = self._fw
-        received = self._rx.take()
+        received = self._rx.pop()
         if fw.state is _BOOT:
             return
         for item in received:
             # Where the timer samples, an EXCHANGE never waits: it is refused.
             waits = isinstance(item, Exchange) and fw.timer is None
-            if waits and len(fw.orders) >= MOST_ORDERS:
-                fw.lose(frame.wire_length(Exchange))
+            if waits and len(fw.pending) >= MOST_PENDING:
+                fw.count_lost(frame.wire_length(Exchange))
                 continue
-            answers = take(fw, t_ns, item)
+            answers = handle(fw, t_ns, item)
             if answers:  # an EXCHANGE is answered by its sample
                 self._tx.send(fw, t_ns, answers)
             self._converter.wake()

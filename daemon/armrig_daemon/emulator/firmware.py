@@ -33,7 +33,7 @@ NO_STACK_LIMIT = 0xFFFF  # an emulator has no stack to run out of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Traits:
+class Hardware:
     """What the hardware is like."""
 
     conversion_ns: int
@@ -49,7 +49,7 @@ class Traits:
         return -(-2 * self.conversion_ns // 1000)
 
 
-class Order(msgspec.Struct, frozen=True, gc=False):
+class PendingSample(msgspec.Struct, frozen=True, gc=False):
     """A sample that an EXCHANGE or the timer asked for and that is not taken yet."""
 
     due_ns: int
@@ -81,7 +81,7 @@ class Firmware:
     """One boot of the firmware."""
 
     board: Board
-    traits: Traits
+    hardware: Hardware
     rng: np.random.Generator
     """Tokens come from it."""
     clock: Clock
@@ -104,7 +104,7 @@ class Firmware:
     fed_ns: int = 0
     """When it came."""
     watchdog_ns: int = NEVER
-    """When the watchdog bites; kept by `feed` and `go`, because it is read far more often."""
+    """When the watchdog trips; kept by `feed` and `enter`, because it is read far more often."""
     k: int | None = None
     """Of the last EXCHANGE; None where the next may be any."""
     u: int = 0
@@ -114,15 +114,15 @@ class Firmware:
     u_km1: int = 0
     """Code in force before the last latch."""
     guards: Guards = NOTHING_SEEN
-    news: int = 0
+    new_flags: int = 0
     """Flags to be told once, in the next SAMPLE."""
-    orders: deque[Order] = field(default_factory=deque)
+    pending: deque[PendingSample] = field(default_factory=deque)
     queue: SetpointQueue | None = None
     """In ARMED and RUN of scheduled mode; elsewhere None, and so empty."""
     timer: Timer | None = None
     """In RUN of scheduled mode."""
     timer_ns: int = NEVER
-    """When it is due; kept by `set_timer` and `go`, because it is read far more often."""
+    """When it is due; kept by `set_timer` and `enter`, because it is read far more often."""
     counters: Counters = field(default_factory=Counters)
 
     def accept(self, config: Config) -> None:
@@ -139,9 +139,9 @@ class Firmware:
     def feed(self, now_ns: int) -> None:
         """Note that a frame was taken in."""
         self.fed_ns = now_ns
-        self._wind()
+        self._set_watchdog()
 
-    def _wind(self) -> None:
+    def _set_watchdog(self) -> None:
         """Set the watchdog, which is on in ARMED and RUN only."""
         self.watchdog_ns = NEVER
         if self.config is not None and self.state in MOTOR_MAY_TURN:
@@ -155,13 +155,13 @@ class Firmware:
     def tick(self, now_ns: int) -> list[Message]:
         """Ask for the sample that is due; behind the last one end the run."""
         if self.timer is None or self.timer.ends:
-            return [self.go(now_ns, State.IDLE, Cause.END)]
-        self.orders.append(Order(self.timer.due_ns, self.timer.k))
+            return [self.enter(now_ns, State.IDLE, Cause.END)]
+        self.pending.append(PendingSample(self.timer.due_ns, self.timer.k))
         self.timer.k += 1
         self.set_timer(self.timer)
         return []
 
-    def go(self, now_ns: int, state: State, cause: Cause, *, detail: int = 0) -> Message:
+    def enter(self, now_ns: int, state: State, cause: Cause, *, detail: int = 0) -> Message:
         """Make a transition and return its EVENT."""
         was, self.state, self.cause = self.state, state, cause
         if state is not State.RUN:
@@ -172,13 +172,13 @@ class Firmware:
                 self.queue = None
         if was is State.RUN:
             # What still waits for its conversions was meant for the run that is over.
-            self.orders = deque(replace(order, drives=False) for order in self.orders)
+            self.pending = deque(replace(one, drives=False) for one in self.pending)
         self.token = 0
         if state in (State.FAULT, State.ESTOP):
             self.token = int(self.rng.integers(1, U32, endpoint=True))
         if state is State.IDLE:
             self.config, self.config_crc, self.nonce = None, 0, 0
-        self._wind()
+        self._set_watchdog()
         return Event(
             state,
             UNNUMBERED,
@@ -190,9 +190,9 @@ class Firmware:
             detail=detail,
         )
 
-    def bite(self, now_ns: int) -> list[Message]:
+    def trip_on_silence(self, now_ns: int) -> list[Message]:
         """Trip on the host's silence."""
-        return [self.go(now_ns, State.FAULT, Cause.WATCHDOG)]
+        return [self.enter(now_ns, State.FAULT, Cause.WATCHDOG)]
 
     def answer(self, number: int, of_seq: int, code: Code) -> Message:
         """Return the ACK of a frame; what is not OK had no effect, and is counted."""
@@ -200,15 +200,15 @@ class Firmware:
             self.counters.refused += 1
         return Ack(self.state, UNNUMBERED, of_type=number, code=code, of_seq=of_seq)
 
-    def lose(self, n_bytes: int) -> None:
+    def count_lost(self, n_bytes: int) -> None:
         """Count received bytes that found no room."""
         self.counters.rx_lost += n_bytes
-        self.news |= int(Flag.RX_OVERFLOW)
+        self.new_flags |= int(Flag.RX_OVERFLOW)
 
-    def drop(self) -> None:
+    def count_dropped(self) -> None:
         """Count a frame that found no room on its way out."""
         self.counters.tx_dropped += 1
-        self.news |= int(Flag.TX_DROP)
+        self.new_flags |= int(Flag.TX_DROP)
 
     def status(self, now_ns: int) -> Message:
         """Return the counters."""

@@ -45,7 +45,7 @@ class Line:
         """What the terminal, whose reader stalls, has no room for yet."""
         self._closed = False
 
-    def came(self) -> bool:
+    def was_opened(self) -> bool:
         """Return whether somebody opened the port since the last call.
 
         Opened after it was closed, that is. By POLLHUP alone, one who closes it and opens it at
@@ -65,7 +65,7 @@ class Line:
         self.has_input = self._is_hung_up = False
         termios.tcflush(self.master, termios.TCIOFLUSH)
 
-    def told(self, flags: int) -> None:
+    def note_ready(self, flags: int) -> None:
         """Take note of what the kernel tells, once, of the master: `EPOLL…` flags."""
         if flags & EPOLLOUT:
             self.drain()

@@ -108,12 +108,12 @@ def _run(line: Line, device: Device, settings: EmulatorSettings, wake: int) -> N
             ready = dict(waiter.wait_until(due_ns) if due_ns > now_ns else waiter.ready())
             if wake in ready:
                 return
-            if opened in ready and line.came():
+            if opened in ready and line.was_opened():
                 line.flush()
                 device.reset(monotonic_ns())
                 replies.clear()
             elif master in ready:
-                line.told(ready[master])
+                line.note_ready(ready[master])
             now_ns = monotonic_ns()
             if line.connected and line.has_input and device.rx_backlog_ns(now_ns) <= full_ns:
                 data = line.read()
@@ -153,10 +153,10 @@ def _wake_on_signals(stack: ExitStack) -> int:
     At a good end they are ignored: Python gives them their default back on its way out, and a
     second one would kill us there.
     """
-    wake, told = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+    wake, waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
     stack.callback(os.close, wake)
-    stack.callback(os.close, told)
-    stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(told))
+    stack.callback(os.close, waker)
+    stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(waker))
     before = {n: signal.signal(n, lambda *_: None) for n in (signal.SIGTERM, signal.SIGINT)}
 
     def leave(failed: type[BaseException] | None, *_: object) -> None:

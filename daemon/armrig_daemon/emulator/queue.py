@@ -38,8 +38,8 @@ class SetpointQueue:
         """Return how many samples from `next` on have their setpoint."""
         return len(self._entries)
 
-    def offence(self, m: Setpoints) -> tuple[Cause, int]:
-        """Return RANGE or SLEW and the code that is it, or NONE; every code of `m` counts."""
+    def violation(self, m: Setpoints) -> tuple[Cause, int]:
+        """Return RANGE or SLEW with the code outside it, or NONE; every code of `m` counts."""
         config, codes = self._config, m.u[: m.n]
         for u in codes:
             if not config.u_min <= u <= config.u_max:
@@ -67,7 +67,7 @@ class SetpointQueue:
         self._entries.extend(Setpoint(u, m.seq) for u in new)
         return True
 
-    def take(self) -> bool:
+    def advance(self) -> bool:
         """Put the setpoint of `next` in force; return whether there was one.
 
         Where there was none, the policy decides: u_rest, or the last code for a while.

@@ -50,7 +50,7 @@ class Reception:
             self._peeked = decoder.feed(self._pending, self._pieces[0][1])
         return self._peeked[1]
 
-    def take(self) -> list[Received]:
+    def pop(self) -> list[Received]:
         """Return what the next piece brings, which has arrived."""
         _, piece = self._pieces.popleft()
         self._pending, received = self._peeked or decoder.feed(self._pending, piece)

@@ -37,7 +37,7 @@ from armrig_protocol.messages import (
 
 from armrig_daemon.emulator import transitions
 from armrig_daemon.emulator.clock import U32
-from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Firmware, Order
+from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Firmware, PendingSample
 from armrig_daemon.emulator.setpoints import setpoints
 
 UID = int.from_bytes(b"emulator", "little")
@@ -46,11 +46,11 @@ NO_IMAGE = 0  # an emulator has no image to take a CRC of
 CAPABILITIES = int(Capability.EXCHANGE | Capability.SCHEDULED | Capability.ENABLE_LINE)
 
 
-def take(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
-    """Return the answers to what the line brought; EXCHANGE puts a sample into `fw.orders`."""
+def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
+    """Return the answers to what the line brought; EXCHANGE puts a sample into `fw.pending`."""
     if isinstance(received, Spoilt):
         fw.counters.spoilt += 1
-        fw.news |= int(Flag.CRC_ERR)
+        fw.new_flags |= int(Flag.CRC_ERR)
         return []
     fw.counters.frames += 1
     if isinstance(received, Unknown):
@@ -101,19 +101,19 @@ def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
         return [fw.answer(TYPES[Exchange], m.seq, Code.STALE)]
     cause = _trip(fw, m)
     if cause is not _NONE:
-        return [fw.go(now_ns, State.FAULT, cause, detail=m.u)]
+        return [fw.enter(now_ns, State.FAULT, cause, detail=m.u)]
     drives = fw.state is _RUN
     if drives:
         fw.u = m.u
     fw.k = m.k
-    fw.orders.append(Order(fw.clock.device_ns(now_ns), m.k, m.seq, m.u, drives))
+    fw.pending.append(PendingSample(fw.clock.device_ns(now_ns), m.k, m.seq, m.u, drives))
     return []
 
 
 def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
     if fw.state not in MOTOR_MAY_TURN:
         fw.k = None
-    traits = fw.traits
+    hardware = fw.hardware
     reply = HelloReply(
         fw.state,
         UNNUMBERED,
@@ -123,14 +123,14 @@ def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
         boot_id=fw.boot_id,
         firmware=NO_IMAGE,
         token=fw.token,
-        ts_min_us=traits.ts_min_us,
+        ts_min_us=hardware.ts_min_us,
         full_scale_mv=FULL_SCALE_MV,
         queue=QUEUE_CAPACITY,
         capabilities=CAPABILITIES,
-        skew_us=round(traits.conversion_ns / 1000),
-        hold_us=traits.hold_ns // 1000,
-        adc_bits=traits.adc_bits,
-        pwm_bits=traits.pwm_bits,
+        skew_us=round(hardware.conversion_ns / 1000),
+        hold_us=hardware.hold_ns // 1000,
+        adc_bits=hardware.adc_bits,
+        pwm_bits=hardware.pwm_bits,
         cause=fw.cause,
         reset=fw.mcusr,
     )

@@ -27,12 +27,12 @@ _LATE, _UNDERRUN = int(Flag.TICK_LATE), int(Flag.UNDERRUN)
 
 
 def latch(fw: Firmware, now_ns: int) -> None:
-    """Latch u of the first order, unless the run it was meant for is over."""
-    order = fw.orders[0]
+    """Latch u of the first pending sample, unless the run it was meant for is over."""
+    wanted = fw.pending[0]
     fw.u_km1 = fw.board.code
-    if not order.drives:
+    if not wanted.drives:
         return
-    u, fw.u_seq = (order.u, order.seq) if order.u is not None else _next_setpoint(fw)
+    u, fw.u_seq = (wanted.u, wanted.seq) if wanted.u is not None else _next_setpoint(fw)
     fw.board.latch(now_ns, u, _REQUEST)
 
 
@@ -41,14 +41,14 @@ def _next_setpoint(fw: Firmware) -> Setpoint:
     if fw.queue is None:
         msg = "a sample of scheduled mode is to be latched without a queue"
         raise RuntimeError(msg)
-    if not fw.queue.take():
-        fw.news |= _UNDERRUN
+    if not fw.queue.advance():
+        fw.new_flags |= _UNDERRUN
         fw.counters.underruns += 1
     return fw.queue.in_force
 
 
 def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> list[Message]:
-    """Return SAMPLE for the first order, which is then done, and the EVENT of a guard that trips.
+    """Return SAMPLE for the first pending one, and the EVENT of a guard that trips.
 
     A guard judges when theta_1's conversion has ended; SAMPLE, made then, tells of the fault.
 
@@ -59,17 +59,17 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
     y0, y1 : int
         Readings of theta_1 and alpha.
     late : bool
-        The conversions had to wait for those of another order.
+        The conversions had to wait for those of another sample.
     """
-    order, config = fw.orders.popleft(), fw.config
+    wanted, config = fw.pending.popleft(), fw.config
     events: list[Message] = []
     if fw.state is _RUN and config is not None:
         fw.guards, cause = watch(
             fw.guards, y0, y1, rail_ticks=config.rail_ticks, turns=config.turns
         )
         if cause is not _NONE:
-            events = [fw.go(now_ns, State.FAULT, cause)]
-    flags = fw.news | _STATE_FLAGS.get(fw.state, 0)
+            events = [fw.enter(now_ns, State.FAULT, cause)]
+    flags = fw.new_flags | _STATE_FLAGS.get(fw.state, 0)
     if fw.state is _FAULT:
         flags |= _FAULT_FLAGS.get(fw.cause, 0)
     if at_rail(y0):
@@ -79,14 +79,14 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
     if late:
         flags |= _LATE
         fw.counters.late += 1
-    fw.news = 0
+    fw.new_flags = 0
     taken = Sample(  # by place: by name it would take twice as long, at each sample
         fw.state,
         UNNUMBERED,
         fw.boot_id & U16,
         fw.newest or 0,
         fw.u_seq,
-        order.k & U32,
+        wanted.k & U32,
         t_us,
         y0,
         y1,

@@ -21,9 +21,9 @@ def setpoints(fw: Firmware, now_ns: int, m: Setpoints) -> list[Message]:
         return [fw.answer(TYPES[Setpoints], m.seq, Code.WRONG_STATE)]
     if not 1 <= m.n <= SETPOINTS_PER_FRAME or m.zero:
         return [fw.answer(TYPES[Setpoints], m.seq, Code.BAD_VALUE)]
-    cause, code = fw.queue.offence(m)
+    cause, code = fw.queue.violation(m)
     if cause is not Cause.NONE:
-        return [fw.go(now_ns, State.FAULT, cause, detail=code)]
+        return [fw.enter(now_ns, State.FAULT, cause, detail=code)]
     if not fw.queue.add(m):
         return [fw.answer(TYPES[Setpoints], m.seq, Code.BAD_VALUE)]
     return []

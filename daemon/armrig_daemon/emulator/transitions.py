@@ -18,7 +18,7 @@ from armrig_protocol.messages import (
     Stop,
 )
 
-from armrig_daemon.emulator.configuration import HEADER_FIELDS, NONE_IN_FORCE, verdict
+from armrig_daemon.emulator.configuration import HEADER_FIELDS, NONE_IN_FORCE, check_config
 from armrig_daemon.emulator.firmware import UNNUMBERED, Firmware
 from armrig_daemon.emulator.guards import NOTHING_SEEN
 from armrig_daemon.emulator.queue import SetpointQueue
@@ -29,11 +29,11 @@ def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
     """Take a configuration, or say why not."""
     code = Code.WRONG_STATE
     if fw.state is State.IDLE or fw.state is State.READY:
-        code = verdict(m, ts_min_us=fw.traits.ts_min_us)
+        code = check_config(m, ts_min_us=fw.hardware.ts_min_us)
     events: list[Message] = []
     if code is Code.OK:
         if fw.state is State.IDLE:
-            events = [fw.go(now_ns, State.READY, Cause.REQUEST)]
+            events = [fw.enter(now_ns, State.READY, Cause.REQUEST)]
         fw.accept(m)
     else:
         fw.counters.refused += 1
@@ -81,8 +81,8 @@ def _timer(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Timer:
     return Timer(
         first_ns=fw.clock.device_ns(now_ns) + period_ns,
         period_ns=period_ns,
-        conversion_ns=fw.traits.conversion_ns,
-        hold_ns=fw.traits.hold_ns,
+        conversion_ns=fw.hardware.conversion_ns,
+        hold_ns=fw.hardware.hold_ns,
         k_stop=k_stop,
     )
 
@@ -114,5 +114,5 @@ def estop(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
 
 def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Message]:
     """Return ACK(OK) and the EVENT, in the order in which they leave."""
-    event = fw.go(now_ns, state, Cause.REQUEST)
+    event = fw.enter(now_ns, state, Cause.REQUEST)
     return [fw.answer(TYPES[type(m)], m.seq, Code.OK), event]

@@ -20,13 +20,13 @@ class Transmission:
         self._ring_ns = wire_ns(RING_BYTES, baud)
         self._free_ns = now_ns
         self._seq = 0
-        self.left: list[tuple[int, bytes]] = []
-        """What was sent since the last `take`, each with its last byte's departure."""
+        self.sent: list[tuple[int, bytes]] = []
+        """What was sent since the last `pop_sent`, each with its last byte's departure."""
 
     def begin(self, t_ns: int) -> None:
         """Send the 00 that a sender begins with."""
         self._free_ns = departure_ns(self._free_ns, t_ns, 1, self._baud)
-        self.left.append((self._free_ns, b"\0"))
+        self.sent.append((self._free_ns, b"\0"))
 
     def send(self, fw: Firmware, t_ns: int, messages: list[Message]) -> None:
         """Put frames on the wire, numbered; drop what finds no room in the ring."""
@@ -39,12 +39,12 @@ class Transmission:
             self._seq = (self._seq + 1) & U16  # a frame that is dropped leaves a break in seq
             end_ns = departure_ns(self._free_ns, t_ns, len(wire), self._baud)
             if end_ns - t_ns > self._ring_ns:
-                fw.drop()
+                fw.count_dropped()
             else:
                 self._free_ns = end_ns
-                self.left.append((end_ns, wire))
+                self.sent.append((end_ns, wire))
 
-    def take(self) -> list[tuple[int, bytes]]:
+    def pop_sent(self) -> list[tuple[int, bytes]]:
         """Return what was sent since the last call, each with its last byte's departure."""
-        left, self.left = self.left, []
-        return left
+        sent, self.sent = self.sent, []
+        return sent

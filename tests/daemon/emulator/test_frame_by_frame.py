@@ -9,7 +9,7 @@ import pytest
 from armrig_daemon.emulator.board import Board, _potentiometers, driven
 from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.device import LEAD_NS, Device
-from armrig_daemon.emulator.firmware import NEVER, Firmware, Order, Traits
+from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware, PendingSample
 from armrig_daemon.emulator.reception import Reception
 from armrig_daemon.emulator.sampling import latch
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -256,7 +256,7 @@ def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
 
     assert wire.first() == frame
     assert wire.first_ns == len(frame) * 10 * US
-    assert wire.peek() == wire.take() == [Keepalive(0, 7)]
+    assert wire.peek() == wire.pop() == [Keepalive(0, 7)]
     assert wire.first() != frame
 
 
@@ -300,7 +300,7 @@ def test_on_a_wire_that_takes_no_time_an_answer_is_visible_at_once() -> None:
 def _firmware() -> Firmware:
     return Firmware(
         board=Board(QUIET, 0, np.random.default_rng(0)),
-        traits=Traits(conversion_ns=1, hold_ns=1, adc_bits=10, pwm_bits=10),
+        hardware=Hardware(conversion_ns=1, hold_ns=1, adc_bits=10, pwm_bits=10),
         rng=np.random.default_rng(0),
         clock=Clock(0),
         boot_id=1,
@@ -323,7 +323,7 @@ def test_a_run_that_has_lost_its_timer_ends_at_0_v() -> None:
 def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
     """S5: rather no device at all than a code that nobody sent."""
     firmware = _firmware()
-    firmware.orders.append(Order(0, 0))
+    firmware.pending.append(PendingSample(0, 0))
 
     with pytest.raises(RuntimeError, match="without a queue"):
         latch(firmware, 0)

@@ -8,7 +8,7 @@ from armrig_protocol.messages import Cause
 
 
 def causes(readings: list[tuple[int, int]], *, rail_ticks: int = 0, turns: int = 0) -> list[Cause]:
-    """Return the verdict at each reading."""
+    """Return the cause at each reading."""
     guards, verdicts = NOTHING_SEEN, []
     for y0, y1 in readings:
         guards, cause = watch(guards, y0, y1, rail_ticks=rail_ticks, turns=turns)
