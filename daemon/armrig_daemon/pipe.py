@@ -151,8 +151,9 @@ class Order(Tagged, frozen=True, kw_only=True):
     order: int = 0
 
 
-class Take(Order, frozen=True, kw_only=True):
-    """Arm for `owner`; the service drew the lease."""
+# The steps of a recorded run name orders by their tags, which therefore stay as they are.
+class Acquire(Order, frozen=True, kw_only=True, tag="Take"):
+    """Arm for `owner`, who holds the lease that the service drew."""
 
     owner: str
     lease: str
@@ -170,8 +171,8 @@ class Release(Leased, frozen=True, kw_only=True):
     """Disarm."""
 
 
-class Hold(Leased, frozen=True, kw_only=True):
-    """Hold this code by hand."""
+class SetVoltage(Leased, frozen=True, kw_only=True, tag="Hold"):
+    """Have the motor at this code until the next one."""
 
     code: int
 
@@ -207,7 +208,7 @@ class Quit(Order, frozen=True, kw_only=True):
     reason: str
 
 
-Orders = Take | Release | Hold | Play | Halt | Reset | Alive | Quit
+Orders = Acquire | Release | SetVoltage | Play | Halt | Reset | Alive | Quit
 """What the service asks of the loop."""
 
 _RECORDS = msgspec.msgpack.Decoder(Record)

@@ -123,6 +123,6 @@ class VirtualRig:
         """Let the loop run until a time; return what it said meanwhile."""
         while self.ports.now < until_ns and not self.loop.ended:
             self.loop.turn()
-        said = self.ports.take_records()
-        self.records += said
-        return said
+        records = self.ports.take_records()
+        self.records += records
+        return records

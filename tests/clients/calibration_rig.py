@@ -13,7 +13,7 @@ from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.board import driven, volts
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Play, RunStarted, Take
+from armrig_daemon.pipe import Acquire, Play, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag
 from made_recordings import manifest, recorded, sample
@@ -55,7 +55,7 @@ def runs(settings: EmulatorSettings, *inputs: NDArray[np.float64]) -> list[Readi
     rig.run_until(300_000_000)
     found = []
     for i, u in enumerate(inputs):
-        rig.order(Take(order=3 * i + 1, owner="a test", lease=LEASE, ts_us=round(TS * 1e6)))
+        rig.order(Acquire(order=3 * i + 1, owner="a test", lease=LEASE, ts_us=round(TS * 1e6)))
         rig.run_until(rig.ports.now + 200_000_000)
         codes = pack(f"<{u.size}H", *map(code_of, u))
         rig.records.clear()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig_daemon.core import step
 from armrig_daemon.core.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
-from armrig_daemon.pipe import Hold, Order, Play, Take
+from armrig_daemon.pipe import Acquire, Order, Play, SetVoltage
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Message
@@ -12,8 +12,8 @@ from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 from virtual_bench import LEASE, Bench, codes
 
-TAKE = Take(order=71, owner="a student", lease=LEASE, ts_us=0)
-HOLD = Hold(order=72, lease=LEASE, n=50, code=1000)
+ACQUIRE = Acquire(order=71, owner="a student", lease=LEASE, ts_us=0)
+SET_VOLTAGE = SetVoltage(order=72, lease=LEASE, n=50, code=1000)
 PLAY = Play(order=73, lease=LEASE, n=50, run_id="r", codes=codes(1.0, 2.0))
 OURS = 4711
 """seq of the request that is awaited, where one is."""
@@ -27,14 +27,14 @@ def rested() -> Bench:
 def armed() -> Bench:
     """Return a bench that is held, at 0 V."""
     bench = Bench()
-    assert not bench.take().error
+    assert not bench.arm().error
     return bench
 
 
 def driven() -> Bench:
     """Return a bench whose motor is held at 1 V by hand."""
     bench = armed()
-    bench.order(Hold(order=99, lease=LEASE, n=0, code=codes(1.0)[0] | codes(1.0)[1] << 8))
+    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=codes(1.0)[0] | codes(1.0)[1] << 8))
     bench.run_for(20)
     return bench
 

@@ -15,11 +15,11 @@ from armrig_daemon.core.faults import Id
 from armrig_daemon.core.state import LinkDown, LinkUp, Phase, Received
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import (
+    Acquire,
     Alive,
     Answer,
     Gap,
     Halt,
-    Hold,
     Log,
     Play,
     Quit,
@@ -27,7 +27,7 @@ from armrig_daemon.pipe import (
     Reset,
     RunEnded,
     RunStarted,
-    Take,
+    SetVoltage,
 )
 from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.virtual import VirtualRig
@@ -59,8 +59,8 @@ def bench() -> Bench:
 @pytest.fixture
 def driven(bench: Bench) -> Bench:
     """Return a bench whose motor is held at 3 V by hand, for as long as its lease lasts."""
-    bench.take()
-    bench.order(Hold(order=99, lease=LEASE, n=0, code=code_of(3.0)))
+    bench.arm()
+    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=code_of(3.0)))
     bench.run_for(20)
     assert bench.volts == pytest.approx(3.0, abs=0.01)
     return bench
@@ -79,7 +79,7 @@ def test_a_device_that_answers_is_sampled_at_0_v(bench: Bench) -> None:
 def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
     """S5: u[k] at its k, k without a break, 0 V before and after."""
     volts = [0.5, 4.5, 1.0, 5.0, 0.0, 2.5] * 50
-    bench.take()
+    bench.arm()
 
     bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*volts))
     bench.run_for(3200)
@@ -96,7 +96,7 @@ def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
 
 def test_the_last_sample_comes_before_the_end_of_the_run(bench: Bench) -> None:
     """The recording ends with the end: no sample may be in flight then."""
-    bench.take()
+    bench.arm()
 
     bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 10))
     bench.run_for(200)
@@ -109,7 +109,7 @@ def test_the_last_sample_comes_before_the_end_of_the_run(bench: Bench) -> None:
 
 def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
     """The owner's Ts from arming on, the configured one afterwards."""
-    answer = bench.take(ts_us=20_000)
+    answer = bench.arm(ts_us=20_000)
     assert answer.body["Ts"] == 0.02
 
     begin = bench.samples[-1].k
@@ -126,7 +126,7 @@ def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
 
 def test_a_sampling_time_that_the_wire_cannot_carry_is_refused(bench: Bench) -> None:
     """The refusal names the shortest that would do."""
-    answer = bench.take(ts_us=700)
+    answer = bench.arm(ts_us=700)
 
     assert "in scheduled mode: at least 0.000809 s" in answer.error
     assert bench.phase is Phase.SAFE
@@ -134,7 +134,7 @@ def test_a_sampling_time_that_the_wire_cannot_carry_is_refused(bench: Bench) -> 
 
 def test_a_sampling_time_longer_than_the_watchdog_keeps_the_device_fed(bench: Bench) -> None:
     """KEEPALIVE goes between the ticks: at Ts 0.5 s nothing trips."""
-    bench.take(ts_us=500_000)
+    bench.arm(ts_us=500_000)
 
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 2.0, 3.0)))
     bench.run_for(2600)
@@ -159,9 +159,9 @@ def test_a_hold_that_is_not_allowed_is_refused_and_told(
 ) -> None:
     """S1, S5: never clamped, never from another than the holder."""
     bench = Bench(Config(limits=Limits(u_min_v=0.5, u_max_v=4.5)))
-    bench.take()
+    bench.arm()
 
-    answer = bench.ask(Hold, **order)
+    answer = bench.ask(SetVoltage, **order)
 
     assert complaint in answer.error
     assert bench.volts == 0.0
@@ -178,7 +178,7 @@ def test_a_value_that_is_not_allowed_is_never_sent(
 ) -> None:
     """S1: the service has checked the whole; the core checks each code as it sends it."""
     bench = Bench(Config(limits=limits))
-    bench.take()
+    bench.arm()
 
     bench.order(
         Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
@@ -198,7 +198,7 @@ def test_a_command_that_is_played_again_is_refused(driven: Bench) -> None:
 
 def test_a_second_owner_is_refused(driven: Bench) -> None:
     """The refusal names who holds the rig."""
-    answer = driven.ask(Take, owner="another", lease="c" * 32, ts_us=0)
+    answer = driven.ask(Acquire, owner="another", lease="c" * 32, ts_us=0)
 
     assert "held by a student" in answer.error
 
@@ -213,7 +213,7 @@ def test_a_stop_needs_no_lease(driven: Bench) -> None:
 
 def test_a_stop_ends_a_run_and_says_so(bench: Bench) -> None:
     """What was recorded up to there is a recording."""
-    bench.take()
+    bench.arm()
     bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500))
 
     bench.ask(Halt)
@@ -224,7 +224,7 @@ def test_a_stop_ends_a_run_and_says_so(bench: Bench) -> None:
 
 def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
     """Whoever was arming is told."""
-    bench.order(Take(order=7, owner="a student", lease=LEASE, ts_us=0))
+    bench.order(Acquire(order=7, owner="a student", lease=LEASE, ts_us=0))
     bench.order(Halt(order=8))
     bench.run_for(100)
 
@@ -236,8 +236,8 @@ def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
 
 def test_a_release_is_never_too_early(bench: Bench) -> None:
     """S6: who gives the rig back while the device is being started does not find it driven."""
-    bench.take()
-    bench.order(Hold(order=7, lease=LEASE, n=1, code=code_of(2.0)))
+    bench.arm()
+    bench.order(SetVoltage(order=7, lease=LEASE, n=1, code=code_of(2.0)))
     bench.order(Release(order=8, lease=LEASE, n=2))
     bench.run_for(60)
 
@@ -266,7 +266,7 @@ def test_a_voltage_held_by_hand_dies_with_its_lease(driven: Bench) -> None:
 def test_each_command_renews_the_lease(driven: Bench) -> None:
     """A holder that goes on commanding goes on driving."""
     for n in range(1, 8):
-        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(2.0)))
+        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(2.0)))
         driven.run_for(80)
 
         assert driven.volts == pytest.approx(2.0, abs=0.01)
@@ -276,7 +276,7 @@ def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
     """S4: one-way loss; the device still hears us, and is told to stop within the age limit."""
     driven.ports.from_device = lambda _: b""
     for n in range(1, 4):
-        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
         driven.run_for(20)
 
     driven.run_for(20)
@@ -309,13 +309,13 @@ def test_a_link_that_comes_back_arms_nothing(driven: Bench) -> None:
     assert len(driven.samples) > before + 100
     assert driven.phase is Phase.FAULT
     assert "link lost: unplugged" in driven.loop.state.reason
-    assert "in fault" in driven.take().error
+    assert "in fault" in driven.arm().error
 
     assert "not the lease in force" in driven.drive(1.0, n=50).error
     driven.ask(Reset)
     assert driven.phase is Phase.SAFE
     assert "not the lease in force" in driven.drive(1.0, n=51).error
-    assert not driven.take().error
+    assert not driven.arm().error
 
 
 def test_a_port_that_fails_under_a_trip_is_told_last(
@@ -346,7 +346,7 @@ def test_a_pause_of_the_host_trips(driven: Bench) -> None:
 
 def test_ticks_that_were_missed_are_skipped_and_told(bench: Bench) -> None:
     """No burst catches up; the voltage held meanwhile stands in the gap."""
-    bench.take()
+    bench.arm()
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
     bench.run_for(300)
     bench.lateness_ns = 25 * MS
@@ -365,7 +365,7 @@ def test_ticks_that_were_missed_are_skipped_and_told(bench: Bench) -> None:
 
 def test_a_lost_sample_is_a_gap_with_the_voltage_that_was_held(bench: Bench) -> None:
     """The next sample's u_km1 tells what was latched at the one that is missing."""
-    bench.take()
+    bench.arm()
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0, 4.0] * 50)))
     bench.run_for(200)
     lost: list[bytes] = []
@@ -396,7 +396,7 @@ def test_noise_on_the_line_costs_samples_and_nothing_else(bench: Bench) -> None:
         count += 1
         return bytes([data[0] ^ 1, *data[1:]]) if count % 10 == 0 else data
 
-    bench.take()
+    bench.arm()
     bench.ports.from_device = spoil
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[3.0] * 200)))
     bench.run_for(2500)
@@ -452,7 +452,7 @@ def test_other_firmware_is_read_and_never_armed(bench: Bench) -> None:
     assert rig.phase is Phase.FAULT
     assert rig.loop.state.fault is not None
     assert rig.loop.state.fault.id is Id.FIRMWARE
-    assert "in fault" in rig.take().error
+    assert "in fault" in rig.arm().error
     assert rig.ports.device.state is DeviceState.IDLE
 
 
@@ -486,7 +486,7 @@ def test_old_answers_that_come_late_do_not_count_as_fresh(driven: Bench) -> None
 
     ports.from_device = delay
     for n in range(1, 8):
-        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
         driven.run_for(20)
 
     assert driven.phase is Phase.FAULT
@@ -501,7 +501,7 @@ def test_a_greeting_that_nobody_asked_for_proves_no_round_trip(driven: Bench) ->
     driven.ports.from_device = lambda _: b""
     for n in range(1, 7):
         driven.ports.send(driven.ports.now, Received(encode(hello)))
-        driven.order(Hold(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
         driven.run_for(10)
 
     assert driven.volts == 0.0
@@ -592,7 +592,7 @@ def test_arm_and_start_carry_the_nonce_of_the_newest_configuration(bench: Bench)
 
     bench.ports.from_device, bench.ports.to_device = told_by, sent_by
     for _ in range(2):
-        bench.take()
+        bench.arm()
         bench.drive(1.0, 0)
         bench.ask(Halt, reason="enough")
 
@@ -617,7 +617,7 @@ def test_an_answer_to_config_that_comes_late_costs_another_arm_and_no_more(bench
         return data
 
     bench.ports.from_device, bench.ports.to_device = hold_one_back, sent_by
-    bench.order(Take(order=77, owner="a student", lease=LEASE, ts_us=0))
+    bench.order(Acquire(order=77, owner="a student", lease=LEASE, ts_us=0))
     bench.run_for(300)
 
     assert [a.error for a in bench.of(Answer) if a.order == 77] == [""]
@@ -641,7 +641,7 @@ def test_a_session_that_is_played_again_does_not_move_the_motor(
     ports.send(ports.now, LinkDown("pulled"))
     ports.send(ports.now, LinkUp())  # the session begins, with a HELLO
     bench.run_for(300)
-    bench.take()
+    bench.arm()
     bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[2.5] * 50), scheduled=scheduled)
     bench.run_for(1000)
     assert max(s.u_applied_v for s in bench.samples) == pytest.approx(2.5, abs=0.01)
@@ -664,7 +664,7 @@ def test_a_session_that_is_played_again_does_not_move_the_motor(
 
 def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:
     """The raw counts stay; an angle that nobody measured is not made up."""
-    bench.take()
+    bench.arm()
     bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[5.0] * 200))
     bench.run_for(2200)
 
@@ -679,7 +679,7 @@ def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.5)))
     between_ticks = bench.ports.now + 300 * MS
 
-    bench.order(Take(order=49, owner="a", lease=LEASE, ts_us=10_000), at_ns=between_ticks)
+    bench.order(Acquire(order=49, owner="a", lease=LEASE, ts_us=10_000), at_ns=between_ticks)
     bench.run_for(400)
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 20)))
     bench.run_for(500)
@@ -719,12 +719,12 @@ def test_a_device_that_cannot_be_driven_is_never_armed(field: dict[str, int]) ->
     rig.run_for(500)
 
     assert rig.phase is Phase.FAULT
-    assert "in fault" in rig.take().error
+    assert "in fault" in rig.arm().error
 
 
 def test_a_link_that_goes_while_a_run_begins_refuses_the_run(bench: Bench) -> None:
     """Whoever asked is told, and may ask again later."""
-    bench.take()
+    bench.arm()
     bench.ports.to_device = lambda _: b""
     bench.order(Play(order=77, lease=LEASE, n=0, run_id="r", codes=codes(1.0)))
     bench.run_for(15)
@@ -742,7 +742,7 @@ def test_a_service_that_is_frozen_cannot_keep_the_motor_on(scheduled: bool) -> N
     bench.loop.state = replace(
         bench.loop.state, rules=replace(bench.loop.state.rules, service_ns=3_000 * MS)
     )
-    bench.take()
+    bench.arm()
     play = Play(
         order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 2000), scheduled=scheduled
     )
@@ -763,7 +763,7 @@ def test_every_k_is_published_or_told(scheduled: bool) -> None:
     """L2: through noise, unplugging, a reset and the end of a run."""
     bench = Bench()
     frames = iter(range(1_000_000))
-    bench.take()
+    bench.arm()
     bench.order(
         Play(
             order=9,
@@ -837,7 +837,7 @@ def test_the_loop_ends_even_when_the_device_is_gone(driven: Bench) -> None:
 
 def test_an_armed_rig_that_nobody_commands_is_given_back(bench: Bench) -> None:
     """After 10 s at 0 V, without a fault."""
-    bench.take()
+    bench.arm()
 
     bench.run_for(10_500)
 

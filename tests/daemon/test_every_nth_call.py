@@ -23,7 +23,7 @@ from armrig_core.manifest import Manifest
 from armrig_core.telemetry import Sample, decode_sample, encode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import Phase
-from armrig_daemon.pipe import Answer, Gap, Log, Play, RunEnded, RunStarted, Take
+from armrig_daemon.pipe import Acquire, Answer, Gap, Log, Play, RunEnded, RunStarted
 from armrig_daemon.service import recorder
 from armrig_daemon.service.protobuf_out import Outgoing
 from armrig_daemon.service.recorder import Recording, RecordingError
@@ -45,7 +45,7 @@ _STEP_V = 5 / 1024  # of the emulated duty
 def played(*args: object, scheduled: bool, on: bool = False, until_ns: int = END_NS) -> World:
     """Play a run of one second in a world where a call fails; check all that must hold."""
     world = World(CONFIG, *args, on=on)  # type: ignore[arg-type]
-    world.order(300 * MS, Take(order=1, owner="a test", lease=LEASE, ts_us=0))
+    world.order(300 * MS, Acquire(order=1, owner="a test", lease=LEASE, ts_us=0))
     play = Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U), scheduled=scheduled)
     world.order(RUN_NS, play)
     records = world.run_until(until_ns)
@@ -128,7 +128,7 @@ def test_a_port_that_does_not_open_again_is_tried_again(*, on: bool) -> None:
         return opened(*args, **kwargs)
 
     world._open = busy  # type: ignore[method-assign]
-    world.order(300 * MS, Take(order=1, owner="a test", lease=LEASE, ts_us=0))
+    world.order(300 * MS, Acquire(order=1, owner="a test", lease=LEASE, ts_us=0))
     world.order(RUN_NS, Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
 
     records = world.run_until(END_NS + BACK_NS)
@@ -146,7 +146,7 @@ def test_sampling_is_back_by_itself_and_disarmed(kind: str) -> None:
     total = all_n(kind, scheduled=False)
     for n in range(total // 4, total, total // 4):
         world = World(CONFIG, kind, n, WAYS[kind][0])
-        world.order(300 * MS, Take(order=1, owner="a test", lease=LEASE, ts_us=0))
+        world.order(300 * MS, Acquire(order=1, owner="a test", lease=LEASE, ts_us=0))
         world.order(RUN_NS, Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
         world.run_until(END_NS)
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, encode_sample
 from armrig_daemon.pipe import (
+    Acquire,
     Answer,
     Gap,
     Halt,
     Log,
+    Orders,
     Play,
-    Take,
+    SetVoltage,
     record_bytes,
     sample_bytes,
     take_orders,
@@ -42,7 +46,7 @@ def test_records_come_out_as_they_went_in(cuts: list[int]) -> None:
 def test_orders_come_out_as_they_went_in() -> None:
     """An experiment of a million samples, too."""
     orders = [
-        Take(order=1, owner="a student", lease="a" * 32, ts_us=0),
+        Acquire(order=1, owner="a student", lease="a" * 32, ts_us=0),
         Play(order=2, lease="a" * 32, n=0, run_id="r", codes=b"\x00\x80" * 1_000_000),
         Halt(order=3),
     ]
@@ -50,3 +54,12 @@ def test_orders_come_out_as_they_went_in() -> None:
     pending = bytearray().join(map(record_bytes, orders))
 
     assert take_orders(pending) == orders
+
+
+def test_orders_are_told_apart_as_in_the_recordings_that_there_are() -> None:
+    """The steps of a run carry them: under another tag an old run could not be decided again."""
+    tags = {kind.__struct_config__.tag for kind in get_args(Orders)}
+
+    assert tags == {"Take", "Release", "Hold", "Play", "Halt", "Reset", "Alive", "Quit"}
+    assert Acquire.__struct_config__.tag == "Take"
+    assert SetVoltage.__struct_config__.tag == "Hold"

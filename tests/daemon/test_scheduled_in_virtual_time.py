@@ -10,7 +10,7 @@ import pytest
 from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config, Device, Timing
 from armrig_daemon.core.state import Ordered, Phase
-from armrig_daemon.pipe import Clock, Gap, Halt, Log, Play, RunEnded, RunStarted, Take
+from armrig_daemon.pipe import Acquire, Clock, Gap, Halt, Log, Play, RunEnded, RunStarted
 from armrig_daemon.pipe import Timing as TimingRecord
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -30,7 +30,7 @@ def telegraph(n: int, seed: int = 1) -> list[float]:
 
 def play(bench: Bench, volts: list[float], ts_us: int = 10_000) -> None:
     """Arm and begin a scheduled run."""
-    assert not bench.ask(Take, owner="a student", lease=LEASE, ts_us=ts_us).error
+    assert not bench.ask(Acquire, owner="a student", lease=LEASE, ts_us=ts_us).error
     bench.order(Play(order=500, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=True))
 
 
@@ -106,7 +106,7 @@ def test_a_second_run_follows_the_first() -> None:
     bench = Bench()
     for _ in range(2):
         run(bench, telegraph(100))
-    bench.ask(Take, owner="a student", lease=LEASE, ts_us=0)
+    bench.ask(Acquire, owner="a student", lease=LEASE, ts_us=0)
     bench.order(Play(order=600, lease=LEASE, n=0, run_id="x", codes=codes(*[1.0] * 50)))
     bench.run_for(1000)
 
@@ -339,7 +339,7 @@ def test_an_underrun_is_flagged_in_its_sample_and_told() -> None:
 def test_a_sampling_time_that_only_scheduled_mode_carries_is_not_played_by_hand() -> None:
     """2 kHz over 1 Mbaud: the refusal says so."""
     bench = Bench(Config(device=Device(baud=1_000_000)))
-    assert not bench.ask(Take, owner="a", lease=LEASE, ts_us=500).error
+    assert not bench.ask(Acquire, owner="a", lease=LEASE, ts_us=500).error
 
     answer = bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(1.0))
 
@@ -363,7 +363,7 @@ def test_a_device_clock_that_drifts_keeps_its_own_time(ppm: float) -> None:
 def test_a_run_with_too_many_missed_ticks_is_stopped_where_that_is_asked_for() -> None:
     """`stop_after`: as "maximum missed ticks" in the students' old tool; exchange mode only."""
     bench = Bench(Config(timing=Timing(stop_after=3)))
-    bench.take()
+    bench.arm()
     bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
     bench.run_for(200)
     bench.lateness_ns = 35 * MS
@@ -401,7 +401,7 @@ def test_the_drift_of_the_device_is_found_and_told(ppm: float, scheduled: bool) 
     """Within three of its own standard deviations; the samples themselves are left as they are."""
     bench = Bench(clock_ppm=ppm)
     volts = telegraph(3000)
-    bench.take()
+    bench.arm()
     bench.order(
         Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
     )

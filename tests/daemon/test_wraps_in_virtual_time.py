@@ -16,7 +16,7 @@ RUN = [float(v) for v in (0.5, 2.0, 5.0, 1.0) * 50]
 
 
 def _play(bench: Bench, *, scheduled: bool) -> None:
-    assert not bench.take(TS_US).error
+    assert not bench.arm(TS_US).error
     order = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled)
     bench.order(order)
     bench.run_for(len(RUN) * TS_US / 1000 + 500)

@@ -15,10 +15,10 @@ from armrig_daemon.core.requests import MOST_BEATS
 from armrig_daemon.core.state import State as CoreState
 from armrig_daemon.loop.outbox import MOST_WAITING
 from armrig_daemon.pipe import (
+    Acquire,
     Answer,
     Gap,
     Halt,
-    Hold,
     Leased,
     Order,
     Play,
@@ -27,7 +27,7 @@ from armrig_daemon.pipe import (
     Release,
     Reset,
     RunStarted,
-    Take,
+    SetVoltage,
 )
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.decoder import LONGEST
@@ -154,7 +154,7 @@ class Checks:
 
     def is_arming(self) -> bool:
         """Return whether somebody has asked for the rig and has no answer yet."""
-        return any(isinstance(order, Take) for _, order in self._given.values())
+        return any(isinstance(order, Acquire) for _, order in self._given.values())
 
     def told(self, now_ns: int, record: Record) -> None:
         """Judge what the core tells."""
@@ -176,7 +176,7 @@ class Checks:
         if given is None or answer.error:
             return
         given_ns, order = given
-        if isinstance(order, Take):
+        if isinstance(order, Acquire):
             if self.lease is not None:
                 self._wrongly(now_ns, f"gave the rig to {order.owner}, while another held it")
             if self.latched:
@@ -185,7 +185,7 @@ class Checks:
             self.grant += 1
             self.lease, self.run, self.offered, self.cut_off = order.lease, None, None, None
             self.command_ns = given_ns
-        elif isinstance(order, Hold):
+        elif isinstance(order, SetVoltage):
             low, high = self.options.u_min, self.options.u_max
             if not self._is_valid(order) or not low <= order.code <= high:
                 self._wrongly(now_ns, f"took {order}")

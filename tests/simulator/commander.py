@@ -6,16 +6,16 @@ from random import Random
 from struct import pack
 
 from armrig_daemon.pipe import (
+    Acquire,
     Answer,
     Halt,
-    Hold,
     Order,
     Play,
     Record,
     Release,
     Reset,
     RunEnded,
-    Take,
+    SetVoltage,
 )
 from armrig_daemon.pipe import State as StateRecord
 
@@ -75,11 +75,11 @@ class Commander:
         if self._phase == "fault":
             return self._await(Reset(order=self._next()))
         if self._phase == "safe" and not self._held:
-            return self._await(self._take())
+            return self._await(self._acquire())
         if not self._held or self._playing:
             return None
         if self._mode() == "hold":
-            return self._hold()
+            return self._set_voltage()
         self._n += 1
         self._playing = True
         codes = self.codes()
@@ -99,12 +99,12 @@ class Commander:
         code = self._rng.randint(1, 65_535)
         what = self._rng.randrange(4)
         if what == 0:
-            return Hold(order=self._other(), lease="f" * 32, n=1 << 30, code=code)
+            return SetVoltage(order=self._other(), lease="f" * 32, n=1 << 30, code=code)
         if what == 1:
-            return Hold(order=self._other(), lease="", n=1 << 30, code=code)
+            return SetVoltage(order=self._other(), lease="", n=1 << 30, code=code)
         if what == 2:
             return Release(order=self._other(), lease="e" * 32, n=1 << 30)
-        return Hold(
+        return SetVoltage(
             order=self._other(), lease=self._lease, n=self._rng.randint(-5, self._n), code=code
         )
 
@@ -117,7 +117,9 @@ class Commander:
         if options.u_min:
             codes.append(options.u_min - 1)
         self._n += 1
-        return Hold(order=self._other(), lease=self._lease, n=self._n, code=self._rng.choice(codes))
+        return SetVoltage(
+            order=self._other(), lease=self._lease, n=self._n, code=self._rng.choice(codes)
+        )
 
     def intruded(self) -> Order:
         """Return what a second commander tries while another holds the rig."""
@@ -125,8 +127,8 @@ class Commander:
         if what == 0:
             return Halt(order=self._other())
         if what < 6:
-            return Take(order=self._other(), owner="another", lease="b" * 32, ts_us=0)
-        return Hold(order=self._other(), lease="b" * 32, n=1 << 30, code=65_535)
+            return Acquire(order=self._other(), owner="another", lease="b" * 32, ts_us=0)
+        return SetVoltage(order=self._other(), lease="b" * 32, n=1 << 30, code=65_535)
 
     def codes(self) -> list[int]:
         """Return an experiment: steps within the limits, off rest but for one in ten."""
@@ -151,15 +153,15 @@ class Commander:
         modes = self._options.modes
         return modes[self._grants % len(modes)]
 
-    def _take(self) -> Take:
+    def _acquire(self) -> Acquire:
         self._grants += 1
         self._n = 0
         self._code = 0
         self._holds_left = self._rng.randint(5, 60)
         self._lease = f"{self._rng.getrandbits(128):032x}"
-        return Take(order=self._next(), owner="a student", lease=self._lease, ts_us=0)
+        return Acquire(order=self._next(), owner="a student", lease=self._lease, ts_us=0)
 
-    def _hold(self) -> Order:
+    def _set_voltage(self) -> Order:
         self._n += 1
         if self._holds_left <= 0:
             return self._await(Release(order=self._next(), lease=self._lease, n=self._n))
@@ -167,7 +169,7 @@ class Commander:
         options = self._options
         wanted = self._rng.randint(max(options.u_min, 1), options.u_max)
         self._code = self._near(self._code, wanted)
-        return Hold(order=self._next(), lease=self._lease, n=self._n, code=self._code)
+        return SetVoltage(order=self._next(), lease=self._lease, n=self._n, code=self._code)
 
     def _next(self) -> int:
         self._number += 1

@@ -82,13 +82,13 @@ def _all(*patches: Patch) -> Patch:
 
 # -- the bugs ------------------------------------------------------------------------------------
 
-_take_reply, _take_order, _leased = replies.take, orders._take, orders._leased
+_handle_reply, _acquire, _leased = replies.handle, orders._acquire, orders._leased
 _tell_missing, _trip, _end_run = gaps.tell_missing, stopping.trip, stopping.end_run
 _say_allows = Rules.allows
 
 
 def _fresh_by_arrival(state: Any, now_ns: int, message: Any) -> Any:
-    after, done = _take_reply(state, now_ns, message)
+    after, done = _handle_reply(state, now_ns, message)
     if after.fresh_ns != state.fresh_ns:
         after = replace(after, fresh_ns=now_ns)
     return after, done
@@ -136,7 +136,7 @@ def _any_number(state: Any, now_ns: int, order: Any) -> Any:
 
 def _any_owner(state: Any, now_ns: int, order: Any) -> Any:
     if state.lease is None:
-        return _take_order(state, now_ns, order)
+        return _acquire(state, now_ns, order)
     lease = Lease(order.lease, order.owner, state.lease.ts_us, -1, now_ns)
     return replace(state, lease=lease), [
         Emit(Answer(order=order.order, body={"lease": lease.lease}))
@@ -188,7 +188,7 @@ def _only_said(state: Any, now_ns: int, *, driving: bool) -> Any:
 def _out_of_fault(state: Any, now_ns: int, order: Any) -> Any:
     if state.phase is Phase.FAULT and state.device is not None and state.asked is None:
         return transitions.begin_arming(replace(state, lease=None), now_ns, order)
-    return _take_order(state, now_ns, order)
+    return _acquire(state, now_ns, order)
 
 
 def _all_beats(state: Any, now_ns: int, data: bytes) -> Any:
@@ -234,7 +234,7 @@ timeout, replay accepted, silent gap, wrong scale, no pause detection, no firmwa
 MUTANTS = (
     Mutant(
         name="freshness by the time of arrival",
-        plant=_put(replies, "take", _fresh_by_arrival),
+        plant=_put(replies, "handle", _fresh_by_arrival),
         breaks=frozenset({"S4"}),
         faults=("delay from_device",),
         first=1041,
@@ -266,7 +266,7 @@ MUTANTS = (
     ),
     Mutant(
         name="any owner",
-        plant=_put(orders, "_take", _any_owner),
+        plant=_put(orders, "_acquire", _any_owner),
         breaks=frozenset({"A1"}),
         faults=("intruder",),
         first=1039,
@@ -338,7 +338,7 @@ MUTANTS = (
     ),
     Mutant(
         name="armed in a fault",
-        plant=_put(orders, "_take", _out_of_fault),
+        plant=_put(orders, "_acquire", _out_of_fault),
         breaks=frozenset({"S6"}),
         faults=("hang", "intruder"),
         first=1019,

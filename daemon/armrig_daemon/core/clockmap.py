@@ -152,17 +152,17 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
     y = 0.5 * (h4_ns - h1_ns - link.answer_ns + link.request_ns) - 1000 * d
     moved = _moved(clock, h1_ns, rx_us)
     if clock.weight == 0:
-        return _take(_blank(moved), d, y, r, w, 0.0)
+        return _add(_blank(moved), d, y, r, w, 0.0)
     innovation = y - moved.y - _slope(moved) * (d - moved.d)
     variance = v + _variance(moved, d, 1.0)
     if innovation * innovation > _GATE * variance:
         if clock.rejected + 1 < _MOST_REJECTED:
             return _reject(clock)
         anew = _blank(moved)._replace(restarts=clock.restarts + 1)
-        return _take(anew, d, y, r, w, 0.0)
+        return _add(anew, d, y, r, w, 0.0)
     # A stalled exchange agrees with anything: only one of the better half ends a row.
     rejected = 0 if r <= clock.median_ns else clock.rejected
-    return _take(moved._replace(rejected=rejected), d, y, r, w, innovation)
+    return _add(moved._replace(rejected=rejected), d, y, r, w, innovation)
 
 
 def host_ns_at(clock: ClockMap, device_us: int) -> int:
@@ -290,7 +290,7 @@ def _moved(clock: ClockMap, host_ns: int, device_us: int) -> ClockMap:
     )
 
 
-def _take(clock: ClockMap, d: float, y: float, r: int, w: float, error: float) -> ClockMap:
+def _add(clock: ClockMap, d: float, y: float, r: int, w: float, error: float) -> ClockMap:
     """Put an exchange of weight w, which came as a surprise of `error`, into the regression."""
     weight = clock.weight + w
     share = w / weight

@@ -11,7 +11,18 @@ from armrig_daemon.core.requests import Step, answer, ask, refuse
 from armrig_daemon.core.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.core.stopping import end_run, stop
 from armrig_daemon.core.transitions import begin_arming
-from armrig_daemon.pipe import Alive, Halt, Hold, Leased, Order, Play, Quit, Release, Reset, Take
+from armrig_daemon.pipe import (
+    Acquire,
+    Alive,
+    Halt,
+    Leased,
+    Order,
+    Play,
+    Quit,
+    Release,
+    Reset,
+    SetVoltage,
+)
 
 NOT_HELD = "not the lease in force: arm first"
 """What is said to who commands without holding the rig."""
@@ -19,7 +30,7 @@ BY_HAND = "the motor is driven by hand: disarm first"
 _AT_REST = (DeviceState.IDLE, DeviceState.READY)
 
 
-def take(state: State, now_ns: int, order: Order) -> Step:
+def handle(state: State, now_ns: int, order: Order) -> Step:
     """Carry out one order, or refuse it."""
     state = replace(state, service_ns=now_ns)
     match order:
@@ -31,8 +42,8 @@ def take(state: State, now_ns: int, order: Order) -> Step:
             return quit_(state, now_ns)
         case Reset():
             return _reset(state, now_ns, order)
-        case Take():
-            return _take(state, now_ns, order)
+        case Acquire():
+            return _acquire(state, now_ns, order)
         case Leased():
             return _leased(state, now_ns, order)
     return state, refuse(order, "not an order that this daemon knows")
@@ -77,7 +88,7 @@ def _reset(state: State, now_ns: int, order: Reset) -> Step:
     return ask(state, now_ns, Want.CLEAR if latched else Want.HELLO, order)
 
 
-def _take(state: State, now_ns: int, order: Take) -> Step:
+def _acquire(state: State, now_ns: int, order: Acquire) -> Step:
     if state.quitting:
         return state, refuse(order, "the daemon is ending")
     if state.phase is Phase.FAULT:
@@ -118,7 +129,7 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
     state = replace(state, lease=replace(lease, n=order.n, renewed_ns=now_ns))
     if isinstance(order, Release):
         return stop(state, now_ns, "disarmed", order)
-    if isinstance(order, Hold) and state.phase is Phase.ACTIVE:
+    if isinstance(order, SetVoltage) and state.phase is Phase.ACTIVE:
         return replace(state, code=order.code), answer(order, {"done": True})
     if isinstance(order, Play) and order.scheduled:
         # By way of a stop: a device takes another mode in IDLE and READY only.
@@ -129,7 +140,7 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
 def _error(state: State, order: Leased) -> str:
     """Return why the order is not allowed, or nothing."""
     match order:
-        case Hold():
+        case SetVoltage():
             if state.run is not None:
                 return f"the experiment {state.run.run_id} is running: stop it first"
             if state.lease is not None and state.ts_us != state.lease.ts_us:

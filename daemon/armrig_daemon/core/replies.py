@@ -40,17 +40,17 @@ _TYPES = {
 }
 
 
-def take(state: State, now_ns: int, message: Message) -> Step:
+def handle(state: State, now_ns: int, message: Message) -> Step:
     """Return the state after one message of the device."""
     match message:
         case DeviceSample():
             if _is_other_boot(state, message.boot):
                 return _rebooted(state, now_ns)
-            return sampling.take(state, now_ns, message)
+            return sampling.handle(state, now_ns, message)
         case HelloReply():
-            return transitions.take_hello(state, now_ns, message)
+            return transitions.handle_hello(state, now_ns, message)
         case ConfigReply():
-            return transitions.take_config(state, now_ns, message)
+            return transitions.handle_config(state, now_ns, message)
         case Ack():
             return _ack(state, now_ns, message)
         case DeviceEvent():

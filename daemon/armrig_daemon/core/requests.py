@@ -21,7 +21,17 @@ from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.core.faults import REMEDIES
-from armrig_daemon.core.state import Action, Asked, Came, Emit, Heard, Rules, Send, State, Want
+from armrig_daemon.core.state import (
+    Action,
+    Asked,
+    Emit,
+    Rules,
+    Send,
+    State,
+    Traffic,
+    Unechoed,
+    Want,
+)
 from armrig_daemon.pipe import Answer, Halt, Log, Order, Release
 from armrig_daemon.pipe import State as StateRecord
 
@@ -38,7 +48,7 @@ def send(state: State, now_ns: int, data: bytes) -> Step:
     """Send the frame that carries the present seq."""
     beats = state.beats
     if state.scheduled:
-        beats = (*beats[1 - MOST_BEATS :], Heard(state.seq, now_ns))
+        beats = (*beats[1 - MOST_BEATS :], Unechoed(state.seq, now_ns))
     seq = (state.seq + 1) & 0xFFFF
     return replace(state, seq=seq, any_ns=now_ns, beats=beats), [Send(data)]
 
@@ -161,7 +171,7 @@ def ask(
     before = state.asked.order if state.asked else None
     overtaken = [] if before is order else _overtaken(before, want, state.outcome)
     if want is Want.HELLO and tries == 1:
-        state = replace(state, came=Came())
+        state = replace(state, came=Traffic())
     boot_id = state.device.boot_id if state.device else 0
     request: Message
     match want:

@@ -41,14 +41,14 @@ class _Due(NamedTuple):
     """Code that the device must have applied."""
 
 
-def take(state: State, now_ns: int, m: DeviceSample) -> Step:
+def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Return the state after a sample of the boot that we know."""
     if state.scheduled and m.flags & _RUN:
-        return _take_self_paced(state, now_ns, m)
-    return _take_answer(state, now_ns, m)
+        return _handle_self_paced(state, now_ns, m)
+    return _handle_answer(state, now_ns, m)
 
 
-def _take_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
+def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take the answer to an EXCHANGE; what answers none of ours is ignored, its state as well."""
     at, device = _find_exchange(state.sent, m.k), state.device
     if at is None or device is None or is_ahead(state, m.echo):
@@ -84,14 +84,14 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
     return None
 
 
-def _take_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
+def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a device that paces itself."""
     # First: with the sample setpoints go out, and behind them an echo ahead would look like ours.
     state, done = _check_echo(state, now_ns, m)
     # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
-    state, actions = _take_of_run(state, now_ns, m)
+    state, actions = _handle_of_run(state, now_ns, m)
     return state, done + actions
 
 
@@ -103,7 +103,7 @@ def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
     return trip(state, now_ns, Fault(Id.STATE, cause))
 
 
-def _take_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
+def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a scheduled run; one that came before, or belongs to none, is ignored."""
     run, device = state.run, state.device
     if run is None or run.k_first < 0 or device is None or not run.due <= m.k < run.samples:

@@ -107,7 +107,7 @@ class Asked(NamedTuple):
     """Whose wish it is, and who is answered."""
 
 
-class Came(NamedTuple):
+class Traffic(NamedTuple):
     """What the line has brought since the device was first asked who it is, and did not say."""
 
     bytes: int = 0
@@ -191,7 +191,7 @@ class Queue(msgspec.Struct, frozen=True, gc=False):
     """When the run was ordered."""
 
 
-class Heard(NamedTuple):
+class Unechoed(NamedTuple):
     """A frame whose echo will tell that the device has heard it."""
 
     seq: int
@@ -224,7 +224,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     scheduled: bool = False
     """The configuration in force is of scheduled mode."""
     asked: Asked | None = None
-    came: Came = Came()
+    came: Traffic = Traffic()
     """Counted while HELLO is asked."""
     sent: tuple[Sent, ...] = ()
     fresh_ns: int = 0
@@ -258,7 +258,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     lease: Lease | None = None
     run: Run | None = None
     queue: Queue | None = None
-    beats: tuple[Heard, ...] = ()
+    beats: tuple[Unechoed, ...] = ()
     """Scheduled: frames whose echo has not come yet."""
     outcome: str = ""
     """How the run ends; it has ended once the device has stopped."""

@@ -22,7 +22,6 @@ from armrig_daemon.core.state import (
     Absent,
     Action,
     Beat,
-    Came,
     Emit,
     Event,
     Exit,
@@ -36,6 +35,7 @@ from armrig_daemon.core.state import (
     ServiceGone,
     State,
     Tick,
+    Traffic,
     Want,
 )
 from armrig_daemon.core.stopping import end_run, stop, trip
@@ -79,7 +79,7 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
         case Beat():
             return _beat(state, now_ns)
         case Ordered():
-            return orders.take(state, now_ns, event.order)
+            return orders.handle(state, now_ns, event.order)
         case LinkUp():
             state = replace(state, link_up=True, pending=b"", sent=(), seq=0)
             return ask(state, now_ns, Want.HELLO)
@@ -110,7 +110,7 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
         state = replace(state, pending=pending)
     if state.asked is not None and state.asked.want is Want.HELLO:
         sound = sum(not isinstance(message, _NOISE) for message in received)
-        came = Came(state.came.bytes + len(data), state.came.frames + sound)
+        came = Traffic(state.came.bytes + len(data), state.came.frames + sound)
         state = replace(state, came=came)
     done: list[Action] = []
     for message in received:
@@ -118,7 +118,7 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
             # Noise on the line is the line's; the sample it cost is a gap of its own.
             done.append(log(now_ns, "debug", f"line: {message}"))
             continue
-        state, actions = replies.take(state, now_ns, message)
+        state, actions = replies.handle(state, now_ns, message)
         done += actions
     return state, done
 

@@ -25,7 +25,7 @@ from armrig_daemon.core.state import (
     State,
     Tick,
 )
-from armrig_daemon.pipe import Leased, Order, Orders, Play, Take
+from armrig_daemon.pipe import Acquire, Leased, Order, Orders, Play
 
 CHUNK = 3000
 """Bytes of steps that are handed over together: with its state a chunk fits into 4096."""
@@ -90,28 +90,28 @@ class Trace:
 
     def rest(self) -> list[Chunk]:
         """Write what was noted; return all that was not handed over yet."""
-        return [*self.full(), self._take()]
+        return [*self.full(), self._next_chunk()]
 
     def _write(
         self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
     ) -> Chunk | None:
         """Add a step; return those before it once they are enough for a chunk."""
-        told = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
+        written = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
         sent = [a.data for a in actions if type(a) is Send]
         size = _STEP_BYTES
-        for _, data in told:
+        for _, data in written:
             size += _EVENT_BYTES + len(data)
         for data in sent:
             size += len(data)
-        full = self._take() if self._steps and self._bytes + size > CHUNK else None
+        full = self._next_chunk() if self._steps and self._bytes + size > CHUNK else None
         if size > CHUNK:  # a flood of orders: the hole shows in the numbers
             self._number += 1
             return full
-        self._steps.append((now_ns, told, sent))
+        self._steps.append((now_ns, written, sent))
         self._bytes += size + 4 * len(sent)
         return full
 
-    def _take(self) -> Chunk:
+    def _next_chunk(self) -> Chunk:
         chunk = Chunk(self._number, self._state, _ENCODER.encode(self._steps))
         self._number, self._state, self._steps, self._bytes = self._number + 1, b"", [], 0
         return chunk
@@ -147,7 +147,7 @@ def restored(data: bytes, codes: bytes) -> State:
 def steps_of(chunk: bytes) -> list[Step]:
     """Return the steps of a chunk; raises as `restored`."""
     return [
-        Step(now_ns, tuple(_event(*told) for told in events), tuple(sent))
+        Step(now_ns, tuple(_event(number, data) for number, data in events), tuple(sent))
         for now_ns, events, sent in _STEPS.decode(chunk)
     ]
 
@@ -167,7 +167,7 @@ def _without_secrets(order: Order, lease: str) -> Order:
     """
     if isinstance(order, Play):
         order = replace(order, codes=b"")
-    if isinstance(order, Leased | Take):
+    if isinstance(order, Leased | Acquire):
         order = replace(order, lease=_HELD if order.lease == lease else "")
     return order
 

@@ -44,7 +44,7 @@ from armrig_daemon.core.state import (
     Want,
 )
 from armrig_daemon.core.stopping import end_run, trip
-from armrig_daemon.pipe import Hold, Order, Play, Reset, RunStarted, Take
+from armrig_daemon.pipe import Acquire, Order, Play, Reset, RunStarted, SetVoltage
 
 _RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
 _OTHER_RETRY_NS = 50_000_000
@@ -182,7 +182,7 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
     if isinstance(order, Play):
         return setpoints.begin(state, now_ns, order)
-    if not isinstance(order, Take):
+    if not isinstance(order, Acquire):
         return trip(state, now_ns, Fault(Id.INTERNAL, "armed without an owner"))
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
@@ -200,12 +200,12 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
 
 def _started(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
-    if state.lease is None or not isinstance(order, Play | Hold):
+    if state.lease is None or not isinstance(order, Play | SetVoltage):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
     # The lease counts from the command, however long its START took.
     state = replace(state, phase=Phase.ACTIVE, outcome="", code=0, beats=())
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
-    if isinstance(order, Hold):
+    if isinstance(order, SetVoltage):
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
         return replace(state, run=Run(order.run_id, order.codes, -1)), done
@@ -239,7 +239,7 @@ def rest(state: State, now_ns: int, order: Order | None) -> Step:
     return state, done + actions
 
 
-def take_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
+def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     """Meet the device: from here on it is sampled, at 0 V."""
     asked = state.asked
     if asked is None or asked.want is not Want.HELLO:
@@ -304,7 +304,7 @@ def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
     return state, [*done, say_state(state, now_ns)]  # in any case: the device is known again
 
 
-def take_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
+def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     """Take the device's answer to CONFIG, which carries what it really accepted."""
     asked = state.asked
     if asked is not None and asked.want is Want.ARM and _is_renewed(state, reply):
@@ -322,7 +322,7 @@ def take_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     if reply.config_crc != config_crc(wanted):
         return give_up(state, now_ns, "the device accepted another configuration than was sent")
     before_us = _pace_us(state.ts_us, scheduled=state.scheduled)
-    arms = isinstance(asked.order, Take | Play)
+    arms = isinstance(asked.order, Acquire | Play)
     # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
     # frames it answers it does not say, so that it proves no round trip to who wants to drive.
     state = replace(
@@ -356,7 +356,7 @@ def _pace_us(ts_us: int, *, scheduled: bool) -> int:
     return CARE_US if scheduled else ts_us
 
 
-def begin_arming(state: State, now_ns: int, order: Take) -> Step:
+def begin_arming(state: State, now_ns: int, order: Acquire) -> Step:
     """Configure the device for the owner's sampling time, then arm it."""
     device = state.device
     ts_us = order.ts_us or state.rules.ts_us

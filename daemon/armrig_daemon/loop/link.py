@@ -49,11 +49,11 @@ class Link:
 
     def read(self) -> bytes:
         """Return bytes that are there, at most `READ`, the oldest first."""
-        data = self._rest or self._taken()
+        data = self._rest or self._read_terminal()
         self._rest = data[READ:]
         return data[:READ]
 
-    def _taken(self) -> bytes:
+    def _read_terminal(self) -> bytes:
         try:
             data = os.read(self.fd, TERMINAL_BYTES)
         except BlockingIOError:

@@ -66,8 +66,8 @@ class ProcessPorts:
         self._is_hung_up = False
         self._first = True
         self._reopen_ns = 0
-        self._said = ""
-        self._unheard = False
+        self._reopen_error = ""
+        self._has_no_reader = False
         self.quit_reason = ""
         self.spin_ns = 0
 
@@ -98,7 +98,7 @@ class ProcessPorts:
         waiter = self._waiter
         for fd, flags in waiter.ready() if events else waiter.wait_until(until_ns):
             if fd == self._orders_fd:
-                events += self._take_orders()
+                events += self._read_orders()
             elif self._link is not None:
                 # It is told once: of a line that hung up, what it still held is read before.
                 self._is_hung_up = bool(flags & ~EPOLLIN)
@@ -120,7 +120,7 @@ class ProcessPorts:
 
     def put(self, text: bytes) -> bool:
         """Write one record whole, or not at all: a pipe takes up to 4096 bytes as one."""
-        if self._unheard:
+        if self._has_no_reader:
             return False
         try:
             return os.write(self._records_fd, text) == len(text)
@@ -128,7 +128,7 @@ class ProcessPorts:
             return False
         except BrokenPipeError:
             # Not its end: that is told by the orders, which must go on being read for it.
-            self._unheard = True
+            self._has_no_reader = True
             return False
 
     def tidy(self) -> None:
@@ -153,11 +153,11 @@ class ProcessPorts:
         try:
             self._link = Link(self._settings.port, self._settings.baud)
         except LinkError as err:
-            if str(err) != self._said:
-                self._said = str(err)
-                return [LinkDown(self._said)]
+            if str(err) != self._reopen_error:
+                self._reopen_error = str(err)
+                return [LinkDown(self._reopen_error)]
             return []
-        self._said = ""
+        self._reopen_error = ""
         self._waiter.watch_terminal(self._link.fd)
         return [LinkUp()]
 
@@ -168,8 +168,8 @@ class ProcessPorts:
             self._link = None
             self._is_hung_up = False
         self._reopen_ns = realtime.now_ns() + REOPEN_NS
-        self._said = str(err)
-        return [LinkDown(self._said)]
+        self._reopen_error = str(err)
+        return [LinkDown(self._reopen_error)]
 
     def _read_again(self) -> list[Event]:
         """Read on where it was told that there is more, for that is told once."""
@@ -185,7 +185,7 @@ class ProcessPorts:
             return self._lost(err)
         return [Received(data)] if data else []
 
-    def _take_orders(self) -> list[Event]:
+    def _read_orders(self) -> list[Event]:
         try:
             data = os.read(self._orders_fd, _READ)
         except BlockingIOError:

@@ -57,9 +57,9 @@ class Histogram:
     def quantiles(self, *shares: float) -> list[int]:
         """Return for each share the value in ns that so much of all counts does not exceed."""
         indices = sorted(self._bins)
-        seen = list(accumulate(map(self._bins.__getitem__, indices)))
-        at = [bisect_left(seen, share * self.n) for share in shares]
-        return [min(_greatest_in(indices[i]), self._max) if i < len(seen) else 0 for i in at]
+        cumulative = list(accumulate(map(self._bins.__getitem__, indices)))
+        at = [bisect_left(cumulative, share * self.n) for share in shares]
+        return [min(_greatest_in(indices[i]), self._max) if i < len(cumulative) else 0 for i in at]
 
     def distribution(self, unit: float) -> Distribution:
         """Return the percentiles in `unit` of what was counted; all 0 where nothing was."""

@@ -19,7 +19,17 @@ from armrig_daemon.config import Config
 from armrig_daemon.core import orders
 from armrig_daemon.core.budget import check
 from armrig_daemon.core.state import Phase
-from armrig_daemon.pipe import Answer, Halt, Hold, Leased, Orders, Play, Release, Reset, Take
+from armrig_daemon.pipe import (
+    Acquire,
+    Answer,
+    Halt,
+    Leased,
+    Orders,
+    Play,
+    Release,
+    Reset,
+    SetVoltage,
+)
 from armrig_daemon.service.child import LoopChild
 from armrig_daemon.service.publish import Command, Kind, Session
 from armrig_daemon.service.rig_view import RigView
@@ -67,7 +77,7 @@ class Commands:
         self._lease = ""
         self._n = -1  # number of its newest order
 
-    def hold(self, lease: str) -> None:
+    def note_lease(self, lease: str) -> None:
         """Take note of the lease in force, or that there is none: others are strangers."""
         self._lease, self._n = lease, -1
         self._session.lease = lease.encode()
@@ -77,12 +87,12 @@ class Commands:
         """How many orders more may wait for the loop's answer."""
         return max(0, _MOST_UNANSWERED - len(self._waiting))
 
-    def take_signs(self) -> None:
+    def serve_signs(self) -> None:
         """Take the signs of the run's client, each as of the time when it came."""
         for command in self._session.waiting(Kind.SIGN):
             self._try(command)
 
-    def take(self) -> None:
+    def serve(self) -> None:
         """Take some of the commands that wait, a stop before all others."""
         for command in self._session.waiting(Kind.STOP, self.room):
             self._try(command)
@@ -100,9 +110,9 @@ class Commands:
         if answer.error:
             self._give_up(waiting, answer.error)
             return
-        if isinstance(waiting.order, Take):
+        if isinstance(waiting.order, Acquire):
             self._Ts = answer.body["Ts"]
-            self.hold(waiting.order.lease)
+            self.note_lease(waiting.order.lease)
         elif isinstance(waiting.order, Leased) and waiting.order.lease == self._lease:
             self._n = max(self._n, waiting.order.n)
         waiting.command.answer(waiting.body or answer.body)
@@ -137,13 +147,13 @@ class Commands:
                 if error:
                     raise ValueError(error)
                 lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
-                self._order(command, Take(owner=request.owner, lease=lease, ts_us=ts_us))
+                self._order(command, Acquire(owner=request.owner, lease=lease, ts_us=ts_us))
             case commands.Disarm():
                 self._order(command, Release(lease=request.lease, n=request.n))
             case commands.Set():
                 (volts,) = checked([request.u], replace(self._config.limits, slew_v=0.0))
                 code = code_of(volts)
-                self._order(command, Hold(lease=request.lease, n=request.n, code=code))
+                self._order(command, SetVoltage(lease=request.lease, n=request.n, code=code))
             case commands.Run():
                 self._check_holder(request)
                 start = self._rig.theta_1_rad
@@ -186,7 +196,7 @@ class Commands:
 
     def _order(self, command: Command, order: Orders, body: Any = None) -> None:
         """Give the loop an order; its answer is that of the command."""
-        if len(self._waiting) >= _MOST_ASKED and isinstance(order, Take | Reset):
+        if len(self._waiting) >= _MOST_ASKED and isinstance(order, Acquire | Reset):
             msg = "too many commands are waiting: try again"
             raise ValueError(msg)
         self._numbers += 1

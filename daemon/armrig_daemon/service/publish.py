@@ -153,10 +153,10 @@ class Session:
         }
         for name in REQUESTS:
             self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)
-        self._session.declare_queryable(schema_key(rig, "**"), self._serve)
-        self._session.declare_queryable(command_key(rig, "*"), self._take)
+        self._session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
+        self._session.declare_queryable(command_key(rig, "*"), self._receive)
         for name in _URGENT:
-            self._session.declare_queryable(command_key(rig, name), self._let_in)
+            self._session.declare_queryable(command_key(rig, name), self._admit)
         self._alive = self._session.liveliness().declare_token(alive_key(rig))
 
     def __enter__(self) -> Self:
@@ -182,7 +182,7 @@ class Session:
         """Whether a command waits."""
         return not all(waiting.empty() for waiting in self._waiting.values())
 
-    def _serve(self, query: zenoh.Query) -> None:
+    def _serve_schema(self, query: zenoh.Query) -> None:
         if self._is_too_many(_SCHEMA):
             _refuse(query, token_bucket.refusal(_SCHEMA))
             return
@@ -191,14 +191,14 @@ class Session:
                 if query.key_expr.intersects(zenoh.KeyExpr(key)):
                     query.reply(key, data)
 
-    def _take(self, query: zenoh.Query) -> None:
+    def _receive(self, query: zenoh.Query) -> None:
         name = _name(query)
         if name in _URGENT:
             query.drop()  # it comes on its own way, too
         elif name not in admission.LEASED and self._is_too_many(name):
             _refuse(query, token_bucket.refusal(name))
         else:
-            self._let_in(query)
+            self._admit(query)
 
     def _is_too_many(self, name: str) -> bool:
         """Count a question that needs no lease. Only zenoh's thread of its queryable asks."""
@@ -208,7 +208,7 @@ class Session:
             self._buckets[kind] = left
         return left is None
 
-    def _let_in(self, query: zenoh.Query) -> None:
+    def _admit(self, query: zenoh.Query) -> None:
         command = Command(_name(query), query)
         error = admission.refusal(command.name, command.payload, self.lease)
         if error:

@@ -51,8 +51,8 @@ def updated(before: Readings, sample: Sample) -> Readings:
         return Readings(sample, free, y0, y0, 0.0)
     held_s = 1e-6 * (sample.t_device_us - last.t_device_us)
     # Samples further apart may have whole turns between them, which look like none.
-    told = 0 < held_s <= APART_S and last.u_applied_v > FRICTION_V
-    driven = (last.u_applied_v - FRICTION_V) * held_s if told else 0.0
+    counts = 0 < held_s <= APART_S and last.u_applied_v > FRICTION_V
+    driven = (last.u_applied_v - FRICTION_V) * held_s if counts else 0.0
     return Readings(sample, free, least, greatest, before.volt_s + driven)
 
 

@@ -50,11 +50,11 @@ class RigView:
         """Where the chassis is, in rad; None where that is not known."""
         return readings.theta_1_rad(self._readings)
 
-    def take_sample(self, sample: Sample) -> None:
+    def note_sample(self, sample: Sample) -> None:
         """Take note of a sample."""
         self._readings = readings.updated(self._readings, sample)
 
-    def take_timing(self, timing: Timing) -> Timing:
+    def note_timing(self, timing: Timing) -> Timing:
         """Take note of the last second; return it with what else this machine was doing."""
         share, runnable = self._pressure.read()
         self._timing = replace(timing, cpu_pressure_percent=share, run_queue=runnable)

@@ -197,11 +197,11 @@ class Runs:
         self._presence = begun(planned.request, time.monotonic())
         return self._recording.active
 
-    def takes_sample(self, k: int) -> bool:
+    def includes_sample(self, k: int) -> bool:
         """Return whether sample `k` belongs into the recording."""
         return self._recording is not None and self._first <= k < self._end
 
-    def takes(self, record: object) -> bool:
+    def includes(self, record: object) -> bool:
         """Return whether a record belongs into the recording; a gap counts what is missing."""
         if self._recording is None or not isinstance(record, Gap):
             return self._recording is not None

@@ -135,7 +135,7 @@ class Service:
                 if records is None:
                     self._woken()  # a signal may have ended the loop before we looked
                     return
-                self._take(records)
+                self._handle(records)
             if writable:
                 self._loop.flush()
             if self._wake_fd in ready:
@@ -155,15 +155,15 @@ class Service:
 
     # -- from the loop ---------------------------------------------------------------------
 
-    def _take(self, records: list[bytes | Record]) -> None:
+    def _handle(self, records: list[bytes | Record]) -> None:
         batch: list[Outgoing] = []
         for record in records:
             match record:
                 case bytes():
                     self._session.put("sample", record)  # first of all: who listens waits for it
                     sample = _decoded(record)
-                    self._rig.take_sample(sample)
-                    if self._runs.takes_sample(sample.k):
+                    self._rig.note_sample(sample)
+                    if self._runs.includes_sample(sample.k):
                         batch.append(_outgoing(sample, record))
                 case RunStarted():
                     self._begin_run(record)
@@ -185,7 +185,7 @@ class Service:
                     if self._thinning.lets_through(record):
                         batch += self._published([record])
                 case Timing():
-                    batch += self._published([self._rig.take_timing(record)])
+                    batch += self._published([self._rig.note_timing(record)])
                 case State():
                     if not record.owner:
                         self._commands.hold("")
@@ -197,7 +197,7 @@ class Service:
     def _published(self, records: Iterable[Gap | Log | Timing | Clock | State]) -> list[Outgoing]:
         """Publish records; return the messages that belong into the recording."""
         published = [(record, self._publish(record)) for record in records]
-        return [message for record, message in published if self._runs.takes(record)]
+        return [message for record, message in published if self._runs.includes(record)]
 
     def _publish(self, record: Gap | Log | Timing | Clock | State) -> Outgoing:
         if isinstance(record, State):
@@ -209,7 +209,7 @@ class Service:
         return message
 
     def _say(self, level: str, message: str) -> None:
-        self._take([Log(t_host_ns=realtime.now_ns(), level=level, message=message)])
+        self._handle([Log(t_host_ns=realtime.now_ns(), level=level, message=message)])
 
     def _begin_run(self, started: RunStarted) -> None:
         self._anchor_clock()

@@ -13,7 +13,7 @@ from virtual_bench import LEASE, Bench, codes
 
 def _playing(*, scheduled: bool) -> Bench:
     bench = Bench()
-    bench.take()
+    bench.arm()
     bench.ask(
         Play, lease=LEASE, n=1, run_id="r", codes=codes(*[1.0, 4.0] * 200), scheduled=scheduled
     )
@@ -24,7 +24,7 @@ def _playing(*, scheduled: bool) -> Bench:
 def _is_over(bench: Bench) -> None:
     assert [ended.run_id for ended in bench.of(RunEnded)] == ["r"]
     assert bench.ask(Reset).error == ""
-    assert bench.take().error == ""
+    assert bench.arm().error == ""
     again = bench.ask(Play, lease=LEASE, n=1, run_id="s", codes=codes(1.0, 4.0), scheduled=False)
     assert again.error == ""
 

@@ -8,7 +8,7 @@ import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Answer, Halt, Play, RunEnded, Take
+from armrig_daemon.pipe import Acquire, Answer, Halt, Play, RunEnded
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -54,7 +54,7 @@ def test_a_device_in_a_state_that_there_is_not_is_never_armed(state: int) -> Non
 
     assert rig.phase is Phase.FAULT
     assert f"in state {int(state)}, which is none of a device" in rig.loop.state.reason
-    assert "in fault" in rig.take().error
+    assert "in fault" in rig.arm().error
     assert rig.ports.device.state is DeviceState.IDLE
 
 
@@ -65,13 +65,13 @@ def test_a_device_that_is_still_starting_up_is_asked_again() -> None:
 
     rig.run_for(500)
     phase, device, state = rig.phase, rig.loop.state.device, rig.ports.device.state
-    assert "there is no device yet" in rig.take().error
+    assert "there is no device yet" in rig.arm().error
     booting[0] = False
     rig.run_for(300)
 
     assert (phase, device, state) == (Phase.INIT, None, DeviceState.IDLE)
     assert rig.phase is Phase.SAFE
-    assert rig.take().error == ""
+    assert rig.arm().error == ""
 
 
 def test_a_device_that_is_not_at_rest_is_not_armed_but_led_back() -> None:
@@ -80,12 +80,12 @@ def test_a_device_that_is_not_at_rest_is_not_armed_but_led_back() -> None:
     rig.ports.from_device = _altered(DeviceSample, lambda: {"state": DeviceState.RUN})
     rig.run_for(50)
 
-    refused = rig.take()
+    refused = rig.arm()
     rig.ports.from_device = lambda data: data
     rig.run_for(300)
 
     assert "the device is in state 5, not at rest" in refused.error
-    assert rig.take().error == ""
+    assert rig.arm().error == ""
 
 
 def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
@@ -94,7 +94,7 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
     stale_ns = rig.ports.now - 60_000_000
     rig.loop.state = replace(rig.loop.state, fresh_ns=stale_ns)
 
-    rig.order(Take(order=9, owner="a student", lease=LEASE, ts_us=0))
+    rig.order(Acquire(order=9, owner="a student", lease=LEASE, ts_us=0))
     rig.loop._step(rig.ports.now, rig.ports.wait(rig.ports.now))
 
     rig.run_for(1)
@@ -110,14 +110,14 @@ def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
         rig.run_for(1)
     asked_ns = rig.ports.now
 
-    rig.order(Take(order=9, owner="a student", lease=LEASE, ts_us=0))
+    rig.order(Acquire(order=9, owner="a student", lease=LEASE, ts_us=0))
     rig.run_for(1)
 
     assert asked_ns < 50_000_000
     assert rig.of(Answer)[-1].error == "no sample of the device in the last 50 ms: try again"
     rig.ports.from_device = answers
     rig.run_for(300)
-    assert rig.take().error == ""
+    assert rig.arm().error == ""
 
 
 def test_samples_of_an_earlier_link_arm_nothing() -> None:
@@ -128,7 +128,7 @@ def test_samples_of_an_earlier_link_arm_nothing() -> None:
     rig.ports.send(rig.ports.now, LinkUp())
     asked_ns = [rig.ports.now + n * 100_000 for n in range(1, 400)]
     for n, at_ns in enumerate(asked_ns):
-        rig.order(Take(order=n, owner="a student", lease=LEASE, ts_us=0), at_ns)
+        rig.order(Acquire(order=n, owner="a student", lease=LEASE, ts_us=0), at_ns)
 
     rig.run_for(60)
 
@@ -143,7 +143,7 @@ def test_samples_of_an_earlier_link_arm_nothing() -> None:
 def test_a_stop_says_why(scheduled: bool) -> None:
     """The outcome of the run is the reason of the stop, and nothing is latched."""
     rig = Bench()
-    rig.take()
+    rig.arm()
     play = Play(
         order=98, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500), scheduled=scheduled
     )

@@ -24,7 +24,7 @@ RUN = [2.0] * 400
 def playing(for_ms: float) -> Bench:
     """Return a rig that has played a scheduled run for some time."""
     bench = Bench()
-    assert not bench.take(5_000).error
+    assert not bench.arm(5_000).error
     bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=True))
     bench.run_for(for_ms)
     return bench

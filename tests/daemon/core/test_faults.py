@@ -15,7 +15,7 @@ from virtual_bench import Bench
 def driven() -> Bench:
     """Return a rig whose motor turns under a hand."""
     bench = Bench()
-    bench.take()
+    bench.arm()
     bench.drive(2.0, 1)
     return bench
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from armrig_core.calibration import Calibration
 from armrig_daemon.core import replies, sampling, step
 from armrig_daemon.core.faults import Id
-from armrig_daemon.core.state import Asked, Heard, Phase, Rules, Send, State, Want
+from armrig_daemon.core.state import Asked, Phase, Rules, Send, State, Unechoed, Want
 from armrig_protocol.decoder import feed
 from armrig_protocol.messages import Ack, Code, Flag, Sample, Stop
 from armrig_protocol.messages import State as DeviceState
@@ -27,7 +27,7 @@ RULES = Rules(
 
 def _with_beats(*seqs: int) -> State:
     """Return a state that has sent these frames, one a ms, and seen no echo of them."""
-    beats = tuple(Heard(seq, 1_000_000 * i) for i, seq in enumerate(seqs, 1))
+    beats = tuple(Unechoed(seq, 1_000_000 * i) for i, seq in enumerate(seqs, 1))
     return replace(step.start(RULES), scheduled=True, beats=beats, seq=(seqs[-1] + 1) & 0xFFFF)
 
 
@@ -63,10 +63,10 @@ def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
         device_state=DeviceState.RUN,
     )
 
-    after, _ = replies.take(before, 5_000_000, _sample(63))
+    after, _ = replies.handle(before, 5_000_000, _sample(63))
     assert after.phase is Phase.ACTIVE
 
-    after, actions = replies.take(before, 5_000_000, _sample(70))
+    after, actions = replies.handle(before, 5_000_000, _sample(70))
     assert after.phase is Phase.FAULT
     assert after.fault is not None
     assert after.fault.id is Id.STATE
@@ -79,9 +79,9 @@ def test_a_device_that_drives_and_takes_no_hello_is_stopped() -> None:
     before = replace(step.start(RULES), phase=Phase.FAULT, link_up=True, asked=asked, seq=2)
     stale = Ack(DeviceState.RUN, 9, 1, Code.STALE, 1)
 
-    after, actions = replies.take(before, 5_000_000, stale)
+    after, actions = replies.handle(before, 5_000_000, stale)
 
     sent = b"".join(a.data for a in actions if isinstance(a, Send))
     assert [type(m) for m in feed(b"", sent)[1]] == [Stop]
     assert after.asked == asked  # and HELLO is sent again when it is due
-    assert not replies.take(before, 5_000_000, stale._replace(state=DeviceState.IDLE))[1]
+    assert not replies.handle(before, 5_000_000, stale._replace(state=DeviceState.IDLE))[1]

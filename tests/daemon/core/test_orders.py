@@ -7,10 +7,31 @@ from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
-from armrig_daemon.pipe import Answer, Halt, Hold, Order, Play, Quit, Release, Reset, RunEnded, Take
+from armrig_daemon.pipe import (
+    Acquire,
+    Answer,
+    Halt,
+    Order,
+    Play,
+    Quit,
+    Release,
+    Reset,
+    RunEnded,
+    SetVoltage,
+)
 from armrig_protocol.messages import ClearFault, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
-from core_states import HOLD, PLAY, TAKE, Decided, armed, awaiting, driven, ordered, rested
+from core_states import (
+    ACQUIRE,
+    PLAY,
+    SET_VOLTAGE,
+    Decided,
+    armed,
+    awaiting,
+    driven,
+    ordered,
+    rested,
+)
 from msgspec.structs import replace
 from virtual_bench import LEASE, MS, Bench, codes
 
@@ -58,14 +79,14 @@ def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> N
 def test_a_rig_that_is_ending_is_not_armed() -> None:
     """The exit is not put off."""
     bench = rested()
-    assert "ending" in _refusal(bench, TAKE, replace(bench.loop.state, quitting=True))
+    assert "ending" in _refusal(bench, ACQUIRE, replace(bench.loop.state, quitting=True))
 
 
 @pytest.mark.parametrize("want", list(Want))
-@pytest.mark.parametrize("order", [TAKE, HOLD, PLAY])
+@pytest.mark.parametrize("order", [ACQUIRE, SET_VOLTAGE, PLAY])
 def test_while_the_device_is_asked_something_an_order_waits(want: Want, order: Order) -> None:
     """One request at a time: the refusal names it."""
-    bench = rested() if isinstance(order, Take) else armed()
+    bench = rested() if isinstance(order, Acquire) else armed()
     state = awaiting(bench.loop.state, want)
 
     assert _refusal(bench, order, state) == f"busy with {want}: try again"
@@ -76,7 +97,7 @@ def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, 
     """INIT is not yet, and no device is not at all."""
     bench = rested()
 
-    text = _refusal(bench, TAKE, replace(bench.loop.state, **change))
+    text = _refusal(bench, ACQUIRE, replace(bench.loop.state, **change))
 
     assert text == "there is no device yet: see that it is plugged in"
 
@@ -86,8 +107,8 @@ def test_a_rig_that_is_held_is_not_taken() -> None:
     bench = armed()
     fault = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
 
-    assert _refusal(bench, TAKE) == "held by a student: wait, or stop it"
-    assert _refusal(bench, TAKE, fault) == "in fault (it ran out): mend it, then reset"
+    assert _refusal(bench, ACQUIRE) == "held by a student: wait, or stop it"
+    assert _refusal(bench, ACQUIRE, fault) == "in fault (it ran out): mend it, then reset"
 
 
 def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
@@ -95,8 +116,8 @@ def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
     bench = rested()
     old = replace(bench.loop.state, fresh_ns=bench.ports.now - 50 * MS)
 
-    assert ordered(bench, TAKE, old).told(Answer) == []
-    assert "no answer" in _refusal(bench, TAKE, replace(old, fresh_ns=old.fresh_ns - 1))
+    assert ordered(bench, ACQUIRE, old).told(Answer) == []
+    assert "no answer" in _refusal(bench, ACQUIRE, replace(old, fresh_ns=old.fresh_ns - 1))
 
 
 def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
@@ -107,9 +128,9 @@ def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
     older = replace(none, sampled_ns=oldest.sampled_ns - 1)
 
     text = "no sample of the device in the last 50 ms: try again"
-    assert _refusal(bench, TAKE, none) == text
-    assert _refusal(bench, TAKE, older) == text
-    assert ordered(bench, TAKE, oldest).told(Answer) == []
+    assert _refusal(bench, ACQUIRE, none) == text
+    assert _refusal(bench, ACQUIRE, older) == text
+    assert ordered(bench, ACQUIRE, oldest).told(Answer) == []
 
 
 @pytest.mark.parametrize("state", [s for s in DeviceState if s not in (2, 3)])
@@ -117,7 +138,7 @@ def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> 
     """Refused, and led back by HELLO."""
     bench = rested()
 
-    decided = ordered(bench, TAKE, replace(bench.loop.state, device_state=int(state)))
+    decided = ordered(bench, ACQUIRE, replace(bench.loop.state, device_state=int(state)))
 
     (answer,) = decided.told(Answer)
     assert f"in state {int(state)}, not at rest" in answer.error
@@ -196,7 +217,7 @@ def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -
 def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
     """SAFE, but a CONFIG on its way may lead to an ARM: it is taken back."""
     bench = rested()
-    decided = ordered(bench, Halt(order=6), awaiting(bench.loop.state, Want.CONFIGURE, TAKE))
+    decided = ordered(bench, Halt(order=6), awaiting(bench.loop.state, Want.CONFIGURE, ACQUIRE))
 
     assert [type(m) for m in decided.sent] == [Stop]
     assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "not begun: stopped")]
@@ -229,7 +250,7 @@ def test_a_stop_that_another_overtakes_is_granted(order: Halt | Release, by: str
 def test_a_lease_holds_where_the_rig_is_armed_only(phase: Phase) -> None:
     """S5: whatever is left of it elsewhere moves nothing."""
     bench = armed()
-    assert "not the lease" in _refusal(bench, HOLD, replace(bench.loop.state, phase=phase))
+    assert "not the lease" in _refusal(bench, SET_VOLTAGE, replace(bench.loop.state, phase=phase))
 
 
 def test_numbers_grow_by_one_at_least() -> None:
@@ -239,15 +260,17 @@ def test_numbers_grow_by_one_at_least() -> None:
     assert state.lease is not None
     at_7 = replace(state, lease=replace(state.lease, n=7))
 
-    assert "n=7 must be greater than the last, 7" in _refusal(bench, replace(HOLD, n=7), at_7)
-    assert ordered(bench, replace(HOLD, n=8), at_7).told(Answer) == []
+    assert "n=7 must be greater than the last, 7" in _refusal(
+        bench, replace(SET_VOLTAGE, n=7), at_7
+    )
+    assert ordered(bench, replace(SET_VOLTAGE, n=8), at_7).told(Answer) == []
 
 
 def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
     """S2: and its number is the one to exceed."""
     bench = driven()
 
-    lease = ordered(bench, HOLD).state.lease
+    lease = ordered(bench, SET_VOLTAGE).state.lease
 
     assert lease is not None
     assert (lease.n, lease.renewed_ns) == (50, bench.ports.now)
@@ -256,9 +279,9 @@ def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
 def test_a_voltage_in_force_is_changed_without_another_start() -> None:
     """Told as done at once; the next tick carries it."""
     bench = driven()
-    decided = ordered(bench, HOLD)
+    decided = ordered(bench, SET_VOLTAGE)
 
-    assert decided.state.code == HOLD.code
+    assert decided.state.code == SET_VOLTAGE.code
     assert [a.body for a in decided.told(Answer)] == [{"done": True}]
     assert decided.sent == []
 
@@ -268,7 +291,7 @@ def test_no_hand_on_a_running_experiment() -> None:
     bench = driven()
     state = replace(bench.loop.state, run=Run("r", codes(1.0), -1))
 
-    assert "experiment r is running" in _refusal(bench, HOLD, state)
+    assert "experiment r is running" in _refusal(bench, SET_VOLTAGE, state)
 
 
 def test_no_experiment_while_the_motor_is_driven_by_hand() -> None:
@@ -302,11 +325,11 @@ def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
     )
 
 
-@pytest.mark.parametrize("order", [HOLD, PLAY])
+@pytest.mark.parametrize("order", [SET_VOLTAGE, PLAY])
 def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Order) -> None:
     """Armed for 0.9 ms, at 500 kBd only scheduled: the host ticks slower than that."""
     bench = rested()
-    assert not bench.take(900).error
+    assert not bench.arm(900).error
     assert bench.loop.state.ts_us != 900
 
     assert "Ts=0.0009 s cannot be carried in exchange mode" in _refusal(bench, order)
@@ -316,11 +339,11 @@ def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Or
 def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: bool) -> None:
     """S1: 1 V a sample, from the 1 V that are held; said in volts."""
     bench = Bench(Config(limits=Limits(slew_v=1.0)))
-    bench.take()
-    bench.order(Hold(order=99, lease=LEASE, n=0, code=code_of(1.0)))
+    bench.arm()
+    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=code_of(1.0)))
     bench.run_for(20)
 
-    (answer,) = ordered(bench, replace(HOLD, code=code_of(volts))).told(Answer)
+    (answer,) = ordered(bench, replace(SET_VOLTAGE, code=code_of(volts))).told(Answer)
 
     assert answer.error == ("" if allowed else "u steps by 1.1 V: at most 1 V in a sample")
 

@@ -11,12 +11,12 @@ from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.state import (
     Action,
     Emit,
-    Heard,
     Phase,
     Publish,
     RoundTrip,
     Sent,
     State,
+    Unechoed,
     Want,
 )
 from armrig_daemon.pipe import Answer, Gap, Log, Play, RunEnded, RunStarted
@@ -41,7 +41,7 @@ def _asked(bench: Bench, ms: float = 21) -> State:
 def _playing() -> Bench:
     """Return a rig in the middle of a scheduled run at 2 V."""
     bench = Bench()
-    assert not bench.take(5_000).error
+    assert not bench.arm(5_000).error
     run = codes(*[2.0] * 400)
     bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=run, scheduled=True))
     bench.run_for(400)
@@ -154,7 +154,9 @@ def test_a_sample_of_a_run_is_as_fresh_as_the_frame_that_it_has_heard() -> None:
     now = bench.ports.now
     state = bench.loop.state
     seq = (state.seq - 1) & 0xFFFF
-    state = replace(state, beats=(Heard(seq, now - 7 * MS),), fresh_ns=now - 40 * MS, sampled_ns=1)
+    state = replace(
+        state, beats=(Unechoed(seq, now - 7 * MS),), fresh_ns=now - 40 * MS, sampled_ns=1
+    )
 
     deaf = _due(bench, state, echo=(seq - 1) & 0xFFFF, queued=5)
     hears = _due(bench, state, echo=seq, queued=5)
@@ -251,7 +253,7 @@ def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() ->
     state = bench.loop.state
     assert state.run is not None
     seq = (state.seq - 1) & 0xFFFF
-    state = replace(state, beats=(Heard(seq, 17),), fresh_ns=5)
+    state = replace(state, beats=(Unechoed(seq, 17),), fresh_ns=5)
 
     decided = _due(bench, state, k=state.run.due - 1, echo=seq)
 
@@ -293,7 +295,7 @@ def test_an_exchange_is_published_before_the_run_that_it_ends() -> None:
 def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
     """L2: published first, then the end is told."""
     bench = rested()
-    assert not bench.take().error
+    assert not bench.arm().error
     bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 400)))
     bench.run_for(100)
     state = awaiting(_asked(bench), Want.STOP)
@@ -518,7 +520,7 @@ def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
     """S4: the age is that of the newest frame whose echo has come."""
     bench = _playing()
     state = bench.loop.state
-    older, newer = Heard(0xFFFF, 11), Heard(0, 22)
+    older, newer = Unechoed(0xFFFF, 11), Unechoed(0, 22)
     waiting = replace(state, beats=(older, newer), fresh_ns=5)
 
     assert sampling.note_echo(waiting, 0xFFFE) == waiting

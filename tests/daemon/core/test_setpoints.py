@@ -11,7 +11,6 @@ from armrig_daemon.core.requests import MOST_BEATS, send
 from armrig_daemon.core.state import (
     Absent,
     Emit,
-    Heard,
     Ordered,
     Phase,
     Publish,
@@ -21,6 +20,7 @@ from armrig_daemon.core.state import (
     Send,
     State,
     Tick,
+    Unechoed,
     Want,
 )
 from armrig_daemon.core.stopping import trip
@@ -317,7 +317,7 @@ def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
     last = (state.seq - 1) & 0xFFFF
 
     assert len(state.beats) == MOST_BEATS
-    assert state.beats[-1] == Heard(last, NOW)
+    assert state.beats[-1] == Unechoed(last, NOW)
     assert send(replace(state, scheduled=False, beats=()), NOW, b"x")[0].beats == ()
     assert send(replace(state, seq=0xFFFF), NOW, b"x")[0].seq == 0
     assert state.any_ns == NOW
@@ -334,7 +334,7 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
         state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
     )
 
-    after, actions = sampling.take(state, NOW + 3, sample)
+    after, actions = sampling.handle(state, NOW + 3, sample)
 
     (published,) = [a for a in actions if isinstance(a, Publish)]
     s = published.sample
@@ -360,7 +360,7 @@ def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: boo
     )
     sample = sample._replace(t_us=sample.t_us & 0xFFFFFFFF)
 
-    after, actions = sampling.take(state, NOW, sample)
+    after, actions = sampling.handle(state, NOW, sample)
 
     assert bool(actions) == taken
     assert (after == state) != taken
@@ -373,7 +373,7 @@ def test_only_samples_that_are_still_to_come_belong_to_the_run(k: int) -> None:
     u = applied_code(CODES[k], 10)
     sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
 
-    _, actions = sampling.take(state, NOW, sample)
+    _, actions = sampling.handle(state, NOW, sample)
 
     assert bool([a for a in actions if isinstance(a, Publish)]) == (k in (10, 99))
 
@@ -386,7 +386,7 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     first = replace(state, run=replace(state.run, k_first=k_first), told=-1)
     u = applied_code(CODES[0], 10)
 
-    _, actions = sampling.take(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
+    _, actions = sampling.handle(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
 
     assert [a.sample.k for a in actions if isinstance(a, Publish)] == [0] * (k_first == 0)
 
@@ -400,7 +400,7 @@ def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, objec
     sample = device_sample(state, k=10, flags=int(Flag.RUN))
     without = replace(state, **change)
 
-    assert sampling.take(without, NOW, sample) == (without, [])
+    assert sampling.handle(without, NOW, sample) == (without, [])
 
 
 @pytest.mark.parametrize("bits", [8, 10, 16])
@@ -412,7 +412,7 @@ def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -
     state = replace(state, device=state.device._replace(pwm_bits=bits))
     u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
 
-    after, actions = sampling.take(
+    after, actions = sampling.handle(
         state, NOW, device_sample(state, k=10, u_k=u, flags=int(Flag.RUN))
     )
 
@@ -430,7 +430,7 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
     state = replace(state, device=state.device._replace(pwm_bits=10))
     assert applied_code(CODES[10], 10) != CODES[10]
 
-    after, _ = sampling.take(
+    after, _ = sampling.handle(
         state, NOW, device_sample(state, k=10, u_k=CODES[10], flags=int(Flag.RUN))
     )
 
@@ -441,7 +441,7 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
 def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
     """One that was under way when the run ended."""
     state = _running()
-    after, _ = sampling.take(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
+    after, _ = sampling.handle(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
 
     assert after.fault is None
 
@@ -522,7 +522,7 @@ def test_only_the_step_from_run_to_idle_is_an_end() -> None:
 def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
     """Its first sample comes one Ts after START was heard, which is half way to its effect."""
     state = replace(_state(100, held=100, sent=100), ts_us=5_000, k=41, fresh_ns=0)
-    state = replace(state, code=9, outcome="of the run before", beats=(Heard(1, 2),))
+    state = replace(state, code=9, outcome="of the run before", beats=(Unechoed(1, 2),))
     asked = awaiting(state, Want.START, ORDER, sent_ns=NOW)
 
     assert asked.asked is not None

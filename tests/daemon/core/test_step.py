@@ -12,7 +12,6 @@ from armrig_daemon.core.gaps import MOST_ABSENT, note, tell_missing
 from armrig_daemon.core.requests import motor
 from armrig_daemon.core.state import (
     Absent,
-    Heard,
     LinkUp,
     Phase,
     Received,
@@ -22,6 +21,7 @@ from armrig_daemon.core.state import (
     ServiceGone,
     State,
     Tick,
+    Unechoed,
     Want,
 )
 from armrig_daemon.core.stopping import end_run
@@ -538,7 +538,7 @@ def _scheduled(due: int, phase: Phase, now_after_ns: int = 0) -> tuple[State, li
     """Return what the end of a run of 10 samples at Ts 10 ms leaves."""
     state = replace(rested().loop.state, phase=phase, outcome="why", absent=(), told=99 + due)
     run = Run("r", codes(*[1.0] * 10), 100, scheduled=True, due=due, t_zero_ns=1000 * MS)
-    beats = (Heard(1, 2),)
+    beats = (Unechoed(1, 2),)
     after, actions = end_run(replace(state, run=run, beats=beats, k=500), 1000 * MS + now_after_ns)
     assert after.beats == ()
     return after, list(actions)

@@ -19,7 +19,7 @@ from armrig_daemon.core.state import (
     ServiceGone,
     Tick,
 )
-from armrig_daemon.pipe import Answer, Hold, Play, RunStarted, Trace
+from armrig_daemon.pipe import Answer, Play, RunStarted, SetVoltage, Trace
 from virtual_bench import LEASE, Bench, codes
 
 VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
@@ -32,12 +32,12 @@ def traced(bench: Bench, *, scheduled: bool) -> list[Trace]:
     def spoil(data: bytes) -> bytes:
         return data if next(count) % 15 else data[:4] + b"\x55" + data[5:]
 
-    assert not bench.take(10_000).error
+    assert not bench.arm(10_000).error
     play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=scheduled)
     bench.order(play)
     bench.run_for(150)
     bench.ports.from_device = spoil
-    bench.order(Hold(order=10, lease=LEASE, n=1, code=3))  # refused
+    bench.order(SetVoltage(order=10, lease=LEASE, n=1, code=3))  # refused
     bench.run_for(2_500)
     chunks: list[Trace] = bench.of(Trace)
     return chunks
@@ -104,11 +104,11 @@ def test_every_event_comes_back_from_its_bytes() -> None:
 def test_who_reads_a_recording_does_not_hold_the_rig_by_it() -> None:
     """The lease is nowhere in the trace; that an order carried it can still be told."""
     bench = Bench()
-    bench.take()
+    bench.arm()
     bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
     bench.run_for(100)
-    bench.order(Hold(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
-    bench.order(Hold(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease
+    bench.order(SetVoltage(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
+    bench.order(SetVoltage(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease
     bench.run_for(2_500)
 
     chunks = bench.of(Trace)
@@ -147,7 +147,7 @@ def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None
 def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
     """A host that woke up late found the start and the first samples at once, in one step."""
     bench = Bench()
-    assert not bench.take(2_000).error
+    assert not bench.arm(2_000).error
     bench.lateness_ns = 9_000_000
     play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=True)
     bench.order(play)

@@ -8,7 +8,7 @@ import msgspec
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import Event, Ordered, Phase, Received, Want
-from armrig_daemon.pipe import Answer, Halt, Hold
+from armrig_daemon.pipe import Answer, Halt, SetVoltage
 from virtual_bench import LEASE, MS, Bench
 
 
@@ -20,14 +20,14 @@ def _answer(bench: Bench, order: int) -> Answer:
 def test_orders_of_before_a_pause_are_looked_at_behind_the_tick_that_trips() -> None:
     """S6: a wait that was frozen tells them with the deadline that was missed meanwhile."""
     bench = Bench()
-    bench.take()
+    bench.arm()
     bench.drive(1.0, n=1)
     wait = bench.ports.wait
 
     def frozen(until_ns: int) -> list[Event]:
         bench.ports.wait = wait  # type: ignore[method-assign]
         bench.ports._advance(until_ns + 300 * MS)
-        return [Ordered(Hold(order=50, lease=LEASE, n=2, code=code_of(4.0)))]
+        return [Ordered(SetVoltage(order=50, lease=LEASE, n=2, code=code_of(4.0)))]
 
     bench.ports.wait = frozen  # type: ignore[method-assign]
     bench.run_for(100)
@@ -41,7 +41,7 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
     """A stop is looked at when it comes, though the core's own times wait for a quiet moment."""
     bench = Bench(msgspec.convert({"timing": {"Ts": 0.5}}, Config))
     bench.run_for(2000)  # a sample of this link has come
-    bench.take()
+    bench.arm()
     bench.drive(1.0, n=1)
     assert bench.phase is Phase.ACTIVE
     wait: Callable[[int], list[Event]] = bench.ports.wait

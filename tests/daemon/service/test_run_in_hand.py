@@ -51,13 +51,13 @@ def _missing_in_file(path: Path) -> int:
 
 def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> None:
     """Neither the one before nor the one behind."""
-    assert not runs.takes_sample(FIRST)
+    assert not runs.includes_sample(FIRST)
 
     _begin(runs)
 
-    assert [k for k in range(FIRST - 2, END + 2) if runs.takes_sample(k)] == [*range(FIRST, END)]
+    assert [k for k in range(FIRST - 2, END + 2) if runs.includes_sample(k)] == [*range(FIRST, END)]
     runs.end("complete")
-    assert not runs.takes_sample(FIRST)
+    assert not runs.includes_sample(FIRST)
     runs.finished(5)
 
 
@@ -76,7 +76,7 @@ def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missi
     """L2: to the file and to a person the same; one that lies beside the run is none of it."""
     path = _begin(runs)
 
-    assert runs.takes(gap) == (missing > 0)
+    assert runs.includes(gap) == (missing > 0)
 
     runs.end("complete")
     _, text = runs.finished(5)
@@ -87,7 +87,7 @@ def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missi
 def test_what_one_run_missed_is_not_told_of_the_next(runs: Runs) -> None:
     """It begins with nothing missing."""
     _begin(runs)
-    runs.takes(_gap(FIRST, 3))
+    runs.includes(_gap(FIRST, 3))
     runs.end("stopped")
     runs.finished(5)
 
@@ -139,7 +139,7 @@ def test_a_run_that_nobody_asked_for_is_not_recorded(runs: Runs, tmp_path: Path)
         _begin(runs, "another")
 
     assert list(tmp_path.iterdir()) == []
-    assert not runs.takes_sample(FIRST)
+    assert not runs.includes_sample(FIRST)
 
 
 @pytest.mark.parametrize(("samples", "fits"), [(9_757, True), (9_758, False)])

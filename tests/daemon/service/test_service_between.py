@@ -42,7 +42,7 @@ class Between:
         self.service = Service(Config(), endpoint, directory)
         self.service._connect(self.loop.child, Session(endpoint, "1", self.has_come.set))
         self.commands = self.service._commands
-        self.commands.hold(LEASE)
+        self.commands.note_lease(LEASE)
         self.client = open_session(endpoint, rig="1")
 
     def ask(self, request: Any) -> Any:
@@ -56,11 +56,11 @@ class Between:
     def begin_run(self) -> str:
         """Have a run asked for, taken by the loop, and begun."""
         self.ask(RUN)
-        self.commands.take()
+        self.commands.serve()
         (play,) = self.loop.orders()
         assert isinstance(play, Play)
         started = RunStarted(run_id=play.run_id, k_first=0, count=3, t_host_ns=0)
-        self.service._take([Answer(order=play.order), started])
+        self.service._handle([Answer(order=play.order), started])
         return play.run_id
 
 
@@ -97,7 +97,7 @@ def test_the_loop_hears_from_the_service_each_second(between: Between) -> None:
 
 def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
     """The motor must not turn for nothing: here for a run that nobody asked for."""
-    between.service._take([RunStarted(run_id="another", k_first=0, count=1, t_host_ns=0)])
+    between.service._handle([RunStarted(run_id="another", k_first=0, count=1, t_host_ns=0)])
 
     assert between.loop.orders() == [Halt()]
 
@@ -105,10 +105,10 @@ def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
 def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> None:
     """Who asked is told, and the next may be asked for."""
     replies = between.ask(RUN)
-    between.commands.take()
+    between.commands.serve()
     (play,) = between.loop.orders()
 
-    between.service._take([Answer(order=play.order, error="not now")])
+    between.service._handle([Answer(order=play.order, error="not now")])
 
     assert _refusal(replies) == "not now"
     assert between.service._runs.is_idle
@@ -120,14 +120,14 @@ def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
     """It is refused within its time; an answer that comes later is nobody's."""
     monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
     replies = between.ask(RUN)
-    between.commands.take()
+    between.commands.serve()
     (play,) = between.loop.orders()
 
     between.service._each_second()
 
     assert _refusal(replies) == "the loop does not answer: see the log"
     assert between.service._runs.is_idle
-    between.service._take([Answer(order=play.order)])
+    between.service._handle([Answer(order=play.order)])
 
 
 def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Between) -> None:
@@ -135,7 +135,7 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
     run_id = between.begin_run()
 
     ended = RunEnded(run_id=run_id, outcome="complete")
-    between.service._take([*map(_sample, range(4)), ended, _sample(4)])
+    between.service._handle([*map(_sample, range(4)), ended, _sample(4)])
 
     level, text = between.service._runs.finished(5)
     assert (level, text.partition(": ")[2]) == ("info", "complete, 3 samples, 0 missing")
@@ -143,10 +143,10 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
 
 def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> None:
     """Its holder is a stranger like any other, at zenoh's door."""
-    between.service._take([msgspec.structs.replace(FREE, owner="a test")])
+    between.service._handle([msgspec.structs.replace(FREE, owner="a test")])
     assert between.service._session.lease == LEASE.encode()
 
-    between.service._take([FREE])
+    between.service._handle([FREE])
     assert between.service._session.lease == b""
 
 
@@ -179,7 +179,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
 
     monkeypatch.setattr("armrig_daemon.service.recorder.os.fdatasync", full)
     between.begin_run()
-    between.service._take([_sample(0)])
+    between.service._handle([_sample(0)])
     assert select.select([between.service._wake_fd], [], [], 5)[0]
 
     between.service._woken()
@@ -199,11 +199,11 @@ def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
     between: Between, phase: str, n: int, complaint: str
 ) -> None:
     """Nor rehearsed, which takes its time."""
-    between.service._take([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
+    between.service._handle([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
     between.commands._n = n
 
     replies = between.ask(RUN)
-    between.commands.take()
+    between.commands.serve()
 
     assert _refusal(replies) == complaint
     assert between.loop.orders() == []

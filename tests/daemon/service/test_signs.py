@@ -34,14 +34,14 @@ def test_a_sign_that_waited_for_the_service_is_of_when_it_came(tmp_path: Path) -
     runs._presence = begun(RUN, 0.0)  # as good as gone
     with Session(endpoint, "1", has_come.set) as session:
         commands = Commands(config, rig, runs, session, loop.child, lambda *_: None)
-        commands.hold(LEASE)
+        commands.note_lease(LEASE)
         with open_session(endpoint, rig="1") as client:
             sent_s = time.monotonic()
             replies = client.get(command_key("1", Renew.name), payload=sign)
             assert has_come.wait(5)
             come_s = time.monotonic()
 
-            commands.take_signs()
+            commands.serve_signs()
 
             assert next(iter(replies)).ok is not None
     loop.close()
