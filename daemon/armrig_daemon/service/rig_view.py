@@ -11,7 +11,7 @@ from armrig_core.telemetry import Sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config
-from armrig_daemon.pipe import State, Timing
+from armrig_daemon.pipe import Host, State, Timing
 from armrig_daemon.service import pressure, readings
 
 _VERSION = version("armrig")  # read from a file: not at each status
@@ -23,9 +23,8 @@ class RigView:
 
     def __init__(self, config: Config, endpoint: str, directory: Path) -> None:
         """Begin with nothing told."""
-        self.state = _UNKNOWN
-        self.host: dict[str, Any] = {}
-        """What the loop was granted."""
+        self._state = _UNKNOWN
+        self._host: dict[str, Any] = {}
         self._config = config
         self._endpoint = endpoint
         self._directory = directory
@@ -35,20 +34,38 @@ class RigView:
         self._pressure = pressure.Pressure()
 
     @property
+    def state(self) -> State:
+        """The newest state that the loop has told."""
+        return self._state
+
+    @property
+    def host(self) -> dict[str, Any]:
+        """What the kernel gave the loop, and what it refused."""
+        return self._host
+
+    @property
     def is_known(self) -> bool:
         """Whether the loop has told a state."""
-        return self.state is not _UNKNOWN
+        return self._state is not _UNKNOWN
 
     @property
     def line(self) -> str:
         """What came of a device that does not answer, and at which port, or nothing."""
-        line = self.state.line
+        line = self._state.line
         return f"{self._config.device.port}: {line}" if line else ""
 
     @property
     def theta_1_rad(self) -> float | None:
         """Where the chassis is, in rad; None where that is not known."""
         return readings.theta_1_rad(self._readings)
+
+    def note_state(self, state: State) -> None:
+        """Take note of the state of the loop."""
+        self._state = state
+
+    def note_host(self, host: Host) -> None:
+        """Take note of what the kernel gave the loop."""
+        self._host = host.granted
 
     def note_sample(self, sample: Sample) -> None:
         """Take note of a sample."""
@@ -71,7 +88,7 @@ class RigView:
 
     def status(self, last_run: LastRun | None) -> StatusReport:
         """Return all of it for who asks."""
-        config, state = self._config, self.state
+        config, state = self._config, self._state
         return StatusReport(
             rig=config.rig.id,
             version=_VERSION,
@@ -87,7 +104,7 @@ class RigView:
             endpoint=self._endpoint,
             device=state.device,
             line=self.line,
-            host=self.host,
+            host=self._host,
             last_run=last_run,
             recordings=str(self._directory),
             calibration=config.calibration_sentence,

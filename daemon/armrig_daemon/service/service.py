@@ -176,7 +176,7 @@ class Service:
                 case Answer():
                     self._commands.answer(record)
                 case Host():
-                    self._rig.host = record.granted
+                    self._rig.note_host(record)
                     for what in record.granted["refused"]:
                         self._say("warning", f"not granted: {what}; timing is less exact")
                 case Trace():
@@ -201,7 +201,7 @@ class Service:
 
     def _publish(self, record: Gap | Log | Timing | Clock | State) -> Outgoing:
         if isinstance(record, State):
-            self._rig.state = record
+            self._rig.note_state(record)
         if isinstance(record, Log) and record.level != "debug":
             print_line(f"armrigd: {record.level}: {record.message}")
         message = outgoing(record, self._offset_ns)
