@@ -12,6 +12,7 @@ import typer
 
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
 from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
+from armrig.numerics.quantities import with_std
 
 if TYPE_CHECKING:
     from armrig_core.calibration import Calibration
@@ -267,21 +268,10 @@ def _print(path: Path, found: Estimate, *, json: bool) -> None:
         facts = {"calibration": str(path), "figures": figures, "alpha_sign": found.alpha_sign}
         print_json(facts | {"warnings": found.warnings})
         return
-    rows = [(name, _with_std(figure.value, figure.std)) for name, figure in figures.items()]
+    rows = [(name, with_std(figure.value, figure.std)) for name, figure in figures.items()]
     sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
     print_table(*rows, ("alpha", sign[found.alpha_sign]), ("calibration", str(path)))
     tell(
         f'to use it, set [calibration] file = "{path.absolute()}" in armrigd\'s configuration and '
         "start armrigd anew"
     )
-
-
-def _with_std(value: float, std: float) -> str:
-    from armrig.numerics.quantities import places
-
-    if not std:
-        return f"{value:g}"
-    if abs(value) < 1e-2 and std < 1e-4:
-        return f"{value:.6e} ± {std:.1e}"
-    decimals = places(std)
-    return f"{value:.{decimals}f} ± {std:.{decimals}f}"

@@ -84,7 +84,7 @@ def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
     from armrig.recordings.calibration.staleness import calibrated, remarks
     from armrig.recordings.gap_summary import gap_lines
     from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
+    from armrig.recordings.timing_disturbances import disturbances
     from armrig.recordings.usability import data_verdict
 
     manifest, timing = rec.manifest, sampling_statistics(rec)
@@ -101,7 +101,8 @@ def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
         yield "remark", text
     yield "jitter", _microseconds(timing.jitter, 0)
     yield "lateness", _lateness(timing.lateness, manifest.pacing)
-    yield from disturbance_rows(disturbances(rec))
+    if found := disturbances(rec).texts():
+        yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
     for text in gap_lines(rec.gaps):
         yield "gap", text
     if rec.truncated:

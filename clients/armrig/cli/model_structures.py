@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import typer
 
 from armrig.models.structure_table import KINDS, with_article
+from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -46,7 +47,7 @@ def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[st
         if value is not None and name not in own:
             users = " or ".join(s for s, kind in _KINDS.items() if name in kind.orders)
             msg = f"--{name} {value} goes with --structure {users}; "
-            msg += f"{with_article(structure.upper())} model has {_listed([*own, 'nk'])}"
+            msg += f"{with_article(structure.upper())} model has {listed([*own, 'nk'])}"
             raise typer.BadParameter(msg)
     return {**own, **{name: value for name, value in given.items() if value is not None}}
 
@@ -79,12 +80,8 @@ def estimated(
     more: dict[str, Any] = {"integrator": True} if integrator else {}
     if weights is not None:
         more["weights"] = weights
-    named = _listed([*orders])
+    named = listed([*orders])
     with estimating(named):
         fit = ESTIMATORS[structure](data, **orders, nk=nk, **more)
         require_finite(fit, named)
     return fit
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

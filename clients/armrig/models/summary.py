@@ -13,7 +13,7 @@ from armrig.models.estimate import Estimate
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HALF_WIDTH, Region
-from armrig.numerics.quantities import minus, places
+from armrig.numerics.quantities import minus, with_range
 
 if TYPE_CHECKING:
     from armrig.models.model import Model
@@ -27,7 +27,6 @@ _UNITS = {
     "overshoot": "%",
 }
 _NAMES = {"rise_time": "time to 63 %", "antiresonance": "anti-resonance"}
-_MOST_DECIMALS = 6
 _ROUNDING = 1e-9
 
 
@@ -176,9 +175,7 @@ def _range(value: float, low: float, high: float, method: str) -> str:
         return minus(f"{value:.5g}") + " (range not known)"
     if high - low <= _ROUNDING * max(1.0, abs(value)):
         return minus(f"{0.0 if abs(value) < _ROUNDING else value:.5g}")
-    decimals = min(places((high - low) / 4), _MOST_DECIMALS)
-    star = "*" if method == "sampled" else ""
-    return minus(f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f}){star}")
+    return minus(with_range(value, low, high)) + ("*" if method == "sampled" else "")
 
 
 def _complex(z: complex, decimals: int) -> str:

@@ -1,15 +1,34 @@
-"""Numbers with their units, as a reader wants them."""
+"""Numbers with their units, and lists of names, as a reader wants them."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from math import floor, isfinite, isnan, log10
+
+_MOST_DECIMALS = 6
 
 NBSP = "\u00a0"  # between a number and its unit
 
 
 def places(std: float) -> int:
     """Return the decimals that show two digits of `std`."""
-    return 5 if not np.isfinite(std) or std <= 0 else max(0, 1 - int(np.floor(np.log10(std))))
+    return 5 if not isfinite(std) or std <= 0 else max(0, 1 - floor(log10(std)))
+
+
+def with_std(value: float, std: float) -> str:
+    """Return a number ± its standard deviation; the number alone where that is not known."""
+    if not (std > 0 and isfinite(std)):
+        return f"{value:.5g}"
+    decimals = places(std)
+    if decimals > _MOST_DECIMALS:
+        return f"{value:.6e} ± {std:.1e}"
+    return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def with_range(value: float, low: float, high: float) -> str:
+    """Return a number with its range, as 1.23 (1.11 … 1.40)."""
+    decimals = min(places((high - low) / 4), _MOST_DECIMALS)
+    return f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})"
 
 
 def fixed(value: float, decimals: int) -> str:
@@ -31,7 +50,7 @@ def power(x: float) -> str:
     """Return a small number as 1.23·10⁻⁵."""
     if not 0 < abs(x) < 1e-3:
         return number(x)
-    exponent = int(np.floor(np.log10(abs(x))))
+    exponent = floor(log10(abs(x)))
     raised = str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
     return f"{x / 10.0**exponent:.2f}·10{raised}"
 
@@ -67,9 +86,15 @@ def p_relation(p: float) -> str:
 
 def p_value(p: float) -> str:
     """Return a p value, to stand in a table."""
-    return "–" if np.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
+    return "–" if isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def plural(n: int, noun: str) -> str:
     """Return a number with its noun: 1 sample, 2 samples."""
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return a list as a sentence has it: a, b and c."""
+    *most, last = names
+    return f"{', '.join(most)} and {last}" if most else last

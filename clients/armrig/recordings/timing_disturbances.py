@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import isnan, nan
 from typing import TYPE_CHECKING
 
+from armrig.numerics.quantities import NBSP, fixed
 from armrig.recordings.daemon_reports import DeviceClock, Timing
 
 if TYPE_CHECKING:
@@ -34,6 +35,24 @@ class Disturbances:
     offset_std_us: float
     """Standard deviation of the offset between the clocks at the end, in µs."""
 
+    def texts(self) -> dict[str, str]:
+        """Return in words what was reported, by its name; nothing where nothing was."""
+        found = {}
+        if self.seconds:
+            found["garbage collections of the loop"] = str(self.collections)
+        if not isnan(self.cpu_pressure_percent):
+            share = f"{self.cpu_pressure_percent:.0f}{NBSP}%"
+            found["processor wanted by others, worst second"] = share
+        if self.run_queue >= 0:
+            found["most tasks runnable"] = str(self.run_queue)
+        if not isnan(self.round_trip_us):
+            found["longest round trip"] = f"{self.round_trip_us / 1e3:.2f}{NBSP}ms"
+        if not isnan(self.drift_ppm):
+            drift = f"{fixed(self.drift_ppm, 1)} ± {self.drift_std_ppm:.1f}{NBSP}ppm"
+            found["device's clock slow by"] = drift
+            found["device's clock known to"] = f"± {self.offset_std_us:.1f}{NBSP}µs"
+        return found
+
 
 def disturbances(recording: Recording) -> Disturbances:
     """Return what disturbed the timing of a recording."""
@@ -58,29 +77,3 @@ _UNKNOWN = DeviceClock(
 
 def _round_trips(timing: Sequence[Timing]) -> list[float]:
     return [t.link_round_trip_us.max for t in timing if t.link_round_trip_us.n]
-
-
-def disturbance_rows(found: Disturbances) -> list[tuple[str, str]]:
-    """Return what was found as rows of a name and a sentence; none where nothing was reported."""
-    rows = []
-    if found.seconds:
-        parts = [f"{found.collections or 'no'} garbage collections of the loop"]
-        if not isnan(found.cpu_pressure_percent):
-            parts.append(
-                f"processor wanted by others up to {found.cpu_pressure_percent:.0f} % of a second"
-            )
-        if found.run_queue >= 0:
-            parts.append(f"at most {found.run_queue} tasks runnable")
-        if not isnan(found.round_trip_us):
-            parts.append(f"longest round trip {found.round_trip_us / 1e3:.2f} ms")
-        rows.append(("disturbances", ", ".join(parts)))
-    if not isnan(found.drift_ppm):
-        way = "slow" if found.drift_ppm > 0 else "fast"
-        rows.append(
-            (
-                "device clock",
-                f"{abs(found.drift_ppm):.1f} ± {found.drift_std_ppm:.1f} ppm {way} against the "
-                f"host's; offset known to ± {found.offset_std_us:.1f} µs",
-            )
-        )
-    return rows

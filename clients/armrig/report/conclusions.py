@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from armrig.models.structure_table import with_article
 from armrig.numerics.quantities import (
     error,
+    listed,
     microseconds,
     milliseconds,
     number,
@@ -75,12 +76,6 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
                 "prediction with a wrong transfer function. For simulation and for control use "
                 f"the {best.name} model."
             )
-
-
-def listed(parts: Sequence[str]) -> str:
-    """Return a list as a sentence has it: a, b and c."""
-    *most, last = parts
-    return f"{', '.join(most)} and {last}" if most else last
 
 
 def calibration_remarks(study: Study) -> list[str]:

@@ -12,8 +12,7 @@ from armrig.models.equation import letters
 from armrig.models.fit import Fit
 from armrig.models.markup import typst_form
 from armrig.models.model import Model
-from armrig.numerics.quantities import fixed, number, p_value, percent, places, power
-from armrig.report.conclusions import listed
+from armrig.numerics.quantities import fixed, listed, number, p_value, percent, places, power
 from armrig.report.study import Assessed, AssessedFit, Study
 
 

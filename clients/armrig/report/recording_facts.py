@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isnan
 
 import numpy as np
 
-from armrig.numerics.quantities import fixed, microseconds, milliseconds, number
+from armrig.numerics.quantities import microseconds, milliseconds, number
 from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
@@ -98,26 +97,9 @@ def timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
 
 def disturbance_rows(found: Sequence[Disturbances]) -> list[list[str]]:
     """Return what disturbed the timing, a column a recording."""
-
-    def row(name: str, value: Callable[[Disturbances], str]) -> list[str]:
-        return [name, *(value(c) if c.seconds else "–" for c in found)]
-
-    return [
-        row("garbage collections of the loop", lambda c: str(c.collections)),
-        row(
-            "processor wanted by others, worst second",
-            lambda c: "–" if isnan(c.cpu_pressure_percent) else f"{c.cpu_pressure_percent:.0f} %",
-        ),
-        row("most tasks runnable", lambda c: "–" if c.run_queue < 0 else str(c.run_queue)),
-        row(
-            "device's clock slow by",
-            lambda c: (
-                "–"
-                if isnan(c.drift_ppm)
-                else f"({fixed(c.drift_ppm, 1)} ± {c.drift_std_ppm:.1f}) · 10⁻⁶"
-            ),
-        ),
-    ]
+    texts = [d.texts() for d in found]
+    names = dict.fromkeys(name for text in texts for name in text)
+    return [[name, *(text.get(name, "–") for text in texts)] for name in names]
 
 
 def _percentiles(spread: Spread) -> str:

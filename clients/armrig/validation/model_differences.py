@@ -10,10 +10,9 @@ import numpy as np
 from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
 from armrig.models.estimate import Estimate
 from armrig.models.model import Model
-from armrig.numerics.quantities import minus, places
+from armrig.numerics.quantities import minus, places, with_range, with_std
 
 SURE = 2.58  # standard deviations of the difference, 1 %
-_MOST_DECIMALS = 6
 _LARGE = 2.0  # ratio of rms errors at which one model is called the better one
 _HOPELESS = 5.0  # and at which the other one is not worth a comparison of figures
 _NAMES = {
@@ -104,10 +103,8 @@ def _by_draws(t: ModelCharacteristics, name: str) -> bool:
 def _cell(t: ModelCharacteristics, name: str) -> str:
     value, known = getattr(t, name), t.ranges[name]
     if not _by_draws(t, name):
-        return _with_std(value, t.std[name])
-    low, high = float(known.low), float(known.high)
-    decimals = min(places((high - low) / 4), _MOST_DECIMALS)
-    return minus(f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})*")
+        return _figure(value, t.std[name])
+    return minus(with_range(value, float(known.low), float(known.high))) + "*"
 
 
 def explanation(rows: Sequence[Row]) -> list[str]:
@@ -169,9 +166,9 @@ def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
         if np.isnan(x) != np.isnan(y):
             figure = _NAMES[name].partition(" [")[0]
             if np.isnan(y):
-                has, none, at = row.name, reference.name, _with_std(x, a.std[name])
+                has, none, at = row.name, reference.name, _figure(x, a.std[name])
             else:
-                has, none, at = reference.name, row.name, _with_std(y, b.std[name])
+                has, none, at = reference.name, row.name, _figure(y, b.std[name])
             yield f"{has} has a {figure} ({at}) and {none} has none: {_BECAUSE[name]}."
             continue
         std = float(np.hypot(a.std[name], b.std[name]))
@@ -180,18 +177,13 @@ def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
         share = f" ({minus(f'{100 * (x - y) / y:+.2g}')} %)" if y else ""
         figure = _NAMES[name].partition(" [")[0]
         yield (
-            f"{figure}: {row.name} {_with_std(x, a.std[name])}, {reference.name} "
-            f"{_with_std(y, b.std[name])}{share}; {_BECAUSE[name]}."
+            f"{figure}: {row.name} {_figure(x, a.std[name])}, {reference.name} "
+            f"{_figure(y, b.std[name])}{share}; {_BECAUSE[name]}."
         )
 
 
-def _with_std(x: float, std: float) -> str:
-    if np.isnan(x):
-        return "none"
-    if not (std > 0 and np.isfinite(std)):
-        return minus(f"{x:.5g}")
-    decimals = min(places(std), _MOST_DECIMALS)
-    return minus(f"{x:.{decimals}f} ± {std:.{decimals}f}")
+def _figure(x: float, std: float) -> str:
+    return "none" if np.isnan(x) else minus(with_std(x, std))
 
 
 def _pole(t: ModelCharacteristics, i: int) -> str:

@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
+from armrig.numerics.quantities import NBSP
 from armrig.recordings import container, grid, sample_rows
 from armrig.recordings.byte_source import ByteSource
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording, RecordingError
-from armrig.recordings.timing_disturbances import disturbance_rows, disturbances
+from armrig.recordings.timing_disturbances import disturbances
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.manifest import RUN, Manifest, Outcome
@@ -884,13 +885,18 @@ def test_what_disturbed_the_timing_is_listed_with_the_clock(tmp_path: Path) -> N
     assert found.cpu_pressure_percent == 12.5
     assert found.round_trip_us == 4500.0
     assert rec.clock[0].t == pytest.approx(20 * TS, abs=1e-4)
-    said = dict(disturbance_rows(found))
-    assert "longest round trip 4.50 ms" in said["disturbances"]
-    assert said["device clock"].startswith("12.0 ± 0.5 ppm fast")
+    assert found.texts() == {
+        "garbage collections of the loop": "2",
+        "processor wanted by others, worst second": f"12{NBSP}%",
+        "most tasks runnable": "5",
+        "longest round trip": f"4.50{NBSP}ms",
+        "device's clock slow by": f"\u221212.0 ± 0.5{NBSP}ppm",
+        "device's clock known to": f"± 4.0{NBSP}µs",
+    }
 
 
 def test_a_recording_without_reports_has_no_disturbances(tmp_path: Path) -> None:
     """Nothing is claimed of what was not watched."""
     rec = load(written(tmp_path, recorded([*map(sample, range(10))])))
 
-    assert disturbance_rows(disturbances(rec)) == []
+    assert disturbances(rec).texts() == {}
