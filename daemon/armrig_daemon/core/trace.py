@@ -1,7 +1,7 @@
 """What the core was told and what it then sent, step by step: a run can be decided once more.
 
-A trace begins with the state in which the run started and holds the arguments of every `core.step`
-since. The core is a pure function: the same arguments give the same decisions.
+A trace begins with the state in which the run started and holds the arguments of every call of
+`core/step.py: step` since. It is a pure function: the same arguments give the same decisions.
 """
 
 from __future__ import annotations
