@@ -141,10 +141,10 @@ class Service:
             if self._wake_fd in ready:
                 self._woken()
             # Behind the signs that have come: one that waited for us is a sign, of when it came.
-            self._commands.take_signs()
+            self._commands.serve_signs()
             if time.monotonic() >= self._runs.client_gone_s:
                 self._loop.order(Halt(reason=self._runs.client_gone()))
-            self._commands.take()
+            self._commands.serve()
             if time.monotonic() >= self._kill_at:
                 self._say("error", "the loop does not end: killed; the device stops the motor")
                 self._kill_at = float("inf")
@@ -188,7 +188,7 @@ class Service:
                     batch += self._published([self._rig.note_timing(record)])
                 case State():
                     if not record.owner:
-                        self._commands.hold("")
+                        self._commands.note_lease("")
                     batch += self._published([record])
                 case Gap() | Clock():
                     batch += self._published([record])
