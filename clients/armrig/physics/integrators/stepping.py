@@ -12,7 +12,7 @@ from scipy.linalg import lu_factor, lu_solve
 from armrig.numerics.checks import require_integers
 from armrig.numerics.recursion import recursion
 from armrig.physics.integrators.linear_system import Matrix, require_positive, system
-from armrig.physics.integrators.methods import Method, Multistep, RungeKutta, method_named
+from armrig.physics.integrators.methods import Multistep, RungeKutta, method_named
 
 Vector = NDArray[np.float64]
 
@@ -79,13 +79,6 @@ def integrate(
     if isinstance(chosen, RungeKutta):
         return t, _runge_kutta(chosen, A_, B_, u, x0_, h, n)
     return t, _multistep(chosen, A_, B_, u, x0_, h, n)
-
-
-def transition(A: Matrix, h: float, method: Method) -> Matrix:
-    """Return M: the free recursion is X(k+1) = M X(k), X the k last states, oldest first."""
-    if isinstance(method, RungeKutta):
-        return _runge_kutta_step(method, A, h)[0]
-    return _companion(method, A, h)
 
 
 def _input(u: Callable[[float], Any], t: Vector, m: int) -> Matrix:
