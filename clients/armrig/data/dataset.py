@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column
+from armrig.numerics.stretches import Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _LISTED = 8  # lengths of parts that a history names
 

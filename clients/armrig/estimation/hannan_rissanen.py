@@ -29,7 +29,7 @@ def noise_start(v: Sequence[Array], *, nc: int, nd: int) -> tuple[Array, Array]:
     C, D = np.ones(1), np.ones(1)
     for _ in range(_PASSES if nc else 1):
         columns = [
-            np.hstack([-_past(x, nd), _past(i, nc) if nc else np.zeros((x.size, 0))])
+            np.hstack([-past(x, range(1, nd + 1)), past(i, range(1, nc + 1))])
             for x, i in zip(v, e, strict=True)
         ]
         theta = _solved(columns, v)
@@ -42,22 +42,19 @@ def noise_start(v: Sequence[Array], *, nc: int, nd: int) -> tuple[Array, Array]:
 def armax_start(experiments: Sequence[Experiment], *, na: int, nb: int, nc: int, nk: int) -> Array:
     """Return C of A y = B u + C e, stable."""
     y = [np.where(_known(x), x.y, np.nan) for x in experiments]
-    n = _long(y, na + nb + nc)
-    blocks = [_regressors(x.u, v, n, n, nk) for x, v in zip(experiments, y, strict=True)]
-    theta = _solved(blocks, y)
-    e = [v - block @ theta for block, v in zip(blocks, y, strict=True)]
+    n = _long_order(y, na + nb + nc)
+    long = _regressors(experiments, y, na=n, lags=range(nk, nk + n))
+    theta = _solved(long, y)
+    e = [v - Phi @ theta for Phi, v in zip(long, y, strict=True)]
+    Phis = _regressors(experiments, y, na=na, lags=range(nk, nk + nb))
     C = np.ones(1)
     for _ in range(_PASSES):
         blocks = [
-            np.hstack([_regressors(x.u, v, na, nb, nk), _past(i, nc)])
-            for x, v, i in zip(experiments, y, e, strict=True)
+            np.hstack([Phi, past(i, range(1, nc + 1))]) for Phi, i in zip(Phis, e, strict=True)
         ]
         theta = _solved(blocks, y)
         C = reflected(np.append(1.0, theta[na + nb :]), _LARGEST_ROOT)
-        left = [
-            v - _regressors(x.u, v, na, nb, nk) @ theta[: na + nb]
-            for x, v in zip(experiments, y, strict=True)
-        ]
+        left = [v - Phi @ theta[: na + nb] for Phi, v in zip(Phis, y, strict=True)]
         e = [_innovations(np.ones(1), C, v) for v in left]
     return C
 
@@ -69,16 +66,14 @@ def _known(experiment: Experiment) -> Array:
     return known
 
 
-def _regressors(u: Array, y: Array, na: int, nb: int, nk: int) -> Array:
-    return arx_rows(u, y, na=na, lags=range(nk, nk + nb)).Phi
+def _regressors(
+    experiments: Sequence[Experiment], y: Sequence[Array], *, na: int, lags: Sequence[int]
+) -> list[Array]:
+    """Return the regressors of A y = B u + e, for each experiment."""
+    return [arx_rows(x.u, v, na=na, lags=lags).Phi for x, v in zip(experiments, y, strict=True)]
 
 
-def _past(x: Array, n: int) -> Array:
-    """Return x(t - 1) … x(t - n), NaN where it is not known."""
-    return past(x, range(1, n + 1))
-
-
-def _long(v: Sequence[Array], parameters: int) -> int:
+def _long_order(v: Sequence[Array], parameters: int) -> int:
     """Return the order of the long autoregression: it grows slowly with the data."""
     N = sum(x.size for x in v)
     return int(max(1, min(2 * parameters + 10 * np.log10(max(N, 10)) - 10, N // 10, N // 4)))

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from armrig.data.dataset import Dataset, Mask
+from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
@@ -16,6 +16,7 @@ from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import arx_rows, complete
+from armrig.numerics.stretches import Mask
 from armrig.numerics.whiteness import WHITE_LEVEL, autoregression, joined
 
 _COLOURED = "filtered by the autoregression of its noise the residual is coloured: trust std_robust"

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armrig.data.dataset import Dataset, Mask
+from armrig.data.dataset import Dataset
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
-from armrig.numerics.stretches import stretches
+from armrig.numerics.stretches import Mask, stretches
 
 _SETTLED = 1e-18  # share of the largest value below which an impulse response is over
 _FIRST_LOOK = 256  # samples

@@ -6,11 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armrig.numerics.polynomial import Array, lagged
-
-Mask = NDArray[np.bool_]
+from armrig.numerics.stretches import Mask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

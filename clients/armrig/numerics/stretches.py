@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from armrig.numerics.polynomial import Array
 
 Mask = NDArray[np.bool_]
+"""(N,): whether something is true of each sample."""
 
 
 def stretches(mask: Mask) -> list[slice]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
+from armrig.numerics.stretches import Mask
 from armrig.recordings.daemon_reports import DeviceClock, Event, Gap, Timing
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 OUTPUTS = ("theta_1", "alpha", "velocity")
 

@@ -11,8 +11,9 @@ from math import tau
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.numerics.stretches import Mask
+
 Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 HALF_TURN_S = 0.25

@@ -8,11 +8,12 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armrig.data.dataset import Dataset, Mask, Vector
+from armrig.data.dataset import Dataset, Vector
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.stretches import Mask
 
 
 def detrend(data: Dataset, order: int = 0) -> Dataset:

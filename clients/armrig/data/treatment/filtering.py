@@ -9,9 +9,10 @@ from math import isclose
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armrig.data.dataset import Dataset, Mask, Vector
+from armrig.data.dataset import Dataset, Vector
 from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
+from armrig.numerics.stretches import Mask
 
 _FORGOTTEN = 1e-4  # share of the impulse response's weight that may still be to come
 _LONGEST_MEMORY = 200_000

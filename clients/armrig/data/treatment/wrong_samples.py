@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Mask, Vector
+from armrig.data.dataset import Vector
 from armrig.data.treatment.whitening import Whitening, whitening
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
-from armrig.numerics.stretches import pieces
+from armrig.numerics.stretches import Mask, pieces
 
 Indices = NDArray[np.intp]
 

@@ -19,12 +19,11 @@ from armrig_core.calibration import Figure
 from numpy.typing import NDArray
 
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.stretches import constant
+from armrig.numerics.stretches import Mask, constant
 from armrig.recordings.calibration.readings import CalibrationError, Readings
 from armrig.recordings.calibration.rest import FULL_COUNTS, RAIL_COUNTS
 
 Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Matrix = NDArray[np.float64]
 
 SETTLE_S = 2.0
