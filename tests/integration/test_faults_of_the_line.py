@@ -19,16 +19,35 @@ BACK_S = 10.0
 """T1 allows 2 s; a busy machine takes its time to start an answer."""
 
 
-@pytest.fixture
-def line(bench: Bench) -> Iterator[Relay]:
-    """Give the line between a daemon and its device."""
+@pytest.fixture(scope="module")
+def _connected(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bench, Relay]]:
+    bench = Bench(tmp_path_factory.mktemp("line"))
     bench.emulate()
     relay = Relay(bench.port, bench.folder / "line")
     bench.port = bench.folder / "line"
     bench.configure()
     bench.serve()
-    yield relay
+    yield bench, relay
     relay.end()
+    bench.end()
+
+
+@pytest.fixture
+def bench(_connected: tuple[Bench, Relay]) -> Bench:
+    """Give the rig and the daemon that all tests here share: at 0 V, and nobody's."""
+    bench, relay = _connected
+    relay.do("ends")
+    with bench.rig() as rig:
+        wait_for(lambda: rig.status().device and rig.status().phase in ("safe", "fault"), BACK_S)
+        rig.reset()
+        wait_for(lambda: rig.status().phase == "safe")
+    return bench
+
+
+@pytest.fixture
+def line(_connected: tuple[Bench, Relay]) -> Relay:
+    """Give the line between the daemon and its device."""
+    return _connected[1]
 
 
 def _stays_at_0_v_but_samples_again(bench: Bench) -> None:
@@ -107,6 +126,7 @@ def test_the_device_is_reset(bench: Bench, line: Relay) -> None:
 
 def test_another_firmware_is_read_and_never_armed(bench: Bench, line: Relay) -> None:
     """It says which version came and which is wanted; samples come, 0 V stays."""
+    before = len(bench.voltage_changes())
     line.do("other_firmware")
     line.do("reset")
 
@@ -117,4 +137,6 @@ def test_another_firmware_is_read_and_never_armed(bench: Bench, line: Relay) -> 
                 ask()
         k = next(iter(rig.stream())).k
         assert next(iter(rig.stream())).k > k
-    assert {volts for _, volts in bench.voltage_changes()} == {0.0}
+    assert {volts for _, volts in bench.voltage_changes()[before - 1 :]} == {0.0}
+    line.do("ends")
+    line.do("reset")
