@@ -135,6 +135,6 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         if verdict is None:
             tell("the recording is on the daemon's machine: `armrig info` there says what it holds")
         elif not verdict.usable:
-            raise RuntimeError(verdict.in_a_line)
+            raise RuntimeError(verdict.summary)
         else:
-            tell(verdict.in_a_line)
+            tell(verdict.summary)

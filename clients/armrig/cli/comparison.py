@@ -116,7 +116,7 @@ def _studied(
     nk: int,
 ) -> _Compared:
     """Return ARX, OE and the physics, and the saved models, on the second recording."""
-    from armrig.cli.waiting import estimating
+    from armrig.cli.spinner import estimating
     from armrig.report.study import Orders, study
 
     with estimating("na, nb and nf"):

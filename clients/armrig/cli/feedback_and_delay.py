@@ -24,13 +24,13 @@ def check(
     plot: Plot = None,
 ) -> None:
     """Test for open loop and for a delay (handout 3.7, 3.8)."""
-    from armrig.cli.waiting import waiting
+    from armrig.cli.spinner import spinner
     from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop
 
     check_plot(plot, [file])
     data = dataset(file, output, calibration)
-    with waiting("testing"):
+    with spinner("testing"):
         loop, late = open_loop(data, level), delay(data)
     write_plot(plot, lambda ax: loop.plot(ax=ax), lambda ax: late.plot(ax=ax))
     if json:

@@ -107,7 +107,7 @@ def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
         yield "gap", text
     if rec.truncated:
         yield "damage", rec.damage
-    yield "verdict", data_verdict(rec).in_a_line
+    yield "verdict", data_verdict(rec).summary
 
 
 def _sample_count(rec: Recording) -> str:
@@ -168,7 +168,7 @@ def report(
     The first recording that is no step estimates, the next validates.
     """
     check_output(output, files, suffix=".pdf")
-    from armrig.cli.waiting import estimating, waiting
+    from armrig.cli.spinner import estimating, spinner
     from armrig.recordings.loading import load
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study
@@ -180,7 +180,7 @@ def report(
     if done.validation.digest == done.estimation.digest:
         tell(SAME_DATA)
         remarks.append(f"{SAME_DATA[0].upper()}{SAME_DATA[1:]}.")
-    with waiting("typesetting"):
+    with spinner("typesetting"):
         typeset(done, output, remarks=remarks)
     if json:
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})

@@ -228,7 +228,7 @@ def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchRe
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
-    from armrig.cli.waiting import estimating
+    from armrig.cli.spinner import estimating
     from armrig.validation.model_search import FAMILIES, search
 
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
@@ -246,7 +246,7 @@ def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchRe
 
 
 def _validated(fit: Fit, other: Dataset) -> _Validation:
-    from armrig.cli.waiting import estimating
+    from armrig.cli.spinner import estimating
     from armrig.validation.comparison import compare
     from armrig.validation.residuals import residuals
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -104,7 +104,7 @@ def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
 ) -> _Solved:
     """Solve by the methods, all where none is given, at the steps, or at a recommended one."""
-    from armrig.cli.waiting import waiting
+    from armrig.cli.spinner import spinner
     from armrig.physics.integrators.accuracy import all_methods
     from armrig.physics.integrators.stability import stability_limit
 
@@ -112,7 +112,7 @@ def _solved(
     for h in steps:
         _check_step(h, problem)
     advice = None
-    with waiting("integrating"):
+    with spinner("integrating"):
         if steps:
             steps_of = {m: list(steps) for m in limits}
         else:
@@ -175,7 +175,7 @@ def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
 def _print_json(solved: _Solved) -> None:
     problem = solved.problem
     facts = {"omega": problem.omega, "amplitude": problem.amplitude, "span": problem.span}
-    print_json(facts | {"rows": [_finite(asdict(row)) for row in solved.rows]})
+    print_json(facts | {"rows": solved.rows})
 
 
 def _print_table(solved: _Solved) -> None:
@@ -196,8 +196,3 @@ def _print_table(solved: _Solved) -> None:
         "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
         "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
     )
-
-
-def _finite(row: dict[str, Any]) -> dict[str, Any]:
-    """Return the row with null for what is not finite, as JSON has no other word."""
-    return {k: None if isinstance(v, float) and not isfinite(v) else v for k, v in row.items()}

@@ -71,7 +71,9 @@ def estimated(
     weights: Weights | None = None,
 ) -> Fit:
     """Return the model; orders that are too high for the data are refused."""
-    from armrig.cli.waiting import estimating, require_finite
+    import numpy as np
+
+    from armrig.cli.spinner import estimating, too_high
     from armrig.estimation.estimators import ESTIMATORS
     from armrig.estimation.orders import require_sensible
 
@@ -83,5 +85,6 @@ def estimated(
     named = listed([*orders])
     with estimating(named):
         fit = ESTIMATORS[structure](data, **orders, nk=nk, **more)
-        require_finite(fit, named)
+    if not (np.isfinite(fit.theta).all() and np.isfinite(fit.loss)):
+        raise too_high(named)
     return fit

@@ -44,7 +44,7 @@ SAME_DATA = (
 def tell(message: str) -> None:
     """Print a line for the person, beside what was asked for."""
     with suppress(OSError):  # the terminal may be closed
-        line = _shown(f"armrig: {' '.join(message.split())}")
+        line = _for_terminal(f"armrig: {' '.join(message.split())}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
 
 
@@ -59,10 +59,10 @@ def echo(text: str) -> None:
     All output goes this way, or through the two that are named `print`: a name or a reason may come
     from another user, or from a file of unknown origin.
     """
-    typer.echo(_shown(text, keep="\n"))
+    typer.echo(_for_terminal(text, keep="\n"))
 
 
-def _shown(text: str, keep: str = "") -> str:
+def _for_terminal(text: str, keep: str = "") -> str:
     """Return the text for a terminal; a number's blank before its unit becomes an ordinary one."""
     return printable(text.replace(_NO_BREAK_SPACE, " "), keep)
 
@@ -113,7 +113,7 @@ def print_table(*rows: tuple[str, str]) -> None:
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
     for name, value in rows:
-        line = _shown(f"{name:{width}}  {value}")
+        line = _for_terminal(f"{name:{width}}  {value}")
         typer.echo(folded(line, columns, indent=width + 2))
 
 

@@ -57,13 +57,13 @@ def greybox(
     plot: Plot = None,
 ) -> None:
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
-    from armrig.cli.waiting import waiting
+    from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox as estimate
 
     check_plot(plot, [file])
     fixed = _parameters(given)
     data, model = _data_and_rig(file, output, calibration, model)
-    with waiting("estimating"):
+    with spinner("estimating"):
         fit = estimate(
             data, _model(model), tuple(free or ("J_1",)), fixed, output, friction=friction
         )
@@ -117,7 +117,7 @@ def split(
 
     From halves and quarters, and study the deviations.
     """
-    from armrig.cli.waiting import waiting
+    from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox
     from armrig.physics.grey_box.split_study import split_study
 
@@ -129,7 +129,7 @@ def split(
     def estimate(part: Dataset) -> Any:
         return greybox(part, rig, tuple(free or ("J_1",)), fixed, output)
 
-    with waiting("estimating"):
+    with spinner("estimating"):
         study = split_study(data, cuts, estimate)
     write_plot(plot, lambda ax: study.plot(ax=ax), height=5.0)
     if json:

@@ -1,4 +1,4 @@
-"""While a person waits for an estimation: a spinner, and no warnings of libraries."""
+"""A spinner while a person waits; an estimation under it gives no warnings of libraries."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from threading import Timer
 
 import numpy as np
 from rich.console import Console
-
-from armrig.models.fit import Fit
 
 AFTER_S = 1.0
 """A wait that is shorter shows no spinner, in s."""
@@ -29,23 +27,17 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[None]:
     OrdersTooHighError
         A matrix of the estimation could not be decomposed.
     """
-    with waiting("estimating", console), np.errstate(all="ignore"), warnings.catch_warnings():
+    with spinner("estimating", console), np.errstate(all="ignore"), warnings.catch_warnings():
         # The search sees overflows on its way, and its verdict tells them.
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
             yield
         except np.linalg.LinAlgError as err:
-            raise _too_high(orders) from err
-
-
-def require_finite(fit: Fit, orders: str) -> None:
-    """Refuse a model whose parameters or loss are not finite."""
-    if not (np.isfinite(fit.theta).all() and np.isfinite(fit.loss)):
-        raise _too_high(orders)
+            raise too_high(orders) from err
 
 
 @contextmanager
-def waiting(what: str, console: Console | None = None, after_s: float = AFTER_S) -> Iterator[None]:
+def spinner(what: str, console: Console | None = None, after_s: float = AFTER_S) -> Iterator[None]:
     """Show a spinner on standard error, where that is a terminal, after a while."""
     console = console or Console(stderr=True)
     if not console.is_terminal:
@@ -63,5 +55,6 @@ def waiting(what: str, console: Console | None = None, after_s: float = AFTER_S)
         shown.stop()
 
 
-def _too_high(orders: str) -> OrdersTooHighError:
+def too_high(orders: str) -> OrdersTooHighError:
+    """Return what says that these orders are too high."""
     return OrdersTooHighError(f"the orders are too high for these data: lower {orders}")

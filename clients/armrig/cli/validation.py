@@ -79,7 +79,7 @@ class _Validated:
 
 
 def _validated(fit: Fit, data: Dataset, horizons: Sequence[int], lags: int | None) -> _Validated:
-    from armrig.cli.waiting import estimating
+    from armrig.cli.spinner import estimating
     from armrig.validation.comparison import compare as compared
     from armrig.validation.residuals import residuals
 

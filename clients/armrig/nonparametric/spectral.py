@@ -98,7 +98,7 @@ def spa(
     integrates = is_integrating(data, integrator, "spa")
     require_integers(delay=(delay, 0))
     data = _advanced(data, delay) if delay else data
-    N = _seen(data)
+    N = _samples_with_output(data)
     w = _frequencies(omega, data, logarithmic=isinstance(window, str))
     smoothed = _by_segments if method == "welch" else _by_lags
     spectra, words = smoothed(data, window, w, N, integrates=integrates)
@@ -107,7 +107,7 @@ def spa(
     return _estimate(data, w, turned, words, N, integrates=integrates)
 
 
-def _seen(data: Dataset) -> int:
+def _samples_with_output(data: Dataset) -> int:
     """Return the number of samples with an output, or refuse data without an answer."""
     N = data.N - data.missing
     if N < 8 or np.ptp(data.u) == 0:

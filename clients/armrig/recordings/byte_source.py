@@ -17,7 +17,7 @@ class ByteSource:
         self.whole = 0
         """End of the last whole record."""
 
-    def take(self, n: int) -> bytes:
+    def read(self, n: int) -> bytes:
         """Return the next n bytes, fewer at the end of the file."""
         data = self.stream.read(min(n, self.left))
         self.left = self.left - len(data) if data else 0

@@ -133,7 +133,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
             raise DamageError(msg)
         content = Content(size=found.st_size)
         source = ByteSource(stream, content.size)
-        if source.take(len(MAGIC)) != MAGIC:
+        if source.read(len(MAGIC)) != MAGIC:
             return None
         most = most or MESSAGES_LIMIT + MESSAGES_PER_BYTE * content.size
         reader = _Reader(content, streams, most)
@@ -162,7 +162,7 @@ def _read_records(source: ByteSource, reader: _Reader) -> None:
     ended = False
     while True:
         source.whole = source.at
-        head = source.take(RECORD_HEAD.size)
+        head = source.read(RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             raise CutOffError("without its footer")
         opcode, length = RECORD_HEAD.unpack(head)
@@ -181,9 +181,9 @@ def _read_records(source: ByteSource, reader: _Reader) -> None:
         if length > RECORD_LIMIT:
             msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
             raise DamageError(msg)
-        body = source.take(length)
+        body = source.read(length)
         if opcode == Opcode.FOOTER:
-            if source.take(len(MAGIC)) != MAGIC:
+            if source.read(len(MAGIC)) != MAGIC:
                 raise CutOffError("without its closing magic")
             source.whole = source.at
             return
@@ -195,12 +195,12 @@ def _read_records(source: ByteSource, reader: _Reader) -> None:
                 raise DamageError(msg)
             ended = True
         else:
-            reader.take(opcode, body)
+            reader.add_record(opcode, body)
 
 
 def _pass_index(source: ByteSource, length: int) -> None:
     """Pass over an index of messages, which must have the form of one: a chunk has not."""
-    head = source.take(min(_INDEX_HEAD.size, length))
+    head = source.read(min(_INDEX_HEAD.size, length))
     if len(head) < _INDEX_HEAD.size or _INDEX_HEAD.unpack(head)[1] != length - len(head):
         msg = "an index of messages has not the form of one"
         raise DamageError(msg)
@@ -221,8 +221,8 @@ class _Reader:
         self.rows = SampleRows()
         self.zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
 
-    def take(self, opcode: int, body: bytes) -> None:
-        """Take one record of the file, or of a chunk."""
+    def add_record(self, opcode: int, body: bytes) -> None:
+        """Add one record of the file, or of a chunk."""
         self.spend(_WORK, 1 if opcode == Opcode.MESSAGE else _RECORD_WORK)
         match opcode:
             case Opcode.CHUNK:
@@ -295,15 +295,15 @@ class _Reader:
             if at + RECORD_HEAD.size + length > end:
                 msg = "a record runs over the end of its chunk"
                 raise DamageError(msg)
-            run = self.rows.take_run(data, at) if self._begins_samples(opcode, data, at) else 0
+            run = self.rows.add_run(data, at) if self._begins_samples(opcode, data, at) else 0
             if run:
                 self.spend(_WORK, _RUN_WORK)
             else:
                 if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                     msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
                     raise DamageError(msg)
-                self.take(opcode, data[at + RECORD_HEAD.size : at + RECORD_HEAD.size + length])
                 run = RECORD_HEAD.size + length
+                self.add_record(opcode, data[at + RECORD_HEAD.size : at + run])
             at += run
 
     def _begins_samples(self, opcode: int, data: bytes, at: int) -> bool:
@@ -318,7 +318,7 @@ class _Reader:
         parsed = protobuf.message_class(protobuf.OF_STREAM[stream]).FromString(data)
         if stream == "sample":
             self.spend(_WORK, _SAMPLE_WORK)
-            self.rows.take(parsed)
+            self.rows.add(parsed)
             return
         self.spend(_WORK, _RECORD_WORK)
         self.spend(_KEPT, len(data) + _OVERHEADS[stream])

@@ -43,8 +43,8 @@ class SampleRows:
         self._pending_size = 0
         self._window = _FIRST_WINDOW
 
-    def take_run(self, data: bytes, at: int) -> int:
-        """Take the samples of constant layout that begin at `at`, and return their size in B.
+    def add_run(self, data: bytes, at: int) -> int:
+        """Add the samples of constant layout that begin at `at`, and return their size in B.
 
         All are of the channel of the first, which holds samples.
         """
@@ -67,12 +67,12 @@ class SampleRows:
         self._append(data[first:at])  # a copy: a view of a sample would keep its whole chunk
         return at - first
 
-    def take(self, message: Any) -> None:
-        """Take one sample, a protobuf message."""
+    def add(self, message: Any) -> None:
+        """Add one sample, a protobuf message."""
         self._append(_HEAD + telemetry.encode_sample(telemetry.Sample(*_field_values(message))))
 
     def finish(self) -> str:
-        """Take what is left; return what is wrong with it, or nothing."""
+        """Add what is left; return what is wrong with it, or nothing."""
         try:
             self._pack()
         except DamageError as damage:
@@ -80,7 +80,7 @@ class SampleRows:
         return ""
 
     def samples(self) -> NDArray[np.void]:
-        """Return what was taken, `SAMPLE_DTYPE`, k rising strictly."""
+        """Return what was added, `SAMPLE_DTYPE`, k rising strictly."""
         return np.concatenate(self._batches) if self._batches else np.zeros(0, SAMPLE_DTYPE)
 
     def _append(self, rows: bytes) -> None:

@@ -65,7 +65,7 @@ class DataVerdict:
         return tuple(f.text for f in ranked)
 
     @property
-    def in_a_line(self) -> str:
+    def summary(self) -> str:
         """The outcome in one line."""
         if not self.usable:
             return f"the data cannot be used: {self.warnings[0]}"

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.options import folded
-from armrig.cli.waiting import estimating, waiting
+from armrig.cli.spinner import estimating, spinner
 from armrig.rig.collection import MOST_SAMPLES
 from armrig.rig.realtime_status import scheduling_sentences
 from armrig_core import commands, telemetry
@@ -974,10 +974,10 @@ def test_a_long_estimation_shows_that_it_lives() -> None:
     out = StringIO()
     terminal = Console(file=out, force_terminal=True)
 
-    with waiting("estimating", terminal, after_s=60):
+    with spinner("estimating", terminal, after_s=60):
         pass
     quick = out.getvalue()
-    with waiting("estimating", terminal, after_s=0.0):
+    with spinner("estimating", terminal, after_s=0.0):
         time.sleep(0.3)
 
     assert quick == ""

@@ -647,7 +647,7 @@ def test_only_our_names_are_kept(tmp_path: Path) -> None:
     content = container.Content()
     reader = container._Reader(content, container.READ, container.MESSAGES_LIMIT)
     for record in (schema, metadata):
-        reader.take(record[0], record[9:])
+        reader.add_record(record[0], record[9:])
 
     assert reader.schemas == {}
     assert content.metadata == {}
@@ -673,7 +673,7 @@ def test_samples_do_not_keep_the_chunk_they_came_in() -> None:
     rows = sample_rows.SampleRows()
     before = sys.getrefcount(chunk)
 
-    taken = rows.take_run(chunk, 0)
+    taken = rows.add_run(chunk, 0)
 
     assert taken == len(head) + telemetry.SAMPLE_LENGTH
     assert sys.getrefcount(chunk) == before

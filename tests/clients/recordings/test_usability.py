@@ -54,7 +54,7 @@ def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
     assert found.usable
     assert found.warnings == ()
     assert {type(x) for x in found.facts().values()} <= {bool, str, tuple, float}
-    assert "the data are good" in found.in_a_line
+    assert "the data are good" in found.summary
     step = 64 * POT.rad_per_count
     assert found.step_rad == step
     # Noise of half a step, rounded to steps (a twelfth of the square); the residuals have more.
@@ -83,7 +83,7 @@ def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> No
 
     assert found.signal_rad == 0
     assert not found.usable
-    assert "the input never moves" in found.in_a_line
+    assert "the input never moves" in found.summary
 
 
 def test_what_the_handout_asks_for_is_loud_enough(tmp_path: Path) -> None:
@@ -102,14 +102,14 @@ def test_missing_samples_are_told_and_many_are_warned_of(tmp_path: Path) -> None
     assert levels(few)["samples"] == "good"
     assert levels(many)["samples"] == "warning"
     assert many.missing_share == pytest.approx(0.015)
-    assert "15 of 1000 samples are missing" in many.in_a_line
+    assert "15 of 1000 samples are missing" in many.summary
 
 
 def test_turns_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
     """With the time from which on: half a turn takes a quarter of a second."""
     found = judged(tmp_path, armrig.telegraph(1000, 0.05), missing=slice(500, 540))
 
-    assert "the turns are not known from 5.4" in found.in_a_line
+    assert "the turns are not known from 5.4" in found.summary
 
 
 def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_alpha_at_a_rail_is_told_as_clipped(tmp_path: Path) -> None:
 
     found = data_verdict(by_hand(tmp_path, made))
 
-    assert "alpha is clipped at a rail in 4 of 200 samples" in found.in_a_line
+    assert "alpha is clipped at a rail in 4 of 200 samples" in found.summary
     assert found.usable
 
 
@@ -163,7 +163,7 @@ def test_a_chassis_that_stands_in_the_dead_band_is_warned_of(
     found = data_verdict(by_hand(tmp_path, made))
 
     assert levels(found)["angle"] == ("warning" if hidden else "good")
-    assert said in found.in_a_line
+    assert said in found.summary
 
 
 def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(19)))
 
     assert not found.usable
-    assert "19 samples are no data" in found.in_a_line
+    assert "19 samples are no data" in found.summary
 
 
 def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
@@ -182,8 +182,8 @@ def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
     early = data_verdict(load(written(tmp_path, data)))
     cut = data_verdict(load(written(tmp_path, data[: len(data) - 400])))
 
-    assert "the run ended early: stopped" in early.in_a_line
-    assert "the file is cut off: it holds 3 s of 6 s" in cut.in_a_line
+    assert "the run ended early: stopped" in early.summary
+    assert "the file is cut off: it holds 3 s of 6 s" in cut.summary
 
 
 @pytest.mark.parametrize(

@@ -173,12 +173,12 @@ def _put(rate: Rate, ticks: int, name: str, *way: str) -> None:
     """Take the turn of the bare zenoh put, by itself or behind a pipe."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
         where = endpoint(RIG, PurePosixPath(directory))
-        with program("armrig.rig.bench.publisher", where, RIG, *way) as putter:
-            line(putter)
+        with program("armrig.rig.bench.publisher", where, RIG, *way) as publisher:
+            line(publisher)
             with subscribers(where) as listening:
                 time.sleep(_SETTLE_S)  # until the publisher knows of its subscribers
-                tell(putter, f"{1_000_000_000 // rate.rate_hz} {ticks}")
-                line(putter)
+                tell(publisher, f"{1_000_000_000 // rate.rate_hz} {ticks}")
+                line(publisher)
                 time.sleep(_SETTLE_S)
                 for heard in listening.heard():
                     rate.add(name, (heard[:, 2] - heard[:, 1]) / 1e3)

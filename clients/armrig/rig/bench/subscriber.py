@@ -20,14 +20,14 @@ def main() -> None:
     endpoint, rig = sys.argv[1:]
     heard = array("q")
 
-    def take(message: zenoh.Sample) -> None:
+    def receive(message: zenoh.Sample) -> None:
         now = time.monotonic_ns()
         sample = decode_sample(message.payload.to_bytes())
         if sample is not None:
             heard.extend((sample.k, sample.t_host_ns, now))
 
     with open_session(endpoint, rig=rig) as session:
-        subscriber = session.declare_subscriber(stream_key(rig, "sample"), take)
+        subscriber = session.declare_subscriber(stream_key(rig, "sample"), receive)
         print("ready", flush=True)
         sys.stdin.read()
         subscriber.undeclare()

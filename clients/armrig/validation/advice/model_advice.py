@@ -44,8 +44,8 @@ def _about_overlap(fit: Fit) -> Finding:
     pairs = overlapping(fit)
     if not pairs:
         return finding("order", "all poles and zeros can be told apart", good=True)
-    told = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
-    text = f"pole and zero {told} (z plane) cannot be told apart: they cancel, and the order is "
+    places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
+    text = f"pole and zero {places} (z plane) cannot be told apart: they cancel, and the order is "
     return finding("order", text + "too high by as many; lower nb and nf (or na)", good=False)
 
 
