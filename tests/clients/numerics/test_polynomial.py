@@ -34,7 +34,10 @@ def test_a_reflected_polynomial_is_stable_and_keeps_its_stable_roots(z: list[flo
 def test_a_root_on_the_circle_is_not_stable() -> None:
     """The integrator is outside."""
     assert not stable([1.0, -1.0])
+    assert not stable([1.0, 1.0])
+    assert not stable([2.0, -2.1])
     assert stable([1.0, -0.999])
+    assert stable([2.0, -1.9])
     assert stable([1.0])
 
 
