@@ -67,7 +67,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
     parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
     inputs = [part.u for part in data.experiments()]
     # NaN where a row is not complete.
-    whole = [np.column_stack([p.Phi, p.y]) for p in parts]
+    whole = [p.block for p in parts]
     N = sum(int(np.count_nonzero(p.usable)) for p in parts)
     require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=N)
 

@@ -348,7 +348,7 @@ def _regressors(data: Dataset, na: int, lags: range) -> tuple[list[Array], int, 
     blocks, known = [], []
     for part in data.experiments():
         rows = arx_rows(part.u, part.y, na=na, lags=lags)
-        whole = np.column_stack([rows.Phi, rows.y])[rows.usable]
+        whole = rows.block[rows.usable]
         known.append(whole[:, -1])
         blocks += list(in_blocks(whole, _BLOCK))
     y = np.concatenate(known)

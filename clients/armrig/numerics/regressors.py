@@ -15,12 +15,20 @@ from armrig.numerics.stretches import Mask
 class ArxRows:
     """One experiment as y = Phi theta + e."""
 
-    Phi: Array
-    """[-y(t-1) … -y(t-na), u at its lags], (N, na + len(lags))."""
-    y: Array
-    """(N,)."""
+    block: Array
+    """[-y(t-1) … -y(t-na), u at its lags, y], (N, na + len(lags) + 1)."""
     usable: Mask
     """(N,), False where a regressor or y is missing or lies before the start."""
+
+    @property
+    def Phi(self) -> Array:
+        """All of the block but y, a view."""
+        return self.block[:, :-1]
+
+    @property
+    def y(self) -> Array:
+        """(N,), a view."""
+        return self.block[:, -1]
 
 
 def past(x: Array, lags: Sequence[int]) -> Array:
@@ -39,8 +47,8 @@ def complete(*columns: Array) -> Mask:
 
 def arx_rows(u: Array, y: Array, *, na: int, lags: Sequence[int]) -> ArxRows:
     """Return the rows of A y = B u + e, with na past outputs and the input at its lags."""
-    Phi = np.hstack([-past(y, range(1, na + 1)), past(u, lags)])
-    return ArxRows(Phi=Phi, y=y, usable=complete(Phi, y))
+    block = np.hstack([-past(y, range(1, na + 1)), past(u, lags), y[:, None]])
+    return ArxRows(block=block, usable=complete(block))
 
 
 def in_blocks(M: Array, rows: int) -> Iterator[Array]:
