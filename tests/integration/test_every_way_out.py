@@ -32,20 +32,25 @@ with Rig(connect=sys.argv[1]) as rig:
 
 
 class Run:
-    """A long run in progress on real processes."""
+    """A long run in progress on a bench whose daemon was started last."""
 
     def __init__(self, bench: Bench, periods: int = 2000) -> None:
         self.bench = bench
-        self.emulator = bench.emulate()
-        self.daemon = bench.serve()
+        self.emulator, self.daemon = bench.processes[-2:]
         self.loop_pid = bench.loop_pid(self.daemon)
+        before = len(bench.voltage_changes())
         endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
         self.client = subprocess.Popen(
             [sys.executable, "-c", RUNNER, endpoint, str(periods)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        wait_for(lambda: len(bench.voltage_changes()) > 50)
+        wait_for(lambda: len(bench.voltage_changes()) > before + 50)
+
+    def end(self) -> None:
+        """End its client."""
+        self.client.kill()
+        self.client.wait()
 
     def left_behind(self) -> armrig.Recording:
         """Return the unfinished recording."""
@@ -56,10 +61,19 @@ class Run:
 @pytest.fixture
 def run(bench: Bench) -> Iterator[Run]:
     """Give a run that drives the motor with 1 V and 4 V in turn, every 10 ms."""
+    bench.emulate()
+    bench.serve()
     run = Run(bench)
     yield run
-    run.client.kill()
-    run.client.wait()
+    run.end()
+
+
+@pytest.fixture
+def run_of_many(served: Bench) -> Iterator[Run]:
+    """Give such a run on a daemon that the last tests here share: none of them ends it."""
+    run = Run(served)
+    yield run
+    run.end()
 
 
 def _reads_up_to_the_last_flush(run: Run, killed_ns: int) -> None:
@@ -117,6 +131,7 @@ def test_kill_9_of_the_loop(run: Run) -> None:
 
 def test_kill_9_of_both(run: Run) -> None:
     """Nobody is left but the device: its watchdog."""
+    run.daemon.kill(signal.SIGSTOP)  # or it may see the loop's end before its own
     os.kill(run.loop_pid, signal.SIGKILL)
     killed_ns = run.daemon.kill()
 
@@ -148,32 +163,6 @@ def test_ctrl_c_reaches_both_processes(run: Run) -> None:
     assert "Traceback" not in run.daemon.said
 
 
-def test_the_rig_is_unplugged_and_plugged_in_again(run: Run) -> None:
-    """Latched at 0 V; sampling is back by itself; reset and arm lead out."""
-    run.emulator.end()
-    wait_for(lambda: run.bench.phase() == "fault")
-    run.bench.emulate()
-
-    wait_for(lambda: _device_is_known(run.bench))
-    assert run.bench.phase() == "fault"
-    with run.bench.rig() as rig:
-        with pytest.raises(RefusedError, match="in fault"):
-            rig.arm("a test")
-        rig.reset()
-        rig.arm("a test")
-
-
-def test_a_loop_that_is_frozen_is_stopped_by_the_device(run: Run) -> None:
-    """SIGSTOP: the watchdog; after SIGCONT old frames start nothing, the fault stays."""
-    os.kill(run.loop_pid, signal.SIGSTOP)
-    frozen_ns = time.monotonic_ns()
-
-    assert run.bench.went_to_0_v_after(frozen_ns) < STOPPED_S
-    os.kill(run.loop_pid, signal.SIGCONT)
-    wait_for(lambda: run.bench.phase() == "fault")
-    assert run.bench.volts() == 0.0
-
-
 def test_a_frozen_loop_does_not_keep_the_service_from_ending(run: Run) -> None:
     """SIGTERM after SIGSTOP of the loop: the device stops the motor, the service ends."""
     os.kill(run.loop_pid, signal.SIGSTOP)
@@ -182,20 +171,6 @@ def test_a_frozen_loop_does_not_keep_the_service_from_ending(run: Run) -> None:
     assert run.daemon.popen.wait(WITHIN_S) == 1
     assert run.bench.went_to_0_v_after(told_ns) < STOPPED_S
     assert "killed; the device stops the motor" in run.daemon.said
-
-
-def test_a_client_that_is_killed_does_not_cost_the_recording(bench: Bench) -> None:
-    """An experiment is one command: it is played to its end without its client."""
-    run = Run(bench, periods=150)
-
-    run.client.kill()
-    run.client.wait()
-
-    with bench.rig() as rig:
-        wait_for(lambda: rig.status().phase == "safe")
-        last = rig.status().last_run
-    assert last is not None
-    assert last.outcome == "complete"
 
 
 @pytest.mark.timed
@@ -231,6 +206,47 @@ def test_a_loop_frozen_for_less_than_the_watchdog_costs_nothing(
         assert bench.volts() == 0.0
         assert "FAULT,WATCHDOG" in bench.trace.read_text()
         assert recording.missing > 0
+
+
+def test_a_client_that_is_killed_does_not_cost_the_recording(served: Bench) -> None:
+    """An experiment is one command: it is played to its end without its client."""
+    run = Run(served, periods=150)
+
+    run.end()
+
+    with served.rig() as rig:
+        wait_for(lambda: rig.status().phase == "safe")
+        last = rig.status().last_run
+    assert last is not None
+    assert last.outcome == "complete"
+
+
+def test_a_loop_that_is_frozen_is_stopped_by_the_device(run_of_many: Run) -> None:
+    """SIGSTOP: the watchdog; after SIGCONT old frames start nothing, the fault stays."""
+    run = run_of_many
+    os.kill(run.loop_pid, signal.SIGSTOP)
+    frozen_ns = time.monotonic_ns()
+
+    assert run.bench.went_to_0_v_after(frozen_ns) < STOPPED_S
+    os.kill(run.loop_pid, signal.SIGCONT)
+    wait_for(lambda: run.bench.phase() == "fault")
+    assert run.bench.volts() == 0.0
+
+
+def test_the_rig_is_unplugged_and_plugged_in_again(run_of_many: Run) -> None:
+    """Latched at 0 V; sampling is back by itself; reset and arm lead out."""
+    run = run_of_many
+    run.emulator.end()
+    wait_for(lambda: run.bench.phase() == "fault")
+    run.bench.emulate()
+
+    wait_for(lambda: _device_is_known(run.bench))
+    assert run.bench.phase() == "fault"
+    with run.bench.rig() as rig:
+        with pytest.raises(RefusedError, match="in fault"):
+            rig.arm("a test")
+        rig.reset()
+        rig.arm("a test")
 
 
 def _freeze(pid: int, seconds: float) -> None:
