@@ -82,6 +82,15 @@ def sign(ax: Axes, *sources: str) -> Axes:
     return ax
 
 
+def finish_over_time(ax: Axes, below: Axes, *, output: str, unit: str, end: float) -> None:
+    """Label an output over time and the error below it, and give them the look that all have."""
+    ax.set_ylabel(named(output, unit))
+    below.set_ylabel(f"error [{unit}]")
+    below.set_xlabel("$t$ [s]")
+    ax.legend(loc="best")
+    finish(ax, below, xlim=(0.0, end or 1.0))
+
+
 def shade(ax: Axes, data: Sampled) -> None:
     """Shade the time in which y is missing."""
     for gap in stretches(~data.valid):

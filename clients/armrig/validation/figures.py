@@ -13,7 +13,7 @@ from armrig.canvas import (
     INK,
     VERMILION,
     finish,
-    named,
+    finish_over_time,
     panels,
     pens,
     shade,
@@ -76,11 +76,8 @@ def plot_compare(
         max(all_[0], measured[0] - span) - 0.05 * span,
         min(all_[1], measured[1] + span) + 0.05 * span,
     )
-    ax.set_ylabel(named(data.output, data.unit))
-    below.set_ylabel(f"error [{data.unit}]")
-    below.set_xlabel("$t$ [s]")
-    ax.legend(loc="best")
-    finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
+    end = float(data.t[-1])
+    finish_over_time(ax, below, output=data.output, unit=data.unit, end=end)
     return sign(ax, data.source)
 
 

@@ -15,7 +15,7 @@ from armrig.canvas import (
     VERMILION,
     axes,
     finish,
-    named,
+    finish_over_time,
     panels,
     shade,
     short,
@@ -115,11 +115,8 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     ax.plot(data.t, data.y - e, color=VERMILION, ls="--", lw=1.0, label=f"grey box, {estimates}")
     below.plot(data.t, e, color=VERMILION, lw=0.6)
     below.axhline(0, color=GREY, lw=0.6)
-    ax.set_ylabel(named(data.output, data.unit))
-    below.set_ylabel(f"error [{data.unit}]")
-    below.set_xlabel("$t$ [s]")
-    ax.legend(loc="best")
-    finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
+    end = float(data.t[-1])
+    finish_over_time(ax, below, output=data.output, unit=data.unit, end=end)
     return sign(ax, data.source)
 
 
