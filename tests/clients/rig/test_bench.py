@@ -309,6 +309,7 @@ def test_a_short_run_measures_all_contestants(
 ) -> None:
     """Table, JSON and figure of one run, with nothing lost at 100 Hz."""
     monkeypatch.setattr("armrig.rig.bench.rounds.ROUNDS", 1)
+    monkeypatch.setattr("armrig.rig.bench.programs.SUBSCRIBERS", 2)  # of 4: a process each, 4 times
     told, figure = tmp_path / "bench.json", tmp_path / "bench.png"
     arguments = ["--seconds", "1", "--rates", "100", "--json", str(told), "--plot", str(figure)]
 
