@@ -26,10 +26,10 @@ coverage: .venv/dev
 	  core/test_clockmap.py test_every_nth_call.py service/test_recorder.py emulator/test_plant.py emulator/test_pty.py)
 
 # N generated bugs in the same modules, each of which a test must see. EDGES=1: in the daemon's edges,
-# where the tests start real processes; it goes on where it was left.
+# where the tests start real processes; it goes on where it was left. SEED=… draws others.
 N ?= $(if $(EDGES),120,300)
 mutants: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation$(if $(EDGES),.edges) --n $(N)
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation$(if $(EDGES),.edges) --n $(N) $(if $(SEED),--seed $(SEED))
 
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py
