@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import select
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from armrig_daemon.loop.link import READ, Link, LinkError
@@ -97,3 +98,12 @@ def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
 
     link.close()
     Link(port, 115_200).close()
+
+
+def test_a_port_that_is_no_serial_line_is_refused_for_what_the_system_says(tmp_path: Path) -> None:
+    """It is neither taken nor forbidden: either would send a person the wrong way."""
+    path = tmp_path / "file"
+    path.touch()
+
+    with pytest.raises(LinkError, match=r"file cannot be opened: .*Inappropriate ioctl"):
+        Link(str(path), 115_200)

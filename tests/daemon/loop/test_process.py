@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import select
 import tty
@@ -12,7 +13,7 @@ from armrig_daemon.config import Config
 from armrig_daemon.core.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import realtime
 from armrig_daemon.loop.link import READ
-from armrig_daemon.loop.process import ProcessPorts, Settings
+from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
 from armrig_daemon.pipe import Alive, Halt, Play, Reset, record_bytes
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
@@ -50,7 +51,7 @@ def ports(pipes: dict[str, int]) -> ProcessPorts:
         baud=115_200,
         priority=0,
         cpu=None,
-        spin_ns=0,
+        spin_ns=50_000,
     )
     ports = ProcessPorts(settings, pipes["orders_out"], pipes["records_in"])
     assert ports.wait(realtime.now_ns()) == [LinkUp()]
@@ -71,7 +72,8 @@ def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
 ) -> None:
     """A killed service: the loop may write before it reads, and must stop all the same."""
     os.close(pipes.pop("records_out"))
-    assert not ports.put(b"a record")
+    for _ in range(2):
+        assert not ports.put(b"a record")
 
     os.close(pipes.pop("orders_in"))
 
@@ -180,3 +182,39 @@ def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int])
         taken += ports.wait(realtime.now_ns() + 100 * MS)
 
     assert taken == [Ordered(Halt()), Ordered(play), Ordered(Reset())]
+
+
+def test_a_line_that_was_lost_is_opened_again_in_its_time(
+    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not at each turn of the loop; that it cannot be is said once."""
+    now_ns = realtime.now_ns()
+    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
+    assert ports.now_ns() == now_ns
+    os.close(pipes.pop("master"))
+    assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]
+
+    now_ns += REOPEN_NS - 1
+    assert ports.wait(now_ns) == []
+    now_ns += 1
+    assert [type(event) for event in ports.wait(now_ns)] == [LinkDown]
+    now_ns += REOPEN_NS
+    assert ports.wait(now_ns) == []
+
+
+def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: ProcessPorts) -> None:
+    """A collection in the next run would cost it the more, the more is there."""
+    kept = [[k] for k in range(1000)]
+    collections, frozen = ports.collections, gc.get_freeze_count()
+
+    ports.tidy()
+
+    newly_frozen = gc.get_freeze_count() - frozen
+    gc.unfreeze()
+    assert ports.collections > collections
+    assert newly_frozen >= len(kept)
+
+
+def test_nothing_spins_before_the_priority_is_granted(ports: ProcessPorts) -> None:
+    """Without it a spin only takes the time of who would let us run."""
+    assert ports.spin_ns == 0

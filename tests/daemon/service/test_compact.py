@@ -86,6 +86,17 @@ def test_its_chunks_are_of_the_size_that_readers_like(first: Path, tmp_path: Pat
     assert len(_chunks(first)) > 200
 
 
+def test_the_copy_is_guarded_by_a_checksum(first: Path, tmp_path: Path) -> None:
+    """Beside those of its chunks: 0 would say that there is none."""
+    copy = tmp_path / "copy"
+
+    compact(first, copy)
+
+    with copy.open("rb") as file:
+        (end,) = [r for r in StreamReader(file).records if isinstance(r, DataEnd)]
+    assert end.data_section_crc != 0
+
+
 def test_a_file_that_is_there_is_not_written_over(first: Path, tmp_path: Path) -> None:
     """Whatever has that name is somebody's."""
     with pytest.raises(FileExistsError):

@@ -1,15 +1,20 @@
-"""What the service knows of its rig: nothing is told to it but by what the loop says."""
+"""What the service knows of its rig, and what keeps it from being armed."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from armrig_daemon.config import Config
+from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.telemetry import Sample
+from armrig_daemon.config import Arm, Config
 from armrig_daemon.pipe import Host, State
 from armrig_daemon.service.rig_view import RigView
+from armrig_protocol.messages import Flag
 
 HELD = State(t_host_ns=5, phase="armed", reason="", owner="a test", ts_us=20_000, device={"x": 1})
+S = 1_000_000_000
+TURNS_ON = Calibration(alpha=Potentiometer(wraps=True))
 
 
 @pytest.fixture
@@ -37,3 +42,22 @@ def test_a_status_is_of_the_newest_that_the_loop_told(rig: RigView) -> None:
     assert (rig.state, rig.host) == (HELD, {"fifo": 80})
     assert (status.phase, status.owner, status.device) == ("armed", "a test", {"x": 1})
     assert (status.host, status.Ts) == ({"fifo": 80}, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("config", "is_kept"),
+    [
+        (Config(), True),
+        (Config(arm=Arm(removed=True)), False),
+        (Config(calibration=TURNS_ON), False),
+    ],
+)
+def test_alpha_at_the_end_of_its_range_keeps_from_arming_where_there_is_one(
+    config: Config, is_kept: bool, tmp_path: Path
+) -> None:
+    """A rig without its arm has nothing there, and one that turns on passes through it."""
+    rig = RigView(config, "nowhere", tmp_path)
+    for k, flags in enumerate((0, Flag.ADC1_RAIL)):
+        rig.note_sample(Sample(k, k * S, k * S, k * S // 1000, 0.0, 0.0, 0.0, 0.0, 0, 0, flags))
+
+    assert rig.objection().startswith("alpha reads 0 of 65535") == is_kept

@@ -9,26 +9,66 @@ import threading
 from collections.abc import Iterator
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import pytest
 from armrig.rig.session import open_session
 from armrig_core.commands import Renew, Run
+from armrig_core.manifest import RUN as OF_RUN
+from armrig_core.manifest import manifest_of
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key
 from armrig_daemon.config import Config
 from armrig_daemon.core.orders import BY_HAND, not_newer
-from armrig_daemon.pipe import Alive, Answer, Halt, Play, RunEnded, RunStarted, State
+from armrig_daemon.pipe import (
+    Alive,
+    Answer,
+    Clock,
+    Distribution,
+    Gap,
+    Halt,
+    Host,
+    Log,
+    Play,
+    RunEnded,
+    RunStarted,
+    State,
+    Timing,
+)
 from armrig_daemon.service import publish
 from armrig_daemon.service.presence import begun
 from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.service import Service
 from loop_ends import LoopEnds
+from mcap.reader import make_reader
 
 LEASE = "a" * 32
 FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
 RUN = Run(lease=LEASE, n=3, u=[1.0] * 3)
+EVEN = Distribution(p50=1.0, p90=1.0, p99=1.0, p999=1.0, max=1.0, n=100, missed=0)
+TOLD_IN_A_RUN = {
+    "event": Log(t_host_ns=1, level="info", message="told"),
+    "gap": Gap(k_first=1, count=1, t_from_ns=1, t_to_ns=2, u_held_v=0.0, reason="late"),
+    "state": msgspec.structs.replace(FREE, owner="a test"),
+    "timing": Timing(
+        t_host_ns=1,
+        wake_lateness_us=EVEN,
+        device_tick_error_us=EVEN,
+        link_round_trip_us=EVEN,
+        queue_depth=EVEN,
+    ),
+    "clock": Clock(
+        t_host_ns=1,
+        offset_ns=0,
+        offset_std_ns=1.0,
+        drift_ppm=0.0,
+        drift_std_ppm=1.0,
+        bound_ns=1.0,
+    ),
+}
+"""By stream."""
 SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
@@ -82,6 +122,15 @@ def _refusal(replies: Any) -> str:
     error = next(iter(replies)).err
     assert error is not None, "it was not refused"
     return str(msgspec.json.decode(error.payload.to_bytes())["error"])
+
+
+def _finished(between: Between) -> Path:
+    """Have the run in hand ended; return its recording."""
+    between.service._runs.end("stopped")
+    assert between.service._runs.finished(5)[0] == "info"
+    last = between.service._runs.last
+    assert last is not None
+    return Path(last.recording)
 
 
 def _sample(k: int) -> bytes:
@@ -248,3 +297,77 @@ def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
     assert not [order for order in between.loop.orders() if isinstance(order, Halt)]
     between.service._runs.end("stopped")
     between.service._runs.finished(5)
+
+
+def test_what_is_due_each_second_is_done_once_a_second(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often the loop has something to say."""
+    now_s = 0.0
+
+    def records() -> list[bytes] | None:
+        nonlocal now_s
+        now_s += 0.25
+        return [] if now_s < 5.1 else None
+
+    clock = SimpleNamespace(monotonic=lambda: now_s)
+    monkeypatch.setattr("armrig_daemon.service.service.time", clock)
+    monkeypatch.setattr(between.loop.child, "records", records)
+    os.write(between.loop.records_fd, b"always something")
+
+    between.service._serve()
+
+    assert between.loop.orders() == [Alive()] * 5
+
+
+def test_a_command_that_fails_by_our_own_fault_is_refused_and_told(
+    between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Who asked learns of it, and so does the log."""
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr(between.service._runs, "plan", broken)
+    replies = between.ask(RUN)
+
+    between.commands.take()
+
+    told = "run: RuntimeError('unexpected')"
+    assert _refusal(replies) == told
+    assert f"error: {told}" in capsys.readouterr().err
+
+
+def test_what_the_loop_was_not_granted_is_told(
+    between: Between, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To who reads the log, and to who asks."""
+    granted = {"fifo": False, "refused": ["SCHED_FIFO"]}
+
+    between.service._take([Host(granted=granted)])
+
+    assert "not granted: SCHED_FIFO; timing is less exact" in capsys.readouterr().err
+    assert between.service._rig.status(None).host == granted
+
+
+def test_what_the_loop_tells_in_a_run_stands_in_its_recording(between: Between) -> None:
+    """Each in its stream, beside the line that names the recording."""
+    between.begin_run()
+
+    between.service._take([_sample(0), *TOLD_IN_A_RUN.values()])
+
+    with _finished(between).open("rb") as file:
+        topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
+    streams = ["sample", "event", *TOLD_IN_A_RUN]
+    assert sorted(topics) == sorted(f"/rig/1/{stream}" for stream in streams)
+
+
+def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
+    """Somebody may have set the time of day since the service was started."""
+    between.service._offset_ns = 0
+
+    between.begin_run()
+
+    with _finished(between).open("rb") as file:
+        metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    assert manifest_of(metadata[OF_RUN]).clock_offset_ns > 10**18
