@@ -22,7 +22,7 @@ from mutation.trial import Outcome, Verdict, timed, tried
 
 TABLE = Path(__file__).with_suffix(".toml")
 PROCESSES = "tests/integration/"
-"""Tests whose processes need their time: what they see they must see twice."""
+"""Tests of real processes: they come last."""
 LIMIT_S = 60.0  # of the processor, of any one process
 CLOCK_S = 30.0  # beside three times what the tests take without a bug: each may wait for one more
 
@@ -72,20 +72,34 @@ def chosen_tests(took_s: dict[str, float], budget_s: float) -> list[str]:
 
 
 def judged(site: Site, tests: list[str], known: Outcomes) -> Verdict:
-    """Return what becomes of a bug: what a real process shows must show a second time."""
+    """Return what becomes of a bug: what a test shows it must show again, and not without it."""
     plant = _planting(site)
     began = time.monotonic()
     inside = [test for test in tests if not test.startswith(PROCESSES)]
     kills = Counter(v.by for v in known.verdicts() if v.outcome is Outcome.CAUGHT)
     outside = sorted((t for t in tests if t.startswith(PROCESSES)), key=lambda t: -kills[t])
-    verdict = _tried(inside, plant, known)
-    while outside and verdict.outcome is Outcome.SURVIVED:
-        verdict = _tried(outside, plant, known)
-        if verdict.outcome is not Outcome.CAUGHT or verdict.by not in outside:
-            break
-        outside = outside[outside.index(verdict.by) + 1 :]
-        verdict = _tried([verdict.by], plant, known)
+    verdict = Verdict(Outcome.SURVIVED, "", 0.0)
+    for left in (inside, outside):
+        while left and verdict.outcome is Outcome.SURVIVED:
+            verdict = _tried(left, plant, known)
+            if verdict.outcome is not Outcome.CAUGHT or verdict.by not in left:
+                break
+            left = left[left.index(verdict.by) + 1 :]
+            verdict = _looked_at_again(verdict.by, plant, known)
     return verdict._replace(took_s=time.monotonic() - began)
+
+
+def nothing() -> None:
+    """Plant nothing."""
+
+
+def _looked_at_again(test: str, plant: Callable[[], None], known: Outcomes) -> Verdict:
+    verdict = _tried([test], plant, known)
+    if verdict.outcome is Outcome.CAUGHT:
+        without = _tried([test], nothing, known)
+        if without.outcome is not Outcome.SURVIVED:
+            return Verdict(Outcome.SURVIVED, "", 0.0)
+    return verdict
 
 
 def _tried(tests: list[str], plant: Callable[[], None], known: Outcomes) -> Verdict:

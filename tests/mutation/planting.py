@@ -18,8 +18,9 @@ from types import CodeType, ModuleType
 from mutation.sites import planted
 
 PACKAGE = "armrig_daemon"
-VARIABLE = "ARMRIG_MUTANT"
-"""Names the bug to processes that are started, as `service.recorder:17`."""
+VARIABLE = "MUTANT_OF_ARMRIG"
+"""Names the bug to processes that are started, as `service.recorder:17`. Not `ARMRIG_…`: the daemon
+refuses to start where that is none of its settings."""
 STARTED = Path(__file__).with_name("started")
 
 

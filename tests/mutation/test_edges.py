@@ -7,9 +7,12 @@ import subprocess
 import sys
 import tomllib
 from ast import literal_eval
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from armrig_daemon import config
 from armrig_daemon.config import Config
 from armrig_daemon.loop.process import Settings
 from armrig_daemon.service import child
@@ -50,6 +53,19 @@ def _exit_code_without_a_port() -> int:
     return loop.end()
 
 
+def _said_by(program: str) -> Any:
+    """Return what a program of its own has printed: pytest is not run within pytest."""
+    paths = os.pathsep.join(p for p in sys.path if p)
+    said = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return literal_eval(said.stdout)
+
+
 def test_a_bug_is_in_a_program_that_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
     """In its module, wherever that is imported."""
     program = [
@@ -74,6 +90,31 @@ def test_a_bug_is_in_the_module_that_is_run_as_a_program(monkeypatch: pytest.Mon
     )
 
     assert _exit_code_without_a_port() == 3
+
+
+def test_the_daemon_takes_the_bug_for_no_setting_of_its_own() -> None:
+    """Else it would not even start: each bug would be seen by whatever starts it."""
+    assert config.load([], plant_in_started(SITE.name), {}) == Config()
+
+
+def test_what_failed_is_told_though_pytest_itself_fails_behind_it(tmp_path: Path) -> None:
+    """A process that a failed test has left behind is a warning that comes at the very end."""
+    (tmp_path / "pytest.ini").write_text("[pytest]\nfilterwarnings = error\n")
+    path = tmp_path / "test_this.py"
+    path.write_text(
+        "import subprocess\n"
+        "def test_it():\n"
+        "    left = [subprocess.Popen(['sleep', '600'])]\n"
+        "    left.append(left)\n"
+        "    del left\n"
+        "    assert False\n"
+    )
+    program = (
+        "from mutation.trial import tried; "
+        f"print(repr(tried([{str(path)!r}], lambda: None, 60.0).by))"
+    )
+
+    assert _said_by(program).endswith("test_it")
 
 
 def test_what_a_bug_has_left_behind_ends_with_its_child(tmp_path: Path) -> None:
@@ -118,31 +159,43 @@ def test_tests_are_chosen_in_their_order_as_far_as_the_budget_goes() -> None:
     assert edges.chosen_tests(took_s, 40.0) == ["a", "c", "d"]
 
 
-@pytest.mark.parametrize(
-    ("second", "outcome", "by"),
-    [(True, Outcome.CAUGHT, "tests/integration/a.py::one"), (False, Outcome.SURVIVED, "")],
-)
-def test_what_a_real_process_shows_must_show_twice(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, second: bool, outcome: Outcome, by: str
-) -> None:
-    """A test that fails once, for others needed the processor, has seen no bug."""
-    one, two = "tests/integration/a.py::one", "tests/integration/a.py::two"
-    asked: list[list[str]] = []
+ONE, TWO = "tests/daemon/a.py::one", "tests/daemon/a.py::two"
+PROCESS = "tests/integration/a.py::process"
 
-    def tried(tests: list[str], *_: object) -> Verdict:
-        asked.append(tests)
-        if one in tests and (second or len(tests) > 1):
-            return Verdict(Outcome.CAUGHT, one, 1.0)
-        return Verdict(Outcome.SURVIVED, "", 1.0)
+
+@pytest.mark.parametrize(
+    ("fails_again", "fails_without", "by"),
+    [(True, False, ONE), (False, False, PROCESS), (True, True, PROCESS)],
+)
+def test_what_is_seen_is_seen_again_and_not_without_the_bug(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    fails_again: bool,
+    fails_without: bool,
+    by: str,
+) -> None:
+    """A test that fails because others needed the processor has seen no bug: the next is asked."""
+    asked: list[tuple[list[str], bool]] = []
+
+    def tried(tests: list[str], plant: Callable[[], None], *_: object) -> Verdict:
+        planted = plant is not edges.nothing
+        asked.append((tests, planted))
+        fails = {ONE: fails_again if planted else fails_without, TWO: False, PROCESS: planted}
+        if len(asked) == 1:
+            fails[ONE] = True
+        failed = next((test for test in tests if fails[test]), "")
+        return Verdict(Outcome.CAUGHT if failed else Outcome.SURVIVED, failed, 1.0)
 
     monkeypatch.setattr(edges, "tried", tried)
     known = Outcomes(tmp_path / "state")
-    known.add_timed("all", {one: 1.0, two: 1.0, "tests/daemon/a.py::of_ours": 1.0}, [])
+    known.add_timed("all", {ONE: 1.0, TWO: 1.0, PROCESS: 1.0}, [])
 
-    found = edges.judged(SITE, ["tests/daemon/a.py::of_ours", one, two], known)
+    found = edges.judged(SITE, [ONE, TWO, PROCESS], known)
 
-    assert (found.outcome, found.by) == (outcome, by)
-    assert asked == [["tests/daemon/a.py::of_ours"], [one, two], [one], [two]][: 3 + (not second)]
+    assert (found.outcome, found.by) == (Outcome.CAUGHT, by)
+    again = [([ONE], True), *[([ONE], False)] * fails_again]
+    further = [([TWO], True), ([PROCESS], True), ([PROCESS], True), ([PROCESS], False)]
+    assert asked == [([ONE, TWO], True), *again, *(further if by == PROCESS else [])]
 
 
 def test_tests_are_timed_without_a_bug(tmp_path: Path) -> None:
@@ -150,17 +203,8 @@ def test_tests_are_timed_without_a_bug(tmp_path: Path) -> None:
     path = tmp_path / "test_these.py"
     path.write_text("def test_a(): pass\ndef test_b(): assert False\n")
     program = f"from mutation.trial import timed; print(timed([{str(path)!r}], 60.0))"
-    paths = os.pathsep.join(p for p in sys.path if p)
 
-    said = subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, "PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-
-    took_s, failed = literal_eval(said.stdout)
+    took_s, failed = _said_by(program)
     assert [name.rpartition("::")[2] for name in took_s] == ["test_a", "test_b"]
     assert [name.rpartition("::")[2] for name in failed] == ["test_b"]
 

@@ -90,9 +90,11 @@ def tried(
 
     def run(told: Path) -> None:
         plant()
-        first = _First()
-        code = pytest.main([*QUIET, *tests], plugins=[first])
-        told.write_text(json.dumps([int(code), first.failed]))
+        first, code = _First(), -1
+        # A test that failed may have left behind what pytest fails by itself for, at its end.
+        with contextlib.suppress(Exception):
+            code = int(pytest.main([*QUIET, *tests], plugins=[first]))
+        told.write_text(json.dumps([code, first.failed]))
 
     began = time.monotonic()
     status, told = in_child(run, limit_s, clock_s)
