@@ -50,8 +50,11 @@ def _said(child: LoopChild) -> list[bytes | Record] | None:
 
 def _heard(child: LoopChild, kind: type) -> None:
     """Read on until a record of a kind has come."""
-    while not any(isinstance(record, kind) for record in _said(child) or []):
-        pass
+    records: list[bytes | Record] = []
+    while not any(isinstance(record, kind) for record in records):
+        said = _said(child)
+        assert said is not None, "the loop has ended"
+        records = said
 
 
 def _has_ended(child: LoopChild) -> None:

@@ -179,3 +179,16 @@ def test_what_is_told_before_the_first_sample_is_of_its_time_at_the_latest(runs:
     with path.with_suffix("").open("rb") as file:
         times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
     assert times == [T_NS, T_NS + 9]
+
+
+def test_a_run_is_told_as_finished_once_its_recording_is_complete(runs: Runs) -> None:
+    """Who waits for it goes by that, and finds the recording under its own name."""
+    path = _begin(runs)
+    runs.end("complete")
+    assert runs.last is not None
+    assert not runs.last.finished
+
+    runs.finished(5)
+
+    assert runs.last.finished
+    assert runs.last.recording == str(path.with_suffix(""))
