@@ -25,7 +25,9 @@ def _all_of(read: Callable[[], bytes], fd: int, size: int) -> bytes:
     data = b""
     while len(data) < size:
         assert select.select([fd], [], [], 1)[0], data
-        data += read()
+        piece = read()
+        assert piece, data
+        data += piece
     return data
 
 
@@ -82,6 +84,7 @@ def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) 
     while sum(map(len, pieces)) < len(data):
         assert link.has_rest or select.select([link.fd], [], [], 1)[0], pieces
         pieces.append(link.read())
+        assert pieces[-1]
 
     assert b"".join(pieces) == data
     assert max(map(len, pieces)) <= READ

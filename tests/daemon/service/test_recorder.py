@@ -80,6 +80,17 @@ def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
     assert not recording.active.exists()
 
 
+def test_who_made_a_recording_is_told_when_it_is_complete(tmp_path: Path) -> None:
+    """The service sleeps until then."""
+    changed = threading.Event()
+    recording = _recording(tmp_path / "run.mcap", changed)
+
+    recording.finish("complete", 0)
+    recording.join(5)
+
+    assert changed.is_set()
+
+
 def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
     """What overtakes a sample in flight gets the time of the sample before."""
     path = tmp_path / "run.mcap"

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 import pytest
 from armrig.rig.session import open_session
-from armrig_core.commands import Renew, Run
+from armrig_core.commands import Renew, Run, Set
 from armrig_core.manifest import RUN as OF_RUN
 from armrig_core.manifest import manifest_of
 from armrig_core.telemetry import Sample, encode_sample
@@ -371,3 +371,17 @@ def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
     with _finished(between).open("rb") as file:
         metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
     assert manifest_of(metadata[OF_RUN]).clock_offset_ns > 10**18
+
+
+def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: Between) -> None:
+    """R1: between two lots the service looks at the loop; what it says itself waits behind 64."""
+    for n in range(publish.MOST_WAITING):
+        between.ask(Set(lease=LEASE, n=n, u=0.0))
+
+    lots = []
+    for _ in range(5):
+        between.commands.take()
+        lots.append(len(between.loop.orders()))
+        between.ask(Set(lease=LEASE, n=100, u=0.0))
+
+    assert lots == [16, 16, 16, 16, 0]
