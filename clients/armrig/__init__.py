@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, merge
+    from armrig.data.files.loading import load_data
+    from armrig.data.files.table import DataFileError
     from armrig.data.treatment import (
         detrend,
         difference,
@@ -82,6 +84,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArmParameters",
+    "DataFileError",
     "Dataset",
     "Fit",
     "GreyFit",
@@ -123,6 +126,7 @@ __all__ = [
     "inverse_dynamics",
     "iv4",
     "load",
+    "load_data",
     "load_fit",
     "merge",
     "multisine",
@@ -166,6 +170,8 @@ __all__ = [
 _MODULES = {
     "validation.advice.advice": ("advice",),
     "data.dataset": ("Dataset", "merge"),
+    "data.files.loading": ("load_data",),
+    "data.files.table": ("DataFileError",),
     "estimation.armax": ("armax",),
     "estimation.arx": ("arx",),
     "estimation.bj": ("bj",),

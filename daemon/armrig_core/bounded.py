@@ -46,7 +46,17 @@ def read_text(path: Path, most: int) -> str:
     OSError
         As of `read_bounded`.
     """
-    data = read_bounded(path, most)
+    return decoded(read_bounded(path, most))
+
+
+def decoded(data: bytes) -> str:
+    """Return the text of bytes, without the byte order mark of some editors.
+
+    Raises
+    ------
+    TextError
+        They are in another encoding than UTF-8.
+    """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         msg = "it is saved as UTF-16: save it as UTF-8"
         raise TextError(msg)

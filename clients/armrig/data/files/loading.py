@@ -1,0 +1,151 @@
+"""From a file of data to a `Dataset`: which kind of file it is, and which columns are meant."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from armrig_core.bounded import read_bounded
+
+from armrig.data.dataset import Dataset
+from armrig.data.files.kinds import table_of
+from armrig.data.files.sampling import sampling_time
+from armrig.data.files.table import DataFileError, Table, Vector, chosen, listed
+
+MOST_BYTES = 1 << 27
+"""Longest file, in B: a million rows of eight numbers have less."""
+SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".npz")
+"""How the names of files of data end, in small letters."""
+SOURCE = "data"
+"""What stands before the hash of a file that is no recording, where data say whence they are."""
+_TIMES = ("t", "time")
+
+
+def load_data(
+    path: str | PathLike[str],
+    *,
+    input: str = "u",
+    signal: str = "y",
+    time: str | None = None,
+    Ts: float | None = None,
+) -> Dataset:
+    """Return the data of a file that is no recording: CSV, another table of text, .mat or .npz.
+
+    Columns are asked for by name or by number from 1. Text is parted by semicolon, tab, comma or
+    blanks, with a line of names or without; lines that begin with # or % are remarks; with a
+    semicolon the decimals may have a comma. A cell that is empty or NaN is missing: without its
+    output a sample is marked so; one without its input is left out, and after it a new experiment
+    begins.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, of at most 128 MiB.
+    input, signal : str
+        Columns of u and y.
+    time : str, optional
+        Column of the times, in s if its header names no other unit; by default that named t or
+        time, if there is one. They must be evenly apart.
+    Ts : float, optional
+        Sampling time in s, whatever the times are. By default that of the times, or a number named
+        Ts in a MAT-file or .npz.
+
+    Returns
+    -------
+    Dataset
+        Named and with units as the file's header says; `source` has the hash of the file.
+
+    Raises
+    ------
+    DataFileError
+        It cannot be read as data; says what came, what is read, and what to do.
+    OSError
+        The file cannot be read.
+    """
+    path = Path(path)
+    try:
+        data = read_bounded(path, MOST_BYTES)
+        source = f"{SOURCE}:{hashlib.sha256(data).hexdigest()}"
+        table = table_of(data, path.suffix.lower())
+        return _dataset(table, {"input": input, "signal": signal}, time, Ts, source)
+    except DataFileError as err:
+        msg = f"{path}: {err}"
+        raise DataFileError(msg) from err
+    except OSError as err:
+        if err.errno != errno.EFBIG:
+            raise
+        msg = f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"
+        raise DataFileError(msg) from err
+
+
+def _dataset(
+    table: Table,
+    columns: dict[str, str],
+    time: str | None,
+    Ts: float | None,
+    source: str,
+) -> Dataset:
+    at = {what: chosen(table, wanted, what) for what, wanted in columns.items()}
+    if at["input"] == at["signal"]:
+        msg = f"input and signal are both column {at['input'] + 1}; {listed(table)}"
+        raise DataFileError(msg)
+    if Ts is None:
+        Ts = _sampling_time(table, time, set(at.values()))
+    u, y = (_values(table, i, what) for what, i in at.items())
+    if u.size != y.size:
+        msg = f"the input has {u.size} samples and the signal {y.size}; both need one an instant"
+        raise DataFileError(msg)
+    known = ~np.isnan(u)
+    begins = known & ~np.append(False, known[:-1])
+    left_out = int(u.size - np.count_nonzero(known))
+    of_u, of_y = (table.columns[i] for i in at.values())
+    step = f"left out {left_out} samples without an input: after each a new experiment begins"
+    return Dataset(
+        u=u[known],
+        y=y[known],
+        Ts=Ts,
+        valid=~np.isnan(y[known]),
+        starts=np.flatnonzero(begins[known]).tolist(),
+        output=of_y.name or "y",
+        unit=of_y.unit,
+        input_unit=of_u.unit,
+        source=source,
+        history=[step] if left_out else [],
+    )
+
+
+def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
+    """Return Ts of the column of times, or as the file says it."""
+    if time is not None:
+        i = chosen(table, time, "time")
+    elif table.Ts is not None:
+        return table.Ts
+    else:
+        named = [
+            i
+            for i, column in enumerate(table.columns)
+            if column.name.casefold() in _TIMES and i not in taken
+        ]
+        if len(named) != 1:
+            msg = "the sampling time is not known: give Ts in s (--Ts), or the column of times "
+            raise DataFileError(f"{msg}(--time); {listed(table)}")
+        i = named[0]
+    return sampling_time(table.numbers(i), table.columns[i], table.place)
+
+
+def _values(table: Table, i: int, what: str) -> Vector:
+    """Return a column in which each value is finite, or NaN where it is missing."""
+    values = table.numbers(i)
+    infinite = np.isinf(values)
+    if infinite.any():
+        k = int(np.argmax(infinite))
+        msg = f"{table.place(k)}: the {what} is {values[k]} there, and in {infinite.sum()} samples "
+        msg += "in all; leave a value that is not known empty, or write NaN"
+        raise DataFileError(msg)
+    if np.isnan(values).all():
+        msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
+        raise DataFileError(msg + listed(table))
+    return values

@@ -1,0 +1,59 @@
+"""The arrays of a file that numpy.savez has written."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+
+from armrig.data.files.arrays import MOST_BYTES, ArrayTable, table_of
+from armrig.data.files.table import DataFileError
+
+_PICKLED = "holds Python objects, which are programs and never loaded; save numbers instead"
+
+
+def read(data: bytes) -> ArrayTable:
+    """Return the columns of an .npz; nothing that is pickled is loaded.
+
+    Raises
+    ------
+    DataFileError
+        It is a ZIP archive of other things, is damaged, or is too large once unpacked.
+    """
+    arrays: dict[str, Any] = {}
+    refused: dict[str, str] = {}
+    try:
+        with ZipFile(BytesIO(data)) as archive:
+            members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
+            if sum(m.file_size for m in members) > MOST_BYTES:
+                msg = f"unpacked it has more than {MOST_BYTES >> 20} MiB; save only input and "
+                raise DataFileError(msg + "output")
+            for member in members:
+                with archive.open(member) as file:
+                    array = _array(file.read())
+                name = member.filename.removesuffix(".npy")
+                if array is None:
+                    refused[name] = _PICKLED
+                else:
+                    arrays[name] = array
+    except DataFileError:
+        raise
+    except Exception as err:  # whatever a damaged archive makes of its reader
+        msg = f"is a damaged .npz: {type(err).__name__}; save it again with numpy.savez"
+        raise DataFileError(msg) from err
+    if not (arrays or refused):
+        msg = "is a ZIP archive without arrays, such as an Excel workbook; save its sheet as CSV"
+        raise DataFileError(msg)
+    return table_of(arrays, refused)
+
+
+def _array(data: bytes) -> Any:
+    """Return the array of an .npy; None where it would have to be unpickled."""
+    try:
+        return np.lib.format.read_array(BytesIO(data), allow_pickle=False)
+    except ValueError as err:
+        if "allow_pickle" in str(err):
+            return None
+        raise

@@ -1,0 +1,310 @@
+"""Files of MATLAB and of numpy."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+import zlib
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import numpy as np
+import pytest
+from armrig import DataFileError, load_data
+from scipy.io import savemat
+from scipy.io.matlab import MatlabObject
+
+RNG = np.random.default_rng(1)
+U, Y = RNG.standard_normal(30), RNG.standard_normal(30)
+
+
+def npz(folder: Path, **arrays: Any) -> Path:
+    """Return a file that numpy has written, pickles where it needs them."""
+    path = folder / "data.npz"
+    np.savez(path, **arrays)
+    return path
+
+
+def mat(folder: Path, values: dict[str, Any], **how: Any) -> Path:
+    """Return a MAT-file of version 5, or as it is asked for."""
+    path = folder / "data.mat"
+    savemat(path, values, **how)
+    return path
+
+
+def iddata(**fields: Any) -> MatlabObject:
+    """Return the object as MATLAB's older versions save it: cells of one experiment."""
+    cells = {name: _cell(value) for name, value in fields.items()}
+    array = np.empty((1, 1), dtype=[(name, object) for name in cells])
+    for name, cell in cells.items():
+        array[name][0, 0] = cell
+    return MatlabObject(array, "iddata")
+
+
+def _cell(value: Any) -> Any:
+    cell = np.empty((1, 1), dtype=object)
+    cell[0, 0] = value
+    return cell
+
+
+@pytest.mark.parametrize("how", [{}, {"do_compression": True}, {"format": "4"}], ids=str)
+@pytest.mark.parametrize("shape", [(30, 1), (1, 30)], ids=str)
+def test_vectors_of_matlab_are_columns_by_name(
+    how: dict[str, Any], shape: tuple[int, int], tmp_path: Path
+) -> None:
+    """Lying or standing, packed or not; a number named Ts is the sampling time."""
+    values = {"volt": U.reshape(shape), "y": Y.reshape(shape), "Ts": 0.08}
+
+    data = load_data(mat(tmp_path, values, **how), input="volt")
+
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(data.y, Y)
+    assert data.Ts == 0.08
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_matrix_is_columns_by_number(turned: bool, tmp_path: Path) -> None:
+    """Its longer side is time."""
+    X = np.column_stack([0.5 * np.arange(30), U, Y])
+
+    path = mat(tmp_path, {"X": X.T if turned else X})
+    data = load_data(path, input="2", signal="X:3", time="1")
+
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(data.y, Y)
+    assert data.Ts == 0.5
+
+
+def test_the_fields_of_a_structure_are_columns(tmp_path: Path) -> None:
+    """By their own names where only one is named so."""
+    path = mat(tmp_path, {"z": {"u": U, "y": Y, "Ts": 2.0}, "note": "heater"})
+
+    data = load_data(path)
+
+    np.testing.assert_array_equal(data.y, Y)
+    assert (data.output, data.Ts) == ("z.y", 2.0)
+    np.testing.assert_array_equal(load_data(path, input="z.u").u, U)
+
+
+def test_an_iddata_object_of_older_matlab_is_read(tmp_path: Path) -> None:
+    """Input, output and sampling time, as far as scipy reads them."""
+    column = U.reshape(-1, 1), Y.reshape(-1, 1)
+    names = {"InputName": "heater", "OutputName": "temperature", "InterSample": "zoh"}
+    path = mat(
+        tmp_path,
+        {
+            "dryer": iddata(
+                InputData=column[0], OutputData=column[1], Ts=np.array([[0.08]]), **names
+            )
+        },
+    )
+
+    data = load_data(path)
+
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(data.y, Y)
+    assert data.Ts == 0.08
+
+
+def test_arrays_of_numpy_are_columns_by_name(tmp_path: Path) -> None:
+    """Whole numbers and single precision, too; NaN is missing."""
+    y = Y.copy()
+    y[3] = np.nan
+    t = (0.01 * np.arange(30)).astype(np.float32)
+
+    data = load_data(npz(tmp_path, t=t, u=np.arange(30), y=y))
+
+    assert data.u.tolist() == list(range(30))
+    assert np.flatnonzero(~data.valid).tolist() == [3]
+    assert data.Ts == pytest.approx(0.01, rel=1e-12)
+
+
+class Bomb:
+    """What must never be unpickled."""
+
+    def __reduce__(self) -> Any:
+        """Leave a trace where it is."""
+        return (Path("/nonexistent/armrig-was-here").touch, ())
+
+
+def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
+    """It is a program; what lies beside it is read."""
+    objects = np.empty(30, dtype=object)
+    objects[0] = Bomb()
+    path = npz(tmp_path, u=U, y=objects, z=Y)
+
+    with pytest.raises(DataFileError, match="signal y: holds Python objects, which are programs"):
+        load_data(path, Ts=1)
+    np.testing.assert_array_equal(load_data(path, signal="z", Ts=1).y, Y)
+
+
+def test_an_archive_that_unpacks_without_end_is_refused(tmp_path: Path) -> None:
+    """By what it says of its length, before it is unpacked."""
+    from armrig.data.files.arrays import MOST_BYTES
+
+    path = tmp_path / "bomb.npz"
+    with ZipFile(path, "w", ZIP_DEFLATED) as archive, archive.open("u.npy", "w") as file:
+        for _ in range(MOST_BYTES // (1 << 24) + 1):
+            file.write(bytes(1 << 24))
+
+    with pytest.raises(DataFileError, match="unpacked it has more than 1024 MiB; save only input"):
+        load_data(path, Ts=1)
+
+
+def element(kind: int, values: bytes) -> bytes:
+    """Return an element of a MAT-file."""
+    return struct.pack("<II", kind, len(values)) + values + bytes(-len(values) % 8)
+
+
+def mat5(elements: bytes) -> bytes:
+    """Return a MAT-file of version 5 that holds elements."""
+    return b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x100) + b"IM" + elements
+
+
+def cells_inside_each_other(depth: int) -> bytes:
+    """Return a cell in a cell in a cell."""
+    head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<ii", 1, 1))
+    inner, parts = 0, []
+    for level in range(depth):
+        name = element(1, b"x" if level == depth - 1 else b"")
+        parts.append(struct.pack("<II", 14, len(head) + len(name) + inner) + head + name)
+        inner += len(parts[-1])
+    return b"".join(reversed(parts))
+
+
+def test_cells_inside_each_other_without_end_are_refused(tmp_path: Path) -> None:
+    """The reader below us would fall with the whole program."""
+    path = tmp_path / "deep.mat"
+    path.write_bytes(mat5(cells_inside_each_other(100_000)))
+
+    with pytest.raises(DataFileError, match="holds more than 1000 arrays, one inside another; sav"):
+        load_data(path, Ts=1)
+
+
+def test_a_mat_file_that_unpacks_without_end_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As soon as it is too large."""
+    from armrig.data.files import matlab
+
+    monkeypatch.setattr(matlab, "MOST_BYTES", 1 << 20)
+    packed = zlib.compress(bytes(1 << 22))
+    path = tmp_path / "bomb.mat"
+    path.write_bytes(mat5(struct.pack("<II", 15, len(packed)) + packed))
+
+    with pytest.raises(DataFileError, match="unpacked it has more than 1 MiB"):
+        load_data(path, Ts=1)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"u": U, "y": Y + 1j}, "signal y: is complex; save its real part"),
+        ({"u": U, "y": "words"}, "signal y: holds no numbers; save it as a vector"),
+        ({"u": U, "y": np.zeros((0, 0))}, "signal y: is empty; save it with a value for each"),
+        ({"u": U, "y": np.zeros((3, 3, 3))}, "signal y: has 3 dimensions; save it as a vector"),
+        ({"u": U, "y": Y[1:]}, "the input has 30 samples and the signal 29; both need one"),
+        ({"u": U, "z": Y}, "signal y: there is no such column; give a name or a number of 1 u, 2"),
+        ({"u": U, "y": 1.0}, "signal y: there is no such column"),
+        ({"note": "nothing"}, r"input u: .*there is no column of numbers \(note holds no numbers;"),
+        ({"u": U, "y": [{"a": 1}, {"a": 2}]}, "signal y: holds no numbers; save it as a vector"),
+    ],
+    ids=lambda x: x if isinstance(x, str) else "",
+)
+def test_what_is_no_column_is_told_with_what_to_save(
+    values: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    """Only where it is asked for."""
+    with pytest.raises(DataFileError, match=said):
+        load_data(mat(tmp_path, values), Ts=1)
+
+
+def test_a_sparse_matrix_is_told(tmp_path: Path) -> None:
+    """MATLAB's full makes a column of it."""
+    from scipy.sparse import csc_array
+
+    path = mat(tmp_path, {"u": U, "y": csc_array(Y.reshape(-1, 1))})
+
+    with pytest.raises(DataFileError, match=r"signal y: is sparse; save full\(…\) of it"):
+        load_data(path, Ts=1)
+
+
+def test_matlab_7_3_is_told_with_how_to_save(tmp_path: Path) -> None:
+    """Only MATLAB reads it."""
+    path = tmp_path / "data.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
+
+    with pytest.raises(DataFileError, match=r"7\.3, which only MATLAB reads; save it there .*-v7"):
+        load_data(path)
+
+
+def test_an_opaque_object_is_told_with_what_to_save(tmp_path: Path) -> None:
+    """An iddata of today: its numbers are where scipy does not look."""
+    opaque = element(6, struct.pack("<II", 17, 0))
+    opaque += element(1, b"dryer") + element(1, b"MCOS") + element(1, b"iddata")
+    numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 1, 1))
+    numbers += element(1, b"") + element(6, struct.pack("<I", 1))
+    path = tmp_path / "data.mat"
+    path.write_bytes(mat5(element(14, opaque + element(14, numbers))))
+
+    with pytest.raises(
+        DataFileError, match=r"object that only MATLAB reads; there u = data\.u; y ="
+    ):
+        load_data(path, Ts=1)
+
+
+def test_damage_is_told_in_a_line(tmp_path: Path) -> None:
+    """Wherever a file is cut or spoilt."""
+    whole = {
+        "mat": mat(tmp_path, {"u": U, "y": Y, "Ts": 1.0}, do_compression=True).read_bytes(),
+        "npz": npz(tmp_path, u=U, y=Y, Ts=1.0).read_bytes(),
+    }
+    for kind, data in whole.items():
+        path, refused = tmp_path / f"spoilt.{kind}", 0
+        for spoilt in [*_cut(data), *_spoilt(data)]:
+            path.write_bytes(spoilt)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                refusal = _refusal(path)
+            assert len(refusal) - len(str(path)) < 400
+            refused += bool(refusal)
+        assert refused > 100
+
+
+def _refusal(path: Path) -> str:
+    """Return what is said of a file; "" where it is read after all."""
+    try:
+        load_data(path)
+    except DataFileError as err:
+        return str(err)
+    return ""
+
+
+def _cut(data: bytes) -> list[bytes]:
+    return [data[:n] for n in range(0, len(data), 7)]
+
+
+def _spoilt(data: bytes) -> list[bytes]:
+    found = []
+    for _ in range(300):
+        spoilt = bytearray(data)
+        for at in RNG.integers(0, len(data), 3):
+            spoilt[at] = RNG.integers(256)
+        found.append(bytes(spoilt))
+    return found
+
+
+def test_an_archive_of_other_things_is_told(tmp_path: Path) -> None:
+    """A workbook, for example."""
+    buffer = BytesIO()
+    with ZipFile(buffer, "w") as archive:
+        archive.writestr("xl/workbook.xml", "<workbook/>")
+    path = tmp_path / "data.xlsx"
+    path.write_bytes(buffer.getvalue())
+
+    with pytest.raises(
+        DataFileError, match="is a ZIP archive without arrays, such as an Excel wor"
+    ):
+        load_data(path, Ts=1)

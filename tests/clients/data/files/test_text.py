@@ -1,0 +1,304 @@
+"""Tables of text, as loggers, spreadsheets and MATLAB write them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig import DataFileError, load_data
+from hypothesis import given
+from hypothesis import strategies as st
+
+U, Y = [1.0, -2.5, 3.0, 0.125], [0.5, 1e-3, -7.0, 1e6]
+
+
+def written(folder: Path, text: str, name: str = "data.csv") -> Path:
+    """Return a file of text, its line ends as they are given."""
+    path = folder / name
+    path.write_bytes(text.encode())
+    return path
+
+
+def table(separator: str, *, comma: bool = False, end: str = "\n", names: str = "t u y") -> str:
+    """Return four rows of t, u and y, with a line of names unless there are none."""
+    rows = [[f"{0.1 * k:.1f}", repr(u), repr(y)] for k, (u, y) in enumerate(zip(U, Y, strict=True))]
+    lines = [names.split(), *rows] if names else rows
+    text = "".join(separator.join(line) + end for line in lines)
+    return text.replace(".", ",") if comma else text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        table(","),
+        table(", "),
+        table(";"),
+        table(";", comma=True),
+        table("\t"),
+        table("   "),
+        table(",", end="\r\n"),
+        table(",", end=",\n"),
+        table("\t", end="\t\r\n"),
+        "\ufeff" + table(";"),
+        "# a remark, with a comma\n% another\n\n" + table(","),
+        table(",").replace("t,u,y", '"t","u","y"'),
+        table(";").replace("t;u;y", "Time [s];u [V];y (m/s)"),
+        table(",", names="t U Y"),
+        table(",").replace("\n", "\n\n"),
+        table(",").removesuffix("\n"),
+    ],
+    ids=[
+        *("comma", "comma and blank", "semicolon", "decimal comma", "tab", "blanks", "CRLF"),
+        *("comma at each end", "tab at each end", "byte order mark", "remarks", "quotes", "units"),
+        *("capitals", "empty lines", "no line end"),
+    ],
+)
+def test_the_same_numbers_come_of_every_way_to_write_them(text: str, tmp_path: Path) -> None:
+    """To the last digit, with the sampling time of the times."""
+    data = load_data(written(tmp_path, text))
+
+    np.testing.assert_array_equal(data.u, U)
+    np.testing.assert_array_equal(data.y, Y)
+    assert data.Ts == 0.1
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
+def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path: Path) -> None:
+    """From 1; the output is then called y."""
+    path = written(tmp_path, table(separator, names=""), "data.dat")
+
+    data = load_data(path, input="2", signal="3", time="1")
+
+    assert data.u.tolist() == U
+    assert data.y.tolist() == Y
+    assert (data.output, data.Ts, data.N) == ("y", 0.1, 4)
+
+
+def test_a_column_ends_where_the_rows_do_with_names_or_without(tmp_path: Path) -> None:
+    """A separator before the end of each row is the empty last column that its name says."""
+    last = written(tmp_path, "u,y\n1,\n2,\n3,\n", "last.csv")
+    none = written(tmp_path, "1,5,\n2,6,\n", "none.csv")
+
+    with pytest.raises(DataFileError, match="the signal, column 2, has no value in any of 3 rows"):
+        load_data(last, Ts=1)
+    assert load_data(none, input="1", signal="2", Ts=1).y.tolist() == [5, 6]
+
+
+def test_names_and_units_are_the_headers(tmp_path: Path) -> None:
+    """They stand in the model's heading and on the axes."""
+    path = written(tmp_path, "t [s];Heater (V);Temp [°C]\n0;1;2\n2;2;3\n")
+
+    data = load_data(path, input="Heater", signal="temp [°C]".replace("t", "T", 1))
+
+    assert (data.output, data.unit, data.input_unit, data.Ts) == ("Temp", "°C", "V", 2.0)
+
+
+def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
+    """In the output; a sample without its input is left out and begins a new experiment."""
+    rows = ["1,1", "2,", "3,NaN", "4,n/a", "5,5", ",6", "nan,7", "8,8", "9,9"]
+    path = written(tmp_path, "u,y\n" + "\n".join(rows))
+
+    data = load_data(path, Ts=1)
+
+    assert data.u.tolist() == [1, 2, 3, 4, 5, 8, 9]
+    np.testing.assert_array_equal(data.y, [1, np.nan, np.nan, np.nan, 5, 8, 9])
+    assert data.starts == (0, 5)
+    assert data.history == (
+        "left out 2 samples without an input: after each a new experiment begins",
+    )
+
+
+def test_a_column_that_nobody_asks_for_may_be_words(tmp_path: Path) -> None:
+    """A time of day, a remark."""
+    rows = ["2024-01-01 10:00:00,1,2,good", "2024-01-01 10:00:01,3,4,bad"]
+    named = written(tmp_path, "when,u,y,what\n" + "\n".join(rows), "named.csv")
+    bare = written(tmp_path, "\n".join(rows), "bare.csv")
+
+    assert load_data(named, Ts=1).y.tolist() == [2, 4]
+    assert load_data(bare, input="2", signal="3", Ts=1).y.tolist() == [2, 4]
+
+
+def test_a_first_row_without_a_value_is_no_line_of_names(tmp_path: Path) -> None:
+    """No sample is lost."""
+    path = written(tmp_path, "NaN,1\n2,3\n")
+
+    assert load_data(path, input="2", signal="1", Ts=1).N == 2
+
+
+@given(st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 2), min_size=1))
+def test_every_number_comes_back(rows: list[tuple[float, float]]) -> None:
+    """To the last bit, as Python writes it."""
+    from armrig.data.files.text import table_of
+
+    for separator in (",", ";", "\t", " "):
+        read = table_of("".join(f"{u!r}{separator}{y!r}\n" for u, y in rows))
+
+        assert [read.numbers(0).tolist(), read.numbers(1).tolist()] == [
+            list(column) for column in zip(*rows, strict=True)
+        ]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "there is no row of numbers; a row for each sample is needed"),
+        ("# nothing\n\n", "there is no row of numbers; a row"),
+        ("t,u,y\n", "there is no row of numbers below its names, t, u, y; a row for each"),
+        ("u,y\n1,2\n1\n", r"line 3 has 1 cell \(parted by comma\), the line of names 2 cells"),
+        ("1 2\n1 2 3\n", r"line 2 has 3 cells \(parted by blanks\), the first row 2 cells; give"),
+        ("A title\nu;y\n1;2\n", r"line 2 has 2 cells \(parted by semicolon\), the line of names 1"),
+        ("u,y\n1,2\n1,two\n", "line 3, column y: 'two' is no number; leave a missing value empty"),
+        ("u\ty\n1,5\t2\n", "line 2, column u: '1,5' is no number; write 0.5, or 0,5 where a semi"),
+        ("u;y\n1.234,5;2\n", "line 2, column u: '1.234,5' is no number; leave a missing"),
+        ("u,y\n1_000,2\n", "line 2, column u: '1_000' is no number"),
+        ("u,y\n1,2\n1e999,3\n", "line 3: the input is inf there, and in 1 samples in all; leave"),
+        ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is no number"),
+        ("u,y\n1,2\n\x001,2\n", "is no text, and no other kind of file that is known; armrig re"),
+        ("a,b\n1,2\n", "input u: there is no such column; give a name or a number of 1 a, 2 b"),
+        ("1,2\n1,2\n", "input u: there is no such column; its columns have no names: give a num"),
+        ("u,u,y\n1,2,3\n", "input u: columns 1 and 2 are named so; give the number"),
+        (
+            ",".join(f"c{i}" for i in range(99)) + "\n" + ",".join("1" * 99) + "\n",
+            r"11 c10, 12 c11, … 99$",
+        ),
+    ],
+)
+def test_what_is_no_table_is_told_with_its_line_and_the_way_out(
+    text: str, said: str, tmp_path: Path
+) -> None:
+    """What came, what is allowed, what to do."""
+    path = written(tmp_path, text)
+
+    with pytest.raises(DataFileError, match=f"^{path}: .*{said}"):
+        load_data(path, Ts=1)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8"),
+        ("u,y\n1,2\n".encode("utf-16"), "it is saved as UTF-16: save it as UTF-8"),
+        (b"\x89HDF\r\n\x1a\n", "is HDF5"),
+        (b"PAR1", "is Parquet"),
+        (b"\x1f\x8b\x08", "is packed with gzip; unpack it first"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an old Excel workbook; save its sheet as CSV"),
+        (b"\x89MCAP0\r\n", r"is a recording and no table; armrig.load\(path\).dataset\(\)"),
+        (b"\x93NUMPY\x01", "is an .npy"),
+        (b"# Created by Octave 8.4", "is Octave's own text; save it there with save -v7"),
+    ],
+)
+def test_another_kind_of_file_is_told_with_what_to_do(
+    data: bytes, said: str, tmp_path: Path
+) -> None:
+    """Whatever its name says."""
+    path = tmp_path / "data.csv"
+    path.write_bytes(data)
+
+    with pytest.raises(DataFileError, match=said):
+        load_data(path, Ts=1)
+
+
+@given(st.binary(max_size=300))
+def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
+    """No exception but the one that a person can read."""
+    from armrig.data.files.kinds import table_of
+
+    for suffix in (".csv", ".mat"):
+        said = ""
+        try:
+            read = table_of(data, suffix)
+            for i in range(len(read.columns)):
+                read.numbers(i)
+        except DataFileError as err:
+            said = str(err)
+        assert len(said) < 300
+
+
+def test_a_file_that_is_too_long_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is allowed, and what to do."""
+    from armrig.data.files import loading
+
+    path = tmp_path / "long.csv"
+    with path.open("wb") as file:
+        file.truncate(loading.MOST_BYTES + 1)
+
+    with pytest.raises(DataFileError, match="has more than 128 MiB; cut it into several files"):
+        load_data(path)
+
+
+@pytest.mark.parametrize(
+    ("times", "Ts"),
+    [
+        ([0, 0.05, 0.1, 0.15], 0.05),
+        ([1, 2, 3, 4], 1.0),
+        ([1000.1, 1000.2, 1000.3, 1000.4], 0.1),
+        ([k / 30 for k in range(400)], 1 / 30),
+        ([float(f"{0.05 * k:.6g}") for k in range(4000)], 0.05),
+        ([float(np.float32(0.002 * k)) for k in range(3000)], 0.002),
+        ([0.0, 0.0101, 0.0199, 0.0301, 0.04], 0.01),
+    ],
+    ids=["exact", "from 1", "late", "thirtieths", "six digits", "single precision", "unsteady"],
+)
+def test_the_sampling_time_is_the_roundest_that_the_times_agree_with(
+    times: Sequence[float], Ts: float, tmp_path: Path
+) -> None:
+    """Two files of one experiment have the same."""
+    text = "t,u,y\n" + "".join(f"{t!r},1,2\n" for t in times)
+
+    assert load_data(written(tmp_path, text)).Ts == pytest.approx(Ts, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("header", "Ts"),
+    [("t [ms]", 0.1), ("time (µs)", 1e-4), ("Time [min]", 6000.0), ("T", 100.0), ("t[h]", 3.6e5)],
+)
+def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_path: Path) -> None:
+    """Seconds, where it says none."""
+    path = written(tmp_path, f"{header},u,y\n0,1,2\n100,1,2\n200,1,2\n")
+
+    assert load_data(path).Ts == pytest.approx(Ts, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("t,u,y\n0,1,2\n1,1,2\n3,1,2\n4,1,2", "line 4: the times in column t go from 1 to 3 s, us"),
+        ("t,u,y\n0,1,2\n0,1,2\n0,1,2\n", "line 3: the times in column t go from 0 to 0 s"),
+        ("t,u,y\n2,1,2\n1,1,2\n0,1,2\n", "line 3: the times in column t go from 2 to 1 s"),
+        ("t,u,y\n0,1,2\n,1,2\n2,1,2\n", "line 3: the times in column t have none here; fill it"),
+        ("t,u,y\n0,1,2\n", "the times in column t are 1, which tells no interval; give Ts"),
+        ("t [days],u,y\n0,1,2\n1,1,2\n", "the times in column t are in days, known are s, "),
+        ("u,y\n0,1\n1,2\n", r"the sampling time is not known: give Ts in s \(--Ts\), or the col"),
+        ("t,time,u,y\n0,1,1,2\n", "the sampling time is not known"),
+    ],
+)
+def test_times_that_give_no_sampling_time_are_told(text: str, said: str, tmp_path: Path) -> None:
+    """With the place; a Ts that is given overrides them."""
+    path = written(tmp_path, text)
+
+    with pytest.raises(DataFileError, match=said):
+        load_data(path)
+    assert load_data(path, Ts=0.5).Ts == 0.5
+
+
+def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
+    """A slip of the finger."""
+    path = written(tmp_path, "u,y\n1,2\n")
+
+    with pytest.raises(DataFileError, match="input and signal are both column 1; give a name or"):
+        load_data(path, input="u", signal="1", Ts=1)
+
+
+def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
+    """By the hash of its bytes, and that it was no recording."""
+    import hashlib
+
+    path = written(tmp_path, table(","))
+
+    assert load_data(path).source == f"data:{hashlib.sha256(path.read_bytes()).hexdigest()}"
+    assert armrig.merge([load_data(path)] * 2).source == load_data(path).source
