@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.pandas_columns import plain, present
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column
 from armrig.numerics.stretches import Mask
@@ -35,7 +36,8 @@ class Dataset:
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
-        False where y is missing; there `y` reads NaN, so that no formula can use it unseen.
+        False where y is missing; there `y` reads NaN, so that no formula can use it unseen. Where a
+        column of pandas has no value y is missing, too.
     starts : sequence of int, default (0,)
         Index of the first sample of each experiment; nothing is known across a boundary.
     output, unit, input_unit : str
@@ -91,6 +93,7 @@ class Dataset:
         history: Sequence[str] = (),
         trends: Sequence[Trend] = (),
     ) -> None:
+        u, y, valid = plain("u", u), plain("y", y), present(y, valid)
         u_, y_ = column("u", u), column("y", y)
         N = u_.size
         if y_.size != N:

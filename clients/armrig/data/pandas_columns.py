@@ -1,0 +1,46 @@
+"""Columns of pandas, which armrig does not import, as arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def plain(name: str, values: Any) -> Any:
+    """Return a column of pandas as an array, NaN where it has no value; others as they are.
+
+    Raises
+    ------
+    ValueError
+        It holds what is no number, or is a whole table.
+    """
+    if not is_pandas(values):
+        return values
+    if getattr(values, "ndim", 1) != 1:
+        msg = (
+            f"{name} is a table of pandas with shape {values.shape}; give one column, df[{name!r}]"
+        )
+        raise ValueError(msg)
+    if getattr(values.dtype, "kind", "") == "c":
+        return values.to_numpy()
+    try:
+        return values.to_numpy(dtype=np.float64, na_value=np.nan)
+    except (TypeError, ValueError) as err:
+        msg = f"{name} is a column of {values.dtype}: {err}; give numbers, see pandas.to_numeric"
+        raise ValueError(msg) from err
+
+
+def is_pandas(values: Any) -> bool:
+    """Return whether values are of pandas, by what they can do."""
+    return hasattr(values, "to_numpy") and hasattr(values, "isna")
+
+
+def present(y: Any, valid: Any) -> Any:
+    """Return `valid`, False also where a column of pandas has no value; None where neither says."""
+    if is_pandas(valid):
+        valid = valid.to_numpy(dtype=np.bool_, na_value=False)
+    if not is_pandas(y):
+        return valid
+    there = np.asarray(y.notna(), dtype=np.bool_)
+    return there if valid is None else np.asarray(valid, dtype=np.bool_) & there
