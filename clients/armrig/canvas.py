@@ -73,11 +73,21 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
     panels[0].figure.align_ylabels(panels)
 
 
+def signature(*sources: str) -> str:
+    """Return the kind of files and their hashes, shortened: `recordings 0123…, 4567…`."""
+    hashes: dict[str, list[str]] = {}
+    for one in dict.fromkeys(h for source in sources for h in source.split("+") if h):
+        kind, _, digest = one.rpartition(":")
+        hashes.setdefault(kind or "recording", []).append(digest[:12])
+    return "; ".join(
+        f"{kind}{'s' if kind == 'recording' and len(of) > 1 else ''} {', '.join(of)}"
+        for kind, of in hashes.items()
+    )
+
+
 def sign(ax: Axes, *sources: str) -> Axes:
-    """Write the hashes of the recordings above the axes, small."""
-    hashes = list(dict.fromkeys(h[:12] for source in sources for h in source.split("+") if h))
-    if hashes:
-        text = ("recording " if len(hashes) == 1 else "recordings ") + ", ".join(hashes)
+    """Write what the numbers are from above the axes, small."""
+    if text := signature(*sources):
         ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3)
     return ax
 

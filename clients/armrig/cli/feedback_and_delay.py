@@ -1,4 +1,4 @@
-"""The command that tests a recording for feedback and for a delay: check."""
+"""The command that tests data for feedback and for a delay: check."""
 
 from __future__ import annotations
 
@@ -7,8 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.options import CalibrationFile, File, Json, Output, echo, print_json
-from armrig.cli.recorded_data import dataset
+from armrig.cli.options import (
+    CalibrationFile,
+    DataFile,
+    DataTs,
+    Detrend,
+    Input,
+    Json,
+    NoOutput,
+    Signal,
+    TimeColumn,
+    print_json,
+    say,
+)
+from armrig.cli.recorded_data import Signals, from_recording, source_facts
 
 if TYPE_CHECKING:
     from armrig.validation.feedback_and_delay.delay import Delay
@@ -16,8 +28,13 @@ if TYPE_CHECKING:
 
 
 def check(
-    file: File,
-    output: Output = "theta_1",
+    file: DataFile,
+    input: Input = None,
+    signal: Signal = None,
+    time: TimeColumn = None,
+    Ts: DataTs = None,
+    detrend: Detrend = False,
+    output: NoOutput = None,
     level: Annotated[float, typer.Option("--level", help="Of the test for feedback.")] = 0.05,
     calibration: CalibrationFile = None,
     json: Json = False,
@@ -29,17 +46,26 @@ def check(
     from armrig.validation.feedback_and_delay.open_loop import open_loop
 
     check_plot(plot, [file])
-    data = dataset(file, output, calibration)
+    signals = Signals(
+        signal=signal,
+        input=input,
+        time=time,
+        Ts=Ts,
+        detrend=detrend,
+        calibration=calibration,
+    )
+    data = signals.of(file)
     with spinner("testing"):
         loop, late = open_loop(data, level), delay(data)
     write_plot(plot, lambda ax: loop.plot(ax=ax), lambda ax: late.plot(ax=ax))
     if json:
         print_json(
-            {"recording": data.source, "open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
+            source_facts(data) | {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
         )
         return
-    echo(f"open loop (handout 3.7)\n{_indented(loop.explain())}")
-    echo(f"delay (handout 3.8)\n{_indented(late.explain())}")
+    of_rig = from_recording(data)
+    say(f"open loop{' (handout 3.7)' if of_rig else ''}\n{_indented(loop.explain())}")
+    say(f"delay{' (handout 3.8)' if of_rig else ''}\n{_indented(late.explain())}")
 
 
 def _loop_facts(loop: OpenLoop) -> dict[str, Any]:

@@ -28,15 +28,20 @@ from armrig.cli.model_structures import (
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
-    File,
+    DataFile,
+    DataTs,
+    Detrend,
+    Input,
     Json,
     Nk,
-    Output,
+    NoOutput,
+    Signal,
+    TimeColumn,
     print_json,
     say,
     tell,
 )
-from armrig.cli.recorded_data import dataset
+from armrig.cli.recorded_data import Signals, from_recording, source_facts
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -57,7 +62,8 @@ MaxOrder = Annotated[
 ]
 Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes that --search estimates in.")]
 ValidationFile = Annotated[
-    Path | None, typer.Option("--validate", metavar="F2", help="Recording to validate with.")
+    Path | None,
+    typer.Option("--validate", metavar="F2", help="Recording, or other data, to validate with."),
 ]
 Save = Annotated[
     Path | None, typer.Option("--save", metavar="JSON", help="File to write the model to.")
@@ -65,7 +71,7 @@ Save = Annotated[
 
 
 def identify(
-    file: File,
+    file: DataFile,
     structure: StructureOrNone = None,
     na: NaOrNone = None,
     nb: NbOrNone = None,
@@ -80,13 +86,18 @@ def identify(
     most: MaxOrder = 5,
     jobs: Jobs = 1,
     validate: ValidationFile = None,
-    output: Output = "theta_1",
+    input: Input = None,
+    signal: Signal = None,
+    time: TimeColumn = None,
+    Ts: DataTs = None,
+    detrend: Detrend = False,
+    output: NoOutput = None,
     calibration: CalibrationFile = None,
     save: Save = None,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Estimate a model from a recording, or search for one.
+    """Estimate a model from a recording or other data, or search for one.
 
     Says how sure each parameter is.
     """
@@ -96,15 +107,25 @@ def identify(
         orders=_checked_orders(structure, given, weights=weights, search=search),
         weights=_checked_weights(structure, weights),
         nk=nk,
-        integrator=_checked_integrator(structure, output, integrator=integrator),
+        integrator=_checked_integrator(structure, integrator=integrator),
         search=search,
         most=most,
         jobs=jobs,
     )
     _check_files(file, validate, plot=plot, save=save)
-    data = dataset(file, output, calibration)
+    signals = Signals(
+        signal=signal,
+        input=input,
+        time=time,
+        Ts=Ts,
+        detrend=detrend,
+        calibration=calibration,
+    )
+    data = signals.of(file)
     # Before the minutes that an estimation may take.
-    other = None if validate is None else dataset(validate, output, calibration)
+    other = None if validate is None else signals.of(validate)
+    if integrator:
+        _warn_of_integrator(data)
     found = _found(wanted, data, other)
     if json:
         _print_json(found, data)
@@ -184,15 +205,19 @@ def _checked_weights(structure: Structure | None, weights: Weights | None) -> We
     return weights
 
 
-def _checked_integrator(structure: Structure | None, output: str, *, integrator: bool) -> bool:
-    """Refuse an integrator in a structure without one, and warn where the rig has none."""
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
+def _checked_integrator(structure: Structure | None, *, integrator: bool) -> bool:
+    """Refuse an integrator in a structure without one."""
     if integrator and structure is not None:
         check_integrator(structure)
-    if integrator and output not in INTEGRATING_OUTPUTS:
-        tell(f"--integrator: {output} does not integrate, so the rig has no root at 1 for it")
     return integrator
+
+
+def _warn_of_integrator(data: Dataset) -> None:
+    """Warn where the rig has no root at 1; of what is not the rig's nothing is known."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    if from_recording(data) and data.output not in INTEGRATING_OUTPUTS:
+        tell(f"--integrator: {data.output} does not integrate, so the rig has no root at 1 for it")
 
 
 def _check_files(
@@ -273,7 +298,7 @@ def _print_lines(found: _Found, validate: Path | None) -> None:
 def _print_json(found: _Found, data: Dataset) -> None:
     from armrig.cli import model_output
 
-    facts = model_output.model_facts(found.fit) | {"recording": data.source}
+    facts = model_output.model_facts(found.fit) | source_facts(data)
     if found.search is not None:
         facts["search"] = _search_facts(found.search)
     if found.validation is not None:

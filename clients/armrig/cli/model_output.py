@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from armrig.cli.recorded_data import source_facts
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.equation import form, heading
@@ -121,8 +122,7 @@ def model_facts(fit: Fit) -> dict[str, Any]:
 
 def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[str, Any]:
     """Return the verdict of validation data for a program."""
-    return {
-        "recording": data.source,
+    return source_facts(data) | {
         "on_estimation_data": row.on_estimation_data,
         "fit_percent": row.fit_percent,
         "rms_error": row.rms_error,

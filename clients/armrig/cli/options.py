@@ -27,7 +27,57 @@ CalibrationFile = Annotated[
 ]
 File = Annotated[Path, typer.Argument(metavar="F", help="Recording (*.mcap).")]
 OutputName = Literal["theta_1", "alpha", "velocity"]
-Output = Annotated[OutputName, typer.Option("--output", help="Which output.")]
+DataFile = Annotated[
+    Path,
+    typer.Argument(metavar="F", help="Recording (*.mcap), or other data (.csv, .dat, .mat, .npz)."),
+]
+Signal = Annotated[
+    str | None,
+    typer.Option(
+        "--signal",
+        metavar="NAME",
+        help="The output: theta_1, alpha or velocity; of other data a column's name or number.",
+        show_default="theta_1; y of other data",
+    ),
+]
+Input = Annotated[
+    str | None,
+    typer.Option(
+        "--input",
+        metavar="NAME",
+        help="The input's column in other data: name or number, from 1.",
+        show_default="u",
+    ),
+]
+TimeColumn = Annotated[
+    str | None,
+    typer.Option(
+        "--time",
+        metavar="NAME",
+        help="The column of times in other data.",
+        show_default="t or time, if there is one",
+    ),
+]
+DataTs = Annotated[
+    float | None,
+    typer.Option("--Ts", help="Sampling time in s of other data.", show_default="by the times"),
+]
+
+Detrend = Annotated[
+    bool, typer.Option("--detrend", help="Take the means off first, off each file its own.")
+]
+
+
+def _refuse_output(given: str | None) -> None:
+    if given is not None:
+        msg = (
+            f"the signal is chosen by --signal {given}; a figure's file is --plot, a model's --save"
+        )
+        raise typer.BadParameter(msg)
+
+
+NoOutput = Annotated[str | None, typer.Option("--output", hidden=True, callback=_refuse_output)]
+"""What chose the signal in 0.1."""
 Na = Annotated[int, typer.Option("--na", help="Number of a's (ARX).")]
 Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]
 Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE), the integrator's included.")]

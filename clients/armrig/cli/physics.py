@@ -9,8 +9,8 @@ import typer
 
 from armrig.cli.comparison_rows import row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.options import CalibrationFile, File, Json, echo, print_json, warned
-from armrig.cli.recorded_data import dataset
+from armrig.cli.options import CalibrationFile, File, Json, NoOutput, echo, print_json, warned
+from armrig.cli.recorded_data import recorded
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
 
-GreyOutput = Annotated[Literal["theta_1", "alpha"], typer.Option("--output", help="Which output.")]
+GreySignal = Annotated[Literal["theta_1", "alpha"], typer.Option("--signal", help="Which output.")]
 Given = Annotated[
     list[str] | None,
     typer.Option(
@@ -51,7 +51,8 @@ def greybox(
     free: Free = None,
     friction: Friction = None,
     given: Given = None,
-    output: GreyOutput = "theta_1",
+    signal: GreySignal = "theta_1",
+    output: NoOutput = None,
     calibration: CalibrationFile = None,
     json: Json = False,
     plot: Plot = None,
@@ -62,10 +63,10 @@ def greybox(
 
     check_plot(plot, [file])
     fixed = _parameters(given)
-    data, model = _data_and_rig(file, output, calibration, model)
+    data, model = _data_and_rig(file, signal, calibration, model)
     with spinner("estimating"):
         fit = estimate(
-            data, _model(model), tuple(free or ("J_1",)), fixed, output, friction=friction
+            data, _model(model), tuple(free or ("J_1",)), fixed, signal, friction=friction
         )
     fit.require_result()
     write_plot(plot, lambda ax: fit.plot(data, ax=ax), height=4.5)
@@ -108,7 +109,8 @@ def split(
     model: Rig = None,
     free: Free = None,
     given: Given = None,
-    output: GreyOutput = "theta_1",
+    signal: GreySignal = "theta_1",
+    output: NoOutput = None,
     calibration: CalibrationFile = None,
     json: Json = False,
     plot: Plot = None,
@@ -123,11 +125,11 @@ def split(
 
     check_plot(plot, [file])
     cuts, fixed = _cuts(parts), _parameters(given)
-    data, model = _data_and_rig(file, output, calibration, model)
+    data, model = _data_and_rig(file, signal, calibration, model)
     rig = _model(model)
 
     def estimate(part: Dataset) -> Any:
-        return greybox(part, rig, tuple(free or ("J_1",)), fixed, output)
+        return greybox(part, rig, tuple(free or ("J_1",)), fixed, signal)
 
     with spinner("estimating"):
         study = split_study(data, cuts, estimate)
@@ -188,7 +190,7 @@ def simulate(
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 
-    data = dataset(file, "theta_1", calibration)
+    data = recorded(file, "theta_1", calibration)
     fits = [*(load_fit(path) for path in model or ()), physical_model(p, data)]
     labels = [*(path.stem for path in model or ()), "physics"]
     table = compare(data, *fits, labels=labels)
@@ -218,7 +220,7 @@ def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
 
 
 def _data_and_rig(
-    file: Path, output: Any, calibration: Path | None, model: Literal["chassis", "arm"] | None
+    file: Path, signal: Any, calibration: Path | None, model: Literal["chassis", "arm"] | None
 ) -> tuple[Dataset, Literal["chassis", "arm"]]:
     """Return the data, and of which rig they are; refuse another one than was given."""
     from armrig.recordings.findings import alpha_moves
@@ -231,7 +233,7 @@ def _data_and_rig(
         msg = f"{file}: --model {model}, but {what}; leave --model out, or record the {model} "
         msg += "(`armrig collect greybox` is for the chassis alone)"
         raise ValueError(msg)
-    return recording.dataset(output), seen
+    return recording.dataset(signal), seen
 
 
 def _model(name: str) -> Any:

@@ -1,10 +1,13 @@
-"""The data that commands read from recordings, and what is told of them."""
+"""The data that commands read from recordings and other files, and what is told of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
+
+import typer
 
 from armrig.cli.options import SAME_DATA, OutputName, tell, warned
 
@@ -16,6 +19,10 @@ if TYPE_CHECKING:
     from armrig.validation.comparison import ComparisonTable
 
 
+_ENOUGH = 20
+"""Samples that a mean says something of."""
+
+
 def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
     """Return the recordings, and tell their damage."""
     from armrig.recordings.loading import load
@@ -23,9 +30,106 @@ def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
     return [warned(load(file, calibration)) for file in files]
 
 
-def dataset(file: Path, output: OutputName, calibration: Path | None) -> Dataset:
+def recorded(file: Path, output: OutputName, calibration: Path | None) -> Dataset:
     """Return the data of one output, and tell the recording's damage."""
     return loaded([file], calibration)[0].dataset(output)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Signals:
+    """What to take from files: recordings, or data of any other origin."""
+
+    signal: str | None
+    """The output; None is theta_1 of a recording, and y of other data."""
+    input: str | None = None
+    """Column of u; None is u. It goes with other data only, as do `time` and `Ts`."""
+    time: str | None = None
+    """Column of the times."""
+    Ts: float | None = None
+    """Sampling time, in s."""
+    detrend: bool = False
+    """Take the means off each file."""
+    calibration: Path | None = None
+    """To read recordings with."""
+
+    def of(self, file: Path, model: Model | None = None) -> Dataset:
+        """Return the data of a file, and tell what it lacks; of a model's output by default."""
+        from armrig.data.treatment import detrend
+
+        data = self._other(file, model) if self._is_other(file) else self._recorded(file, model)
+        return detrend(data) if self.detrend else data
+
+    def _other(self, file: Path, model: Model | None) -> Dataset:
+        if self.calibration is not None:
+            msg = f"--calibration goes with recordings; {file} has no readings of the rig's sensors"
+            raise typer.BadParameter(msg)
+        from armrig.data.files.loading import load_data
+
+        signal = self.signal or (model.output if model else None) or "y"
+        data = load_data(file, input=self.input or "u", signal=signal, time=self.time, Ts=self.Ts)
+        _tell_of(file, data)
+        if not self.detrend:
+            _hint_at_means(data)
+        return data
+
+    def _is_other(self, file: Path) -> bool:
+        """Return whether a file is no recording: by its name, or where columns are asked for."""
+        from armrig.data.files.loading import SUFFIXES
+
+        suffix = file.suffix.lower()
+        asked = (self.input, self.time, self.Ts) != (None, None, None)
+        return suffix in SUFFIXES or (asked and suffix != ".mcap")
+
+    def _recorded(self, file: Path, model: Model | None) -> Dataset:
+        given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
+        for name, value in given.items():
+            if value is not None:
+                msg = f"{name} {value} goes with other data (.csv, .dat, .mat, .npz); the "
+                msg += f"recording {file} says it itself"
+                raise typer.BadParameter(msg)
+        recording = loaded([file], self.calibration)[0]
+        if self.signal is None:
+            return recording.dataset() if model is None else dataset_of(recording, model)
+        for output in get_args(OutputName):
+            if output == self.signal:
+                return recording.dataset(output)
+        msg = f"--signal {self.signal}: a recording has {', '.join(get_args(OutputName))}"
+        raise typer.BadParameter(msg)
+
+
+def from_recording(data: Dataset) -> bool:
+    """Return whether data are a rig's, and no other file's."""
+    return ":" not in data.source
+
+
+def source_facts(data: Dataset) -> dict[str, str]:
+    """Return the hash of the file that data are from, for a program."""
+    kind, _, digest = data.source.rpartition(":")
+    return {kind or "recording": digest}
+
+
+def _hint_at_means(data: Dataset) -> None:
+    """Tell what to do where u or y hardly come near 0, as about a point of operation."""
+    u, y = data.u, data.y[data.valid]
+    if y.size >= _ENOUGH and any(abs(x.mean()) > 2 * x.std() for x in (u, y)):
+        tell(
+            f"on average {data.output} is {y.mean():.4g} and u {u.mean():.4g}; if u = 0 does not "
+            "give 0, take the means off with --detrend"
+        )
+
+
+def _tell_of(file: Path, data: Dataset) -> None:
+    """Tell what was taken from a file of data."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    parts = [f"{data.N} samples of u and {data.output}, {data.Ts:g} s apart"]
+    parts += [f"{data.missing} without {data.output}"] if data.missing else []
+    tell("; ".join([f"{file}: {parts[0]}", *parts[1:], *data.history]))
+    if data.output in INTEGRATING_OUTPUTS:
+        tell(
+            f"{data.output} is taken for the rig's angle, which integrates its input; name the "
+            "column otherwise if it does not"
+        )
 
 
 def warn_of_estimation_data(table: ComparisonTable) -> None:
@@ -50,5 +154,6 @@ def dataset_of(recording: Recording, model: Model) -> Dataset:
     for output in get_args(OutputName):
         if output == model.output:
             return recording.dataset(output)
-    msg = f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}"
+    msg = f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}; "
+    msg += "give --signal if one of them is the same"
     raise ValueError(msg)

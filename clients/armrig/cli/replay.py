@@ -75,7 +75,7 @@ def replay(path: str | Path) -> Replay:
         msg = f"{path}: {getattr(err, 'strerror', None) or err}"
         raise RecordingError(msg) from err
     if content is None:
-        msg = f"{path}: is no MCAP file"
+        msg = f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)"
         raise RecordingError(msg)
     chunks = content.messages.get("trace", [])
     if not chunks or not chunks[0].state:

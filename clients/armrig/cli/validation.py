@@ -1,4 +1,4 @@
-"""The command that tests a model on a recording: validate."""
+"""The command that tests a model on data: validate."""
 
 from __future__ import annotations
 
@@ -11,10 +11,22 @@ import typer
 
 from armrig.cli.comparison_rows import row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.options import CalibrationFile, File, Json, echo, print_json
+from armrig.cli.options import (
+    CalibrationFile,
+    DataFile,
+    DataTs,
+    Detrend,
+    Input,
+    Json,
+    NoOutput,
+    Signal,
+    TimeColumn,
+    echo,
+    print_json,
+    tell,
+)
 from armrig.cli.recorded_data import (
-    dataset_of,
-    loaded,
+    Signals,
     spectral_beside,
     warn_of_estimation_data,
 )
@@ -41,15 +53,21 @@ _HORIZONS = (1, 10)
 
 
 def validate(
-    file: File,
+    file: DataFile,
     model: ModelFile,
+    input: Input = None,
+    signal: Signal = None,
+    time: TimeColumn = None,
+    Ts: DataTs = None,
+    detrend: Detrend = False,
+    output: NoOutput = None,
     horizon: Horizons = None,
     lags: Lags = None,
     calibration: CalibrationFile = None,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Test a model on a recording.
+    """Test a model on a recording, or on other data.
 
     Simulation, prediction, and what its residuals still hold.
     """
@@ -57,7 +75,17 @@ def validate(
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
-    data = dataset_of(loaded([file], calibration)[0], fit)
+    signals = Signals(
+        signal=signal,
+        input=input,
+        time=time,
+        Ts=Ts,
+        detrend=detrend,
+        calibration=calibration,
+    )
+    data = signals.of(file, fit)
+    if any("removed the mean" in step for step in fit.history) and not detrend:
+        tell(f"{model} is a model of data without their means: validate it with --detrend")
     validated = _validated(fit, data, horizon or _HORIZONS, lags)
     _plot_validation(validated, lags, plot)
     if json:
@@ -122,11 +150,12 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
 
 
 def _print_validation(validated: _Validated, file: Path) -> None:
+    from armrig.canvas import signature
     from armrig.cli.model_output import residual_lines
     from armrig.models.equation import heading
 
     echo(heading(validated.fit))
-    echo(f"validated on {file} (recording {validated.data.source[:12]})")
+    echo(f"validated on {file} ({signature(validated.data.source)})")
     for table in (validated.simulated, *validated.predicted):
         ahead = "simulated" if table.horizon is None else f"{table.horizon} ahead"
         echo(row_line(f"{ahead:10}", table[0], table.unit))

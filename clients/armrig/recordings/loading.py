@@ -68,10 +68,12 @@ def load(path: str | Path, calibration: Calibration | str | Path | None = None) 
     try:
         content = read(path)
     except DamageError as err:
-        msg = f"{path}: {err}; armrig reads what armrigd has recorded (*.mcap)"
+        msg = f"{path}: {err}; armrig reads what armrigd has recorded (*.mcap); "
+        msg += "identify, validate and check read other data, too (.csv, .dat, .mat, .npz)"
         raise RecordingError(msg) from err
     if content is None:
-        msg = f"{path}: not an MCAP file; armrig reads what armrigd has recorded (*.mcap)"
+        msg = f"{path}: not an MCAP file; armrig reads what armrigd has recorded (*.mcap); "
+        msg += "identify, validate and check read other data, too (.csv, .dat, .mat, .npz)"
         raise RecordingError(msg)
     entries = content.metadata.get(records.RUN)
     if entries is None:

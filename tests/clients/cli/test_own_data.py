@@ -1,0 +1,370 @@
+"""Data that are no recording, from the command line: no rig is needed."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli import main
+from scipy.io import savemat
+from scipy.signal import lfilter
+
+TS = 0.05
+COLUMNS = {
+    "data.csv": "",
+    "data.tsv": "",
+    "data.mat": "",
+    "data.npz": "",
+    "data.dat": "--input 2 --signal 3 --time 1",
+}
+
+
+def made(seed: int = 1, N: int = 400) -> armrig.Dataset:
+    """Return data of y(t) = 1.5 y(t-1) - 0.7 y(t-2) + u(t-1) + 0.5 u(t-2) + e(t)."""
+    rng = np.random.default_rng(seed)
+    u = rng.choice([-1.0, 1.0], N)
+    A = [1, -1.5, 0.7]
+    y = lfilter([0, 1, 0.5], A, u) + lfilter([1.0], A, 0.1 * rng.standard_normal(N))
+    return armrig.Dataset(u=u, y=y, Ts=TS, input_unit="")
+
+
+def write(path: Path, data: armrig.Dataset) -> Path:
+    """Write u and y in the kind that the name says, with t where it is text."""
+    t = [f"{k * TS:.2f}" for k in range(data.N)]
+    rows = [f"{a} {b!r} {c!r}" for a, b, c in zip(t, data.u.tolist(), data.y.tolist(), strict=True)]
+    text = "\n".join(["t u y", *rows])
+    if path.suffix == ".mat":
+        savemat(path, {"u": data.u, "y": data.y, "Ts": TS})
+    elif path.suffix == ".npz":
+        np.savez(path, u=data.u, y=data.y, Ts=TS)
+    elif path.suffix == ".dat":
+        path.write_text("\n".join(rows))
+    elif path.suffix == ".tsv":
+        path.write_text(text.replace(" ", "\t"))
+    else:
+        path.write_text(text.replace(" ", ";").replace(".", ","))
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder with the same data in every kind of file, and other data of the same plant."""
+    folder = tmp_path_factory.mktemp("own")
+    for name in COLUMNS:
+        write(folder / name, made())
+    write(folder / "other.csv", made(seed=2))
+    return folder
+
+
+def run(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    """Return exit code, output and errors of a command in the folder."""
+    code = main([str(folder / x) if "." in x and not x[0].isdigit() else x for x in line.split()])
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err
+    return code, said.out, said.err
+
+
+def facts(line: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """Return what a command says to a program."""
+    code, out, _ = run(f"{line} --json", folder, capsys)
+    assert code == 0
+    return dict(json.loads(out))
+
+
+@pytest.mark.parametrize(("name", "columns"), COLUMNS.items())
+def test_every_kind_of_file_gives_the_model_that_python_gives(
+    name: str, columns: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """To the last digit, with both standard deviations."""
+    fit = armrig.arx(made(), na=2, nb=2)
+
+    found = facts(f"identify {name} --structure arx --na 2 --nb 2 {columns}", folder, capsys)
+
+    expected = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
+    assert found["parameters"] == {
+        n: {"value": v, "std": s, "std_robust": r} for n, v, s, r in expected
+    }
+    assert found["Ts"] == TS
+    assert found["data"] == armrig.load_data(folder / name, **_python(columns)).source[5:]
+
+
+def _python(columns: str) -> dict[str, str]:
+    words = shlex.split(columns)
+    return dict(zip([w.lstrip("-") for w in words[::2]], words[1::2], strict=True))
+
+
+def test_a_sampling_time_that_is_given_overrides_the_times(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the issue's own line: columns by name, and --Ts."""
+    line = "identify data.csv --input u --signal y --Ts 0.1 --structure oe --nb 2 --nf 2"
+
+    code, out, said = run(line, folder, capsys)
+
+    assert code == 0
+    assert out.startswith("OE(nb=2, nf=2, nk=1): u to y, Ts 0.1 s, N 400\n")
+    assert said.startswith(f"armrig: {folder}/data.csv: 400 samples of u and y, 0.1 s apart")
+
+
+def test_a_model_is_validated_on_other_data(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """While it is identified, or later from its file; both say the same."""
+    line = "identify data.csv --structure arx --na 2 --nb 2 --validate other.csv --save model.json"
+    at_once = facts(line, folder, capsys)["validation"]
+
+    later = facts("validate other.csv --model model.json", folder, capsys)
+    code, out, _ = run("validate other.csv --model model.json", folder, capsys)
+
+    assert code == 0
+    assert at_once["fit_percent"] == later["fit_percent"] > 80
+    assert at_once["data"] == later["data"]
+    assert f"validated on {folder}/other.csv (data {later['data'][:12]})" in out
+    assert "white residuals: p" in out
+
+
+def test_a_search_tries_the_structures_on_them(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And chooses the one that the data are of, or its equal."""
+    line = "identify data.csv --search --max-order 2 --validate other.csv"
+
+    found = facts(line, folder, capsys)
+
+    assert found["search"]["models"]
+    assert found["validation"]["p_no_dynamics_missing"] > 0.01
+
+
+def test_feedback_and_delay_are_looked_for_in_them(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same numbers as from Python; no assignment of a handout is spoken of."""
+    found = facts("check data.mat", folder, capsys)
+    _, out, _ = run("check data.mat", folder, capsys)
+
+    assert found["delay"]["nk"] == armrig.delay(made()).nk == 1
+    assert found["open_loop"]["p_value"] == armrig.open_loop(made()).p_value
+    assert "handout" not in out
+    assert out.startswith("open loop\n")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "identify data.csv --structure arx --plot figure.png",
+        "validate other.csv --model plotted.json --plot figure.png",
+        "check data.csv --plot figure.png",
+    ],
+    ids=lambda line: line.split()[0],
+)
+def test_figures_are_written_as_of_recordings(
+    line: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Signed with the hash of the file."""
+    run("identify data.csv --structure arx --save plotted.json", folder, capsys)
+
+    code, _, said = run(line, folder, capsys)
+
+    assert code == 0
+    assert "figure: " in said
+    assert (folder / "figure.png").read_bytes().startswith(b"\x89PNG")
+    (folder / "figure.png").unlink()
+
+
+def test_what_is_missing_or_left_out_is_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line, before the model."""
+    lines = write(tmp_path / "gaps.csv", made()).read_text().splitlines()
+    lines[100] = lines[100].rpartition(";")[0] + ";"
+    lines[200] = "9,95;;1,0"
+    (tmp_path / "gaps.csv").write_text("\n".join(lines))
+
+    code, _, said = run("identify gaps.csv --structure arx", tmp_path, capsys)
+
+    assert code == 0
+    assert "399 samples of u and y, 0.05 s apart; 1 without y; left out 1 samples without" in said
+
+
+def test_a_column_with_the_name_of_the_rigs_angle_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is taken to integrate, which another's may not."""
+    path = write(tmp_path / "data.csv", made())
+    path.write_text(path.read_text().replace("t;u;y", "t;u;theta_1"))
+
+    run("identify data.csv --signal theta_1 --structure arx", tmp_path, capsys)
+    _, _, said = run("identify data.csv --signal theta_1 --structure arx", tmp_path, capsys)
+
+    assert "theta_1 is taken for the rig's angle, which integrates its input; name the" in said
+
+
+@pytest.mark.parametrize(
+    "command", ["identify F --structure arx", "check F", "greybox F", "split F"]
+)
+def test_output_is_no_signal_any_more(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """What chooses the signal is said; a file is what -o is of everywhere else."""
+    assert main([*command.split(), "--output", "velocity"]) == 2
+
+    assert capsys.readouterr().err.startswith(
+        "armrig: --output: the signal is chosen by --signal velocity; a figure's file is --plot, a"
+    )
+
+
+def test_a_signal_of_a_recording_is_chosen_by_name(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As that of other data."""
+    path = str(three_recordings[1])
+
+    assert main(["identify", path, "--structure", "arx", "--signal", "alpha"]) == 0
+
+    assert "u [V] to alpha [rad]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--input u", "--input u goes with other data (.csv, .dat, .mat, .npz); the recording"),
+        ("--Ts 0.01", "--Ts 0.01 goes with other data (.csv"),
+        ("--time t", "--time t goes with other data (.csv"),
+        ("--signal speed", "--signal speed: a recording has theta_1, alpha, velocity"),
+    ],
+)
+@pytest.mark.parametrize("command", ["identify --structure arx", "check"])
+def test_a_recording_says_its_columns_itself(
+    command: str,
+    options: str,
+    said: str,
+    three_recordings: tuple[Path, ...],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """An option without effect is refused."""
+    assert main([*command.split(), str(three_recordings[1]), *options.split()]) == 2
+
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["info F", "greybox F", "split F", "simulate F", "report F", "compare F F"],
+)
+def test_what_needs_a_recording_says_so(
+    command: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And which commands do not."""
+    path = str(folder / "data.csv")
+
+    assert main(command.replace("F", path).split()) == 1
+
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"armrig: {path}: not an MCAP file; armrig reads what armrigd has")
+    assert "identify, validate and check read other data, too" in said.err
+
+
+def test_a_replay_needs_a_recording(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Other data were decided by nobody."""
+    assert main(["replay", str(folder / "data.csv")]) == 1
+
+    assert "is no MCAP file; replay reads what armrigd has recorded" in capsys.readouterr().err
+
+
+def about_20(folder: Path) -> None:
+    """Write data about a point of operation, u = 3 and y = 20."""
+    data = made()
+    write(folder / "level.csv", data.replaced(step=None, u=data.u + 3, y=data.y + 20))
+
+
+def test_means_are_taken_off_where_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As in Python; what it is for is told where it may be wanted, and nowhere else."""
+    about_20(tmp_path)
+    write(tmp_path / "data.csv", made())
+    line = "level.csv --structure arx --na 2 --nb 2"
+    fit = armrig.arx(armrig.detrend(armrig.load_data(tmp_path / "level.csv")), na=2, nb=2)
+
+    _, _, without = run(f"identify {line}", tmp_path, capsys)
+    _, _, no_level = run("identify data.csv --structure arx", tmp_path, capsys)
+    _, _, taken = run(f"identify {line} --detrend", tmp_path, capsys)
+    found = facts(f"identify {line} --detrend", tmp_path, capsys)
+
+    assert f"on average y is {20 + made().y.mean():.4g} and u {3 + made().u.mean():.4g}" in without
+    assert "take the means off with --detrend" in without
+    assert "--detrend" not in taken + no_level
+    assert [p["value"] for p in found["parameters"].values()] == fit.theta.tolist()
+
+
+def test_a_model_without_means_is_validated_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Else it is told, in all kinds of commands that judge it."""
+    about_20(tmp_path)
+    run("identify level.csv --structure arx --detrend --save m.json", tmp_path, capsys)
+
+    _, _, without = run("validate level.csv --model m.json", tmp_path, capsys)
+    _, _, taken = run("validate level.csv --model m.json --detrend", tmp_path, capsys)
+
+    assert "is a model of data without their means: validate it with --detrend" in without
+    assert "without their means" not in taken
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("--calibration c.toml data.csv", "--calibration goes with recordings; "),
+        (
+            "data.csv --input volt",
+            "input volt: there is no such column; give a name or a number of",
+        ),
+        (
+            "data.csv --input 4",
+            "input 4: there is no such column; give a name or a number of 1 t, ",
+        ),
+        ("data.dat", "input u: there is no such column; its columns have no names: give a number"),
+        (
+            "data.dat --input 2 --signal 3",
+            "the sampling time is not known: give Ts in s (--Ts), or",
+        ),
+        ("data.csv --Ts -1", "Ts=-1.0 must be finite and > 0, in s"),
+        ("data.csv --Ts nan", "Ts=nan must be finite and > 0, in s"),
+        ("data.csv --Ts much", "--Ts: must be a number"),
+        ("nothing.csv", "No such file or directory"),
+        ("short.csv", "1 samples are too few"),
+        (
+            "book.xlsx --input u",
+            "is no text, and no other kind of file that is known; armrig reads",
+        ),
+        (
+            "book.xlsx",
+            "not an MCAP file; armrig reads what armrigd has recorded (*.mcap); identify",
+        ),
+    ],
+)
+@pytest.mark.parametrize(
+    "command", ["identify --structure arx", "validate --model model.json", "check"]
+)
+def test_a_mistake_is_told_in_a_line_or_two(
+    command: str, line: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What came, what is allowed, what to do; and the exit code is not 0."""
+    (folder / "short.csv").write_text("t;u;y\n0;1;2\n")
+    (folder / "book.xlsx").write_bytes(b"\x01\x02\x00\x03")
+    armrig.arx(made(), na=2, nb=2).save(folder / "model.json")
+    if "short.csv" in line:
+        line += " --Ts 1"
+        said = "" if command != "identify --structure arx" else said
+
+    code, out, err = run(f"{command} {line}", folder, capsys)
+
+    assert code != 0
+    assert out == ""
+    assert said in err
+    assert 1 <= err.count("\n") <= 2
+    assert max(map(len, err.splitlines())) <= 320
