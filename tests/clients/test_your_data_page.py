@@ -1,0 +1,49 @@
+"""docs/your-data.md: every line of Python and of the shell runs, and begins as it says."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pages
+import pytest
+from armrig.cli import main
+
+PAGE = pages.DOCS / "your-data.md"
+_BLOCK = re.compile(r"```(python|sh|text)\n(.*?)```", re.DOTALL)
+
+
+def test_every_line_of_the_page_runs_and_prints_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One after the other in an empty folder; a text is what the block above it begins with."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    commands = compared = 0
+    printed = ""
+
+    for language, text in _BLOCK.findall(PAGE.read_text(encoding="utf-8")):
+        if language == "text":
+            assert printed.startswith(text)
+            compared += 1
+            continue
+        if language == "python":
+            exec(compile(text, str(PAGE), "exec"), names)
+        for line in text.splitlines() if language == "sh" else []:
+            assert main(shlex.split(line)[1:]) == 0, line
+            commands += 1
+        printed = capsys.readouterr().out
+
+    assert (commands, compared) == (5, 4)
+    assert (tmp_path / "heater.png").stat().st_size > 0
+
+
+def test_every_kind_of_file_of_the_page_is_read() -> None:
+    """The table has the suffixes that the reader has."""
+    from armrig.data.files.loading import SUFFIXES
+
+    table = "".join(x for x in PAGE.read_text(encoding="utf-8").splitlines() if x.startswith("| `"))
+
+    assert set(re.findall(r"`(\.[a-z]+)`", table)) == set(SUFFIXES)
