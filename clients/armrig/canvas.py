@@ -95,7 +95,7 @@ def sign(ax: Axes, *sources: str) -> Axes:
 def finish_over_time(ax: Axes, below: Axes, *, output: str, unit: str, end: float) -> None:
     """Label an output over time and the error below it, and give them the look that all have."""
     ax.set_ylabel(named(output, unit))
-    below.set_ylabel(f"error [{unit}]")
+    below.set_ylabel(named("error", unit))
     below.set_xlabel("$t$ [s]")
     ax.legend(loc="best")
     finish(ax, below, xlim=(0.0, end or 1.0))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -57,6 +57,8 @@ class Signals:
         from armrig.data.treatment import detrend
 
         data = self._other(file, model) if self._is_other(file) else self._recorded(file, model)
+        if _without_means(model) and not self.detrend:
+            tell("the model is of data without their means: validate it with --detrend")
         return detrend(data) if self.detrend else data
 
     def _other(self, file: Path, model: Model | None) -> Dataset:
@@ -65,10 +67,13 @@ class Signals:
             raise typer.BadParameter(msg)
         from armrig.data.files.loading import load_data
 
-        signal = self.signal or (model.output if model else None) or "y"
-        data = load_data(file, input=self.input or "u", signal=signal, time=self.time, Ts=self.Ts)
-        _tell_of(file, data)
-        if not self.detrend:
+        columns = {
+            "input": self.input or "u",
+            "signal": self.signal or (model.output if model else None) or "y",
+        }
+        data = load_data(file, **columns, time=self.time, Ts=self.Ts)
+        _tell_of(file, data, columns)
+        if not self.detrend and not _without_means(model):
             _hint_at_means(data)
         return data
 
@@ -108,6 +113,10 @@ def source_facts(data: Dataset) -> dict[str, str]:
     return {kind or "recording": digest}
 
 
+def _without_means(model: Model | None) -> bool:
+    return any("removed the mean" in step for step in getattr(model, "history", ()))
+
+
 def _hint_at_means(data: Dataset) -> None:
     """Tell what to do where u or y hardly come near 0, as about a point of operation."""
     u, y = data.u, data.y[data.valid]
@@ -118,13 +127,14 @@ def _hint_at_means(data: Dataset) -> None:
         )
 
 
-def _tell_of(file: Path, data: Dataset) -> None:
+def _tell_of(file: Path, data: Dataset, columns: Mapping[str, str]) -> None:
     """Tell what was taken from a file of data."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
-    parts = [f"{data.N} samples of u and {data.output}, {data.Ts:g} s apart"]
-    parts += [f"{data.missing} without {data.output}"] if data.missing else []
-    tell("; ".join([f"{file}: {parts[0]}", *parts[1:], *data.history]))
+    parts = [f"{file}: {data.N} samples, {data.Ts:g} s apart"]
+    parts += [f"the {what} is column {name}" for what, name in columns.items()]
+    parts += [f"{data.missing} samples without {data.output}"] if data.missing else []
+    tell("; ".join([*parts, *data.history]))
     if data.output in INTEGRATING_OUTPUTS:
         tell(
             f"{data.output} is taken for the rig's angle, which integrates its input; name the "

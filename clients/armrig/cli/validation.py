@@ -23,7 +23,6 @@ from armrig.cli.options import (
     TimeColumn,
     echo,
     print_json,
-    tell,
 )
 from armrig.cli.recorded_data import (
     Signals,
@@ -84,8 +83,6 @@ def validate(
         calibration=calibration,
     )
     data = signals.of(file, fit)
-    if any("removed the mean" in step for step in fit.history) and not detrend:
-        tell(f"{model} is a model of data without their means: validate it with --detrend")
     validated = _validated(fit, data, horizon or _HORIZONS, lags)
     _plot_validation(validated, lags, plot)
     if json:

@@ -71,7 +71,7 @@ def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     ax.plot(data.t, data.y, color=BLUE, lw=0.9)
     ax.set_ylabel(named(data.output, data.unit))
     below.step(data.t, data.u, where="post", color=INK, lw=0.7)
-    below.set_ylabel(f"$u$ [{data.input_unit}]")
+    below.set_ylabel(named("$u$", data.input_unit))
     below.set_xlabel("$t$ [s]")
     below.margins(y=0.15)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
@@ -117,7 +117,7 @@ def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes
     ax, below = panels(ax, 0.5, sharex=False)
     for panel, values, colour, label in (
         (ax, data.y[data.valid], BLUE, named(data.output, data.unit)),
-        (below, data.u, INK, f"$u$ [{data.input_unit}]"),
+        (below, data.u, INK, named("$u$", data.input_unit)),
     ):
         panel.hist(values, bins=60, color=colour, alpha=0.75)
         panel.set_yscale("log")

@@ -108,7 +108,9 @@ def test_a_sampling_time_that_is_given_overrides_the_times(
 
     assert code == 0
     assert out.startswith("OE(nb=2, nf=2, nk=1): u to y, Ts 0.1 s, N 400\n")
-    assert said.startswith(f"armrig: {folder}/data.csv: 400 samples of u and y, 0.1 s apart")
+    assert said.startswith(
+        f"armrig: {folder}/data.csv: 400 samples, 0.1 s apart; the input is column u; the"
+    )
 
 
 def test_a_model_is_validated_on_other_data(
@@ -188,7 +190,8 @@ def test_what_is_missing_or_left_out_is_told(
     code, _, said = run("identify gaps.csv --structure arx", tmp_path, capsys)
 
     assert code == 0
-    assert "399 samples of u and y, 0.05 s apart; 1 without y; left out 1 samples without" in said
+    assert "; 1 samples without y; left out 1 samples without" in said
+    assert "399 samples, 0.05 s apart; the input is column u; the signal is column y" in said
 
 
 def test_a_column_with_the_name_of_the_rigs_angle_is_told(
@@ -311,7 +314,8 @@ def test_a_model_without_means_is_validated_so(
     _, _, without = run("validate level.csv --model m.json", tmp_path, capsys)
     _, _, taken = run("validate level.csv --model m.json --detrend", tmp_path, capsys)
 
-    assert "is a model of data without their means: validate it with --detrend" in without
+    assert "the model is of data without their means: validate it with --detrend" in without
+    assert "on average" not in without
     assert "without their means" not in taken
 
 
@@ -321,16 +325,16 @@ def test_a_model_without_means_is_validated_so(
         ("--calibration c.toml data.csv", "--calibration goes with recordings; "),
         (
             "data.csv --input volt",
-            "input volt: there is no such column; give a name or a number of",
+            "input volt: there is no such column; give --input a name or a number of",
         ),
         (
             "data.csv --input 4",
-            "input 4: there is no such column; give a name or a number of 1 t, ",
+            "input 4: there is no such column; give --input a name or a number of 1 t, ",
         ),
-        ("data.dat", "input u: there is no such column; its columns have no names: give a number"),
+        ("data.dat", "input u: there is no such column; its columns have no names: give --input a"),
         (
             "data.dat --input 2 --signal 3",
-            "the sampling time is not known: give Ts in s (--Ts), or",
+            "not known: give it in s (--Ts), or the column of times: its columns have no names: g",
         ),
         ("data.csv --Ts -1", "Ts=-1.0 must be finite and > 0, in s"),
         ("data.csv --Ts nan", "Ts=nan must be finite and > 0, in s"),

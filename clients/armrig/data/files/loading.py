@@ -90,7 +90,7 @@ def _dataset(
 ) -> Dataset:
     at = {what: chosen(table, wanted, what) for what, wanted in columns.items()}
     if at["input"] == at["signal"]:
-        msg = f"input and signal are both column {at['input'] + 1}; {listed(table)}"
+        msg = f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
         raise DataFileError(msg)
     if Ts is None:
         Ts = _sampling_time(table, time, set(at.values()))
@@ -130,8 +130,10 @@ def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
             if column.name.casefold() in _TIMES and i not in taken
         ]
         if len(named) != 1:
-            msg = "the sampling time is not known: give Ts in s (--Ts), or the column of times "
-            raise DataFileError(f"{msg}(--time); {listed(table)}")
+            msg = "the sampling time is not known: give it in s (--Ts)"
+            if len(table.columns) > len(taken):
+                msg += f", or the column of times: {listed(table, 'time')}"
+            raise DataFileError(msg)
         i = named[0]
     return sampling_time(table.numbers(i), table.columns[i], table.place)
 
@@ -147,5 +149,5 @@ def _values(table: Table, i: int, what: str) -> Vector:
         raise DataFileError(msg)
     if np.isnan(values).all():
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
-        raise DataFileError(msg + listed(table))
+        raise DataFileError(msg + listed(table, what))
     return values

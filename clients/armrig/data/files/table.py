@@ -98,22 +98,23 @@ def chosen(table: Table, wanted: str, what: str) -> int:
     if asked in table.refused:
         msg = f"{what} {shown(asked)}: {table.refused[asked]}"
         raise DataFileError(msg)
-    msg = f"{what} {shown(asked)}: there is no such column; {listed(table)}"
+    msg = f"{what} {shown(asked)}: there is no such column; {listed(table, what)}"
     raise DataFileError(msg)
 
 
-def listed(table: Table) -> str:
-    """Return which columns there are, and how to ask for one."""
+def listed(table: Table, what: str) -> str:
+    """Return which columns there are, and how to ask for one for input, signal or time."""
     count = len(table.columns)
     if not count:
         held = "; ".join(f"{shown(name)} {why}" for name, why in table.refused.items())
         return "there is no column of numbers" + (f" ({held})" if held else "")
     if not any(column.name for column in table.columns):
-        numbers = "number 1" if count == 1 else f"a number from 1 to {count}"
-        return f"its columns have no names: give {numbers}"
+        numbers = " or ".join(str(i + 1) for i in range(count))
+        numbers = numbers if count <= 2 else f"a number from 1 to {count}"
+        return f"its columns have no names: give --{what} {numbers}"
     names = [f"{i} {shown(c.name) or '(no name)'}" for i, c in enumerate(table.columns, 1)]
     more = f", … {count}" if count > _LISTED else ""
-    return f"give a name or a number of {', '.join(names[:_LISTED])}{more}"
+    return f"give --{what} a name or a number of {', '.join(names[:_LISTED])}{more}"
 
 
 def shown(text: str) -> str:

@@ -206,7 +206,10 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
         ({"u": U, "y": np.zeros((0, 0))}, "signal y: is empty; save it with a value for each"),
         ({"u": U, "y": np.zeros((3, 3, 3))}, "signal y: has 3 dimensions; save it as a vector"),
         ({"u": U, "y": Y[1:]}, "the input has 30 samples and the signal 29; both need one"),
-        ({"u": U, "z": Y}, "signal y: there is no such column; give a name or a number of 1 u, 2"),
+        (
+            {"u": U, "z": Y},
+            "signal y: there is no such column; give --signal a name or a number of 1 u",
+        ),
         ({"u": U, "y": 1.0}, "signal y: there is no such column"),
         ({"note": "nothing"}, r"input u: .*there is no column of numbers \(note holds no numbers;"),
         ({"u": U, "y": [{"a": 1}, {"a": 2}]}, "signal y: holds no numbers; save it as a vector"),
