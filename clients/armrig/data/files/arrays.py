@@ -29,7 +29,8 @@ class ArrayTable:
 
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, from 0; NaN where one is missing."""
-        return np.array(self.values[i], dtype=np.float64)
+        with np.errstate(invalid="ignore"):  # NaN of another kind than ours is NaN, too
+            return np.array(self.values[i], dtype=np.float64)
 
     def place(self, k: int) -> str:
         """Return the number from 1 of instant k."""

@@ -1,0 +1,208 @@
+"""The variables of a MAT-file of version 4 to 7, from its bytes.
+
+Not by scipy.io: its reader is compiled, and a file that is spoilt, or made for it, ends the whole
+program. Nothing here is larger than the bytes that there are, whatever they claim. The format is
+MathWorks' "MAT-File Format", R2019b.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+
+_HEADER = 128  # B before the first element of version 5
+_DEEPEST = 8  # structures inside each other; iddata have three
+_MATRIX, _COMPRESSED = 14, 15
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
+_NUMBERS |= {12: "i8", 13: "u8"}
+_CELL, _STRUCTURE, _OBJECT, _TEXT, _SPARSE = 1, 2, 3, 4, 5
+_FIRST_NUMBER, _LAST_NUMBER = 6, 15
+_COMPLEX = 0x0800
+_OLD_NUMBERS = ("f8", "f4", "i4", "i2", "u2", "u1")  # of version 4
+_MOST_NAME = 4096
+_OPAQUE = (
+    "is an object that only MATLAB reads; there u = data.u; y = data.y; Ts = data.Ts; "
+    "save('data.mat', 'u', 'y', 'Ts', '-v7')"
+)
+
+Value = Any
+"""An array, a list of a cell's values, a dict of a structure's by field, or `Unread`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unread:
+    """A variable that is no array of real numbers."""
+
+    why: str
+    """What it is instead, and what to do."""
+
+
+class DamageError(ValueError):
+    """Bytes that are no MAT-file after all."""
+
+
+class TooLongError(ValueError):
+    """More bytes once unpacked than were allowed."""
+
+
+def variables(data: bytes, most: int) -> Iterator[tuple[str, Value]]:
+    """Iterate over names and values; of version 5 to 7 where the header says so, else of 4.
+
+    Parameters
+    ----------
+    most : int
+        Bytes that the file may have once unpacked.
+
+    Raises
+    ------
+    DamageError, TooLongError
+        When it comes to the place.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None:
+        yield from _old_variables(memoryview(data))
+        return
+    for kind, body in _elements(memoryview(data)[_HEADER:], order, padded=False):
+        if kind == _MATRIX:
+            yield _matrix(body, order)
+        elif kind == _COMPRESSED:
+            unpacking = zlib.decompressobj()
+            try:
+                plain = unpacking.decompress(body, most + 1)
+            except zlib.error as err:
+                raise DamageError(str(err)) from err
+            most -= len(plain)
+            if most < 0:
+                raise TooLongError
+            for inner, matrix in _elements(memoryview(plain), order):
+                if inner == _MATRIX:
+                    yield _matrix(matrix, order)
+
+
+def _elements(
+    data: memoryview, order: str, *, padded: bool = True
+) -> Iterator[tuple[int, memoryview]]:
+    """Iterate over kind and bytes of each element."""
+    at = 0
+    while at + 8 <= len(data):
+        kind, length = struct.unpack_from(f"{order}II", data, at)
+        at += 8
+        if kind >> 16:  # a short one: its length above its kind, its bytes where a length stands
+            kind, length, begin = kind & 0xFFFF, kind >> 16, at - 4
+            if length > 4:
+                msg = "a short element of more than 4 B"
+                raise DamageError(msg)
+        else:
+            begin = at
+            at += -(-length // 8) * 8 if padded else length
+        if begin + length > len(data):
+            msg = "it ends too early"
+            raise DamageError(msg)
+        yield kind, data[begin : begin + length]
+
+
+def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
+    """Return name and value of an array of any class."""
+    parts = _elements(body, order)
+    flags = _numbers(parts, order)
+    if flags.size < 1 or depth > _DEEPEST:
+        msg = "an array without a class, or too many inside each other"
+        raise DamageError(msg)
+    kind = int(flags[0]) & 0xFF
+    if kind > _LAST_NUMBER:
+        return _name(parts), Unread(_OPAQUE)
+    shape = tuple(_numbers(parts, order).tolist())
+    name = _name(parts)
+    if kind == _CELL:
+        return name, [_matrix(inner, order, depth + 1)[1] for inner in _matrices(parts)]
+    if kind in (_STRUCTURE, _OBJECT):
+        if kind == _OBJECT:
+            _name(parts)  # of its class
+        return name, _structure(parts, shape, order, depth)
+    if kind == _SPARSE:
+        return name, Unread("is sparse; save full(…) of it")
+    if kind == _TEXT or not _FIRST_NUMBER <= kind <= _LAST_NUMBER:
+        return name, Unread("holds no numbers; save it as a vector of real numbers")
+    if int(flags[0]) & _COMPLEX:
+        return name, Unread("is complex; save its real part, if that is what was measured")
+    return name, _shaped(_numbers(parts, order), shape)
+
+
+def _structure(
+    parts: Iterator[tuple[int, memoryview]], shape: tuple[int, ...], order: str, depth: int
+) -> Value:
+    """Return the fields of a structure."""
+    width = _numbers(parts, order)
+    _, names = next(parts, (0, memoryview(b"")))
+    if width.size != 1 or not 0 < int(width[0]) <= _MOST_NAME:
+        msg = "a structure without names"
+        raise DamageError(msg)
+    size = int(width[0])
+    fields = [_text(names[i : i + size]) for i in range(0, len(names), size)]
+    if prod(shape) != 1:
+        return Unread(f"is an array of {prod(shape)} structures; save one of them")
+    values = [_matrix(inner, order, depth + 1)[1] for inner in _matrices(parts)]
+    return dict(zip(fields, values, strict=False))
+
+
+def _matrices(parts: Iterator[tuple[int, memoryview]]) -> Iterator[memoryview]:
+    return (body for kind, body in parts if kind == _MATRIX and len(body))
+
+
+def _numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> Any:
+    """Return the next element as a vector of its own type."""
+    kind, body = next(parts, (0, memoryview(b"")))
+    if kind not in _NUMBERS or len(body) % int(_NUMBERS[kind][1]):
+        msg = f"an element of kind {kind} where numbers are due"
+        raise DamageError(msg)
+    return np.frombuffer(body, dtype=order + _NUMBERS[kind])
+
+
+def _name(parts: Iterator[tuple[int, memoryview]]) -> str:
+    return _text(next(parts, (0, memoryview(b"")))[1])
+
+
+def _text(data: memoryview) -> str:
+    return bytes(data).partition(b"\0")[0].decode("ascii", "replace")
+
+
+def _shaped(values: Any, shape: tuple[int, ...]) -> Any:
+    """Return values, column by column, in their shape."""
+    if len(shape) < 2 or any(n < 0 for n in shape) or prod(shape) != values.size:
+        msg = f"{values.size} numbers in a shape of {shape}"
+        raise DamageError(msg)
+    return values.reshape(shape, order="F")
+
+
+def _old_variables(data: memoryview) -> Iterator[tuple[str, Value]]:
+    """Iterate over the variables of version 4: headers of 20 B, each before a name and numbers."""
+    at = 0
+    while at + 20 <= len(data):
+        order = "<" if 0 <= struct.unpack_from("<i", data, at)[0] < 1000 else ">"
+        kind, rows, columns, imaginary, length = struct.unpack_from(f"{order}5i", data, at)
+        form, number, what = kind // 100, kind // 10 % 10, kind % 10
+        known = form in (0, 10) and number < len(_OLD_NUMBERS) and what < 3
+        if not known or min(rows, columns) < 0 or not 0 < length <= _MOST_NAME:
+            msg = "no header of version 4"
+            raise DamageError(msg)
+        at += 20 + length
+        type_ = np.dtype(order + _OLD_NUMBERS[number])
+        size = rows * columns * type_.itemsize
+        name, body = _text(data[at - length : at]), data[at : at + size]
+        at += size * (2 if imaginary else 1)
+        if at > len(data):
+            msg = "it ends too early"
+            raise DamageError(msg)
+        if what or imaginary:
+            yield name, Unread("is no full matrix of real numbers; save it as one")
+        else:
+            yield name, _shaped(np.frombuffer(body, dtype=type_), (rows, columns))
+    if at == 0:
+        msg = "it has no header"
+        raise DamageError(msg)
