@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from armrig.validation.comparison import ComparisonTable
 
 
+_UNNAMED = ("", "y")  # outputs of models that may be any signal
 _ENOUGH = 20
 """Samples that a mean says something of."""
 
@@ -72,6 +73,8 @@ class Signals:
             "signal": self.signal or (model.output if model else None) or "y",
         }
         data = load_data(file, **columns, time=self.time, Ts=self.Ts)
+        if model is not None and self.signal is not None and model.output not in _UNNAMED:
+            data = data.replaced(step=None, output=model.output)  # the person says it is the same
         _tell_of(file, data, columns)
         if not self.detrend and not _without_means(model):
             _hint_at_means(data)
@@ -93,8 +96,10 @@ class Signals:
                 msg += f"recording {file} says it itself"
                 raise typer.BadParameter(msg)
         recording = loaded([file], self.calibration)[0]
+        if self.signal is None and model is not None and model.output not in _UNNAMED:
+            return dataset_of(recording, model)
         if self.signal is None:
-            return recording.dataset() if model is None else dataset_of(recording, model)
+            return recording.dataset()
         for output in get_args(OutputName):
             if output == self.signal:
                 return recording.dataset(output)
@@ -165,5 +170,5 @@ def dataset_of(recording: Recording, model: Model) -> Dataset:
         if output == model.output:
             return recording.dataset(output)
     msg = f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}; "
-    msg += "give --signal if one of them is the same"
+    msg += "validate it on data of what it is of"
     raise ValueError(msg)

@@ -130,6 +130,27 @@ def test_a_model_is_validated_on_other_data(
     assert "white residuals: p" in out
 
 
+def test_a_signal_that_is_given_is_what_the_model_is_of(
+    tmp_path: Path, three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Under another name in another file; a model of y may be of a recording's angle."""
+    for name in ("temp", "T2"):
+        path = write(tmp_path / f"{name}.csv", made(seed=len(name)))
+        path.write_text(path.read_text().replace("t;u;y", f"t;u;{name}"))
+    run("identify temp.csv --signal temp --structure arx --save temp.json", tmp_path, capsys)
+    armrig.arx(armrig.Dataset(u=made().u, y=made().y, Ts=0.01), na=2, nb=2).save(
+        tmp_path / "y.json"
+    )
+
+    without = run("validate T2.csv --model temp.json", tmp_path, capsys)
+    given = run("validate T2.csv --model temp.json --signal T2", tmp_path, capsys)
+    angle = main(["validate", str(three_recordings[1]), "--model", str(tmp_path / "y.json")])
+
+    assert without[0] == 1
+    assert "signal temp: there is no such column; give --signal a name or a number" in without[2]
+    assert given[0] == angle == 0
+
+
 def test_a_search_tries_the_structures_on_them(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -190,7 +211,7 @@ def test_what_is_missing_or_left_out_is_told(
     code, _, said = run("identify gaps.csv --structure arx", tmp_path, capsys)
 
     assert code == 0
-    assert "; 1 samples without y; left out 1 samples without" in said
+    assert "; 1 samples without y; left out 1 sample without" in said
     assert "399 samples, 0.05 s apart; the input is column u; the signal is column y" in said
 
 

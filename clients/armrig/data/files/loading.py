@@ -102,7 +102,8 @@ def _dataset(
     begins = known & ~np.append(False, known[:-1])
     left_out = int(u.size - np.count_nonzero(known))
     of_u, of_y = (table.columns[i] for i in at.values())
-    step = f"left out {left_out} samples without an input: after each a new experiment begins"
+    count = "1 sample" if left_out == 1 else f"{left_out} samples"
+    step = f"left out {count} without an input: a new experiment begins behind"
     return Dataset(
         u=u[known],
         y=y[known],

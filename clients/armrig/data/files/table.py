@@ -123,15 +123,11 @@ def shown(text: str) -> str:
 
 
 def _same(column: Column, asked: str) -> bool:
-    return asked in (
-        column.name,
-        f"{column.name} [{column.unit}]",
-        f"{column.name} ({column.unit})",
-    )
+    return asked == column.name != "" or titled(asked) == column
 
 
 def _same_but_for_case(column: Column, asked: str) -> bool:
-    return column.name.casefold() == asked.casefold() != ""
+    return column.name.casefold() == titled(asked).name.casefold() != ""
 
 
 def _same_last_part(column: Column, asked: str) -> bool:
