@@ -23,7 +23,8 @@ def read_bounded(path: Path, most: int) -> bytes:
     """
     # Without waiting for somebody to write to a pipe; Windows has neither of the two.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
-    with os.fdopen(os.open(path, flags), "rb") as file:
+    # Not os.fdopen, which calls a directory by the number of its descriptor.
+    with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
         data = file.read(most + 1)

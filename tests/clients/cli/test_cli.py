@@ -67,11 +67,14 @@ def test_a_file_that_is_not_there_is_told_in_a_line(
     assert told(capsys) == f"armrig: {path}: No such file or directory\n"
 
 
-def test_a_directory_is_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It is no file to read."""
-    assert main(["info", str(tmp_path)]) == 1
+@pytest.mark.parametrize("command", [["info"], ["check", "--Ts", "1"], ["check"]])
+def test_a_directory_is_told_in_a_line(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is no file to read, by each way in which one is read."""
+    assert main([*command, str(tmp_path)]) == 1
 
-    assert "Is a directory" in told(capsys)
+    assert told(capsys) == f"armrig: {tmp_path}: Is a directory\n"
 
 
 @pytest.mark.parametrize(
