@@ -66,13 +66,15 @@ class Signals:
         if self.calibration is not None:
             msg = f"--calibration goes with recordings; {file} has no readings of the rig's sensors"
             raise typer.BadParameter(msg)
+        from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data
 
         columns = {
             "input": self.input or "u",
             "signal": self.signal or (model.output if model else None) or "y",
         }
-        data = load_data(file, **columns, time=self.time, Ts=self.Ts)
+        with spinner("reading"):
+            data = load_data(file, **columns, time=self.time, Ts=self.Ts)
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
             data = data.replaced(step=None, output=model.output)  # the person says it is the same
         _tell_of(file, data, columns)
