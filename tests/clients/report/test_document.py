@@ -271,6 +271,7 @@ def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> 
 
     assert "residuals on the estimation data are too few, or all zero, to test." in said
     assert "coloured" not in said
+    assert not untested.fit.trusts_robust
 
 
 def test_the_sample_after_the_dead_band_is_counted_and_named(done: Study) -> None:
