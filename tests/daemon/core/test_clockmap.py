@@ -93,8 +93,10 @@ def rms(values: list[float]) -> float:
     return math.sqrt(sum(v * v for v in values) / len(values))
 
 
-@pytest.mark.parametrize("wait_us", QUEUES_US)
-@pytest.mark.parametrize("drift_ppm", [100.0, -100.0])
+@pytest.mark.parametrize(
+    ("wait_us", "drift_ppm"),
+    list(zip(QUEUES_US, (100.0, -100.0, -100.0, 100.0), strict=True)),
+)
 def test_drift_and_offset_lie_within_their_own_deviations(
     wait_us: tuple[float, float], drift_ppm: float
 ) -> None:
@@ -322,13 +324,14 @@ def test_the_deviation_grows_while_no_pong_comes() -> None:
     assert all(abs(error) < 3 * std for error, std in found)
 
 
-@pytest.mark.parametrize("silence_s", [3, 10, 30])
-def test_what_lies_ahead_allows_for_a_drift_that_changes(silence_s: int) -> None:
+def test_what_lies_ahead_allows_for_a_drift_that_changes() -> None:
     """The lag goes on growing in the silence, and the deviation with it."""
     for seed in range(20):
         rig = Rig(seed=seed, wait_us=(3.0, 3.0), drift_per_s=0.1)
-        error, std = error_ns(rig, follow(rig, 1200), silence_s * 10**9)
-        assert abs(error) < 1.5 * std
+        clock = follow(rig, 1200)
+        for silence_s in (3, 10, 30):
+            error, std = error_ns(rig, clock, silence_s * 10**9)
+            assert abs(error) < 1.5 * std
 
 
 def test_after_a_silence_the_map_goes_on() -> None:
