@@ -32,7 +32,8 @@ class Dataset:
     Parameters
     ----------
     u, y : array_like, shape (N,)
-        Input, held from each instant to the next (zero-order hold), and output.
+        Input, held from each instant to the next (zero-order hold), and output. Of a masked array
+        y is missing where it is masked; u must not be masked.
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
@@ -52,7 +53,8 @@ class Dataset:
     Raises
     ------
     ValueError
-        The lengths differ, u is not finite, y is not finite where it is valid, or Ts is not > 0.
+        The lengths differ, u or y is complex, u is masked or not finite, y is not finite where it
+        is valid, or Ts is not > 0.
     """
 
     u: Vector
@@ -99,10 +101,11 @@ class Dataset:
         if y_.size != N:
             msg = f"u has {N} samples and y has {y_.size}; both need one value for each instant"
             raise ValueError(msg)
-        valid_ = np.ones(N, dtype=np.bool_) if valid is None else np.array(valid, dtype=np.bool_)
+        valid_ = np.ones(N, dtype=np.bool_) if valid is None else _mask(valid)
         if valid_.shape != (N,):
             msg = f"valid has shape {valid_.shape}, u and y have ({N},); give one bool a sample"
             raise ValueError(msg)
+        valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
         _require_finite("u", u_, "an input that was not applied cannot be identified from: cut it")
         _require_finite("y", y_, "mark them missing with valid=False", where=valid_)
         if not (isfinite(Ts) and Ts > 0):
@@ -347,6 +350,11 @@ def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
     own = [f"part {i}: {s}" for i, d in enumerate(parts, 1) for s in d.history[len(common) :]]
     lengths = ", ".join(str(d.N) for d in parts[:_LISTED]) + (", …" if len(parts) > _LISTED else "")
     return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
+
+
+def _mask(valid: ArrayLike) -> Mask:
+    """Return a copy of the bools, False where they are masked themselves."""
+    return np.array(np.ma.filled(np.ma.asanyarray(valid), False), dtype=np.bool_)
 
 
 def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:

@@ -26,8 +26,16 @@ def require_numbers(**asked: Any) -> None:
 
 
 def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return a copy (N,) of the values, or refuse another shape: nothing is ravelled."""
-    taken = np.array(values, dtype=np.float64)
+    """Return a copy (N,) of the values, NaN where they are masked.
+
+    Another shape is refused, nothing is ravelled; complex values are refused, no part is dropped.
+    """
+    given = np.asanyarray(values)
+    if np.iscomplexobj(given):
+        msg = f"{name} is complex ({given.dtype}), it must be real; give {name}.real, or its "
+        msg += "magnitude, if that is what was measured"
+        raise ValueError(msg)
+    taken = np.array(np.ma.filled(given.astype(np.float64), np.nan))
     if taken.ndim != 1 or taken.size == 0:
         msg = f"{name} has shape {taken.shape}, it must be (N,) with N >= 1; use {name}.ravel()"
         raise ValueError(msg)

@@ -37,6 +37,16 @@ def test_a_missing_output_reads_nan_whatever_it_was() -> None:
     assert data.missing == 1
 
 
+def test_what_is_masked_is_missing() -> None:
+    """Whatever lies under the mask, and beside what `valid` leaves out."""
+    y = np.ma.masked_array([1.0, 1e6, np.nan, 4.0], mask=[False, True, True, False])
+
+    data = Dataset(u=np.zeros(4), y=y, Ts=1, valid=[False, True, True, True])
+
+    np.testing.assert_array_equal(data.y, [np.nan, np.nan, np.nan, 4.0])
+    assert data.valid.tolist() == [False, False, False, True]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -48,6 +58,9 @@ def test_a_missing_output_reads_nan_whatever_it_was() -> None:
         ({"u": [[1.0, 2.0, 3.0]]}, r"u has shape \(1, 3\).*ravel"),
         ({"starts": (0, 3)}, r"starts=\(0, 3\) must begin with 0 and rise strictly, below N=3"),
         ({"starts": (1,)}, "must begin with 0"),
+        ({"y": np.array([0, 1j, 2])}, r"y is complex \(complex128\), it must be real; give y.real"),
+        ({"u": [0.0, 1.0 + 0j, 2.0]}, "u is complex"),
+        ({"u": np.ma.masked_equal([0.0, 1.0, 2.0], 1.0)}, "u is not finite at 1 samples.*cut it"),
     ],
 )
 def test_a_bad_state_is_refused(arguments: dict[str, object], message: str) -> None:
