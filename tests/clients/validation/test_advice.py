@@ -28,6 +28,18 @@ def test_good_data_need_no_advice_but_on_arx(plant: HandoutPlant) -> None:
     assert "take OE" in repr(found)
 
 
+@pytest.mark.parametrize("Ts", [0.5, 7.0, 3600.0])
+def test_slow_data_are_advised_on_as_fast_ones(Ts: float) -> None:
+    """An hour a sample: the frequencies looked at are those that the data can show."""
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 1000)
+    y = np.convolve(u, [0, 0.5, 0.3, 0.1])[:1000] + 0.1 * rng.standard_normal(1000)
+
+    found = armrig.advice(Dataset(u=u, y=y, Ts=Ts))
+
+    assert any(f.about == "ARX and OE" for f in found.findings)
+
+
 def test_a_poor_input_is_told(plant: HandoutPlant) -> None:
     """A single step determines no dynamics of order four."""
     u = np.where(np.arange(1000) < 100, 1.0, 4.0)

@@ -116,7 +116,8 @@ def _about_structures(data: Dataset, *, integrator: bool) -> Iterator[Finding]:
         models = arx(data, na=ORDER, nb=ORDER), oe(data, nb=ORDER, nf=ORDER, integrator=integrator)
     except (ValueError, np.linalg.LinAlgError):
         return
-    omega = np.geomspace(0.5, min(100.0, np.pi / data.Ts), 100)
+    highest = min(100.0, np.pi / data.Ts)
+    omega = np.geomspace(min(0.5, highest / 10), highest, 100)
     G = [fit.frequency_response(omega).G for fit in models]
     apart = float(np.median(np.abs(G[0] - G[1]) / np.abs(G[1])))
     text = f"their frequency responses differ by a median of {percent(100 * apart)}"
