@@ -3,8 +3,8 @@
 What is late here was late by the kernel, or by the host below a virtual machine, and not by armrig.
 It writes to a pseudo-terminal of its own each time, too, and sees when the byte has come: a kernel
 worker of ordinary priority carries it, as it carries the rig's (docs/timing.md).
-`python control.py` answers each line on its standard input with the greatest lateness and the
-greatest delivery time since the last one, in ns, and how often it woke.
+`python kernel_lateness.py` answers each line on its standard input with the greatest lateness and
+the greatest delivery time since the last one, in ns, and how often it woke.
 """
 
 from __future__ import annotations
