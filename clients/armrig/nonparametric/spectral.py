@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.covariance_functions import covariances
+from armrig.nonparametric.blackman_tukey import NO_POWER, blackman_tukey, blunted
 from armrig.nonparametric.integrator import is_integrating
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.welch import Spectra, welch
@@ -21,8 +21,6 @@ from armrig.numerics.polynomial import summation
 Vector = NDArray[np.float64]
 
 LOGARITHMIC_RESOLUTION = 0.5  # width of the window at omega, as a share of omega
-FINER = 4  # times the lag window of G, for the noise
-NO_POWER = 1e-8  # share of u's largest spectrum below which G is not known
 
 
 def spa(
@@ -46,8 +44,10 @@ def spa(
     taken for noise. Missing outputs are first filled with what the input explains of them; N does
     not count them. The standard deviations are about the smoothed response, which is what an
     estimate with this window tends to: narrow resonances are blunted over about 2 pi/(gamma Ts)
-    rad/s. Half of E|dG|² belongs to the magnitude, half to the phase, except near 0 and pi/Ts,
-    where G is real. A phase whose standard deviation exceeds 0.3 rad is known worse than it says.
+    rad/s, which a note tells where a window four times as long (N/5 at most) sees |G| higher by
+    more than a tenth and than four standard deviations. Half of E|dG|² belongs to the magnitude,
+    half to the phase, except near 0 and pi/Ts, where G is real. A phase whose standard deviation
+    exceeds 0.3 rad is known worse than it says.
 
     An integrating y is treated as its rate, and the result divided by 1 - q^-1.
 
@@ -101,10 +101,10 @@ def spa(
     N = _samples_with_output(data)
     w = _frequencies(omega, data, logarithmic=isinstance(window, str))
     smoothed = _by_segments if method == "welch" else _by_lags
-    spectra, words = smoothed(data, window, w, N, integrates=integrates)
+    spectra, words, notes = smoothed(data, window, w, N, integrates=integrates)
     words += f", aligned by {delay} samples" if delay else ""
     turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
-    return _estimate(data, w, turned, words, N, integrates=integrates)
+    return _estimate(data, w, turned, words, N, integrates=integrates, notes=notes)
 
 
 def _samples_with_output(data: Dataset) -> int:
@@ -119,22 +119,24 @@ def _samples_with_output(data: Dataset) -> int:
 
 def _by_segments(
     data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
-) -> tuple[Spectra, str]:
-    """Return Welch's spectra, and how they were found."""
+) -> tuple[Spectra, str, list[str]]:
+    """Return Welch's spectra, how they were found, and no note."""
     length = _length(window, N)
     spectra = welch(difference(data) if integrates else data, length, omega)
-    return spectra, f"Welch, segments of {length} samples"
+    return spectra, f"Welch, segments of {length} samples", []
 
 
 def _by_lags(
     data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
-) -> tuple[Spectra, str]:
-    """Return Blackman and Tukey's spectra, and how they were found."""
+) -> tuple[Spectra, str, list[str]]:
+    """Return Blackman and Tukey's spectra, how they were found, and what the window hides."""
     gamma = _gamma(window, omega, data.Ts, N)
     whole = filled(data, integrator=integrates)
-    spectra = _blackman_tukey(_rate(whole) if integrates else whole, gamma, omega, N)
+    whole = _rate(whole) if integrates else whole
+    spectra = blackman_tukey(whole, gamma, omega, N)
+    notes = [] if isinstance(window, str) else blunted(whole, spectra, int(gamma[0]), omega, N)
     size = f"{gamma.min()} … {gamma.max()}" if gamma.min() < gamma.max() else str(gamma[0])
-    return spectra, f"Blackman-Tukey, Hann lag window, gamma {size} samples"
+    return spectra, f"Blackman-Tukey, Hann lag window, gamma {size} samples", notes
 
 
 def _advanced(data: Dataset, delay: int) -> Dataset:
@@ -200,59 +202,18 @@ def _gamma(window: int | str | None, omega: Vector, Ts: float, N: int) -> NDArra
     return np.full(omega.size, gamma)
 
 
-def _blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int) -> Spectra:
-    """Return the spectra of data whose missing outputs were filled, N not counting them."""
-    L = int(gamma.max())
-    R = covariances(data, L)
-    k = np.arange(-L, L + 1)
-    w = _hann(k, gamma[:, None])
-    turn = np.exp(-1j * omega[:, None] * k * data.Ts)
-    energy = np.sum(w**2, axis=1)
-    noise = _noise_covariance(data, L, min(FINER * L, max(data.N // 5, L)), N)
-    return Spectra(
-        u=data.Ts * np.real((w * turn) @ R.uu),
-        y=data.Ts * np.real((w * turn) @ R.yy),
-        yu=data.Ts * ((w * turn) @ R.yu),
-        noise=data.Ts * np.maximum(np.real((w * turn) @ noise), 0.0),
-        averages=N / energy,
-        reality=np.real(np.sum(w**2 * turn**2, axis=1)) / energy,
-    )
-
-
-def _hann(k: NDArray[np.int_], gamma: NDArray[np.int_] | int) -> Vector:
-    return np.where(np.abs(k) <= gamma, 0.5 * (1 + np.cos(np.pi * k / gamma)), 0.0)
-
-
-def _noise_covariance(data: Dataset, L: int, fine: int, N: int) -> Vector:
-    """Return R_v(k), |k| <= L, from Phi_y - |Phi_yu|²/Phi_u with the longer lag window `fine`.
-
-    With the window of G itself the variation of G inside it would be taken for noise: bands near a
-    resonance would hold 100 %.
-    """
-    R = covariances(data, fine)
-    k = np.arange(-fine, fine + 1)
-    w = _hann(k, fine)
-    size = 4 * fine
-
-    def spectrum(r: Vector) -> NDArray[np.complex128]:
-        whole = np.zeros(size)
-        whole[k] = w * r  # negative lags wrap to the end, as the transform wants them
-        return np.asarray(np.fft.fft(whole))
-
-    u = np.real(spectrum(R.uu))
-    known = u > NO_POWER * float(u.max())
-    explained = np.abs(spectrum(R.yu)) ** 2 / np.where(known, u, 1.0)
-    nu = N / float(np.sum(w**2))
-    Phi = np.maximum(np.real(spectrum(R.yy)) - np.where(known, explained, 0.0), 0.0)
-    Phi = Phi * nu / max(nu - 1, 1e-3) * data.N / N  # filled outputs carry no noise
-    return np.asarray(np.real(np.fft.ifft(Phi))[np.arange(-L, L + 1)])
-
-
 def _estimate(
-    data: Dataset, omega: Vector, s: Spectra, words: str, N: int, *, integrates: bool
+    data: Dataset,
+    omega: Vector,
+    s: Spectra,
+    words: str,
+    N: int,
+    *,
+    integrates: bool,
+    notes: list[str],
 ) -> SpectralEstimate:
     floor = NO_POWER * float(np.max(s.u, initial=0.0))
-    notes = []
+    notes = [*notes]
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.where(s.u > floor, s.u, np.nan)
         G = s.yu / u

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.nonparametric.spectral import spa
+from armrig.numerics.polynomial import filtered
 
 OMEGA = np.linspace(0.3, 2.8, 12)
 
@@ -99,6 +100,39 @@ def test_welch_and_blackman_tukey_agree(second: Any) -> None:
     b = spa(data, 120, OMEGA, method="welch", integrator=False)
 
     assert np.all(np.abs(a.G - b.G) < 5 * (a.std_magnitude + b.std_magnitude))
+
+
+def resonant(seed: int, std: float = 0.3) -> Dataset:
+    """Return a system with a pole pair of radius 0.98 at 0.5 rad a sample."""
+    rng = np.random.default_rng([seed, 2])
+    F = np.real(np.poly(0.98 * np.exp([0.5j, -0.5j])))
+    u = rng.standard_normal(3000)
+    return Dataset(u=u, y=filtered([0, 1], F, u) + std * rng.standard_normal(3000), Ts=1.0)
+
+
+def test_a_window_that_blunts_a_resonance_says_so() -> None:
+    """Where, by how much, and which window does not."""
+    data = resonant(1)
+    truth = abs(1 / np.polyval([1, -2 * 0.98 * np.cos(0.5), 0.98**2], np.exp(0.5j)))
+
+    blunt, sharp = (spa(data, window, [0.3, 0.5, 2.0], integrator=False) for window in (None, 400))
+
+    assert blunt.magnitude[1] < 0.5 * truth
+    [said] = [note for note in blunt.notes if "blunts" in note]
+    assert "near 0.5 rad/s" in said
+    assert "window=120" in said
+    assert sharp.magnitude[1] > 0.8 * truth
+    assert not any("blunts" in note for note in sharp.notes)
+
+
+def test_a_window_that_blunts_nothing_says_nothing(second: Any) -> None:
+    """Of a smooth response, 128 frequencies, in at most one of 100 runs."""
+    told = [
+        spa(second.dataset(np.random.default_rng(seed), 1000), 60, integrator=False).notes
+        for seed in range(100)
+    ]
+
+    assert sum(any("blunts" in note for note in notes) for notes in told) <= 1
 
 
 def test_a_known_delay_is_aligned(second: Any) -> None:
