@@ -16,7 +16,7 @@ from armrig.nonparametric.fir_regression import FirRegression, regression
 from armrig.nonparametric.integrator import is_integrating
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.numerics.checks import column, require_integers
-from armrig.numerics.inference import infer
+from armrig.numerics.covariance import exogenous_score_in_blocks
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import summation
 from armrig.numerics.quantile import two_sided
@@ -258,7 +258,7 @@ def impulse_response(
     # A fifth more lags, left out again, stand for all that follow: running sums are so alike that
     # the last coefficient would take the place of what comes after it.
     spare = 1 + n // 5 if kernel is None and integrates else 0
-    asked = list(range(-negative_lags, n + spare))
+    asked = range(-negative_lags, n + spare)
     rows = regression(data, asked, integrator=integrates)
     free = len(asked) if kernel is None else negative_lags
     _require_rows(rows, free, f"n={n} with negative_lags={negative_lags}", data.N)
@@ -350,29 +350,23 @@ def died_out(g: Vector, covariance: Matrix) -> bool:
 
 
 def _plain(rows: FirRegression) -> Estimate:
-    basis = orthonormal(np.vstack(rows.blocks))
-    d = basis.W.shape[0]
+    """Return least squares; W W^T = (Phi^T Phi)^-1 comes from the triangle of [Phi y]."""
+    R = rows.triangle()
+    d = R.shape[0] - 1
+    basis = orthonormal(R[:, :d])
     _require_rank(basis, d, "lags")
-    g = basis.coefficients(np.concatenate(rows.targets))
-    found = infer(
-        rows.residuals(g),
-        rows.blocks,
-        score="exogenous",
-        nuisance=rows.nuisance,
-        basis=basis,
-        test=None,
-    )
-    return g, found.covariance_robust, found.noise_variance, {}
+    g = basis.coefficients(R[:, d])
+    degrees = rows.N - d - rows.nuisance
+    middle = exogenous_score_in_blocks(rows.backwards(), rows.residuals(g), d) * rows.N / degrees
+    bread = basis.W @ basis.W.T
+    return g, bread @ middle @ bread, float(R[d, d] ** 2) / degrees, {}
 
 
 def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
-    """Return the posterior of all lags, flat for the first m, by one QR of [Phi y]."""
-    Phi, y = rows.Phi, rows.y
-    d = Phi.shape[1]
-    _require_rank(orthonormal(Phi[:, :m]), m, "negative lags")
-    M = np.hstack([Phi, y[:, None]])
-    padded = np.vstack([M, np.zeros((max(d + 1 - M.shape[0], 0), d + 1))])
-    R: Matrix = np.asarray(np.linalg.qr(padded, mode="r"))
+    """Return the posterior of all lags, flat for the first m, from the triangle of [Phi y]."""
+    R = rows.triangle()
+    d = R.shape[0] - 1
+    _require_rank(orthonormal(R[:, :m]), m, "negative lags")
     posterior = Evidence(
         kernel=kernel,
         R=R[m:d, m:d],

@@ -6,12 +6,14 @@ score Psi^T e; for white residuals both tend to the classic lambda (Psi^T Psi)^-
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import autoregression, joined
+
+_ROWS = 1 << 16  # filtered at once, so that length costs no memory
 
 
 def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
@@ -34,13 +36,32 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
     .. [2] W. J. den Haan, A. Levin, "A practitioner's guide to robust covariance matrix
        estimation", Handbook of Statistics 15, 1997 (the autoregressive estimate).
     """
+    whole = [(Psi[a:b] for a, b in _backwards(Psi.shape[0])) for Psi in blocks]
+    return exogenous_score_in_blocks(whole, residuals, blocks[0].shape[1])
+
+
+def exogenous_score_in_blocks(
+    experiments: Iterable[Iterable[Array]], residuals: Sequence[Array], d: int
+) -> Array:
+    """Return the same for Psi given as blocks of rows (n, d), the last of an experiment first."""
+    from scipy.signal import lfilter
+
     C, s2 = autoregression(joined(residuals, 40))
-    total = np.zeros((blocks[0].shape[1],) * 2)
-    for Psi in blocks:
-        backwards = Psi.T[:, ::-1]
-        whole = backwards if C.size == 1 else filtered([1.0], C, backwards)
-        total += s2 * (whole @ whole.T)
+    total = np.zeros((d, d))
+    for blocks in experiments:
+        state = np.zeros((d, C.size - 1))
+        for block in blocks:
+            backwards = block.T[:, ::-1]
+            if C.size > 1:
+                backwards, state = lfilter([1.0], C, backwards, zi=state)
+            total += s2 * (backwards @ backwards.T)
     return total
+
+
+def _backwards(N: int) -> Iterator[tuple[int, int]]:
+    """Yield where blocks of rows begin and end, the last first."""
+    for end in range(N, 0, -_ROWS):
+        yield max(end - _ROWS, 0), end
 
 
 def correlated_score(scores: Sequence[Array]) -> Array:

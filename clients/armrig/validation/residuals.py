@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from math import sqrt
 
 import numpy as np
@@ -14,7 +13,7 @@ from armrig.models.estimate import Estimate
 from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import (
     WHITE_LEVEL,
     autocovariance,
@@ -28,6 +27,7 @@ from armrig.numerics.whiteness import (
 Vector = NDArray[np.float64]
 
 BAND_99_PERCENT = 2.58  # two-sided quantile of the normal distribution
+_COLUMNS = 8  # of the lagged inputs that are worked on at once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -179,12 +179,13 @@ def _input_sums(
         _lagged_both_ways(part.u - mean, L, r)
         for part, r in zip(data.experiments(), known, strict=True)
     ]
+    e = [r.e for r in known]
     u = [z[:, L : L + 1] for z in Z]
     return _InputSums(
-        sums=np.asarray(np.vstack(Z).T @ np.nan_to_num(np.concatenate([r.e for r in known]))),
-        covariance=_score_covariance(Z, known, theta_covariance, own=own),
+        sums=sum((z.T @ np.nan_to_num(x) for z, x in zip(Z, e, strict=True)), np.zeros(2 * L + 1)),
         power=float(sum(np.sum(z**2) for z in u)),
-        variance=float(exogenous_score(u, [r.e for r in known])[0, 0]),
+        variance=float(exogenous_score(u, e)[0, 0]),
+        covariance=_score_covariance(Z, known, theta_covariance, own=own),  # spends Z: last
     )
 
 
@@ -193,22 +194,40 @@ def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
 
     The free response is projected out: it was fitted to these residuals, on any data.
     """
-    ahead = lagged(u[::-1], range(L, 0, -1))[::-1]
-    Z = np.hstack([ahead, lagged(u, range(L + 1))])
-    return known.unknown.without(np.where(np.isfinite(known.e)[:, None], Z, 0.0))
+    Z = np.zeros((u.size, 2 * L + 1), order="F")
+    there = np.isfinite(known.e)
+    for columns in _few(2 * L + 1):
+        for j in range(columns.start, columns.stop):
+            later, earlier = max(j - L, 0), max(L - j, 0)
+            n = max(u.size - later - earlier, 0)
+            Z[later : later + n, j] = u[earlier : earlier + n]
+        Z[~there, columns] = 0.0
+        Z[:, columns] = known.unknown.without(Z[:, columns])
+    return Z
+
+
+def _few(columns: int) -> list[slice]:
+    """Return groups of columns: what is copied of a long matrix is then small."""
+    return [slice(a, min(a + _COLUMNS, columns)) for a in range(0, columns, _COLUMNS)]
 
 
 def _score_covariance(
     Z: list[Array], known: list[Residuals], theta_covariance: Array, *, own: bool
 ) -> Array:
+    """Return M, and on estimation data leave in Z what Psi does not explain."""
     e = [r.e for r in known]
     if not own:
-        slope: Array = np.vstack(Z).T @ np.vstack([r.Psi for r in known])
+        pairs = zip(Z, known, strict=True)
+        none = np.zeros((Z[0].shape[1], theta_covariance.shape[0]))
+        slope = sum((z.T @ r.Psi for z, r in pairs), none)
         return np.asarray(exogenous_score(Z, e) + slope @ theta_covariance @ slope.T)
-    basis = orthonormal(np.vstack([r.Psi for r in known]))
-    edges = np.cumsum([0, *(z.shape[0] for z in Z)])
-    free = basis.without(np.vstack(Z))
-    return exogenous_score([free[a:b] for a, b in pairwise(edges)], e)
+    Q = orthonormal(np.vstack([r.Psi for r in known])).Q
+    parts = list(zip(Z, np.split(Q, np.cumsum([z.shape[0] for z in Z])[:-1]), strict=True))
+    shadow = sum((q.T @ z for z, q in parts), np.zeros((Q.shape[1], Z[0].shape[1])))
+    for z, q in parts:
+        for columns in _few(z.shape[1]):
+            z[:, columns] -= q @ shadow[:, columns]
+    return exogenous_score(Z, e)
 
 
 def _noise_parameters(fit: Estimate) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
@@ -247,6 +248,22 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
         impulse_response(still, 20, kernel=None, integrator=False)
     with pytest.raises(ValueError, match="level=95 must lie between 0 and 1"):
         impulse_response(data, 5, integrator=False).band(95)
+
+
+@pytest.mark.parametrize("kernel", [None, "tc"])
+def test_length_costs_no_memory(kernel: Kernel | None) -> None:
+    """A hundred lags of 100 000 samples: less than 30 arrays as long as the data are held."""
+    rng = np.random.default_rng(9)
+    u = rng.standard_normal(100_000)
+    v = filtered([1.0], [1.0, -0.7], rng.standard_normal(u.size))
+    data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1.0, -0.6], u) + v, Ts=1.0)
+
+    tracemalloc.start()
+    impulse_response(data, 100, kernel=kernel, integrator=False)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert peak < 30 * u.nbytes
 
 
 def test_two_experiments_count_as_two(arm: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -262,3 +263,18 @@ def test_the_words_of_the_tests_are_those_of_the_report(p: float, words: list[st
     said = repr(replace(tests, whiteness=p, missing_dynamics=p, feedback=p))
 
     assert all(word in said for word in words)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_the_lagged_inputs_are_held_once(own: bool) -> None:
+    """51 lags of 100 000 samples, and some 50 more arrays as long as the data."""
+    long = data(1, 100_000)
+    fit = oe(long[:2000], nb=2, nf=2)
+    fit = replace(fit, digest=long.digest) if own else fit
+
+    tracemalloc.start()
+    residuals(fit, long)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+
+    assert peak < 100 * long.y.nbytes
