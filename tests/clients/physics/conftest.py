@@ -23,9 +23,10 @@ def make() -> Make:
         p: ArmParameters | None = None,
         coulomb_nm: float = 0.0,
         offset: float = 0.0,
+        shift: float = 0.0,
     ) -> Dataset:
         rng = np.random.default_rng([seed, 5])
-        u = telegraph(N, 0.02, low, high, seed=rng)
+        u = telegraph(N, 0.02, low, high, seed=rng) - shift  # below 0 no rig is driven
         p = ArmParameters() if p is None else p
         y = rubbing(u - offset, p, coulomb_nm) if coulomb_nm else angle(u - offset, p)
         y = y + std * rng.standard_normal(N)

@@ -13,6 +13,7 @@ from armrig.physics.systems import ArmParameters, arm, chassis
 from chassis_data import Make, Ts, angle
 
 HANDOUT = ArmParameters()
+RUBS = ArmParameters(b_1=5e-3)
 
 
 def off(fit: Any, name: str = "J_1", truth: float = HANDOUT.J_1) -> float:
@@ -111,6 +112,42 @@ def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:
     assert abs(off(fit)) < 3
     assert fit.values["T_c"] == pytest.approx(0.02, rel=0.01)
     assert fit.values["b_1"] == pytest.approx(5e-3, rel=0.01)
+
+
+def test_an_input_both_ways_tells_friction_and_offset_apart(make: Make) -> None:
+    """Both frictions and u0, each within its deviations; no richer model fits worse."""
+    data = make(p=RUBS, coulomb_nm=0.02, shift=2.5, offset=0.3)
+
+    poorer, fit = armrig.greybox(data, friction="viscous"), armrig.greybox(data, friction="both")
+
+    for name, truth in (("J_1", HANDOUT.J_1), ("b_1", 5e-3), ("T_c", 0.02)):
+        assert abs(off(fit, name, truth)) < 3
+    assert fit.offset[0] == pytest.approx(0.3, abs=2e-3)
+    assert fit.fit_percent > poorer.fit_percent
+    assert fit.warnings == ()
+
+
+def test_each_experiment_has_the_offset_that_its_input_shows(make: Make) -> None:
+    """Estimated where the chassis is driven both ways, 0 where it is not."""
+    both_ways = make(1, 2500, coulomb_nm=0.02, shift=2.5, offset=0.2)
+    one_way = make(2, 2500, coulomb_nm=0.02, low=0.0, high=5.0)
+
+    fit = armrig.greybox(merge([both_ways, one_way]), friction="coulomb")
+
+    assert fit.offset == (pytest.approx(0.2, abs=2e-3), 0.0)
+    assert abs(off(fit)) < 3
+    assert fit.values["T_c"] == pytest.approx(0.02, rel=0.02)
+
+
+def test_a_richer_model_that_fits_worse_says_so(make: Make) -> None:
+    """On an input of one sign T_c takes the offset's place, and stands in its own way."""
+    data = make(coulomb_nm=0.02, low=0.0, high=5.0, offset=0.5)
+
+    poorer, fit = armrig.greybox(data), armrig.greybox(data, friction="coulomb")
+
+    assert fit.fit_percent < poorer.fit_percent
+    assert any("with Coulomb friction the fit is" in w and "one sign" in w for w in fit.warnings)
+    assert "with Coulomb friction" not in repr(poorer)
 
 
 def test_coulomb_friction_does_no_harm_where_the_chassis_never_stops(make: Make) -> None:

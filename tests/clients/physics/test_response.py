@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from armrig.excitation import telegraph
 from armrig.physics.grey_box.response import (
+    REVERSAL,
     _braked,
     _braked_alone,
     linear_parts,
@@ -94,6 +95,18 @@ def test_sensitivities_by_friction_and_by_the_initial_state() -> None:
         np.testing.assert_allclose(answer.by_initial[:, i], (y[0] - y[1]) / 2e-6, atol=1e-7)
 
 
+def test_sensitivity_by_an_offset_of_the_input() -> None:
+    """Of an input both ways; while the chassis sticks it does nothing."""
+    sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
+    u, x0 = U - 2.0, np.array([0.1, 3.0])
+
+    answer = with_friction(sampled, u, x0, 0.1, 1)
+    y = [with_friction(sampled, u - s * 1e-6, x0, 0.1, 1).y for s in (1, -1)]
+
+    differences = (y[0] - y[1]) / 2e-6
+    np.testing.assert_allclose(answer.by_offset, differences, atol=1e-5 * np.abs(differences).max())
+
+
 def test_friction_is_the_emulator_s() -> None:
     """Which splits each 0.1 ms: the angle agrees to a fraction of a step of the converter."""
     u = telegraph(2000, 0.02, 0.0, 5.0, seed=4)
@@ -124,5 +137,5 @@ def test_a_speed_that_stands_alone_is_braked_as_any_other() -> None:
     expected, expected_signs = _braked(sampled, U, x0, 0.1, 1)
 
     assert signs == expected_signs
-    assert set(signs) == {-1, 0, 1}
+    assert set(signs) == {-1, 0, 1, REVERSAL}
     np.testing.assert_allclose(frictions, expected, atol=1e-12)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.data.quantisation import quantum, too_quiet
-from armrig.numerics.inference import Inference, infer
+from armrig.data.quantisation import quantum
+from armrig.numerics.inference import infer
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
-from armrig.numerics.quantities import p_relation
-from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.physics.grey_box.fit import GreyFit, below_zero
 from armrig.physics.grey_box.free_parameters import (
     Friction,
@@ -31,6 +29,7 @@ from armrig.physics.grey_box.uncertainty import (
     named_std,
     scales,
 )
+from armrig.physics.grey_box.verdict import noise_warnings, worse_with_friction
 from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
@@ -54,6 +53,9 @@ def greybox(
 
     The model is sampled exactly for the held input, and its derivatives with it. Initial state and
     input offset u0 of each experiment are estimated along; missing outputs cost their own rows.
+    The chassis alone, with a = N K_m / R_m and d = (N K_m)² / R_m ::
+
+        J_1 theta_1'' = a (u - u0) - (d + b_1) theta_1' - T_c sign theta_1'
 
     Parameters
     ----------
@@ -73,8 +75,9 @@ def greybox(
     friction : {"viscous", "coulomb", "both"}, optional
         Estimate the friction of the chassis too: b_1 in Nms/rad, T_c in Nm, or both. The handout
         says that it may be neglected, which is the default, and shifts J_1 where there is any
-        (Coulomb friction only where the chassis stops: without, u0 takes it). With T_c the input
-        offset is held at 0, for on an input of one sign the two stand in for each other.
+        (Coulomb friction only where the chassis stops: without, u0 takes it). With T_c the offset
+        of an experiment is estimated where its input is bipolar, and held at 0 where it is not:
+        on an input of one sign the two stand in for each other.
 
     Returns
     -------
@@ -115,11 +118,13 @@ def greybox(
     )
     eta = plain.coordinates({name: getattr(p, name) for name in plain.names})
     best = _search(plain, eta)
-    problem: GreyBox | GreyBoxWithFriction = plain
-    if COULOMB in names:
-        problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics))
-        best = _search(problem, problem.start(best.theta))
-    return _fit(data, problem, best, names, given)
+    if COULOMB not in names:
+        return _fit(data, plain, best, names, given)
+    problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics))
+    without, best = best, _search(problem, problem.start(best.theta))
+    return _fit(
+        data, problem, best, names, given, worse=worse_with_friction(data, without.cost, best.cost)
+    )
 
 
 def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
@@ -146,6 +151,7 @@ def _fit(
     best: Optimum,
     names: tuple[str, ...],
     fixed_std: dict[str, float],
+    worse: tuple[str, ...] = (),
 ) -> GreyFit:
     plain = problem if isinstance(problem, GreyBox) else problem.plain
     at = problem.at(best.theta)
@@ -208,22 +214,12 @@ def _fit(
         physics=plain.physics,
         warnings=(
             *([] if converged else [f"no convergence in {best.iterations} steps"]),
+            *worse,
             *below_zero(values, std),
-            *_noise_warnings(step, found),
+            *noise_warnings(step, found),
         ),
         **data.origin(),
     )
-
-
-def _noise_warnings(step: float, found: Inference) -> Iterator[str]:
-    if quiet := too_quiet(step, found.noise_variance):
-        yield quiet
-    if found.whiteness < WHITE_LEVEL:
-        yield (
-            f"the residuals are coloured (p {p_relation(found.whiteness)}, level "
-            f"{100 * WHITE_LEVEL:g} %): something of the rig is not in the model (friction?), or "
-            "the noise is not white; prefer std_robust"
-        )
 
 
 def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:

@@ -72,7 +72,7 @@ class GreyFit:
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|), simulated, on the estimation data."""
     whiteness: float
-    """p value of white residuals."""
+    """p value of white residuals; for inverse dynamics of smoothed white noise."""
     quantum: float
     """Step in which the output was read, 0 where none is seen."""
     N: int

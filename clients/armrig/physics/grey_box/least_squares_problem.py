@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,12 @@ Matrix = NDArray[np.float64]
 # How the voltage T_c R_m / (N K_m) that stands for the friction goes with the logarithms.
 _VOLTAGE_POWERS = {"R_m": 1.0, "N": -1.0, "K_m": -1.0}
 _LEAST_START_V = 0.01  # of the search for the friction
+_BIPOLAR = 0.05  # share of the samples that are driven the other way round
+
+
+def bipolar(u: Vector) -> bool:
+    """Tell whether an input drives the chassis both ways, so that friction is no offset."""
+    return bool(min(np.mean(u > 0), np.mean(u < 0)) >= _BIPOLAR)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,11 +98,11 @@ class GreyBox:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyBoxWithFriction:
-    """The same with Coulomb friction, which makes the initial states' part nonlinear.
+    """The same with Coulomb friction, which makes the free responses' part nonlinear.
 
-    The coordinates are those of the parameters, T_c, and then x0 of each experiment. The input
-    offset is 0: on an input of one sign, the rig's, the chassis hardly ever turns back, and a
-    friction that never changes its sign and an offset stand in for each other.
+    The coordinates are those of the parameters, T_c, and then of each experiment x0 and, where its
+    input is bipolar, u0. On an input of one sign, the rig's, the chassis hardly ever turns back,
+    and a friction that never changes its sign and an offset stand in for each other: u0 is 0.
     """
 
     plain: GreyBox
@@ -103,11 +110,16 @@ class GreyBoxWithFriction:
     """Which state is the speed of the chassis."""
 
     def start(self, eta: Vector) -> Vector:
-        """Return coordinates from frictionless ones: the friction is what u0 has taken."""
+        """Return coordinates from frictionless ones.
+
+        Where u0 is not free it has taken the friction; elsewhere the search begins with little.
+        """
         free = self.plain.at(eta).free
-        offset = max(float(np.mean([x[-1] for x in free])), _LEAST_START_V)
+        taken = [x[-1] for x, is_free in zip(free, self._offsets(), strict=True) if not is_free]
+        volts = max(float(np.mean(taken)) if taken else 0.0, _LEAST_START_V)
         per_volt = self.plain.physics.parameters(self.plain.values(eta)).torque_per_volt
-        return np.concatenate([eta, [offset * per_volt], *(x[:-1] for x in free)])
+        own = [x if is_free else x[:-1] for x, is_free in zip(free, self._offsets(), strict=True)]
+        return np.concatenate([eta, [volts * per_volt], *own])
 
     def linearise(self, z: Vector) -> tuple[Vector, Matrix]:
         """Return e and J at z."""
@@ -115,7 +127,7 @@ class GreyBoxWithFriction:
         return e, J
 
     def at(self, z: Vector, by: Sequence[str] | None = None) -> Linearised:
-        """Return residuals and derivatives, the initial states' directions projected out.
+        """Return residuals and derivatives, the free responses' directions projected out.
 
         By default by the free parameters and T_c.
         """
@@ -123,38 +135,50 @@ class GreyBoxWithFriction:
         own, first = len(self.plain.names) + 1, len(names) + 1
         e, J, rows = self._all(z, names)
         d = first - (by is not None)
-        n = (z.size - own) // len(rows)
         blocks, spans, free = [], [], []
-        for i, (a, b) in enumerate(rows):
-            basis = orthonormal(J[a:b, first + i * n : first + (i + 1) * n])
+        for (a, b), part, is_free in zip(rows, self._parts(z), self._offsets(), strict=True):
+            basis = orthonormal(J[a:b, first + part.start : first + part.stop])
             blocks.append(basis.without(J[a:b, :d]))
             spans.append(basis.Q)
-            free.append(np.append(z[own + i * n : own + (i + 1) * n], 0.0))
+            x = z[own:][part]
+            free.append(x if is_free else np.append(x, 0.0))
         size = np.linalg.norm(J[:, :d], axis=0)
         return Linearised(
             e=e, Psi=np.vstack(blocks), size=size, spans=tuple(spans), free=tuple(free)
         )
 
+    def _offsets(self) -> list[bool]:
+        """Return of which experiments u0 is free."""
+        return [bipolar(data.u) for data in self.plain.experiments]
+
+    def _parts(self, z: Vector) -> list[slice]:
+        """Return where x0 (and u0) of each experiment stand behind the parameters and T_c."""
+        offsets = self._offsets()
+        n = (z.size - len(self.plain.names) - 1 - sum(offsets)) // len(offsets)
+        edges = np.cumsum([0, *(n + is_free for is_free in offsets)]).tolist()
+        return [slice(a, b) for a, b in pairwise(edges)]
+
     def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), the derivatives by (by, T_c, x0, …), and each experiment's rows."""
+        """Return e (M,), the derivatives by (by, T_c, x0, u0, …), and each experiment's rows."""
         plain = self.plain
-        own, first, count = len(plain.names) + 1, len(by) + 1, len(plain.experiments)
-        n = (z.size - own) // count
+        own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])
         model = plain.physics.sampled(values, by, plain.experiments[0].Ts)
         per_volt = plain.physics.parameters(values).torque_per_volt
         V = float(z[own - 1]) / per_volt
         residuals, blocks, rows = [], [], []
-        begin = 0
-        for i, data in enumerate(plain.experiments):
-            x0 = z[own + i * n : own + (i + 1) * n]
-            answer = with_friction(model, data.u, x0, V, self.speed)
-            J = np.zeros((data.N, first + n * count))
+        begin, n = 0, model.Phi.shape[0]
+        for data, part in zip(plain.experiments, self._parts(z), strict=True):
+            x = z[own:][part]
+            u = data.u - x[n] if x.size > n else data.u
+            answer = with_friction(model, u, x[:n], V, self.speed)
+            J = np.zeros((data.N, first + z.size - own))
             J[:, : len(by)] = answer.by_parameters
             for j, name in enumerate(by):
                 J[:, j] += answer.by_friction * V * _VOLTAGE_POWERS.get(name, 0.0)
             J[:, len(by)] = answer.by_friction / per_volt
-            J[:, first + i * n : first + (i + 1) * n] = answer.by_initial
+            by_free = np.column_stack([answer.by_initial, answer.by_offset])
+            J[:, first + part.start : first + part.stop] = by_free[:, : x.size]
             residuals.append((data.y - answer.y)[data.valid])
             blocks.append(J[data.valid])
             rows.append((begin, begin + residuals[-1].size))

@@ -6,7 +6,8 @@ the voltage V = T_c R_m / (N K_m). Between a stop and the next reversal the mode
     slip    x(k+1) = Phi x + Gamma (u - s V),    s = sign of the speed
     stick   x(k+1) = P (Phi x + Gamma u),        P = I - Gamma e' / (e' Gamma)
 
-with e the speed's unit vector: the friction is then whatever keeps the speed at 0, up to V.
+with e the speed's unit vector: the friction is then whatever keeps the speed at 0, up to V. Where
+the chassis turns back within a step, s is the mean of both signs, weighted by their time.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ class Response:
     """Derivatives by the initial state, (N, n)."""
     by_friction: Vector
     """Derivative by the voltage V of the Coulomb friction, (N,)."""
+    by_offset: Vector
+    """Derivative by an input offset u0, which is subtracted from u, (N,)."""
 
 
 def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:
@@ -76,34 +79,41 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
     """Return the answer with Coulomb friction of V volts, and all its derivatives.
 
     Stretches of slip and of stick follow each other, each linear, found step by step and then
-    differentiated as a whole. That the moments of stopping move with the parameters is of second
-    order: the speed is 0 on both sides of them.
+    differentiated as a whole; a step in which the chassis turns back is one by itself. While the
+    chassis sticks, P Gamma = 0 and an input offset does nothing.
     """
-    x, stretches = _walk(model, u, x0, V, speed)
-    n, d = x0.size, len(model.by)
-    m = d + n + 1  # coordinates, initial state, V
+    walk = _walk(model, u, x0, V, speed)
+    x, n, d = walk.x, x0.size, len(model.by)
+    m = d + n + 2  # coordinates, initial state, V, u0
     S = np.zeros((u.size, m, n))
     S[0, d : d + n] = np.eye(n)
     P = np.eye(n) - np.outer(model.Gamma, np.eye(n)[speed]) / model.Gamma[speed]
-    for a, b, s in stretches:
+    for a, b, s in walk.stretches:
         w = np.zeros((b - a, m, n))
-        drive = u[a:b] - s * V
+        drive = u[a:b] - walk.frictions[a:b] if s else u[a:b]
         for j, by in enumerate(model.by):
             w[:, j] = x[a:b] @ by.Phi.T + drive[:, None] * by.Gamma
             if s == 0:
                 w[:, j] = w[:, j] @ P.T - _held(model, by, x[a:b], u[a:b], speed)
-        w[:, -1] = -s * model.Gamma
+        if s == REVERSAL:
+            for k in range(a, b):
+                S[k + 1] = _reversed(model, S[k], w[k - a], x[k], u[k], V, speed)
+            continue
+        w[:, -2] = -s * model.Gamma
+        w[:, -1] = -abs(s) * model.Gamma
         S[a : b + 1] = recursion(model.Phi if s else P @ model.Phi, w, S[a])
         if s == 0:
             S[a + 1 : b + 1, :, speed] = 0.0  # but for rounding it is
     y = S @ model.C
     for j, by in enumerate(model.by):
         y[:, j] += x @ by.C + by.D * u
+    y[:, -1] -= model.D
     return Response(
         y=x @ model.C + model.D * u,
         by_parameters=y[:, :d],
         by_initial=y[:, d : d + n],
-        by_friction=y[:, -1],
+        by_friction=y[:, -2],
+        by_offset=y[:, -1],
     )
 
 
@@ -115,13 +125,53 @@ def _held(model: Sampled, by: Derivative, x: Matrix, u: Vector, speed: int) -> M
     return np.outer(needed, change)
 
 
-def _walk(
-    model: Sampled, u: Vector, x0: Vector, V: float, speed: int
-) -> tuple[Matrix, list[tuple[int, int, int]]]:
-    """Return x (N, n) and the stretches (first, last + 1, sign), sign 0 where the chassis sticks.
+def _reversed(
+    model: Sampled, S: Matrix, w: Matrix, x: Vector, u: float, V: float, speed: int
+) -> Matrix:
+    """Return the derivatives after a step in which the chassis turns back.
 
-    The friction of a step is what would bring the speed to 0 at its end, at most V either way.
-    A V below 0, which a search may try, never sticks.
+    The friction s V (2 f - 1) goes with the share f = v / (v - v') of the step before the turn,
+    with v' the speed to which the friction of before would have led: f goes with everything.
+    """
+    row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
+    s = np.sign(v)
+    ahead = row @ x + gain * (u - s * V)
+    by_ahead = S @ row + w[:, speed]
+    # w holds what the parameters do beside the friction; to v' they do it with s V alone.
+    share = v / (v - ahead)
+    for j, by in enumerate(model.by):
+        by_ahead[j] += (2 * share - 2) * s * V * by.Gamma[speed]
+    by_ahead[-2] -= s * gain
+    by_ahead[-1] -= gain
+    by_share = (v * by_ahead - ahead * S[:, speed]) / (v - ahead) ** 2
+    by_drive = -2 * s * V * by_share
+    by_drive[-2] -= s * (2 * share - 1)
+    by_drive[-1] -= 1.0
+    return np.asarray(S @ model.Phi.T + w + np.outer(by_drive, model.Gamma))
+
+
+REVERSAL = 2
+"""In place of a sign: the chassis turns back within the step."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Walk:
+    """The states of one experiment, and how the chassis moves."""
+
+    x: Matrix
+    """(N, n)."""
+    frictions: Vector
+    """Volts of each step, (N - 1,)."""
+    stretches: list[tuple[int, int, int]]
+    """First step, last + 1, and the sign of the speed; 0 where it sticks, or REVERSAL."""
+
+
+def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
+    """Return the states, stretch of slip and of stick by stretch.
+
+    A chassis that comes to a stop sticks where no more than V pulls at it; the friction of that
+    step is what brings the speed to 0 at its end. Where more pulls it turns back within the step,
+    and the friction is the mean of both ways. A V below 0, which a search may try, never sticks.
     """
     alone = not np.delete(model.Phi[speed], speed).any()
     frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
@@ -129,7 +179,27 @@ def _walk(
     # With the friction known the model is linear, and all of its states come at once.
     x = recursion(model.Phi, (u[:-1] - frictions)[:, None] * model.Gamma, x0)
     x[1:][signs == 0, speed] = 0.0
-    return x, [(s.start, s.stop, int(signs[s.start])) for s in constant(signs)]
+    stretches = [(s.start, s.stop, int(signs[s.start])) for s in constant(signs)]
+    return _Walk(x=x, frictions=frictions, stretches=stretches)
+
+
+def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[float, int]:
+    """Return friction and sign of a step from the speed v.
+
+    `ahead` is the speed to which no friction would lead, `pull` the volts that pull at standstill.
+    """
+    if v == 0.0:
+        if abs(pull) <= V:
+            return ahead / gain, 0
+        sign = 1 if pull > 0 else -1
+        return sign * V, sign
+    sign = 1 if v > 0 else -1
+    end = ahead - gain * sign * V
+    if end * sign > 0:
+        return sign * V, sign
+    if abs(pull) <= V:
+        return ahead / gain, 0
+    return sign * V * (2 * v / (v - end) - 1), REVERSAL
 
 
 def _braked_alone(
@@ -139,13 +209,8 @@ def _braked_alone(
     pole, gain, v = float(model.Phi[speed, speed]), float(model.Gamma[speed]), float(x0[speed])
     frictions, signs = [], []
     for value in u[:-1].tolist():
-        needed = pole * v / gain + value
-        if abs(needed) <= V:
-            v, friction, sign = 0.0, needed, 0
-        else:
-            sign = 1 if needed > 0 else -1
-            friction = sign * V
-            v = gain * (needed - friction)
+        friction, sign = _step(v, pole * v + gain * value, value, V, gain)
+        v = pole * v + gain * (value - friction) if sign else 0.0
         frictions.append(friction)
         signs.append(sign)
     return np.array(frictions), signs
@@ -157,14 +222,14 @@ def _braked(
     """Return friction and sign of each step."""
     rows = [tuple(map(float, row)) for row in model.Phi]
     gamma = [float(g) for g in model.Gamma]
+    pole, gain = rows[speed][speed], gamma[speed]
     x = list(map(float, x0))
     frictions, signs = [], []
     n = range(len(x))
     for value in u[:-1].tolist():
+        v = x[speed]
         x = [sum(row[j] * x[j] for j in n) + g * value for row, g in zip(rows, gamma, strict=True)]
-        needed = x[speed] / gamma[speed]
-        sign = 0 if abs(needed) <= V else 1 if needed > 0 else -1
-        friction = sign * V if sign else needed
+        friction, sign = _step(v, x[speed], (x[speed] - pole * v) / gain, V, gain)
         x = [a - g * friction for a, g in zip(x, gamma, strict=True)]
         if sign == 0:
             x[speed] = 0.0
