@@ -6,6 +6,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.physics.grey_box.smoothed_noise import smoothed_noise_p_value
 from armrig.physics.grey_box.smoothing import smoothed
 from armrig.physics.systems import ArmParameters
 from chassis_data import Make, Ts, angle
@@ -72,6 +73,45 @@ def test_both_frictions(make: Make) -> None:
     for name, truth in (("J_1", HANDOUT.J_1), ("b_1", 5e-3), ("T_c", 0.02)):
         assert abs(fit.values[name] - truth) < 4 * fit.std[name]
         assert fit.std[name] < 0.1 * truth
+
+
+def test_an_offset_beside_both_frictions(make: Make) -> None:
+    """Of an input that drives the chassis both ways."""
+    data = make(
+        p=ArmParameters(b_1=5e-3),
+        coulomb_nm=0.02,
+        low=0.0,
+        high=5.0,
+        shift=2.5,
+        std=1e-3,
+        N=10_000,
+        offset=0.3,
+    )
+
+    fit = armrig.inverse_dynamics(data, friction="both")
+
+    for name, truth in (("J_1", HANDOUT.J_1), ("b_1", 5e-3), ("T_c", 0.02)):
+        assert abs(fit.values[name] - truth) < 4 * fit.std[name]
+    assert fit.offset[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_residuals_are_held_against_what_smoothing_makes_of_noise(make: Make) -> None:
+    """Of 60 sound experiments hardly one is warned of, and each where friction is left out."""
+    sound = [armrig.inverse_dynamics(make(seed)) for seed in range(60)]
+    rubbing = [armrig.inverse_dynamics(make(s, p=ArmParameters(b_1=5e-3))) for s in range(10)]
+
+    assert sum(bool(fit.warnings) for fit in sound) <= 4
+    assert 0.25 < np.median([fit.whiteness for fit in sound]) < 0.75
+    assert all("friction?" in fit.warnings[0] for fit in rubbing)
+
+
+def test_an_acceleration_without_noise_has_no_p_value() -> None:
+    """Nor has one whose values all stand alone."""
+    h = np.array([1.0, -2.0, 1.0])
+
+    assert np.isnan(smoothed_noise_p_value([np.zeros(100)], h, 1))
+    alone = np.where(np.arange(100) % 10 == 0, 1.0, np.nan)
+    assert np.isnan(smoothed_noise_p_value([alone], h, 1))
 
 
 def test_fixed_parameters_carry_their_uncertainty_in(make: Make) -> None:

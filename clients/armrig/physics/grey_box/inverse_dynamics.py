@@ -23,6 +23,8 @@ from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.numerics.inference import Inference, infer
 from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.quantities import p_relation
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.physics.grey_box.fit import GreyFit, below_zero
 from armrig.physics.grey_box.free_parameters import (
     Friction,
@@ -30,9 +32,11 @@ from armrig.physics.grey_box.free_parameters import (
     free_names,
     require_output,
 )
+from armrig.physics.grey_box.least_squares_problem import bipolar
 from armrig.physics.grey_box.parameters import COULOMB
 from armrig.physics.grey_box.sampled_model import Physics
-from armrig.physics.grey_box.smoothing import LEAST_WIDTH, smoothed
+from armrig.physics.grey_box.smoothed_noise import smoothed_noise_p_value
+from armrig.physics.grey_box.smoothing import LEAST_WIDTH, kernels, smoothed
 from armrig.physics.grey_box.uncertainty import named_std
 from armrig.physics.systems import chassis
 
@@ -42,6 +46,10 @@ Matrix = NDArray[np.float64]
 _KEPT = 1.5  # one sample for so many standard deviations of the kernel
 _WIDTH = 1.75  # of the chassis' time constant: least mean squared error in trials at 3 mrad
 _HELD = ("N", "R_m", "K_m")
+_COLOURED = (
+    "the residuals are no smoothed white noise (p {p}): something of the rig is not in the model "
+    "(friction?), or the noise is not white"
+)
 _SLOW = 0.5  # rad/s, below which the sign of the speed is not trusted
 
 
@@ -65,8 +73,8 @@ def inverse_dynamics(
     fixed : ArmParameters, optional
         N, R_m, K_m and, where it is not free, b_1; the handout's by default.
     friction : {"viscous", "coulomb", "both"}, optional
-        As for `greybox`. With T_c the input offset is taken to be 0, and stretches in which the
-        chassis is nearly at rest are left out.
+        As for `greybox`, the input offset too. With T_c stretches in which the chassis is nearly
+        at rest are left out.
     width : float, optional
         Standard deviation of the smoothing kernel in s; by default 1.75 of the
         chassis' time constants. A narrower one brings noise, a wider one loses excitation and more
@@ -78,6 +86,8 @@ def inverse_dynamics(
     -------
     GreyFit
         Both standard deviations are those of the sandwich form: smoothed noise is never white.
+        `whiteness` is the p value of residuals that are as coloured as the kernel makes white noise
+        of the angle; below 1 % a warning says that something of the rig is not in the model.
 
     Raises
     ------
@@ -91,12 +101,14 @@ def inverse_dynamics(
     s = max(_WIDTH * p.J_1 / p.damping if width is None else width, LEAST_WIDTH * data.Ts)
     solution = _solved(_torque_balance(data, p, names, s), s)
     values, slope = _parameters(solution.beta, names)
+    drift = solution.beta[-1] / solution.beta[0] if _offset_is_free(data, names) else 0.0
     found = solution.inference.transformed(slope)
     physics, held = Physics(model=chassis, fixed=p, output="theta_1"), _held(names)
     by_held = slope @ solution.by_held
     carried = by_held * [given.get(k, 0.0) for k in held]
     covariance = found.covariance_robust + carried @ carried.T
     std = named_std(names, covariance)
+    whiteness = _whiteness(solution.residuals, values, p, s, data.Ts)
     shares = by_held[0] * [getattr(p, k) for k in held] / values["J_1"]
     return GreyFit(
         method="inverse dynamics",
@@ -112,16 +124,19 @@ def inverse_dynamics(
         fixed=physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
         fixed_std=given,
         initial=(),
-        offset=(_offset(solution.beta, names, p),) * len(data.starts),
+        offset=(float(-drift / p.torque_per_volt),) * len(data.starts),
         noise_variance=found.noise_variance,
         loss=found.loss,
         fit_percent=found.fit_percent,
-        whiteness=found.whiteness,
+        whiteness=whiteness,
         quantum=quantum(data),
         N=found.N,
         Ts=data.Ts,
         physics=physics,
-        warnings=tuple(below_zero(values, std)),
+        warnings=(
+            *below_zero(values, std),
+            *([_COLOURED.format(p=p_relation(whiteness))] if whiteness < WHITE_LEVEL else []),
+        ),
         **data.origin(),
     )
 
@@ -156,6 +171,8 @@ class _Solution:
     """Of the scaled columns."""
     inference: Inference
     """Of beta."""
+    residuals: list[Vector]
+    """Of each experiment, NaN where they are not known."""
 
 
 def _solved(balance: _TorqueBalance, s: float) -> _Solution:
@@ -184,21 +201,41 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
             score="exogenous",
             y=balance.target,
             basis=basis.spread(kept),
-            test="ljung-box",
+            test=None,
         ),
+        residuals=residuals,
     )
 
 
-def _offset(beta: Vector, names: tuple[str, ...], p: ArmParameters) -> float:
-    """Return the input that is answered with standstill; 0 where Coulomb friction is free."""
-    return 0.0 if COULOMB in names else float(-beta[-1] / beta[0] / p.torque_per_volt)
+def _whiteness(
+    residuals: list[Vector], values: dict[str, float], p: ArmParameters, s: float, Ts: float
+) -> float:
+    """Return the p value of residuals that are smoothed white noise of the angle.
+
+    The noise reaches acceleration less braking, theta_1'' + (d + b_1)/J_1 theta_1'.
+    """
+    k = kernels(s, Ts)
+    braking = p.damping - p.b_1 + values.get("b_1", p.b_1)
+    return smoothed_noise_p_value(
+        residuals, k.second + braking / values["J_1"] * k.first, _every(s, Ts)
+    )
+
+
+def _every(s: float, Ts: float) -> int:
+    """Return of how many samples one is kept."""
+    return max(1, int(_KEPT * s / Ts))
+
+
+def _offset_is_free(data: Dataset, names: tuple[str, ...]) -> bool:
+    """Tell whether u0 is estimated: not where Coulomb friction would stand in for it."""
+    return COULOMB not in names or bipolar(data.u)
 
 
 def _torque_balance(
     data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float
 ) -> _TorqueBalance:
     targets, rows, moved = [], [], []
-    every = max(1, int(_KEPT * s / data.Ts))
+    every = _every(s, data.Ts)
     by_motor = p.damping - p.b_1
     damping = by_motor if "b_1" in names else p.damping
     for part in data.experiments():
@@ -218,7 +255,7 @@ def _torque_balance(
         if COULOMB in names:
             columns.append(-np.sign(x.velocity))
             target[_near_standstill(part, s, x.reach)] = np.nan
-        else:
+        if _offset_is_free(data, names):
             columns.append(np.ones(part.N))
         targets.append(target[::every])
         rows.append(np.column_stack(columns)[::every])

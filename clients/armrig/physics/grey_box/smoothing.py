@@ -42,9 +42,23 @@ class Smoothed:
     """Samples that the kernel sees to either side."""
 
 
-def smoothed(data: Dataset, s: float) -> Smoothed:
-    """Return the smoothed signals of one experiment for a kernel of standard deviation s, in s."""
-    Ts, T = data.Ts, _REACH * s
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kernels:
+    """What a signal is convolved with, (2 reach + 1,) each."""
+
+    first: Vector
+    """Gives the smoothed velocity."""
+    second: Vector
+    """Gives the smoothed acceleration."""
+    held: Vector
+    """Smooths a held input."""
+    reach: int
+    """Samples to either side."""
+
+
+def kernels(s: float, Ts: float) -> Kernels:
+    """Return the kernels of standard deviation s for the sampling time Ts, both in s."""
+    T = _REACH * s
     reach = int(np.ceil(T / Ts))
     x = np.clip(Ts * np.arange(-reach, reach + 2) / T, -1.0, 1.0)
     area = _BELL.integ()
@@ -56,11 +70,19 @@ def smoothed(data: Dataset, s: float) -> Smoothed:
     # Exact on constants and lines: a turn is 6 rad, the noise 1 mrad.
     first /= -(first @ t)
     second -= second.mean()
+    return Kernels(first=first, second=second, held=held, reach=reach)
+
+
+def smoothed(data: Dataset, s: float) -> Smoothed:
+    """Return the smoothed signals of one experiment for a kernel of standard deviation s, in s."""
+    k = kernels(s, data.Ts)
     y = np.where(data.valid, data.y, 0.0)
-    there = _through((~data.valid).astype(np.float64), np.ones_like(t)) < 0.5
-    out = [np.where(there, _through(z, k), np.nan) for z, k in ((y, first), (y, second))]
-    u = np.where(there, _through(data.u, held), np.nan)
-    return Smoothed(velocity=out[0], acceleration=out[1], u=u, reach=reach)
+    there = _through((~data.valid).astype(np.float64), np.ones_like(k.first)) < 0.5
+    velocity, acceleration, u = (
+        np.where(there, _through(x, kernel), np.nan)
+        for x, kernel in ((y, k.first), (y, k.second), (data.u, k.held))
+    )
+    return Smoothed(velocity=velocity, acceleration=acceleration, u=u, reach=k.reach)
 
 
 def _through(x: Vector, kernel: Vector) -> Vector:
