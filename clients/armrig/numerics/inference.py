@@ -1,10 +1,12 @@
 """From residuals and their sensitivity to covariance, loss and verdict, the same for all estimates.
 
-Whatever theta was fitted by least squares, with Psi the sensitivity of the prediction to it,
-W W^T = (Psi^T Psi)^-1 and M the covariance of the score Psi^T e ::
+Whatever theta was fitted by least squares, with Psi the sensitivity of the prediction to it, Q its
+orthonormal basis, W W^T = (Psi^T Psi)^-1 and M the covariance of the score Psi^T e ::
 
     covariance         lambda W W^T            right where e is white
-    covariance_robust  W W^T M W W^T           also right where it is coloured
+    covariance_robust  W (Q^T R Q) W^T         also right where it is coloured
+
+The second is W W^T M W W^T with the covariance R of e, as Psi = Q R_Psi and M = Psi^T R Psi.
 
 References
 ----------
@@ -113,11 +115,14 @@ def infer(
     sse = sum(float(np.nansum(e**2)) for e in residuals)
     basis = orthonormal(np.vstack(blocks)) if basis is None else basis
     bread = basis.W @ basis.W.T
-    middle = _middle(score, residuals, blocks) * N / degrees
+    # Through Q, not Psi: where columns are nearly alike, bread times M times bread would round to
+    # variances below 0.
+    edges = np.cumsum([e.size for e in residuals])[:-1]
+    middle = _middle(score, residuals, np.split(basis.Q, edges)) * N / degrees
     tested = test if sse > rounding else None
     return Inference(
         covariance=sse / degrees * bread,
-        covariance_robust=bread @ middle @ bread,
+        covariance_robust=basis.W @ middle @ basis.W.T,
         noise_variance=sse / degrees,
         loss=sse / N,
         N=N,

@@ -268,3 +268,15 @@ def test_impossible_orders_are_refused() -> None:
         ValueError, match='initial=\'rest\' must be one of "estimate", "backcast", "zero"'
     ):
         oe(data, nb=1, nf=1, initial="rest")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("n", [2, 4, 6])
+def test_an_order_too_high_on_quiet_data_has_both_deviations(n: int) -> None:
+    """Poles and zeros cancel, and the derivatives are alike to seven digits; nothing is NaN."""
+    rng = np.random.default_rng(n)
+    u = rng.choice([-1.0, 1.0], 500)
+    y = filtered([0, 1.0], [1.0, -0.8], u) + 1e-6 * rng.standard_normal(500)
+
+    fit = oe(Dataset(u=u, y=y, Ts=1.0), nb=n, nf=n)
+
+    np.testing.assert_allclose(fit.std_robust, fit.std, rtol=0.5)

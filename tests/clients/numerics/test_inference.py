@@ -51,6 +51,24 @@ def test_the_robust_form_holds_for_coloured_noise(score: Score) -> None:
     assert (np.sqrt(np.mean(classic, axis=0)) < 0.8 * scatter).all()
 
 
+@pytest.mark.parametrize("score", ["exogenous", "correlated"])
+@pytest.mark.parametrize("apart", [1e-5, 1e-7, 1e-9])
+def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
+    score: Score, apart: float
+) -> None:
+    """Bread times M times bread would round to some: their root is NaN."""
+    rng = np.random.default_rng(4)
+    x, z, w, v = rng.standard_normal((4, N))
+    Phi = np.column_stack([x, x + apart * z, w, w + apart * v])
+    e = filtered([1.0], [1.0, -0.8], rng.standard_normal(N))
+
+    found = infer([e], [Phi], score=score, test=None)
+
+    std = np.sqrt(np.diag(found.covariance_robust))
+    classic = np.sqrt(np.diag(found.covariance))
+    assert np.all((std > 0.1 * classic) & (std < 10 * classic))
+
+
 def test_missing_residuals_are_as_if_they_had_never_been() -> None:
     """Rows without a residual count neither as samples nor in a sum."""
     Phi, y, theta, _ = regression(2, [1.0])
