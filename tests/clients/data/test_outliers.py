@@ -55,6 +55,24 @@ def test_wrong_samples_are_found_and_their_neighbours_are_not(noise: str, seed: 
     assert np.ptp(data.y) > 20 * 12 * STD
 
 
+@pytest.mark.parametrize("size", [1.0, 1e2, 1e4, 1e6])
+def test_however_wrong_samples_are_the_others_are_kept(size: float) -> None:
+    """A model fitted to samples a million times too large would be theirs alone."""
+    where = [101, 333, 334, 900, 1500]
+
+    assert marked(clean(3), hampel(spoilt(clean(3), where, size))) == where
+
+
+def test_a_rare_pulse_that_the_input_made_is_no_outlier() -> None:
+    """However far it is from its neighbours, and from the noise."""
+    u = np.zeros(2000)
+    u[[300, 900, 1400]] = 5.0
+    y = filtered([0, 1.0, 0.5], [1.0], u) + 1e-4 * np.random.default_rng(1).standard_normal(2000)
+    data = Dataset(u=u, y=y, Ts=0.01)
+
+    assert marked(data, hampel(data)) == []
+
+
 def test_no_value_is_changed_and_none_is_put_in() -> None:
     """The output is as it was where it is valid, NaN where it is not."""
     data = spoilt(clean(2), [400], 1.0)

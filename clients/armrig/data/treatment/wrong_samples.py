@@ -16,6 +16,8 @@ from armrig.numerics.stretches import Mask, pieces
 Indices = NDArray[np.intp]
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
+_NEIGHBOURS = 11  # samples, whose median up to five wrong ones in a row do not move
+_GROSS = 1e3  # median deviations from it, beyond which a sample is of another order of magnitude
 _ROUNDS = 25
 _SHOWN = 1e-3  # share of its own trace that a sample must leave beside those marked already
 
@@ -23,10 +25,49 @@ _SHOWN = 1e-3  # share of its own trace that a sample must leave beside those ma
 def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[Mask]:
     """Return which samples are wrong, for (u, y) of each experiment, y NaN where it is missing.
 
-    n is the order of the model, `limit` the least size in robust standard deviations.
+    n is the order of the model, `limit` the least size in robust standard deviations. Samples of
+    another order of magnitude than their neighbours would make the first model theirs, and the
+    search is then tried without them, too: what marks fewer samples is taken.
     """
-    wrong: list[Mask] = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
-    expected = [(u, y.copy()) for u, y in parts]
+    gross = [_gross(y) for _, y in parts]
+    none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
+    if not any(marked.any() for marked in gross):
+        return _searched(parts, n, limit, none)
+    found = _searched(parts, n, limit, gross)
+    without = _searched(parts, n, limit, none, most=_count(found))
+    return min(found, without, key=_count)
+
+
+def _count(wrong: list[Mask]) -> int:
+    return sum(int(np.count_nonzero(marked)) for marked in wrong)
+
+
+def _gross(y: Vector) -> Mask:
+    """Return where y is far from the median of its neighbours, as no dynamics are."""
+    from scipy.ndimage import median_filter
+
+    known = np.flatnonzero(np.isfinite(y))
+    wrong = np.zeros(y.size, dtype=np.bool_)
+    if known.size > _NEIGHBOURS:
+        off = np.abs(y[known] - median_filter(y[known], _NEIGHBOURS, mode="nearest"))
+        wrong[known] = off > _GROSS * max(
+            float(np.median(off)), 1e-9 * float(np.max(np.abs(y[known])))
+        )
+    return wrong
+
+
+def _searched(
+    parts: Sequence[tuple[Vector, Vector]],
+    n: int,
+    limit: float,
+    wrong: list[Mask],
+    most: int | None = None,
+) -> list[Mask]:
+    """Return the wrong samples, found from those that are marked to begin with.
+
+    With far more than `most` it gives up, for the search of very many takes long.
+    """
+    expected = [(u, _bridged(y, marked)) for (u, y), marked in zip(parts, wrong, strict=True)]
     seen = set()
     for _ in range(_ROUNDS):
         model = whitening(expected, n)
@@ -35,14 +76,26 @@ def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) 
             for (u, y), marked in zip(expected, wrong, strict=True)
         ]
         s = _robust_std(np.concatenate(sizes), parts)
-        for (u, y), (_, y_expected), x, marked in zip(parts, expected, sizes, wrong, strict=True):
+        for x, marked in zip(sizes, wrong, strict=True):
             marked[_peaks(np.where(np.isnan(x), 0.0, np.abs(x) / s), limit, n)] = True
+        if most is not None and _count(wrong) > 2 * most + n:
+            break
+        for (u, y), (_, y_expected), marked in zip(parts, expected, wrong, strict=True):
             y_expected[:] = _expect(model, u, y, marked, s * limit)
         found = b"".join(marked.tobytes() for marked in wrong)
         if found in seen:
             break
         seen.add(found)
     return wrong
+
+
+def _bridged(y: Vector, wrong: Mask) -> Vector:
+    """Return a copy of y, interpolated where it is wrong."""
+    bridged = y.copy()
+    right = np.flatnonzero(np.isfinite(y) & ~wrong)
+    if wrong.any() and right.size:
+        bridged[wrong] = np.interp(np.flatnonzero(wrong), right, y[right])
+    return bridged
 
 
 def _robust_std(x: Vector, parts: Sequence[tuple[Vector, Vector]]) -> float:
