@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armrig.data.dataset import Dataset
+from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.orders import require_samples
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
@@ -76,5 +77,6 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         Ts=data.Ts,
         fit_percent=found.fit_percent,
         whiteness=found.whiteness,
+        warnings=tuple(data_faults(data, residuals, way_out=NO_OPTION)),
         **data.origin(),
     )

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from armrig.data.dataset import Dataset
+from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.orders import require_samples
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
@@ -100,7 +101,10 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         Ts=data.Ts,
         fit_percent=fit_percent(y, sse),
         whiteness=found.whiteness,
-        warnings=(_COLOURED,) if found.whiteness < WHITE_LEVEL else (),
+        warnings=(
+            *((_COLOURED,) if found.whiteness < WHITE_LEVEL else ()),
+            *data_faults(data, e, way_out=NO_OPTION),
+        ),
         **data.origin(),
     )
 

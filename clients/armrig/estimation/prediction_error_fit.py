@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from armrig.data.dataset import Dataset
+from armrig.estimation.data_faults import data_faults
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import PredictionError, Solution
@@ -169,6 +170,11 @@ def _fit(
         warnings=(
             *_warnings(best, starts, found, agreed=agreed),
             *_gap_warnings([g.unknown for g in solution.given], found.N),
+            *data_faults(
+                data,
+                _residuals(problem, solution),
+                way_out="" if n.trend else "estimate it along, offset=True",
+            ),
         ),
         **data.origin(),
     )
@@ -178,13 +184,19 @@ def _inference(data: Dataset, problem: PredictionError, solution: Solution) -> I
     """Return what the residuals tell of theta, an integrator's coefficients included."""
     rows = [x.rows for x in problem.experiments]
     return infer(
-        [np.where(r, s.e, np.nan) for r, s in zip(rows, solution.parts, strict=True)],
+        _residuals(problem, solution),
         np.split(solution.Psi, np.cumsum([r.size for r in rows])[:-1]),
         score="exogenous" if problem.structure.white else "correlated",
         spans=[g.unknown.span for g in solution.given],
         y=data.y,
         rounding=rounding_floor(problem),
     ).transformed(with_integrator(problem.structure))
+
+
+def _residuals(problem: PredictionError, solution: Solution) -> list[Array]:
+    """Return e of each experiment, (N_i,), NaN where there is none."""
+    parts = zip(problem.experiments, solution.parts, strict=True)
+    return [np.where(x.rows, s.e, np.nan) for x, s in parts]
 
 
 def with_integrator(n: Structure) -> Array:
