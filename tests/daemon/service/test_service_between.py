@@ -15,7 +15,8 @@ from typing import Any
 import msgspec
 import pytest
 from armrig.rig.session import open_session
-from armrig_core.commands import Renew, Run, Set
+from armrig_core.commands import Disarm, Renew, Run, Set, Stop
+from armrig_core.commands import Reset as AskedReset
 from armrig_core.manifest import RUN as OF_RUN
 from armrig_core.manifest import manifest_of
 from armrig_core.telemetry import Sample, encode_sample
@@ -29,9 +30,12 @@ from armrig_daemon.pipe import (
     Distribution,
     Gap,
     Halt,
+    Hold,
     Host,
     Log,
     Play,
+    Release,
+    Reset,
     RunEnded,
     RunStarted,
     State,
@@ -289,7 +293,8 @@ def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
     between.begin_run()
     between.service._runs._presence = begun(msgspec.structs.replace(RUN, dead_man=2.0), 0.0)
     between.ask(Renew(lease=LEASE, n=4))
-    monkeypatch.setattr(between.loop.child, "records", lambda: None)
+    records = iter(([], None))
+    monkeypatch.setattr(between.loop.child, "records", lambda: next(records))
     os.write(between.loop.records_fd, b"the end")
 
     between.service._serve()
@@ -385,3 +390,25 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
         between.ask(Set(lease=LEASE, n=100, u=0.0))
 
     assert lots == [16, 16, 16, 16, 0]
+
+
+@pytest.mark.parametrize(
+    ("request_", "order"),
+    [
+        (Disarm(lease=LEASE, n=4), Release(order=1, lease=LEASE, n=4)),
+        (Set(lease=LEASE, n=4, u=5.0), Hold(order=1, lease=LEASE, n=4, code=65535)),
+        (Stop(), Halt(order=1)),
+        (AskedReset(), Reset(order=1)),
+    ],
+)
+def test_a_command_is_the_loop_s_to_carry_out_and_to_answer(
+    between: Between, request_: Any, order: Any
+) -> None:
+    """With its lease and its number, which the core judges."""
+    replies = between.ask(request_)
+    between.commands.take()
+    assert between.loop.orders() == [order]
+
+    between.service._take([Answer(order=1)])
+
+    assert next(iter(replies)).ok is not None
