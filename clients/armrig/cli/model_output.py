@@ -10,7 +10,7 @@ import numpy as np
 from armrig.cli.recorded_data import source_facts
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.models.equation import form, heading
+from armrig.models.equation import form, heading, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import p_relation, places
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from armrig.validation.search_result import SearchResult
 
 _MOST_DECIMALS = 9
-_TRUST_ROBUST = "trust σ robust, not σ, or raise the orders"
 
 
 def model_lines(fit: Fit) -> list[str]:
@@ -35,7 +34,7 @@ def model_lines(fit: Fit) -> list[str]:
         *coefficients(fit),
         f"  fit {fit.fit_percent:.2f} % one step ahead on estimation data",
         f"  loss {fit.loss:.4g}{squared}, FPE {fit.fpe:.4g}{squared}, AIC {fit.aic:.5g}",
-        f"  {_whiteness(fit)}",
+        f"  {whiteness_sentence(fit, 'σ', 'σ robust')}",
     ]
     if fit.starts:
         how = "agree" if fit.agreed else "DISAGREE, the best was taken"
@@ -43,9 +42,7 @@ def model_lines(fit: Fit) -> list[str]:
         lines.append(f"  starts {how}: {ends}{squared}" + ("" if fit.converged else _UNFINISHED))
     if isinstance(fit, SubspaceFit):
         lines += [f"  {line}" for line in fit.explain().splitlines()]
-    # The line on white residuals says this already.
-    new = (w for w in fit.warnings if not (_COLOURED in w and fit.whiteness < WHITE_LEVEL))
-    return [*lines, *(f"  warning: {in_symbols(w)}" for w in new)]
+    return [*lines, *(f"  warning: {in_symbols(w)}" for w in fit.warnings)]
 
 
 def search_lines(found: SearchResult) -> list[str]:
@@ -59,7 +56,6 @@ def in_symbols(text: str) -> str:
     return text.replace("std_robust", "σ robust")
 
 
-_COLOURED = "trust std_robust"
 _UNFINISHED = " (NOT CONVERGED)"
 
 
@@ -82,9 +78,10 @@ def coefficients(fit: Fit) -> list[str]:
 def residual_lines(tests: ResidualTest) -> list[str]:
     """Return the tests of the residuals, each with the hypothesis that its p value is of."""
     where = "estimation" if tests.on_estimation_data else "validation"
+    look = ": look at the noise model or the orders" if tests.white.coloured else ""
     return [
         f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples",
-        f"  white residuals: {_p(tests.whiteness, 'look at the noise model or the orders')}",
+        f"  residuals {tests.white}{look}",
         f"  no dynamics missing: {_p(tests.missing_dynamics, 'look at the orders or the delay')}",
         f"  no feedback: {_p(tests.feedback, 'look at the experiment, or the delay is too large')}",
     ]
@@ -109,6 +106,7 @@ def model_facts(fit: Fit) -> dict[str, Any]:
         "mdl": fit.mdl,
         "fit_percent": fit.fit_percent,
         "p_white": fit.whiteness,
+        "whiteness_test": fit.whiteness_test,
         "converged": fit.converged,
         "warnings": list(fit.warnings),
         "N": fit.N,
@@ -128,6 +126,7 @@ def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[
         "rms_error": row.rms_error,
         "velocity_fit_percent": row.velocity_fit_percent,
         "p_white": tests.whiteness,
+        "whiteness_test": tests.whiteness_test,
         "p_no_dynamics_missing": tests.missing_dynamics,
         "p_no_feedback": tests.feedback,
     }
@@ -142,16 +141,10 @@ def hint(fit: Fit) -> str:
     return ""
 
 
-def _whiteness(fit: Fit) -> str:
-    return f"white residuals: {_p(fit.whiteness, _TRUST_ROBUST, 'trust σ')}"
-
-
-def _p(p: float, otherwise: str, good: str = "") -> str:
+def _p(p: float, otherwise: str) -> str:
     if isnan(p):
         return "too few samples, or no residual, to test"
-    if p < WHITE_LEVEL:
-        return f"p {p_relation(p)}, rejected: {otherwise}"
-    return f"p {p_relation(p)}: {good}" if good else f"p {p_relation(p)}"
+    return f"p {p_relation(p)}" + (f", rejected: {otherwise}" if p < WHITE_LEVEL else "")
 
 
 def _std(std: float) -> str:

@@ -94,6 +94,7 @@ def _grey_facts(fit: GreyFit) -> dict[str, Any]:
         "fit_percent": fit.fit_percent,
         "loss": fit.loss,
         "p_white": fit.whiteness,
+        "whiteness_test": fit.whiteness_test,
         "N": fit.N,
         "Ts": fit.Ts,
         "converged": fit.converged,

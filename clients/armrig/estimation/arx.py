@@ -76,7 +76,8 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         N=found.N,
         Ts=data.Ts,
         fit_percent=found.fit_percent,
-        whiteness=found.whiteness,
+        whiteness=found.white.p_value,
+        whiteness_test=found.white.test,
         warnings=tuple(data_faults(data, residuals, way_out=NO_OPTION)),
         **data.origin(),
     )

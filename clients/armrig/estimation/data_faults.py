@@ -81,7 +81,7 @@ def _doubtful(residuals: Sequence[Vector]) -> bool:
     if ljung_box(e, _LAGS) < WHITE_LEVEL:
         return True
     e = e[np.isfinite(e)]
-    return abs(float(np.mean(e))) > _SURE * float(np.std(e)) / np.sqrt(e.size)
+    return bool(abs(np.mean(e)) > _SURE * np.std(e) / np.sqrt(e.size))
 
 
 def _offset(data: Dataset, way_out: str) -> Iterator[str]:

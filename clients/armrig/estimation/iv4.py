@@ -18,9 +18,8 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import arx_rows, complete
 from armrig.numerics.stretches import Mask
-from armrig.numerics.whiteness import WHITE_LEVEL, autoregression, joined
+from armrig.numerics.whiteness import autoregression, joined
 
-_COLOURED = "filtered by the autoregression of its noise the residual is coloured: trust std_robust"
 _LONGEST = 40  # holes between experiments, at least the order of the autoregression
 
 
@@ -100,11 +99,9 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         N=N,
         Ts=data.Ts,
         fit_percent=fit_percent(y, sse),
-        whiteness=found.whiteness,
-        warnings=(
-            *((_COLOURED,) if found.whiteness < WHITE_LEVEL else ()),
-            *data_faults(data, e, way_out=NO_OPTION),
-        ),
+        whiteness=found.white.p_value,
+        whiteness_test=found.white.test,
+        warnings=tuple(data_faults(data, e, way_out=NO_OPTION)),
         **data.origin(),
     )
 

@@ -28,7 +28,6 @@ from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, lagged, reflected, without_integrator
-from armrig.numerics.whiteness import WHITE_LEVEL
 
 LEAST, LONGEST = 10, 30  # samples of past and of future
 _ENOUGH = 4000  # windows to choose the horizon from
@@ -229,14 +228,13 @@ def _figures(
         "loss": found.loss,
         "N": found.N,
         "fit_percent": found.fit_percent,
-        "whiteness": found.whiteness,
-        "warnings": (*notes, *_warnings(data, n, A, found.covariance, found.whiteness)),
+        "whiteness": found.white.p_value,
+        "whiteness_test": found.white.test,
+        "warnings": (*notes, *_warnings(data, n, A, found.covariance)),
     }
 
 
-def _warnings(
-    data: Dataset, n: Structure, A: Array, covariance: Array, white: float
-) -> Iterator[str]:
+def _warnings(data: Dataset, n: Structure, A: Array, covariance: Array) -> Iterator[str]:
     yield "the deviations are the bound that a search attains; those of a subspace are larger"
     z = np.roots(A)
     nearest = int(np.argmin(np.abs(z - 1)))
@@ -254,8 +252,6 @@ def _warnings(
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
         yield f"a pole is unstable, |z| = {others.max():.4f}"
-    if white < WHITE_LEVEL:
-        yield "the residuals are coloured: trust std_robust, or raise the order"
 
 
 def _pole_std(A: Array, z: complex, covariance: Array) -> float:

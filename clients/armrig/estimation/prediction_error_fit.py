@@ -21,7 +21,6 @@ from armrig.models.structure import Structure
 from armrig.numerics.inference import Inference, infer
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whiteness import WHITE_LEVEL
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
 
@@ -162,7 +161,8 @@ def _fit(
         N=found.N,
         Ts=data.Ts,
         fit_percent=found.fit_percent,
-        whiteness=found.whiteness,
+        whiteness=found.white.p_value,
+        whiteness_test=found.white.test,
         converged=best.converged,
         starts=starts if len(starts) > 1 else (),
         agreed=agreed,
@@ -243,8 +243,6 @@ def _warnings(
     if found.basis.rank < d:
         rank = f"{found.basis.rank} of {d}"
         yield f"the data determine only {rank} parameters: the orders are too high"
-    if found.whiteness < WHITE_LEVEL:
-        yield "the residuals are coloured: trust std_robust, or raise the orders"
 
 
 def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[str]:

@@ -77,10 +77,9 @@ def _with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def whiteness_sentence(fit: Estimate) -> str:
+def whiteness_sentence(fit: Estimate, std: str = "std", robust: str = "std_robust") -> str:
     """Return whether the residuals are white, and which deviation to trust then."""
-    if isnan(fit.whiteness):  # too few samples, or no residual at all
-        return "residuals: too few, or all zero, to test"
-    if not fit.trusts_robust:
-        return f"residuals white (p = {fit.whiteness:.2g}): trust std"
-    return f"residuals NOT white (p = {fit.whiteness:.2g}): trust std_robust, not std"
+    of = "residuals prewhitened as IV4 does" if fit.structure == "iv4" else "residuals"
+    if isnan(fit.whiteness):
+        return f"{of} {fit.white}"
+    return f"{of} {fit.white}: trust " + (f"{robust}, not {std}" if fit.trusts_robust else std)

@@ -13,7 +13,7 @@ from armrig.models.model import Matrix, Model, Vector, freeze, standard_deviatio
 from armrig.models.responses import NoiseSpectrum
 from armrig.models.structure_table import KINDS
 from armrig.numerics import criteria
-from armrig.numerics.whiteness import WHITE_LEVEL
+from armrig.numerics.whiteness import Whiteness
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +50,8 @@ class Estimate(Model):
     """100 (1 - |y - ŷ| / |y - mean y|), one step ahead, on the estimation data."""
     whiteness: float
     """p value of white residuals on the estimation data."""
+    whiteness_test: str = ""
+    """Name of the test that it is of; "" in files of armrig 0.1."""
     converged: bool = True
     """The search for the minimum met its tolerance."""
     starts: tuple[Start, ...] = ()
@@ -99,9 +101,14 @@ class Estimate(Model):
         return np.sqrt(np.diag(self.covariance_robust))
 
     @property
+    def white(self) -> Whiteness:
+        """The test of white residuals; its str says what came out."""
+        return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
+
+    @property
     def trusts_robust(self) -> bool:
         """The residuals are not white, and then only the robust covariance holds."""
-        return self.whiteness < WHITE_LEVEL
+        return self.white.coloured
 
     @property
     def trusted_covariance(self) -> Matrix:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -70,7 +70,9 @@ def load_fit(path: str | PathLike[str]) -> Fit:
 
 def _restored(content: dict[str, Any]) -> Fit:
     kind = _KINDS.get(content["structure"], Fit)
-    values = {f.name: content[f.name] for f in fields(kind)}
+    # Fields that are newer than the file keep their default.
+    known = [f for f in fields(kind) if f.name in content or f.default is MISSING]
+    values = {f.name: content[f.name] for f in known}
     arrays = [name for name in (*_ARRAYS, *_SINGULAR) if name in values]
     values |= {name: np.array(_numbers(values[name]), dtype=np.float64) for name in arrays}
     values |= {name: float(values[name]) for name in _FIGURES}

@@ -20,7 +20,7 @@ from armrig.numerics.covariance import exogenous_score_in_blocks
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import summation
 from armrig.numerics.quantile import two_sided
-from armrig.numerics.whiteness import WHITE_LEVEL, default_lags, joined, ljung_box
+from armrig.numerics.whiteness import LJUNG_BOX, Whiteness, default_lags, joined, ljung_box
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,6 +166,11 @@ class ImpulseResponse:
 
         return plot_impulse(self, level=level, ax=ax)
 
+    @property
+    def white(self) -> Whiteness:
+        """The test of white residuals; its str says what came out."""
+        return Whiteness(p_value=self.whiteness, test=LJUNG_BOX)
+
     def __repr__(self) -> str:
         """Say it in a few lines."""
         how = "plain least squares" if self.kernel is None else f"regularised, {self.kernel}"
@@ -184,7 +189,7 @@ class ImpulseResponse:
             f"  {name} coefficient {g[k]:.4g} ± {std[k]:.2g} at lag {self.lags[k]}; first outside "
             f"its 99 % {self.band_name} band: lag {self.first_lag()}"
         )
-        lines.append(f"  residuals: variance {self.noise_variance:.4g}, white p = {_p(self)}")
+        lines.append(f"  residuals: variance {self.noise_variance:.4g}, {self.white}")
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
@@ -295,6 +300,7 @@ def _response(
     """Return the estimate with its verdict; the rate's is integrated."""
     g, covariance, variance, hyperparameters = estimate
     p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
+    white = Whiteness(p_value=p, test=LJUNG_BOX)
     g, covariance = g[: lags.size], covariance[: lags.size, : lags.size]
     S = data.Ts * np.tri(lags.size)
     return ImpulseResponse(
@@ -313,7 +319,7 @@ def _response(
         unit=data.unit,
         input_unit=data.input_unit,
         source=data.source,
-        warnings=tuple(_warnings(g, covariance, kernel, p)),
+        warnings=tuple(_warnings(g, covariance, kernel, white)),
     )
 
 
@@ -401,16 +407,12 @@ def _default(N: int, *, plain: bool) -> int:
 
 
 def _warnings(
-    g: Vector, covariance: Matrix, kernel: Literal["tc", "dc", "ss"] | None, p: float
+    g: Vector, covariance: Matrix, kernel: Literal["tc", "dc", "ss"] | None, white: Whiteness
 ) -> Iterator[str]:
     if not died_out(g, covariance):
         yield "the response has not died out at the last lags: ask for more lags (n)"
-    if kernel is not None and p < WHITE_LEVEL:
+    if kernel is not None and white.coloured:
         yield (
-            f"the residuals are coloured (p = {p:.2g}) and the Bayesian band assumes white noise; "
+            f"the residuals are {white} and the Bayesian band assumes white noise; "
             "kernel=None has a band for coloured noise"
         )
-
-
-def _p(response: ImpulseResponse) -> str:
-    return "< 0.001" if response.whiteness < 1e-3 else f"{response.whiteness:.3f}"

@@ -25,7 +25,15 @@ from armrig.numerics.covariance import correlated_score, exogenous_score
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array
-from armrig.numerics.whiteness import default_lags, joined, ljung_box, portmanteau
+from armrig.numerics.whiteness import (
+    LJUNG_BOX,
+    NOT_TESTED,
+    Whiteness,
+    default_lags,
+    joined,
+    ljung_box,
+    portmanteau,
+)
 
 Score = Literal["exogenous", "correlated"]
 Test = Literal["portmanteau", "ljung-box"]
@@ -47,8 +55,8 @@ class Inference:
     """Number of residuals."""
     fit_percent: float
     """100 (1 - |e| / |y - mean y|); NaN where y is not known."""
-    whiteness: float
-    """p value of white residuals; NaN where it was not asked for, or there is no noise."""
+    white: Whiteness
+    """Test of white residuals; not made where it was not asked for, or there is no noise."""
     basis: Basis
     """Of the columns of Psi, all experiments below each other."""
 
@@ -127,7 +135,7 @@ def infer(
         loss=sse / N,
         N=N,
         fit_percent=_explained(y, residuals, sse),
-        whiteness=_whiteness(tested, residuals, blocks, spans, basis),
+        white=_whiteness(tested, residuals, blocks, spans, basis),
         basis=basis,
     )
 
@@ -152,10 +160,10 @@ def _whiteness(
     blocks: Sequence[Array],
     spans: Sequence[Array],
     basis: Basis,
-) -> float:
+) -> Whiteness:
     if test is None:
-        return float("nan")
+        return NOT_TESTED
     lags = default_lags(sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals))
     if test == "ljung-box":
-        return ljung_box(joined(residuals, lags), lags)
+        return Whiteness(p_value=ljung_box(joined(residuals, lags), lags), test=LJUNG_BOX)
     return portmanteau(residuals, blocks, spans, lags, Q=basis.Q)

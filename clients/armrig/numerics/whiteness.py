@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from math import log10
+from math import isnan, log10
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,40 @@ from numpy.typing import NDArray
 from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.quantities import p_relation
 
 Vector = NDArray[np.float64]
 
-WHITE_LEVEL = 0.01  # below this p value the residuals are called coloured
+WHITE_LEVEL = 0.01
+"""p value below which a test of residuals rejects, wherever one is worded."""
+PORTMANTEAU = "portmanteau test"
+LJUNG_BOX = "Ljung-Box test"
+_SAFE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 with which the sums are weighted by M^-1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Whiteness:
+    """How likely white residuals look like these, and which test says so."""
+
+    p_value: float
+    """Of the hypothesis that the residuals are white; NaN where there was nothing to test."""
+    test: str
+    """Name of the test that decided; "" where it is not known."""
+
+    @property
+    def coloured(self) -> bool:
+        """The hypothesis is rejected at `WHITE_LEVEL`."""
+        return self.p_value < WHITE_LEVEL
+
+    def __str__(self) -> str:
+        """Say it, to stand after "residuals": coloured (p < 0.001, Ljung-Box test)."""
+        if isnan(self.p_value):
+            return "too few, or all zero, to test"
+        by = f", {self.test}" if self.test else ""
+        return f"{'coloured' if self.coloured else 'white'} (p {p_relation(self.p_value)}{by})"
+
+
+NOT_TESTED = Whiteness(p_value=float("nan"), test="")
 
 
 def joined(parts: Iterable[Vector], gap: int) -> Vector:
@@ -98,8 +129,8 @@ def portmanteau(
     lags: int,
     theta_covariance: Array | None = None,
     Q: Array | None = None,
-) -> float:
-    """Return the p value of the hypothesis that e is white, estimated parameters allowed for.
+) -> Whiteness:
+    """Test the hypothesis that e is white, estimated parameters allowed for.
 
     The sums s_k = sum of e(t) e(t - k), k = 1 ... lags, are tested jointly as
     (s - m)^T M^-1 (s - m). Residuals are noise less its projection Q Q^T on whatever was fitted
@@ -111,9 +142,19 @@ def portmanteau(
     where Q spans the free responses, and Psi too on estimation data, and
     V = R(0)² N/(N + 2) diag(pairs at each lag), the variance for a known model, as Ljung and
     Box's. (R(0) Z^T Z for V, the textbook's Lagrange multiplier, rejects 3.5 % at N = 500 where
-    5 % is meant.) Ljung and Box subtract the noise model's parameters from the degrees of freedom
-    instead, which is right without an input only: where the input determines A, as in most ARX
-    models, it rejects 9 %.
+    5 % is meant.)
+
+    M supposes white residuals. Of coloured ones Z^T Z is far from R(0) N I, and what is taken off
+    may be more than V: M is then indefinite, just in the directions that show the colour. And
+    where the noise alone determines a parameter, as in A of a pure autoregression, one of M's
+    eigenvalues is 0 and its estimate anything near. So where an eigenvalue of V^-1/2 M V^-1/2 is
+    not safely positive the Ljung-Box test decides, which weights the lags by V^-1 ::
+
+        (s - m)^T V^-1 (s - m)     against chi-squared with tr(V^-1 M) degrees of freedom,
+
+    each eigenvalue taken within 0 to 1. That is its mean under the hypothesis. Where the noise
+    determines all of A, C and D it is Ljung and Box's own lags - na - nc - nd; a parameter that
+    the input determines, as all of an OE model, costs none.
 
     Parameters
     ----------
@@ -132,19 +173,21 @@ def portmanteau(
     References
     ----------
     .. [1] L. G. Godfrey, Econometrica 46 (1978) 1303-1310 (the Lagrange multiplier form).
+    .. [2] G. M. Ljung, G. E. P. Box, Biometrika 65 (1978) 297-303.
     """
     e = [np.nan_to_num(part) for part in residuals]
     N = sum(int(np.count_nonzero(np.isfinite(part))) for part in residuals)
     R, pairs = autocovariance(joined(residuals, lags), lags)
     if lags + sum(s.shape[1] for s in spans) + blocks[0].shape[1] >= N or R[0] == 0:
-        return float("nan")
+        return NOT_TESTED
     Psi = np.vstack(blocks)
     edges = np.cumsum([0, *(x.size for x in e)])
     if theta_covariance is not None:
         Q = np.zeros((Psi.shape[0], 0))
     fitted = orthonormal(Psi).Q if Q is None else Q
     k = range(1, lags + 1)
-    M = R[0] ** 2 * np.diag(pairs[1:]) * N / (N + 2)
+    V = R[0] ** 2 * pairs[1:] * N / (N + 2)
+    M = np.diag(V)
     m = np.zeros(lags)
     by_fitted, by_theta = np.zeros((lags, fitted.shape[1])), np.zeros((lags, Psi.shape[1]))
     for x, known, span, (a, b) in zip(e, residuals, spans, pairwise(edges), strict=True):
@@ -159,7 +202,19 @@ def portmanteau(
     M -= R[0] * by_fitted @ by_fitted.T
     if theta_covariance is not None:
         M += by_theta @ theta_covariance @ by_theta.T
-    return portmanteau_p_value(*joint_statistic(pairs[1:] * R[1:] - m, M), N)
+    return _decided(pairs[1:] * R[1:] - m, M, V, N)
+
+
+def _decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
+    """Return the verdict on sums s of covariance M, or where that is not positive diag(V)."""
+    used = V > 0
+    z = s[used] / np.sqrt(V[used])
+    value, vector = np.linalg.eigh(M[np.ix_(used, used)] / np.sqrt(np.outer(V[used], V[used])))
+    if value.size and value[0] > _SAFE:
+        Q, degrees, test = float(np.sum((vector.T @ z) ** 2 / value)), float(z.size), PORTMANTEAU
+    else:
+        Q, degrees, test = float(z @ z), float(np.sum(np.clip(value, 0.0, 1.0))), LJUNG_BOX
+    return Whiteness(p_value=portmanteau_p_value(Q, max(degrees, 1.0), N), test=test)
 
 
 def _autocorrelation(Q: Array, lags: int) -> Array:
@@ -168,8 +223,8 @@ def _autocorrelation(Q: Array, lags: int) -> Array:
     return np.array([flat[k * r :] @ flat[: max(flat.size - k * r, 0)] for k in range(1, lags + 1)])
 
 
-def portmanteau_p_value(Q: float, m: int, N: int) -> float:
-    """Return P(Q' >= Q) for a portmanteau statistic Q' of m lags and N white Gaussian residuals.
+def portmanteau_p_value(Q: float, m: float, N: int) -> float:
+    """Return P(Q' >= Q) for a portmanteau statistic Q' of m degrees and N white residuals.
 
     Its mean is m but its variance is not 2 m: each r(k)² is divided by the same R(0)² and shares
     its products with the others. In 60 000 runs for each of N = 100, 250, 500 and m = 5, 10, 25

@@ -111,8 +111,8 @@ def _residual_verdict(model: AssessedFit) -> str:
     tests = model.tests
     if np.isnan([tests.whiteness, tests.missing_dynamics]).any():
         return f"{model.name}: too few residuals to test."
-    white, free = tests.whiteness >= WHITE_LEVEL, tests.missing_dynamics >= WHITE_LEVEL
-    said = f"{'white' if white else 'not white'} (p {p_relation(tests.whiteness)}) and "
+    white, free = not tests.white.coloured, tests.missing_dynamics >= WHITE_LEVEL
+    said = f"{tests.white} and "
     said += (
         f"{'free of' if free else 'tied to'} past input (p {p_relation(tests.missing_dynamics)})"
     )

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isnan
 from typing import Any
 
 import numpy as np
 
-from armrig.models.equation import letters
+from armrig.models.equation import letters, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.markup import typst_form
 from armrig.models.model import Model
@@ -81,20 +80,12 @@ def structure(study: Study) -> str:
 def estimation(model: AssessedFit) -> str:
     """Return a model's losses, and whether its deviations hold."""
     fit = model.fit
-    trust = "white: σ holds"
-    if isnan(fit.whiteness):
-        trust = "too few, or all zero, to test"
-    elif fit.trusts_robust:
-        trust = "coloured, and then σ is too small a claim: trust σ robust, which allows for it"
-    # The estimator says of coloured residuals what stands here already.
-    warned = "".join(
-        f" {w[:1].upper()}{w[1:].rstrip('.')}." for w in fit.warnings if "std" not in w
-    )
+    warned = "".join(f" {w[:1].upper()}{w[1:].rstrip('.')}." for w in fit.warnings)
     converged = "" if fit.converged else " The search did not converge."
     return (
         f"{model.name}: loss {power(fit.loss)} {fit.unit}², "
         f"FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}; "
-        f"residuals on the estimation data are {trust}.{converged}{warned}"
+        f"on the estimation data {whiteness_sentence(fit, 'σ', 'σ robust')}.{converged}{warned}"
     )
 
 

@@ -23,6 +23,7 @@ from armrig.canvas import (
 )
 from armrig.models.labels import Labels
 from armrig.models.model import Model
+from armrig.numerics.quantities import p_relation
 from armrig.validation.comparison import ComparisonTable, compare
 from armrig.validation.residuals import BAND_99_PERCENT, residuals
 
@@ -108,7 +109,7 @@ def plot_residuals(
     ):
         reach = 1.25 * max(float(np.nanmax(np.abs(values), initial=0.0)), width, 1e-12)
         panel.set_ylim(-reach, 1.4 * reach)  # room for the p values
-    ax.text(0.99, 0.93, _p_value("white", test.whiteness), **_corner(ax))
+    ax.text(0.99, 0.93, f"residuals {test.white}", **_corner(ax))
     below.text(0.99, 0.93, _p_value("no dynamics missing", test.missing_dynamics), **_corner(below))
     below.text(
         0.01, 0.93, _p_value("no feedback", test.feedback), **(_corner(below) | {"ha": "left"})
@@ -123,7 +124,7 @@ def _range(x: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _p_value(hypothesis: str, p: float) -> str:
-    return f"{hypothesis}: p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}"
+    return f"{hypothesis}: p {p_relation(p)}"
 
 
 def _corner(ax: Axes) -> dict[str, Any]:

@@ -14,8 +14,10 @@ from armrig.models.prediction import Residuals, prediction_errors, require_same_
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import (
     WHITE_LEVEL,
+    Whiteness,
     autocovariance,
     default_lags,
     joined,
@@ -43,7 +45,9 @@ class ResidualTest:
     autocorrelation_band: float
     """99 % band of each lag but 0 for white residuals, 2.58/sqrt(N)."""
     whiteness: float
-    """p value of white residuals over all lags; this test decides."""
+    """p value of white residuals over all lags, of the test that decides."""
+    whiteness_test: str
+    """Name of the test that decides: the portmanteau test, or Ljung-Box where that cannot."""
     ljung_box: float
     """p value of the Ljung-Box test, for comparison with other programs."""
     cross_lags: NDArray[np.int_]
@@ -61,26 +65,37 @@ class ResidualTest:
     on_estimation_data: bool
     """The tests allow for parameters fitted to these very data."""
 
+    @property
+    def white(self) -> Whiteness:
+        """The test of white residuals; its str says what came out."""
+        return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
+
     def __repr__(self) -> str:
         """Say it in a few lines."""
         where = "estimation" if self.on_estimation_data else "validation"
+        look = ": look at the noise model or order" if self.white.coloured else ""
         verdicts = (
-            ("white", "coloured", self.whiteness, "noise model or order"),
             ("no dynamics missing", "dynamics missing", self.missing_dynamics, "orders or delay"),
             ("no feedback", "feedback, or a delay too large", self.feedback, "experiment"),
         )
-        lines = [f"residuals on {where} data, {np.count_nonzero(np.isfinite(self.e))} samples"]
-        for good, bad, p, look in verdicts:
-            said = good if p >= WHITE_LEVEL else f"{bad}: look at the {look}"
-            lines.append(f"  p = {p:.3g}: {'too few samples to tell' if np.isnan(p) else said}")
+        lines = [
+            f"residuals on {where} data, {np.count_nonzero(np.isfinite(self.e))} samples",
+            f"  {self.white}{look}",
+        ]
+        for good, bad, p, where_to_look in verdicts:
+            said = f"{bad} (p {p_relation(p)}): look at the {where_to_look}"
+            if not p < WHITE_LEVEL:
+                said = f"{good} (p {p_relation(p)})" if p >= 0 else f"{good}: too few to test"
+            lines.append(f"  {said}")
         return "\n".join(lines)
 
 
 def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> ResidualTest:
     """Test whether the one-step residuals are white and free of the input.
 
-    Whiteness: the portmanteau test that allows for the estimated parameters (see
-    `armrig.numerics.whiteness`); the Ljung-Box test stands beside it, its degrees of freedom
+    Whiteness: the portmanteau test that allows for the estimated parameters, or Ljung-Box's where
+    that cannot be trusted (see `armrig.numerics.whiteness`). Beside it stands the Ljung-Box test
+    of other programs, its degrees of freedom
     lessened by na + nc + nd where these are the data that A, C and D were fitted to. Input: the
     sums s_k = sum of e(t) u(t - k) are tested jointly, s^T M^-1 s against chi-squared, with ::
 
@@ -134,18 +149,20 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
     input_ = _input_sums(data, known, theta_covariance, L, own=own)
     scale = sqrt(input_.power * R[0] * N) if input_.power > 0 and R[0] > 0 else np.inf
     past, future = slice(L, 2 * L + 1), slice(0, L)
+    white = portmanteau(
+        [r.e for r in known],
+        [r.Psi for r in known],
+        [r.unknown.span for r in known],
+        L,
+        None if own else theta_covariance,
+    )
     return ResidualTest(
         e=np.concatenate([r.e for r in known]),
         lags=np.arange(L + 1),
         autocorrelation=R / R[0] if R[0] > 0 else np.full(L + 1, np.nan),
         autocorrelation_band=BAND_99_PERCENT / sqrt(max(N, 1)),
-        whiteness=portmanteau(
-            [r.e for r in known],
-            [r.Psi for r in known],
-            [r.unknown.span for r in known],
-            L,
-            None if own else theta_covariance,
-        ),
+        whiteness=white.p_value,
+        whiteness_test=white.test,
         ljung_box=ljung_box(e, L, _noise_parameters(fit) if own else 0),
         cross_lags=np.arange(-L, L + 1),
         cross_correlation=input_.sums / scale,

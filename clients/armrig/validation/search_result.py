@@ -14,12 +14,12 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.estimators import ESTIMATORS
 from armrig.models.fit import Fit
 from armrig.models.structure_table import KINDS
+from armrig.numerics.quantities import p_relation
+from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.residuals import ResidualTest
 
 Vector = NDArray[np.float64]
 Family = Literal["arx", "iv4", "armax", "oe", "bj", "n4sid"]
-
-_REJECTED = 0.05  # p value below which a residual test is told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,10 +204,10 @@ def _about_tests(tests: ResidualTest) -> Iterator[str]:
         (tests.missing_dynamics, "the input still explains its residuals: dynamics are missing"),
         (tests.feedback, "its residuals run ahead of the input: feedback, or nk is too large"),
     ):
-        if p < _REJECTED:
-            yield f"{said} (p = {p:.2g})"
-    if tests.whiteness < _REJECTED:
+        if p < WHITE_LEVEL:
+            yield f"{said} (p {p_relation(p)})"
+    if tests.white.coloured:
         yield (
-            f"its residuals are coloured (p = {tests.whiteness:.2g}): good for simulation, but "
-            "trust std_robust, and take a noise model for prediction"
+            f"its residuals are {tests.white}: good for simulation, but trust std_robust, and take "
+            "a noise model for prediction"
         )

@@ -84,7 +84,7 @@ def test_missing_residuals_are_as_if_they_had_never_been() -> None:
     assert holed.fit_percent == cut.fit_percent
     np.testing.assert_allclose(holed.covariance, cut.covariance, rtol=1e-12)
     np.testing.assert_allclose(holed.covariance_robust, cut.covariance_robust, rtol=1e-12)
-    assert holed.whiteness == pytest.approx(cut.whiteness, rel=1e-9)
+    assert holed.white.p_value == pytest.approx(cut.white.p_value, rel=1e-9)
 
 
 def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
@@ -105,11 +105,11 @@ def test_coloured_residuals_are_found_out_and_white_ones_are_not() -> None:
     for C, white in (([1.0], True), ([1.0, 0.9], False)):
         Phi, y, theta, found = regression(4, C)
         e = [y - Phi @ theta]
-        assert (found.whiteness > 0.01) == white
-        p = infer(e, [Phi], score="exogenous", test="ljung-box").whiteness
+        assert (found.white.p_value > 0.01) == white
+        p = infer(e, [Phi], score="exogenous", test="ljung-box").white.p_value
         assert (p > 0.01) == white
-        assert np.isnan(infer(e, [Phi], score="exogenous", test=None).whiteness)
-        assert np.isnan(infer(e, [Phi], score="exogenous", rounding=1e9).whiteness)
+        assert np.isnan(infer(e, [Phi], score="exogenous", test=None).white.p_value)
+        assert np.isnan(infer(e, [Phi], score="exogenous", rounding=1e9).white.p_value)
 
 
 def test_other_parameters_have_the_covariance_that_their_derivatives_carry_on() -> None:

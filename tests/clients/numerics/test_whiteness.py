@@ -1,12 +1,15 @@
-"""The level of the test of whiteness."""
+"""The test of whiteness: its level, what it finds, and how it is worded."""
 
 from __future__ import annotations
 
+import armrig
 import numpy as np
 import pytest
+from armrig.data.dataset import Dataset
+from armrig.excitation import telegraph
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import lagged
-from armrig.numerics.whiteness import portmanteau, portmanteau_p_value
+from armrig.numerics.polynomial import filtered, lagged
+from armrig.numerics.whiteness import Whiteness, portmanteau, portmanteau_p_value
 from scipy.special import chdtrc
 
 
@@ -45,7 +48,7 @@ def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None
     e[1][holes], Psi[1][holes], spans[1][holes] = np.nan, 0.0, 0.0
     Q = orthonormal(np.vstack(Psi)).Q
 
-    p = portmanteau(e, Psi, spans, lags, Q=Q if known else None)
+    found = portmanteau(e, Psi, spans, lags, Q=Q if known else None)
 
     x = [np.nan_to_num(part) for part in e]
     Z = [lagged(part, range(1, lags + 1)) for part in x]
@@ -63,4 +66,54 @@ def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None
         through += z.T @ q
     M -= R0 * through @ through.T
     statistic = float((s - m) @ np.linalg.solve(M, s - m))
-    assert p == pytest.approx(portmanteau_p_value(statistic, lags, N), rel=1e-9)
+    assert found.p_value == pytest.approx(portmanteau_p_value(statistic, lags, N), rel=1e-9)
+    assert found.test == "portmanteau test"
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_random_walk_is_never_called_white(seed: int) -> None:
+    """Of seeds 0 and 1 M is indefinite, and M^+ gave p = 0.74 and 0.999."""
+    rng = np.random.default_rng(seed)
+    u = telegraph(10_000, 0.1, 0.0, 5.0, seed=rng) - (2.5 if seed else 0.0)
+    y = filtered([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.3 * np.cumsum(rng.standard_normal(u.size))
+    data = Dataset(u=u, y=y, Ts=0.01)
+
+    fit = armrig.oe(data, nb=4, nf=4)
+    tested = armrig.residuals(fit, data)
+
+    assert fit.whiteness < 1e-10
+    assert fit.whiteness_test == ("portmanteau test" if seed == 2 else "Ljung-Box test")
+    assert fit.trusted_covariance is fit.covariance_robust
+    assert "coloured (p < 0.001" in repr(fit)
+    assert (tested.whiteness, tested.whiteness_test) == (fit.whiteness, fit.whiteness_test)
+
+
+def test_where_the_noise_determines_a_ljung_box_loses_as_many_degrees() -> None:
+    """Of A of a pure autoregression; 300 runs at 5 %, where all 25 lags would reject 2 %."""
+    rng = np.random.default_rng(1)
+    p, tests = [], []
+    for _ in range(300):
+        e = rng.standard_normal(500)
+        data = Dataset(u=rng.standard_normal(500), y=filtered([1], [1, -1.5, 0.7], e), Ts=1)
+        fit = armrig.arx(data, na=4, nb=1)
+        p.append(fit.whiteness)
+        tests.append(fit.whiteness_test)
+
+    assert set(tests) == {"Ljung-Box test"}
+    assert 6 <= np.count_nonzero(np.array(p) < 0.05) <= 25
+    assert 0.42 < np.mean(np.array(p) < 0.5) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("p", "test", "said"),
+    [
+        (0.31, "portmanteau test", "white (p = 0.310, portmanteau test)"),
+        (0.01, "", "white (p = 0.010)"),
+        (0.009, "Ljung-Box test", "coloured (p = 0.009, Ljung-Box test)"),
+        (1e-9, "Ljung-Box test", "coloured (p < 0.001, Ljung-Box test)"),
+        (np.nan, "", "too few, or all zero, to test"),
+    ],
+)
+def test_the_verdict_is_worded_in_one_place(p: float, test: str, said: str) -> None:
+    """At one level, with the test that decided."""
+    assert str(Whiteness(p_value=p, test=test)) == said

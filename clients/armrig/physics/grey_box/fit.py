@@ -73,6 +73,8 @@ class GreyFit:
     """100 (1 - |y - ŷ| / |y - mean y|), simulated, on the estimation data."""
     whiteness: float
     """p value of white residuals; for inverse dynamics of smoothed white noise."""
+    whiteness_test: str
+    """Name of the test that it is of."""
     quantum: float
     """Step in which the output was read, 0 where none is seen."""
     N: int

@@ -35,7 +35,7 @@ from armrig.physics.grey_box.free_parameters import (
 from armrig.physics.grey_box.least_squares_problem import bipolar
 from armrig.physics.grey_box.parameters import COULOMB
 from armrig.physics.grey_box.sampled_model import Physics
-from armrig.physics.grey_box.smoothed_noise import smoothed_noise_p_value
+from armrig.physics.grey_box.smoothed_noise import SMOOTHED_NOISE, smoothed_noise_p_value
 from armrig.physics.grey_box.smoothing import LEAST_WIDTH, kernels, smoothed
 from armrig.physics.grey_box.uncertainty import named_std
 from armrig.physics.systems import chassis
@@ -129,6 +129,7 @@ def inverse_dynamics(
         loss=found.loss,
         fit_percent=found.fit_percent,
         whiteness=whiteness,
+        whiteness_test=SMOOTHED_NOISE,
         quantum=quantum(data),
         N=found.N,
         Ts=data.Ts,

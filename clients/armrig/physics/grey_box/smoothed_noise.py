@@ -28,6 +28,8 @@ Vector = NDArray[np.float64]
 _ENOUGH = 0.5  # share of the values that have a partner at a lag
 _SEEN = 0.03  # share of the largest deviation below which a direction is left out
 
+SMOOTHED_NOISE = "test of smoothed noise"
+
 
 def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> float:
     """Return the p value of residuals (NaN where there are none) that are such noise.

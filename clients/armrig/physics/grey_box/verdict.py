@@ -10,8 +10,6 @@ from armrig.data.dataset import Dataset
 from armrig.data.quantisation import too_quiet
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.inference import Inference
-from armrig.numerics.quantities import p_relation
-from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.physics.grey_box.least_squares_problem import bipolar
 
 _CLEARLY = 10.0  # N ln of the ratio of two costs above which one is worse by more than chance
@@ -22,11 +20,10 @@ def noise_warnings(step: float, found: Inference) -> Iterator[str]:
     """Yield a warning where the output was read in steps, or the residuals are coloured."""
     if quiet := too_quiet(step, found.noise_variance):
         yield quiet
-    if found.whiteness < WHITE_LEVEL:
+    if found.white.coloured:
         yield (
-            f"the residuals are coloured (p {p_relation(found.whiteness)}, level "
-            f"{100 * WHITE_LEVEL:g} %): something of the rig is not in the model (friction?), or "
-            "the noise is not white; prefer std_robust"
+            f"the residuals are {found.white}: something of the rig is not in the model "
+            "(friction?), or the noise is not white; prefer std_robust"
         )
 
 
