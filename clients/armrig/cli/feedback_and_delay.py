@@ -64,8 +64,11 @@ def check(
         )
         return
     of_rig = from_recording(data)
-    say(f"open loop{' (handout 3.7)' if of_rig else ''}\n{_indented(loop.explain())}")
-    say(f"delay{' (handout 3.8)' if of_rig else ''}\n{_indented(late.explain())}")
+    where = "open loop (handout 3.7)" if of_rig else "open loop"
+    say(f"{where}: {loop.verdict}
+{_indented(loop.explain())}")
+    say(f"delay{' (handout 3.8)' if of_rig else ''}
+{_indented(late.explain())}")
 
 
 def _loop_facts(loop: OpenLoop) -> dict[str, Any]:
@@ -73,8 +76,7 @@ def _loop_facts(loop: OpenLoop) -> dict[str, Any]:
         "feedback": loop.feedback,
         "p_value": loop.p_value,
         "level": loop.level,
-        "lags": loop.granger.lags,
-        "others": loop.others,
+        "lags": None if loop.sims is None else loop.sims.p,
         "remarks": loop.remarks,
     }
 

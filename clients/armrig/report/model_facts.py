@@ -85,7 +85,7 @@ def estimation(model: AssessedFit) -> str:
     return (
         f"{model.name}: loss {power(fit.loss)} {fit.unit}², "
         f"FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}; "
-        f"on the estimation data {whiteness_sentence(fit, 'σ', 'σ robust')}.{converged}{warned}"
+        f"on the estimation data, {whiteness_sentence(fit, 'σ', 'σ robust')}.{converged}{warned}"
     )
 
 

@@ -914,7 +914,8 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
     assert ["coefficient", "estimate", "σ", "σ", "robust"] in [x.split() for x in text.splitlines()]
     assert [x.split()[:2] for x in text.splitlines()[3:11:7]] == [["a1", "q^-1"], ["b4", "q^-4"]]
     assert " rad², FPE " in text
-    assert "white residuals: p < 0.001, rejected: trust σ robust, not σ" in text
+    assert "residuals coloured (p < 0.001, " in text
+    assert " test): trust σ robust, not σ" in text
     assert "no dynamics missing: p" in text
     assert "no feedback: p" in text
 

@@ -159,8 +159,8 @@ def test_what_speaks_against_a_model_is_said_once_and_with_one_name(
     text = capsys.readouterr().out
 
     assert "std_robust" not in text
-    assert text.count("the residuals are coloured") == 0
-    assert text.count("trust σ robust, not σ, or raise the orders") == 1
+    assert text.count("trust σ robust, not σ") == 1
+    assert text.count("warning: the residuals") == 0
 
 
 def test_a_file_that_is_no_model_is_told_in_a_line(

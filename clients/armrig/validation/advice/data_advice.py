@@ -15,7 +15,7 @@ from armrig.excitation.input_description import describe_input
 from armrig.numerics.quantities import p_relation, percent
 from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
-from armrig.validation.feedback_and_delay.granger import granger
+from armrig.validation.feedback_and_delay.open_loop import open_loop
 
 ORDER = 4
 """Poles of the arm, and coefficients of its numerator."""
@@ -99,10 +99,13 @@ def _about_history(data: Dataset) -> Iterator[Finding]:
 
 def _about_feedback(data: Dataset) -> Iterator[Finding]:
     try:
-        test = granger(data)
+        test = open_loop(data, _LEVEL)
     except ValueError:
         return
-    if test.p_value >= _LEVEL:
+    if test.feedback is None:
+        yield finding("feedback", f"cannot tell: {'; '.join(test.remarks)}", good=True)
+        return
+    if not test.feedback:
         yield finding("feedback", f"none is found (p {p_relation(test.p_value)})", good=True)
         return
     text = f"u answers to {data.output} (p {p_relation(test.p_value)}): OE, spectra and "

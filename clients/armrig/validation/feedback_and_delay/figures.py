@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, panels, sign
 from armrig.numerics.quantities import p_relation
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.nonparametric.impulse import ImpulseResponse
+    from armrig.validation.feedback_and_delay.sims import Sims
+
+Vector = NDArray[np.float64]
 
 CHI2_95_PERCENT = 3.84  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side
@@ -25,11 +29,17 @@ class FeedbackTest(Protocol):
     """What is drawn of a test for feedback: `OpenLoop` has it."""
 
     @property
-    def feedback(self) -> bool: ...  # noqa: D102
+    def verdict(self) -> str: ...  # noqa: D102
     @property
     def p_value(self) -> float: ...  # noqa: D102
     @property
-    def response(self) -> ImpulseResponse | None: ...  # noqa: D102
+    def sims(self) -> Sims | None: ...  # noqa: D102
+    @property
+    def output(self) -> str: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
+    @property
+    def input_unit(self) -> str: ...  # noqa: D102
     @property
     def source(self) -> str: ...  # noqa: D102
 
@@ -52,23 +62,26 @@ class DelayTest(Protocol):
 
 
 def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
-    """Show the impulse response at negative and positive lags, and the test that decides.
+    """Show the coefficients of u in the regression of y(t), and the test that decides.
 
-    Where u came first stems may stand out; at negative lags, where y came first, none does in open
-    loop.
+    Where u came first stems may stand out; where it came later, shaded, none does in open loop.
     """
     ax = axes(ax)
-    said = "feedback" if result.feedback else "no feedback found"
-    title = f"Granger's F-test: p {p_relation(result.p_value)}, {said}"
-    if result.response is None:
-        ax.text(0.5, 0.5, title, transform=ax.transAxes, ha="center")
+    if result.sims is None:
+        ax.text(0.5, 0.5, result.verdict, transform=ax.transAxes, ha="center")
         return sign(ax, result.source)
-    _response(ax, result.response, int(result.response.lags[0]), _ABOUT)
-    ax.axvspan(result.response.lags[0] - 0.5, -0.5, color=VERMILION, alpha=0.07, lw=0)
-    ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
-    ax.set_xlabel("lag [samples]; shaded: y came first")
+    shown = result.sims.lags <= _ABOUT
+    name = NAMES.get(result.output, result.output)
+    _stems(ax, result.sims.lags[shown], result.sims.coefficients[shown], result.sims.std[shown])
+    ax.set_ylabel(
+        f"coefficient of $u$ in {name}\n[{result.unit or '–'}/{result.input_unit or '–'}]"
+    )
+    ax.axvspan(float(result.sims.lags[0]) - 0.5, 0.5, color=VERMILION, alpha=0.07, lw=0)
+    ax.axvline(0.5, color=GREY, lw=0.6, ls=":")
+    ax.set_xlabel("lag [samples]; shaded: y was read first")
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.3 * (high - low))  # room for the legend
+    title = f"Sims' F-test: p {p_relation(result.p_value)}, {result.verdict}"
     ax.legend(loc="upper left", title=title, fontsize="small")
     finish(ax)
     return sign(ax, result.source)
@@ -107,15 +120,20 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
     """Show the coefficients first … last that die out, with their 99 % band about zero."""
     g, std = response.decaying
     shown = (response.lags >= first) & (response.lags <= last)
-    lags, g, band = response.lags[shown], g[shown], BAND_99_PERCENT * std[shown]
+    _stems(ax, response.lags[shown], g[shown], std[shown])
+    name = NAMES.get(response.output, response.output)
+    per = "/s" if response.integrator else ""
+    of = f"rate of {name}" if response.integrator else name
+    unit = f"{response.unit or '–'}{per}/{response.input_unit or '–'}"
+    ax.set_ylabel(f"$g$ of {of}\n[{unit}]")
+
+
+def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, std: Vector) -> None:
+    """Show coefficients with their 99 % band about zero."""
+    band = BAND_99_PERCENT * std
     ax.fill_between(
         lags, -band, band, step="mid", color=GREY, alpha=0.3, lw=0, label="99 %, if there is none"
     )
     ax.vlines(lags, 0, g, color=BLUE, lw=1.0)
     ax.plot(lags, g, "o", color=BLUE, ms=3.5)
     ax.axhline(0, color=INK, lw=0.6)
-    name = NAMES.get(response.output, response.output)
-    per = "/s" if response.integrator else ""
-    of = f"rate of {name}" if response.integrator else name
-    unit = f"{response.unit or '–'}{per}/{response.input_unit or '–'}"
-    ax.set_ylabel(f"$g$ of {of}\n[{unit}]")
