@@ -3,9 +3,9 @@
 Level: 5 % on white residuals of ARX, IV4, ARMAX, OE, BJ, n4sid and a grey box, at N 300, 1000 and
 10 000; ARX also without an input worth the name, where the noise alone determines A. Power: OE of
 y = G u + v with v a random walk, AR(.5), AR(.95) and MA(.5). Run it with the project's
-environment::
+environment, -P since control.py beside it is not python-control::
 
-    python tests/benchmarks/whiteness.py [runs]
+    python -P tests/benchmarks/whiteness.py [runs]
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from armrig import Dataset, armax, arx, bj, greybox, iv4, n4sid, oe, telegraph
 from armrig.numerics.polynomial import filtered
+from armrig.physics.systems import chassis
 from armrig_core.arm import ArmParameters, chassis_matrices, zero_order_hold
 from numpy.typing import NDArray
 
@@ -59,7 +60,7 @@ def grey(N: int, rng: np.random.Generator) -> tuple[float, str]:
         y[k] = C[0] @ x
         x = Phi @ x + Gamma[:, 0] * u[k]
     y += 5e-3 * rng.standard_normal(N)
-    fit = greybox(Dataset(u=u, y=y, Ts=0.01, output="theta_1", unit="rad"), "chassis", ("J_1",))
+    fit = greybox(Dataset(u=u, y=y, Ts=0.01, output="theta_1", unit="rad"), chassis, ("J_1",))
     return fit.whiteness, fit.whiteness_test
 
 

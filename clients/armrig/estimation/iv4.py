@@ -85,7 +85,9 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
 
     Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
     theta, inverse, instruments, e = _solved(Z, [_filtered(L, block) for block in whole], orders)
-    found = infer(e, instruments, score="correlated", test="ljung-box").transformed(inverse)
+    found = infer(
+        e, instruments, score="correlated", test="ljung-box", prewhitening=L.size - 1
+    ).transformed(inverse)
     sse = sum(float(np.nansum(v**2)) for v in _left(whole, theta))
     return Fit(
         structure="iv4",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.numerics.whiteness import joint_p_value
+from armrig.numerics.quantile import joint_p_value
 
 if TYPE_CHECKING:
     from armrig.models.model import Model

@@ -80,6 +80,7 @@ def infer(
     basis: Basis | None = None,
     test: Test | None = "portmanteau",
     rounding: float = 0.0,
+    prewhitening: int = 0,
 ) -> Inference:
     """Return what the residuals of all experiments tell of the parameters.
 
@@ -105,6 +106,9 @@ def infer(
         fitted to; None for no test.
     rounding : float, default 0.0
         Sum of squared residuals up to which they are rounding noise, which no test is for.
+    prewhitening : int, default 0
+        Order of the autoregression that these residuals were filtered by and which was fitted to
+        them; the Ljung-Box test has so many degrees of freedom less.
 
     Raises
     ------
@@ -135,7 +139,7 @@ def infer(
         loss=sse / N,
         N=N,
         fit_percent=_explained(y, residuals, sse),
-        white=_whiteness(tested, residuals, blocks, spans, basis),
+        white=_whiteness(tested, residuals, blocks, spans, basis, prewhitening),
         basis=basis,
     )
 
@@ -160,10 +164,12 @@ def _whiteness(
     blocks: Sequence[Array],
     spans: Sequence[Array],
     basis: Basis,
+    prewhitening: int,
 ) -> Whiteness:
     if test is None:
         return NOT_TESTED
     lags = default_lags(sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals))
     if test == "ljung-box":
-        return Whiteness(p_value=ljung_box(joined(residuals, lags), lags), test=LJUNG_BOX)
+        p = ljung_box(joined(residuals, lags), lags, min(prewhitening, lags - 1))
+        return Whiteness(p_value=p, test=LJUNG_BOX)
     return portmanteau(residuals, blocks, spans, lags, Q=basis.Q)

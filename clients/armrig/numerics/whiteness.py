@@ -245,18 +245,3 @@ def portmanteau_p_value(Q: float, m: float, N: int) -> float:
         return float(chdtrc(m, Q))
     v = 4 + (m + 2) / c
     return float(fdtrc(m, v, Q / m * v / (v - 2)))
-
-
-def joint_p_value(s: Array, M: Array) -> float:
-    """Return P(chi² >= s^T M^+ s), with the rank of M as degrees of freedom; NaN for rank 0."""
-    from scipy.special import chdtrc
-
-    scale = np.sqrt(np.maximum(np.diag(M), 0.0))
-    used = scale > 1e-10 * max(float(scale.max(initial=0.0)), 1e-300)
-    if not used.any():
-        return float("nan")
-    s, M = s[used] / scale[used], M[np.ix_(used, used)] / np.outer(scale[used], scale[used])
-    value, vector = np.linalg.eigh(M)
-    kept = value > 1e-8 * value[-1]
-    z = vector[:, kept].T @ s
-    return float(chdtrc(int(np.count_nonzero(kept)), np.sum(z**2 / value[kept])))

@@ -14,6 +14,7 @@ from armrig.models.prediction import Residuals, prediction_errors, require_same_
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantile import joint_p_value
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import (
     WHITE_LEVEL,
@@ -21,7 +22,6 @@ from armrig.numerics.whiteness import (
     autocovariance,
     default_lags,
     joined,
-    joint_p_value,
     ljung_box,
     portmanteau,
 )

@@ -104,16 +104,9 @@ def sims(data: Dataset) -> Sims:
     .. [3] H. Y. Toda, T. Yamamoto, J. Econometrics 66 (1995) 225-250.
     """
     p = _lags(data)
-    pieces = list(_pieces(data, p))
     constants = len(data.starts)
     d = constants + 2 * p + len(_SLOW)
-    R, N = _factor(pieces, constants, p)
-    if any(not piece.valid.all() for piece in pieces):
-        for _ in range(_ROUNDS):
-            theta = orthonormal(R[:, :d]).coefficients(R[:, -1])
-            for piece in pieces:
-                piece.predict(theta[piece.experiment], theta[constants:d])
-            R, N = _factor(pieces, constants, p)
+    R, N = _regression(data, constants, p)
     degrees = N - d - FUTURE
     _require_information(R, constants, d, degrees)
     rss_0, rss_1 = (float(np.sum(R[k:, -1] ** 2)) for k in (d, d + 1))
@@ -217,13 +210,27 @@ def _sums(u: Vector, p: int) -> Array:
     return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _SLOW])
 
 
+def _regression(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
+    """Return R of all rows, missing outputs predicted in their past, and the number of rows."""
+    pieces = list(_pieces(data, p))
+    R, N = _factor(pieces, constants, p)
+    if all(piece.valid.all() for piece in pieces):
+        return R, N
+    for _ in range(_ROUNDS):
+        theta = orthonormal(R[:, : -FUTURE - 1]).coefficients(R[:, -1])
+        for piece in pieces:
+            piece.predict(theta[piece.experiment], theta[constants:])
+        R, N = _factor(pieces, constants, p)
+    return R, N
+
+
 def _factor(pieces: Sequence[_Piece], constants: int, p: int) -> tuple[Array, int]:
     """Return R of the QR factorisation of all rows, and their number."""
     D = constants + 2 * p + len(_SLOW) + FUTURE + 1
     R, N = np.zeros((D, D)), 0
     for piece in pieces:
         for block in piece.rows(constants):
-            R = np.linalg.qr(np.vstack([R, block]), mode="r")
+            R = np.asarray(np.linalg.qr(np.vstack([R, block]), mode="r"))
             N += block.shape[0]
     return R, N
 
