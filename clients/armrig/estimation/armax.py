@@ -19,6 +19,7 @@ def armax(
     integrator: bool = False,
     offset: bool = False,
     initial: Initial = "estimate",
+    stable: bool = False,
 ) -> Fit:
     """Estimate A, B and C in A(q) y(t) = B(q) u(t) + C(q) e(t).
 
@@ -40,6 +41,8 @@ def armax(
         Estimate what the predictor remembers of before each experiment, or take it as zero, or
         estimate it where an F-test says that it matters.
         "backcast" is another name for "estimate": the state of least squares.
+    stable : bool, default False
+        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
 
     Returns
     -------
@@ -65,4 +68,4 @@ def armax(
         offset=offset,
     )
     orders = f"na={na}, nb={nb}, nc={nc}, nk={nk}"
-    return searched(data, structure, name="armax", orders=orders, initial=initial)
+    return searched(data, structure, name="armax", orders=orders, initial=initial, stable=stable)

@@ -7,6 +7,7 @@ import numpy as np
 from armrig.data.dataset import Dataset
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.orders import require_samples
+from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import infer
@@ -14,7 +15,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import arx_rows
 
 
-def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
+def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
 
     By QR of the column-scaled regressors, never through the normal equations. A row whose y or
@@ -30,6 +31,8 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         Number of b's, >= 1.
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
+    stable : bool, default False
+        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
 
     Returns
     -------
@@ -61,12 +64,17 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         msg += "lower the orders or excite with a richer input"
         raise ValueError(msg)
     theta = basis.coefficients(y)
+    A = free = np.append(1.0, theta[:na])
+    if stable and (A := stabilised(free)) is not free:
+        Phi = np.vstack([p.Phi for p in parts])[usable]
+        b = orthonormal(Phi[:, na:]).coefficients(y - Phi[:, :na] @ A[1:])
+        theta = np.concatenate([A[1:], b])
     blocks = [np.where(p.usable[:, None], p.Phi, 0.0) for p in parts]
     residuals = [np.where(p.usable, p.y - p.Phi @ theta, np.nan) for p in parts]
     found = infer(residuals, blocks, score="correlated", y=data.y, basis=basis.spread(usable))
-    return Fit(
+    fit = Fit(
         structure="arx",
-        A=np.append(1.0, theta[:na]),
+        A=A,
         B=np.append(np.zeros(nk), theta[na:]),
         nk=nk,
         covariance=found.covariance,
@@ -78,6 +86,10 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         fit_percent=found.fit_percent,
         whiteness=found.white.p_value,
         whiteness_test=found.white.test,
-        warnings=tuple(data_faults(data, residuals, way_out=NO_OPTION)),
+        warnings=(
+            *reflection_warnings(free, A),
+            *data_faults(data, residuals, way_out=NO_OPTION),
+        ),
         **data.origin(),
     )
+    return with_stability_warning(fit)

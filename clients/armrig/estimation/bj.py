@@ -20,6 +20,7 @@ def bj(
     integrator: bool = False,
     offset: bool = False,
     initial: Initial = "estimate",
+    stable: bool = False,
 ) -> Fit:
     """Estimate B, F, C and D in y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t).
 
@@ -40,6 +41,9 @@ def bj(
         Estimate what is not known of before each experiment, or take it as zero, or estimate it
         where an F-test says that it matters.
         "backcast" is another name for "estimate": the state of least squares.
+    stable : bool, default False
+        Reflect poles of the noise, D, outside the unit circle into it, draw those of F on it
+        inside, and estimate B anew; the search lets no pole of F pass the circle.
 
     Returns
     -------
@@ -67,4 +71,4 @@ def bj(
         offset=offset,
     )
     orders = f"nb={nb}, nc={nc}, nd={nd}, nf={nf}, nk={nk}"
-    return searched(data, structure, name="bj", orders=orders, initial=initial)
+    return searched(data, structure, name="bj", orders=orders, initial=initial, stable=stable)

@@ -10,6 +10,7 @@ import numpy as np
 from armrig.data.dataset import Dataset
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.orders import require_samples
+from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.goodness_of_fit import fit_percent
@@ -23,7 +24,7 @@ from armrig.numerics.whiteness import autoregression, joined
 _LONGEST = 40  # holes between experiments, at least the order of the autoregression
 
 
-def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
+def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + v(t), v of any colour, by instruments.
 
     Least squares, then instruments from its simulated output, then an autoregression L of what
@@ -41,6 +42,8 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         Number of b's, >= 1.
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
+    stable : bool, default False
+        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
 
     Returns
     -------
@@ -84,14 +87,18 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
     L, _ = autoregression(joined(_left(whole, theta), _LONGEST))
 
     Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
-    theta, inverse, instruments, e = _solved(Z, [_filtered(L, block) for block in whole], orders)
+    prewhitened = [_filtered(L, block) for block in whole]
+    theta, inverse, instruments, e = _solved(Z, prewhitened, orders)
+    A = free = np.append(1.0, theta[:na])
+    if stable and (A := stabilised(free)) is not free:
+        theta, e = _with_given_poles(A, prewhitened)
     found = infer(
         e, instruments, score="correlated", test="ljung-box", prewhitening=L.size - 1
     ).transformed(inverse)
     sse = sum(float(np.nansum(v**2)) for v in _left(whole, theta))
-    return Fit(
+    fit = Fit(
         structure="iv4",
-        A=np.append(1.0, theta[:na]),
+        A=A,
         B=np.append(np.zeros(nk), theta[na:]),
         nk=nk,
         covariance=found.covariance,
@@ -103,9 +110,20 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1) -> Fit:
         fit_percent=fit_percent(y, sse),
         whiteness=found.white.p_value,
         whiteness_test=found.white.test,
-        warnings=tuple(data_faults(data, e, way_out=NO_OPTION)),
+        warnings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
         **data.origin(),
     )
+    return with_stability_warning(fit)
+
+
+def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:
+    """Return theta with B anew for a given A, by least squares: u needs no instrument."""
+    na = A.size - 1
+    known = np.vstack([block[complete(block)] for block in blocks])
+    left = known[:, -1] - known[:, :na] @ A[1:]
+    b = orthonormal(known[:, na:-1]).coefficients(left)
+    theta = np.concatenate([A[1:], b])
+    return theta, _left(blocks, theta)
 
 
 def _left(whole: Sequence[Array], theta: Array) -> list[Array]:

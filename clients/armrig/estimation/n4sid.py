@@ -11,6 +11,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error_fit import with_integrator
+from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
     StateSpace,
     Weights,
@@ -43,6 +44,7 @@ def n4sid(
     nk: int = 1,
     integrator: bool = False,
     horizon: int | None = None,
+    stable: bool = False,
 ) -> SubspaceFit:
     """Estimate a state space x(t+1) = A x + B u + K e, y = C x + D u + e from projections.
 
@@ -71,6 +73,8 @@ def n4sid(
         Samples of past and of future, more than `order`; by default the order of an ARX model by
         AIC, between 10 and 30, or 2 (order + 1) if that is more, and fewer for short data. Long
         ones serve noise that is white on the output, short ones noise that the poles shape.
+    stable : bool, default False
+        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
 
     Returns
     -------
@@ -103,7 +107,8 @@ def n4sid(
         msg = f"order={n}: the data show {found.states} states; lower the order"
         raise ValueError(msg)
     space = realised(w, found, n)
-    A, C = _polynomials(space, integrator=integrator)
+    free, C = _polynomials(space, integrator=integrator)
+    A = _stable(free, integrator=integrator) if stable else free
     facts = {
         "weights": weights,
         "horizon": w.future,
@@ -111,9 +116,10 @@ def n4sid(
         "canonical_correlations": canonical.singular_values,
         "suggested_order": suggested,
     }
-    notes = () if space.steady else ("no steady Kalman gain was found: the noise model is 1/1",)
+    notes = [] if space.steady else ["no steady Kalman gain was found: the noise model is 1/1"]
+    notes += reflection_warnings(free, A)
     structure = _structure(n, nk=nk, integrator=integrator)
-    return _fit(data, structure, A, C, facts, notes)
+    return _fit(data, structure, A, C, facts, tuple(notes))
 
 
 def _polynomials(space: StateSpace, *, integrator: bool) -> tuple[Array, Array]:
@@ -121,6 +127,15 @@ def _polynomials(space: StateSpace, *, integrator: bool) -> tuple[Array, Array]:
     A = np.real(np.poly(space.A))
     C = reflected(np.real(np.poly(space.A - np.outer(space.K, space.C))))
     return _integrating(A) if integrator else A, C
+
+
+def _stable(A: Array, *, integrator: bool) -> Array:
+    """Return A with its poles reflected into the circle, but for an integrator's."""
+    if not integrator:
+        return stabilised(A)
+    free = without_integrator(A)
+    inside = stabilised(free)
+    return A if inside is free else np.convolve([1.0, -1.0], inside)
 
 
 def _structure(order: int, *, nk: int, integrator: bool) -> Structure:
@@ -251,7 +266,7 @@ def _warnings(data: Dataset, n: Structure, A: Array, covariance: Array) -> Itera
         yield f"{data.output} integrates and a pole is {off:.1g} from 1: try integrator=True"
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
-        yield f"a pole is unstable, |z| = {others.max():.4f}"
+        yield unstable(float(others.max()), REFLECT)
 
 
 def _pole_std(A: Array, z: complex, covariance: Array) -> float:

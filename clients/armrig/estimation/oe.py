@@ -18,6 +18,7 @@ def oe(
     integrator: bool = False,
     offset: bool = False,
     initial: Initial = "estimate",
+    stable: bool = False,
 ) -> Fit:
     """Estimate B and F in y(t) = B(q)/F(q) u(t) + e(t) by minimising the output error.
 
@@ -38,6 +39,8 @@ def oe(
         Estimate each experiment's initial state, or take the rig at rest at y = 0 (then an
         integrator has no offset either), or estimate it where an F-test says that it matters.
         "backcast" is another name for "estimate": the state of least squares.
+    stable : bool, default False
+        Draw poles on the unit circle into it, and estimate B anew; the search lets none pass it.
 
     Returns
     -------
@@ -65,4 +68,4 @@ def oe(
         offset=offset,
     )
     orders = f"nb={nb}, nf={nf}, nk={nk}"
-    return searched(data, structure, name="oe", orders=orders, initial=initial)
+    return searched(data, structure, name="oe", orders=orders, initial=initial, stable=stable)

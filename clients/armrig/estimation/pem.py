@@ -20,6 +20,7 @@ def pem(
     nk: int = 1,
     offset: bool = False,
     initial: Initial = "estimate",
+    stable: bool = False,
 ) -> Fit:
     """Estimate all polynomials of A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) that are asked for.
 
@@ -38,6 +39,8 @@ def pem(
         Estimate what is not known of before each experiment, or take it as zero, or estimate it
         where an F-test says that it matters.
         "backcast" is another name for "estimate": the state of least squares.
+    stable : bool, default False
+        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
 
     Returns
     -------
@@ -57,4 +60,4 @@ def pem(
     require_integers(nb=(nb, 1), na=(na, 0), nc=(nc, 0), nd=(nd, 0), nf=(nf, 0), nk=(nk, 0))
     structure = Structure(na=na, nb=nb, nc=nc, nd=nd, nf=nf, nk=nk, offset=offset)
     orders = f"na={na}, nb={nb}, nc={nc}, nd={nd}, nf={nf}, nk={nk}"
-    return searched(data, structure, name="pem", orders=orders, initial=initial)
+    return searched(data, structure, name="pem", orders=orders, initial=initial, stable=stable)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,6 +14,7 @@ from armrig.estimation.data_faults import data_faults
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import PredictionError, Solution
+from armrig.estimation.stability import with_stability_warning, with_stable_poles
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.free_response import FreeResponse, offset_from_ramp
@@ -30,7 +32,13 @@ AUTO_LEVEL = 0.05  # of the F-test that keeps the initial state
 
 
 def searched(
-    data: Dataset, structure: Structure, *, name: str, orders: str, initial: Initial
+    data: Dataset,
+    structure: Structure,
+    *,
+    name: str,
+    orders: str,
+    initial: Initial,
+    stable: bool = False,
 ) -> Fit:
     """Return the best minimum of the prediction error over all start values.
 
@@ -46,6 +54,8 @@ def searched(
         What is assumed of the state at the start of each experiment. "backcast", the toolbox's
         name for the state of least squares given the polynomials, is "estimate": the search
         projects the state out, and so has that one at every step.
+    stable : bool, default False
+        Reflect poles outside the unit circle into it, and estimate B anew.
 
     Raises
     ------
@@ -62,8 +72,8 @@ def searched(
         msg = f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
         raise ValueError(msg)
     if initial == "auto":
-        free = searched(data, structure, name=name, orders=orders, initial="estimate")
-        at_rest = searched(data, structure, name=name, orders=orders, initial="zero")
+        either = partial(searched, data, structure, name=name, orders=orders, stable=stable)
+        free, at_rest = either(initial="estimate"), either(initial="zero")
         return free if _state_matters(free, at_rest) else at_rest
     n = replace(structure, at_rest=initial == "zero")
     problem = PredictionError(
@@ -80,7 +90,12 @@ def searched(
         msg = f"{orders}: u determines only {solution.rank} of {n.na + n.nb} {what}; "
         msg += f"lower {'nb' if n.na == 0 else 'the orders'} or excite with a richer input"
         raise ValueError(msg)
-    return _fit(data, problem, solution, ends, name)
+    notes: tuple[str, ...] = ()
+    theta = best.theta
+    if stable:
+        theta, solution, notes = with_stable_poles(problem, solution, theta)
+    fit = _fit(data, problem, solution, ends, theta, name)
+    return with_stability_warning(replace(fit, warnings=(*fit.warnings, *notes)))
 
 
 def _part(data: Dataset, structure: Structure) -> PredictionError | None:
@@ -127,10 +142,11 @@ def _fit(
     problem: PredictionError,
     solution: Solution,
     ends: Ends,
+    theta: Array,
     name: str,
 ) -> Fit:
     n, best = problem.structure, ends[0][1]
-    p = problem.named(solution.ab, best.theta)
+    p = problem.named(solution.ab, theta)
     found = _inference(data, problem, solution)
     agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
     starts = tuple(

@@ -44,9 +44,9 @@ class Candidate:
         return dict(self.orders)[KINDS[self.family].poles]
 
     def estimated(self, data: Dataset) -> Fit:
-        """Return the model of the data."""
+        """Return the model of the data, poles outside the unit circle reflected into it."""
         known = {"integrator": True} if self.integrator else {}
-        return ESTIMATORS[self.family](data, **dict(self.orders), **known)
+        return ESTIMATORS[self.family](data, **dict(self.orders), **known, stable=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,8 +153,9 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     yield from _about_highest_order(found)
     yield from _about_families(found)
     yield from _about_tests(found.tests)
-    if chosen.fit is not None and chosen.fit.structure != "n4sid":
-        yield from chosen.fit.warnings
+    if chosen.fit is not None:
+        moved = (w for w in chosen.fit.warnings if "stable=True" in w)
+        yield from moved if chosen.fit.structure == "n4sid" else chosen.fit.warnings
     if found.failed:
         first = found.failed[0]
         yield (

@@ -1,0 +1,159 @@
+"""Models with poles outside the unit circle: said, and reflected where that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from armrig.data.dataset import Dataset
+from armrig.estimation.armax import armax
+from armrig.estimation.arx import arx
+from armrig.estimation.bj import bj
+from armrig.estimation.iv4 import iv4
+from armrig.estimation.n4sid import n4sid
+from armrig.estimation.oe import oe
+from armrig.estimation.pem import pem
+from armrig.estimation.stability import largest_unstable, stabilised
+from armrig.models.fit import Fit
+from armrig.numerics.polynomial import filtered
+
+Estimator = Callable[..., Fit]
+B = [0.0, 1.0, 0.5]
+
+
+def _growing(pole: float = 1.03, N: int = 200) -> Dataset:
+    """Return data of A y = B u + e of second order, one pole outside the circle."""
+    rng = np.random.default_rng(1)
+    A = np.convolve([1.0, -pole], [1.0, -0.5])
+    u, e = rng.standard_normal((2, N))
+    return Dataset(u=u, y=filtered(B, A, u) + filtered([1.0], A, 0.1 * e), Ts=1.0)
+
+
+ESTIMATORS: dict[str, Estimator] = {
+    "arx": lambda data, **more: arx(data, na=2, nb=2, **more),
+    "iv4": lambda data, **more: iv4(data, na=2, nb=2, **more),
+    "armax": lambda data, **more: armax(data, na=2, nb=2, nc=1, **more),
+    "n4sid": lambda data, **more: n4sid(data, 2, **more),
+    "pem": lambda data, **more: pem(data, na=2, nb=2, **more),
+}
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_warns_of_an_unstable_pole(name: str) -> None:
+    """With its distance from 0 and the way out, whatever estimated it."""
+    fit = ESTIMATORS[name](_growing())
+
+    said = [w for w in fit.warnings if w.startswith("a pole is unstable, |z| = 1.0")]
+    assert len(said) == 1
+    assert said[0].endswith("lower the orders, or stable=True reflects it")
+
+
+def _random_walk() -> Dataset:
+    """Return data whose noise grows, so that its estimated pole is outside."""
+    rng = np.random.default_rng(3)
+    u, e = rng.standard_normal((2, 300))
+    noise = filtered([1.0], [1.0, -1.02], 0.3 * e)
+    return Dataset(u=u, y=filtered(B, [1.0, -0.5], u) + noise, Ts=1.0)
+
+
+def test_a_pole_of_the_noise_counts_too() -> None:
+    """D outside the circle: noise without bound; F stays inside by itself."""
+    free = bj(_random_walk(), nb=2, nc=0, nd=1, nf=1)
+    inside = bj(_random_walk(), nb=2, nc=0, nd=1, nf=1, stable=True)
+    plain = oe(_random_walk(), nb=2, nf=1, stable=True)
+
+    assert np.roots(free.D)[0] > 1.01
+    assert any(w.startswith("a pole is unstable, |z| = 1.0") for w in free.warnings)
+    np.testing.assert_allclose(np.roots(inside.D), 1 / np.roots(free.D), rtol=1e-9)
+    assert largest_unstable(inside) == largest_unstable(plain) == 0.0
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_unstable_poles_are_reflected_on_request(name: str) -> None:
+    """A from 1/z*, B the best for it, and the fit says so instead of warning of the pole."""
+    data = _growing()
+
+    free, inside = ESTIMATORS[name](data), ESTIMATORS[name](data, stable=True)
+
+    expected = np.roots(free.A)
+    expected = np.sort(np.where(np.abs(expected) > 1, 1 / expected, expected))
+    np.testing.assert_allclose(np.sort(np.roots(inside.A)), expected, rtol=1e-9)
+    assert any("stable=True reflected 1 of 2 poles" in w for w in inside.warnings)
+    assert not any("unstable" in w for w in inside.warnings)
+    assert not np.allclose(inside.B, free.B)
+    assert inside.loss > free.loss
+
+
+@pytest.mark.parametrize("name", ["arx", "armax", "n4sid", "pem"])
+def test_b_is_the_best_for_the_reflected_poles(name: str) -> None:
+    """No other B has a smaller one-step loss."""
+    data = _growing()
+    fit = ESTIMATORS[name](data, stable=True)
+
+    e = _errors(fit, data, fit.B)
+
+    for step in (np.array([0.0, 1e-3, 0.0]), np.array([0.0, 0.0, 1e-3])):
+        for sign in (1, -1):
+            assert _errors(fit, data, fit.B + sign * step) > e
+
+
+def _errors(fit: Fit, data: Dataset, B: np.ndarray) -> float:
+    """Return the sum of squared one-step errors, the predictor's first state fitted."""
+    e = filtered(fit.A, fit.C, data.y) - filtered(B, fit.C, data.u)
+    count = fit.A.size - 1
+    if fit.C.size == 1:  # the first errors look back on what is not known
+        return float(np.sum(e[count:] ** 2))
+    pulses = np.column_stack([filtered([1.0], fit.C, np.eye(data.N)[k]) for k in range(count)])
+    return float(np.linalg.lstsq(pulses, e, rcond=None)[1][0])
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_a_stable_model_is_left_as_it_is(name: str) -> None:
+    """To the last digit, and without a word."""
+    data = _growing(0.9)
+
+    free, inside = ESTIMATORS[name](data), ESTIMATORS[name](data, stable=True)
+
+    np.testing.assert_array_equal(free.theta, inside.theta)
+    assert free.warnings == inside.warnings
+    assert not any("unstable" in w or "reflected" in w for w in free.warnings)
+
+
+def test_a_pole_that_may_be_an_integrator_is_told_so() -> None:
+    """Outside by less than its accuracy: an ARX model cannot have one, an ARMAX model can."""
+    rng = np.random.default_rng(1)
+    u, e = rng.standard_normal((2, 400))
+    A = [1.0, -1.0]
+    data = Dataset(u=u, y=filtered([0.0, 1.0], A, u) + filtered([1.0], A, e), Ts=1.0)
+
+    fits = arx(data, na=1, nb=1), armax(data, na=1, nb=1, nc=1)
+
+    assert all(f.A[1] < -1 for f in fits)
+    said = [next(w for w in f.warnings if "unstable" in w) for f in fits]
+    assert said[0].endswith("1 within its accuracy; if y integrates, take oe with integrator=True")
+    assert said[1].endswith("1 within its accuracy; if y integrates, ask for integrator=True")
+
+
+def test_an_integrator_by_construction_is_no_unstable_pole() -> None:
+    """It was asked for; the others are reflected without it."""
+    data = _growing(1.0)
+
+    fit = armax(data, na=2, nb=2, nc=1, integrator=True, stable=True)
+
+    assert largest_unstable(fit) == 0.0
+    assert abs(np.sum(fit.A)) < 1e-12
+    assert not any("unstable" in w for w in fit.warnings)
+
+
+def test_roots_are_reflected_or_drawn_in() -> None:
+    """Outside to 1/z*, complex pairs too; on the circle just inside; inside not at all."""
+    pair = 1.25 * np.exp(0.7j)
+    inside = np.array([1.0, -0.5])
+
+    mirrored = np.roots(stabilised(np.real(np.poly([pair, pair.conjugate(), 0.3]))))
+
+    np.testing.assert_allclose(np.sort(np.abs(mirrored)), [0.3, 0.8, 0.8])
+    np.testing.assert_allclose(np.abs(np.angle(mirrored[mirrored.imag != 0])), 0.7)
+    assert 1 - 2e-6 < -stabilised(np.array([1.0, -1.0]))[1] < 1
+    assert stabilised(inside) is inside
