@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, get_args
+from collections.abc import Iterator
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
-    StateSpace,
     Weights,
-    Windows,
-    autoregressive_order,
     projection,
-    realised,
     suggested_order,
-    windows,
+    visible_states,
 )
-from armrig.models.innovations import Errors, LinearPart, errors, prepared, regression
+from armrig.estimation.subspace_horizon import delayed_signals, usable_windows
+from armrig.estimation.subspace_poles import best_poles, poles_at
+from armrig.estimation.subspace_simulation import simulating
+from armrig.models.innovations import errors, prepared, regression
 from armrig.models.structure import Structure
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, lagged, reflected, without_integrator
+from armrig.numerics.polynomial import Array, without_integrator
 
-LEAST, LONGEST = 10, 30  # samples of past and of future
-_ENOUGH = 4000  # windows to choose the horizon from
+Focus = Literal["prediction", "simulation"]
+
 _MOST = 10  # order that is suggested at most
 _NEAR_ONE = 0.02  # distance of a pole from 1 that is worth a word
 
@@ -44,6 +42,7 @@ def n4sid(
     nk: int = 1,
     integrator: bool = False,
     horizon: int | None = None,
+    focus: Focus = "prediction",
     stable: bool = False,
 ) -> SubspaceFit:
     """Estimate a state space x(t+1) = A x + B u + K e, y = C x + D u + e from projections.
@@ -70,9 +69,15 @@ def n4sid(
         The pole nearest 1 is 1 exactly; the input's offset is estimated along. y itself is
         projected, never its difference, which would drown the slow poles in noise.
     horizon : int, optional
-        Samples of past and of future, more than `order`; by default the order of an ARX model by
-        AIC, between 10 and 30, or 2 (order + 1) if that is more, and fewer for short data. Long
+        Samples of past and of future, at least order + 2: one less ruins the noise model. By
+        default the order of an ARX model by AIC, between 10 and 30, or 2 (order + 1) if that is
+        more, and fewer for short data; or order + 2, where that predicts the data better. Long
         ones serve noise that is white on the output, short ones noise that the poles shape.
+    focus : {"prediction", "simulation"}
+        What A and B are for. "simulation" takes the poles as the start of a search for those of
+        the least simulation error, B and the first states by least squares for each: an
+        output-error model (`oe`) with a noise model. It is the better where the data are not
+        quite of a linear system of this order. Poles are inside the circle, whatever `stable` is.
     stable : bool, default False
         Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
 
@@ -97,36 +102,39 @@ def n4sid(
         allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
         msg = f"weights={weights!r} must be one of {allowed}"
         raise ValueError(msg)
+    if focus not in get_args(Focus):
+        msg = f'focus={focus!r} must be one of "prediction", "simulation"'
+        raise ValueError(msg)
     require_integers(nk=(nk, 0), order=(1 if order is None else order, 1))
-    w = _windows(data, order, nk=nk, horizon=horizon)
+    signals = delayed_signals(data, nk)
+    w = usable_windows(data, signals, order, horizon)
     found = projection(w, weights)
     canonical = found if weights == "cva" else projection(w, "cva")
-    suggested = suggested_order(w, canonical, min(_MOST, w.future - 1))
+    suggested = suggested_order(w, canonical, min(_MOST, w.future - 2))
     n = suggested if order is None else int(order)
-    if n > found.states:
-        msg = f"order={n}: the data show {found.states} states; lower the order"
+    if n > (states := visible_states(w)):
+        msg = f"order={n}: the data show {states} states; lower the order"
         raise ValueError(msg)
-    space = realised(w, found, n)
-    free, C = _polynomials(space, integrator=integrator)
-    A = _stable(free, integrator=integrator) if stable else free
+    if horizon is None:
+        free = best_poles(signals, w, found, n, weights, integrator=integrator, direct=nk == 0)
+    else:
+        free = poles_at(w, found, n, integrator=integrator)
+    A, B, C = free.A, None, free.C
+    structure = _structure(n, nk=nk, integrator=integrator)
+    if focus == "simulation":
+        A, B, C = simulating(data, structure, A, C, orders=f"order={n}, nk={nk}")
+    elif stable:
+        A = _stable(A, integrator=integrator)
     facts = {
         "weights": weights,
-        "horizon": w.future,
-        "singular_values": found.singular_values,
+        "horizon": free.horizon,
+        "singular_values": free.singular_values,
         "canonical_correlations": canonical.singular_values,
         "suggested_order": suggested,
     }
-    notes = [] if space.steady else ["no steady Kalman gain was found: the noise model is 1/1"]
-    notes += reflection_warnings(free, A)
-    structure = _structure(n, nk=nk, integrator=integrator)
-    return _fit(data, structure, A, C, facts, tuple(notes))
-
-
-def _polynomials(space: StateSpace, *, integrator: bool) -> tuple[Array, Array]:
-    """Return A and C of the ARMAX model that the state space is."""
-    A = np.real(np.poly(space.A))
-    C = reflected(np.real(np.poly(space.A - np.outer(space.K, space.C))))
-    return _integrating(A) if integrator else A, C
+    notes = [] if free.steady else ["no steady Kalman gain was found: the noise model is 1/1"]
+    notes += reflection_warnings(free.A, A) if focus == "prediction" else ()
+    return _fit(data, structure, A, C, B, facts, tuple(notes))
 
 
 def _stable(A: Array, *, integrator: bool) -> Array:
@@ -149,63 +157,39 @@ def _structure(order: int, *, nk: int, integrator: bool) -> Structure:
     )
 
 
-def _windows(data: Dataset, order: int | None, *, nk: int, horizon: int | None) -> Windows:
-    """Return past and future of u, advanced by the delay that is known, and y."""
-    later = max(nk - 1, 0)
-    signals = [(lagged(part.u, [later])[:, 0], part.y) for part in data.experiments()]
-    signals = [(u[later:], y[later:]) for u, y in signals]
-    i = _horizon(data, signals, order) if horizon is None else int(horizon)
-    require_integers(horizon=(i, 2 if order is None else int(order) + 1))
-    w = windows(signals, past=i, future=i)
-    asked = f"horizon={i}, with windows of {2 * i} samples without a gap,"
-    require_samples(asked, needed=4 * i + 2 + 2 * i, got=w.N + 2 * i - 1)
-    if not w.R[:, w.columns("yf")].any():
-        msg = f"{data.output} is constant and shows no state; record an experiment that moves it"
-        raise ValueError(msg)
-    return w
-
-
-def _horizon(data: Dataset, signals: Sequence[tuple[Array, Array]], order: int | None) -> int:
-    least = 2 if order is None else int(order) + 1
-    most = max((data.N - data.missing) // 12, least)
-    w = windows(signals, past=min(LONGEST, most), future=1, most=_ENOUGH)
-    enough = 2 * len(w.R) < w.N
-    wanted = autoregressive_order(w) if enough else LEAST
-    return min(max(wanted, LEAST, 2 * least), most)
-
-
-def _integrating(A: Array) -> Array:
-    """Return A with its real root nearest 1 moved there."""
-    z = np.roots(A).astype(np.complex128)
-    z[np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9))] = 1.0
-    return np.convolve([1.0, -1.0], without_integrator(np.real(np.poly(z))))
-
-
 def _fit(
     data: Dataset,
     n: Structure,
     A: Array,
     C: Array,
+    B: Array | None,
     facts: dict[str, Any],
     notes: tuple[str, ...],
 ) -> SubspaceFit:
-    """Return the model with B by least squares on the one-step errors, for given A and C."""
+    """Return the model; B, unless it is given, by least squares on the one-step errors."""
     free = without_integrator(A) if n.integrator else A
     one = np.ones(1)
     experiments = [prepared(part, n) for part in data.experiments()]
     given = [regression(x, n, C=C, D=one, F=one) for x in experiments]
-    whole = np.vstack([g.unknown.without(np.column_stack([g.X, g.y])) for g in given])
-    basis = orthonormal(whole[:, n.na : -1])
-    if basis.rank < n.nb:
-        msg = f"u determines only {basis.rank} of {n.nb} numerator coefficients; lower the order "
-        msg += "or excite with a richer input"
-        raise ValueError(msg)
-    b = basis.coefficients(whole[:, -1] - whole[:, : n.na] @ free[1:])
-    B = np.append(np.zeros(n.nk), b)
+    projected = [g.unknown.without(np.column_stack([g.X, g.y])) for g in given]
+    whole = projected[0] if len(projected) == 1 else np.vstack(projected)
+    if B is None:
+        basis = orthonormal(whole[:, n.na : -1])
+        if basis.rank < n.nb:
+            msg = f"u determines only {basis.rank} of {n.nb} numerator coefficients; lower the "
+            msg += "order or excite with a richer input"
+            raise ValueError(msg)
+        b = basis.coefficients(whole[:, -1] - whole[:, : n.na] @ free[1:])
+        B = np.append(np.zeros(n.nk), b)
     parts = [
         errors(x, n, g, A=free, B=B, C=C, D=one, F=one)
         for x, g in zip(experiments, given, strict=True)
     ]
+    blocks = [np.hstack([x[:, :-1], p.Psi]) for x, p in zip(projected, parts, strict=True)]
+    residuals = [np.where(x.rows, p.e, np.nan) for x, p in zip(experiments, parts, strict=True)]
+    spans = [g.unknown.span for g in given]
+    found = infer(residuals, blocks, score="correlated", spans=spans, y=data.y)
+    found = found.transformed(with_integrator(n))
     return SubspaceFit(
         structure="n4sid",
         A=A,
@@ -215,38 +199,18 @@ def _fit(
         integrator=bool(n.integrator),
         offset=bool(n.trend),
         Ts=data.Ts,
-        **_figures(data, n, [x.rows for x in experiments], parts, given, A, notes),
+        covariance=found.covariance,
+        covariance_robust=found.covariance_robust,
+        noise_variance=found.noise_variance,
+        loss=found.loss,
+        N=found.N,
+        fit_percent=found.fit_percent,
+        whiteness=found.white.p_value,
+        whiteness_test=found.white.test,
+        warnings=(*notes, *_warnings(data, n, A, found.covariance)),
         **data.origin(),
         **facts,
     )
-
-
-def _figures(
-    data: Dataset,
-    n: Structure,
-    rows: list[Array],
-    parts: list[Errors],
-    given: list[LinearPart],
-    A: Array,
-    notes: tuple[str, ...],
-) -> dict[str, Any]:
-    """Return loss, covariance bound and verdict of the one-step errors."""
-    blocks = [np.hstack([g.unknown.without(g.X), p.Psi]) for g, p in zip(given, parts, strict=True)]
-    residuals = [np.where(r, p.e, np.nan) for r, p in zip(rows, parts, strict=True)]
-    spans = [g.unknown.span for g in given]
-    found = infer(residuals, blocks, score="correlated", spans=spans, y=data.y)
-    found = found.transformed(with_integrator(n))
-    return {
-        "covariance": found.covariance,
-        "covariance_robust": found.covariance_robust,
-        "noise_variance": found.noise_variance,
-        "loss": found.loss,
-        "N": found.N,
-        "fit_percent": found.fit_percent,
-        "whiteness": found.white.p_value,
-        "whiteness_test": found.white.test,
-        "warnings": (*notes, *_warnings(data, n, A, found.covariance)),
-    }
 
 
 def _warnings(data: Dataset, n: Structure, A: Array, covariance: Array) -> Iterator[str]:

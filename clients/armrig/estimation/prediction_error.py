@@ -125,7 +125,7 @@ class PredictionError:
 
     def _scale(self, given: Sequence[LinearPart]) -> tuple[float, Array]:
         """Return log |Z^T Z| / (2 M) of all stretches but the first, and its derivatives by c."""
-        volumes = [v for g in given for v in g.unknown.volumes][1:]
+        volumes = [v() for v in [v for g in given for v in g.unknown.volumes][1:]]
         none = np.zeros(self.structure.nc)
         if not volumes:
             return 0.0, none

@@ -25,6 +25,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dggev
 
 from armrig.numerics.criteria import aic, mdl
 from armrig.numerics.gram import cholesky_factor, gram_of_windows
@@ -128,6 +129,15 @@ def _block(u: Array, y: Array, order: Integers, rows: range) -> Array:
     return M
 
 
+def shortened(w: Windows, samples: int) -> Windows:
+    """Return the same instants with so many samples of past and of future only."""
+    h = samples
+    uf, up, yp, yf = (w.columns(name) for name in ("uf", "up", "yp", "yf"))
+    kept = np.concatenate([uf[:h], up[-h:], yp[-h:], yf[:h]])
+    R = np.asarray(np.linalg.qr(w.R[:, kept], mode="r"))
+    return Windows(R=R, past=h, future=h, N=w.N)
+
+
 def autoregressive_order(w: Windows) -> int:
     """Return the order of least AIC of y(t) from u(t) and as many past y as u.
 
@@ -152,8 +162,6 @@ class Projection:
     """Left singular vectors, weighted back, of the extended observability matrix, (f, f)."""
     singular_values: Array
     """(f,); with "cva" the canonical correlations of past and future."""
-    states: int
-    """How many states the data show at all: without noise no more than the system has."""
 
 
 def projection(w: Windows, weights: Weights) -> Projection:
@@ -174,9 +182,14 @@ def projection(w: Windows, weights: Weights) -> Projection:
         U, sigma, _ = np.linalg.svd(R23.T, full_matrices=False)
     else:
         U, sigma, _ = np.linalg.svd(H @ np.hstack([R12.T, R22.T]), full_matrices=False)
-    plain = np.linalg.svd(R23, compute_uv=False)
-    states = int(np.count_nonzero(plain > _NOTHING * plain[0]))
-    return Projection(H=H, U=U, singular_values=sigma, states=states)
+    return Projection(H=H, U=U, singular_values=sigma)
+
+
+def visible_states(w: Windows) -> int:
+    """Return how many states the data show at all: without noise no more than the system has."""
+    f = w.future
+    values = np.linalg.svd(w.R[f:-f, -f:], compute_uv=False)
+    return int(np.count_nonzero(values > _NOTHING * values[0]))
 
 
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
@@ -209,28 +222,27 @@ def _states(w: Windows, found: Projection, n: int) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StateSpace:
-    """x(t+1) = A x(t) + … + K e(t), y(t) = C x(t) + … + e(t)."""
+class Realisation:
+    """x(t+1) = A x(t) + … + K e(t), y(t) = C x(t) + … + e(t), as far as the noise tells it."""
 
     A: Array
     """(n, n)."""
-    C: Array
-    """(n,)."""
-    K: Array
-    """Gain, (n,)."""
+    predictor: Array
+    """Eigenvalues of A - K C, none outside the unit circle, (n,)."""
     steady: bool
-    """The Riccati equation had its solution; else K is zero."""
+    """There is a steady Kalman filter; else K is zero."""
 
 
-def realised(w: Windows, found: Projection, n: int) -> StateSpace:
-    """Return A and C from the shift of the observability matrix, and K from what states leave.
+def realised(w: Windows, found: Projection, n: int) -> Realisation:
+    """Return A from the shift of the observability matrix, and A - K C from what states leave.
 
     The states at t and t + 1 are what two projections say, and the covariance of their residuals
     gives K by the Riccati equation.
     """
     f = w.future
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
-    A = np.linalg.lstsq(Gamma[:-1], Gamma[1:], rcond=None)[0]
+    shift = np.linalg.pinv(Gamma[:-1])
+    A = shift @ Gamma[1:]
     C = Gamma[0]
     y, X = w.columns("yf"), _states(w, found, n)
     uf = w.columns("uf")
@@ -238,26 +250,41 @@ def realised(w: Windows, found: Projection, n: int) -> StateSpace:
     known = w.R[:, np.concatenate([uf[1:], later])]
     coefficients = orthonormal(known).coefficients(w.R[:, y[1:]])
     ahead = w.R[:, later] @ coefficients[f - 1 :]
-    X_next = np.linalg.lstsq(Gamma[:-1], ahead.T, rcond=None)[0].T
-    left = np.column_stack([X_next, w.R[:, y[0]]])
+    left = np.column_stack([ahead @ shift.T, w.R[:, y[0]]])
     basis = orthonormal(np.hstack([X, w.R[:, uf]]))
     rho = basis.without(left)
     covariance = rho.T @ rho / max(w.N - n - f - 1, 1)
-    K, steady = _gain(A, C, covariance)
-    return StateSpace(A=A, C=C, K=K, steady=steady)
+    predictor = _steady_filter(A, C, covariance)
+    if predictor is None:
+        return Realisation(A=A, predictor=np.linalg.eigvals(A), steady=False)
+    return Realisation(A=A, predictor=predictor, steady=True)
 
 
-def _gain(A: Array, C: Array, covariance: Array) -> tuple[Array, bool]:
-    """Return K of the steady Kalman filter, or zeros where there is none."""
-    from scipy.linalg import solve_discrete_are
+def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
+    """Return the eigenvalues of A - K C of the steady Kalman filter, or None where there is none.
 
+    With F = A - S C / r they are those inside the unit circle of the pencil of the Riccati
+    equation ::
+
+        | F^T               0 |       | I  C C^T / r |
+        | (S S^T / r - Q)   I | - z * | 0  F         |
+
+    K itself is not needed.
+
+    References
+    ----------
+    .. [1] T. Pappas, A. Laub, N. Sandell, IEEE Trans. Automatic Control 25 (1980) 631-641.
+    """
     n = C.size
-    Q, S, r = covariance[:n, :n], covariance[:n, n:], covariance[n:, n:]
-    if not r[0, 0] > 0:
-        return np.zeros(n), False
-    try:
-        P = solve_discrete_are(A.T, C[:, None], Q, r, s=S)
-    except (np.linalg.LinAlgError, ValueError):
-        return np.zeros(n), False
-    K = (A @ P @ C + S[:, 0]) / (C @ P @ C + r[0, 0])
-    return np.asarray(K), True
+    Q, S, r = covariance[:n, :n], covariance[:n, n], float(covariance[n, n])
+    if not r > 0:
+        return None
+    F = A - np.outer(S, C) / r
+    left, right = np.eye(2 * n), np.eye(2 * n)
+    left[:n, :n], left[n:, :n] = F.T, (np.outer(S, S) / r - Q) / r
+    right[:n, n:], right[n:, n:] = np.outer(C, C), F
+    real, imaginary, over, *_, failed = dggev(left, right, compute_vl=0, compute_vr=0)
+    with np.errstate(all="ignore"):
+        z = (real + 1j * imaginary) / over
+    z = z[np.argsort(np.where(np.isnan(z), np.inf, np.abs(z)))][:n]
+    return None if failed or not np.isfinite(z).all() else np.asarray(z)

@@ -15,7 +15,9 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 
@@ -92,8 +94,9 @@ class Unknown:
     """Of each stretch, on its first rows: until the impulse response of 1/C is over."""
     state: Basis
     """Of x and trend, less their projection on the others, on the first rows."""
-    volumes: tuple[tuple[float, Array], ...]
-    """Of each stretch log |Z^T Z|, with Z the noise's columns, and its derivatives by c."""
+    volumes: tuple[Callable[[], tuple[float, Array]], ...]
+    """Of each stretch log |Z^T Z|, with Z the noise's columns, and its derivatives by c; when they
+    are asked for, which is of the second stretch and those after it."""
     N: int
     """Samples."""
 
@@ -156,37 +159,46 @@ def unknown(
 
 
 _Bases = tuple[tuple[slice, Array], ...]
-_Volumes = tuple[tuple[float, Array], ...]
+_Volumes = tuple[Callable[[], tuple[float, Array]], ...]
 
 
 def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tuple[_Bases, _Volumes]:
-    """Return basis and volume of each stretch's pulses through 1/C.
-
-    d log |Z^T Z| is 2 trace(Z^+ dZ), and d(1/C) by c_k is -q^-k / C².
-    """
+    """Return basis and volume of each stretch's pulses through 1/C."""
     if structure.nc == 0:
         return (), ()
     longest = max((s.stop - s.start for s in experiment.stretches), default=1)
-    pulse, slope = (response([1.0], P, longest) for P in (C, np.convolve(C, C)))
-    known: dict[tuple[int, int], tuple[Array, float, Array]] = {}
+    pulse = response([1.0], C, longest)
+    known: dict[tuple[int, int], tuple[Array, Callable[[], tuple[float, Array]]]] = {}
+    none = 0.0, np.zeros(structure.nc)
     noise, volumes = [], []
     for s in experiment.stretches:
         k = forgotten(structure, s.start)
         n = min(s.stop - s.start, pulse.size + k - 1)
         if k == 0:
-            volumes.append((0.0, np.zeros(structure.nc)))
+            volumes.append(lambda: none)
             continue
         if (k, n) not in known:  # most stretches are longer than the response, and so alike
             Q, R = np.linalg.qr(_pulses(pulse, k, n))
-            by_c = np.empty(structure.nc)
-            for j in range(structure.nc):
-                columns = lagged(np.append(slope, np.zeros(n))[:n], range(j + 1, j + 1 + k))
-                by_c[j] = -2 * np.trace(np.linalg.solve(R, Q.T @ columns))
-            known[k, n] = Q, 2 * float(np.sum(np.log(np.abs(np.diag(R))))), by_c
-        Q, volume, by_c = known[k, n]
+            known[k, n] = Q, cache(partial(_volume, Q, R, C))
+        Q, volume = known[k, n]
         noise.append((slice(s.start, s.start + n), Q))
-        volumes.append((volume, by_c))
+        volumes.append(volume)
     return tuple(noise), tuple(volumes)
+
+
+def _volume(Q: Array, R: Array, C: Array) -> tuple[float, Array]:
+    """Return log |Z^T Z| of pulses Z = Q R through 1/C, and its derivatives by c.
+
+    d log |Z^T Z| is 2 trace(Z^+ dZ), and d(1/C) by c_k is -q^-k / C².
+    """
+    n, k = Q.shape
+    slope = response([1.0], np.convolve(C, C), n)
+    slope = np.append(slope, np.zeros(n - slope.size))
+    by_c = np.empty(C.size - 1)
+    for j in range(by_c.size):
+        columns = lagged(slope, range(j + 1, j + 1 + k))
+        by_c[j] = -2 * np.trace(np.linalg.solve(R, Q.T @ columns))
+    return 2 * float(np.sum(np.log(np.abs(np.diag(R))))), by_c
 
 
 def response(numerator: Array | list[float], denominator: Array, N: int) -> Array:

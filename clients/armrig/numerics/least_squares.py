@@ -59,7 +59,10 @@ def orthonormal(M: Array) -> Basis:
     used = np.flatnonzero(scale > 1e-100)  # the square of less underflows
     if used.size == 0 or M.shape[0] == 0:
         return Basis(Q=np.zeros((M.shape[0], 0)), W=np.zeros((d, 0)))
-    Q, R, order = qr(M[:, used] / scale[used], mode="economic", pivoting=True, check_finite=False)
+    whole = M if used.size == d else M[:, used]
+    # In LAPACK's order, and its own to overwrite: nothing is copied again.
+    scaled = np.divide(whole, scale[used], order="F")
+    Q, R, order = qr(scaled, mode="economic", pivoting=True, check_finite=False, overwrite_a=True)
     diagonal = np.abs(np.diag(R))
     r = int(np.count_nonzero(diagonal > RANK_TOLERANCE * diagonal[0]))
     W = np.zeros((d, r))

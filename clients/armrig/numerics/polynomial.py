@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[Any]
 Complex = NDArray[np.complex128]
 
+_BESIDE = 1e-7  # a root at 1 is computed a little beside it
+
 
 def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
     """Return numerator/denominator applied to x (N,), at rest before the first sample."""
@@ -67,10 +69,14 @@ def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
 
     A root on the circle, or mirrored to nearer than `radius`, is drawn in to `radius`.
     """
-    z = roots(p)
+    return with_roots_inside(roots(p), radius)
+
+
+def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
+    """Return the polynomial with the roots z (n,), those that are not inside moved as there."""
     magnitude = np.abs(z)
+    if not z.size or magnitude.max() < 1.0 - _BESIDE:
+        return np.real(np.poly(z)) if z.size else np.ones(1)
     inside = np.where(magnitude > 1.0, 1.0 / np.maximum(magnitude, 1.0), magnitude)
     shrink = np.minimum(inside, radius) / np.where(magnitude > 0, magnitude, 1.0)
-    # A root at 1 is computed a little beside it.
-    moved = np.where(magnitude >= 1.0 - 1e-7, z * shrink, z)
-    return np.real(np.poly(moved)) if moved.size else np.ones(1)
+    return np.real(np.poly(np.where(magnitude >= 1.0 - _BESIDE, z * shrink, z)))
