@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.estimation.arx import arx
 from armrig.estimation.stability import largest_unstable
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import KINDS
@@ -24,6 +25,7 @@ Vector = NDArray[np.float64]
 
 FAMILIES: tuple[Family, ...] = ("arx", "iv4", "armax", "oe", "bj", "n4sid")
 _NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
+_LONG, _SURELY = 10, 4.0  # order of the ARX model that a direct term is sought with, deviations
 _UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
 
 
@@ -33,7 +35,7 @@ def search(
     *,
     families: Iterable[Family] = FAMILIES,
     orders: Iterable[int] = range(1, 6),
-    nk: int | Iterable[int] = 1,
+    nk: int | Iterable[int] | None = None,
     integrator: bool | None = None,
     horizon: int | None = None,
     executor: Executor | None = None,
@@ -60,13 +62,15 @@ def search(
         Of "arx", "iv4", "armax", "oe", "bj" and "n4sid".
     orders : iterable of int
         Numbers of poles to try, >= 1, an integrator's included.
-    nk : int or iterable of int, default 1
-        Samples before u reaches y, all of them tried.
+    nk : int or iterable of int, optional
+        Samples before u reaches y, all of them tried; by default 1, and 0 too where an ARX model
+        of high order has a direct term that is no chance (4 deviations).
     integrator : bool, optional
         Whether structures that can have one get a pole at 1 exactly; by default where the output
         is an angle that integrates.
     horizon : int, optional
-        Samples ahead, >= 1; by default the models are simulated.
+        Samples ahead, >= 1; by default the models are simulated, and "n4sid" is estimated with
+        `focus="simulation"`.
     executor : concurrent.futures.Executor, optional
         Where the candidates are estimated, such as a ``ProcessPoolExecutor``; here by default.
 
@@ -88,15 +92,25 @@ def search(
     if validation is None:
         data, validation = data.split(2)
     known = data.output in INTEGRATING_OUTPUTS if integrator is None else integrator
+    if nk is None:
+        nk = _likely_delays(data)
     delays = [nk] if isinstance(nk, int) else [*nk]
-    candidates = list(_candidates([*families], [*orders], delays, integrator=known))
+    simulated = horizon is None
+    candidates = list(
+        _candidates([*families], [*orders], delays, integrator=known, simulated=simulated)
+    )
     score = partial(_score, data=data, validation=validation, horizon=horizon)
     scored = list((map if executor is None else executor.map)(score, candidates))
     return _ranked(scored, validation, horizon)
 
 
 def _candidates(
-    families: list[Family], orders: list[int], delays: list[int], *, integrator: bool
+    families: list[Family],
+    orders: list[int],
+    delays: list[int],
+    *,
+    integrator: bool,
+    simulated: bool,
 ) -> Iterator[Candidate]:
     for family in families:
         if family not in FAMILIES:
@@ -112,8 +126,22 @@ def _candidates(
             for n in orders:
                 for named in _orders(family, n):
                     yield Candidate(
-                        family=family, orders=(*named.items(), ("nk", nk)), integrator=fixed
+                        family=family,
+                        orders=(*named.items(), ("nk", nk)),
+                        integrator=fixed,
+                        simulates=simulated and family == "n4sid",
                     )
+
+
+def _likely_delays(data: Dataset) -> list[int]:
+    """Return 1, and 0 before it where u acts on y at the same instant."""
+    n = min(_LONG, (data.N - data.missing) // 20)
+    try:
+        fit = arx(data, na=n, nb=n + 1, nk=0)
+    except ValueError:
+        return [1]
+    direct, std = fit.B[0], fit.std_robust[fit.slice_of("b").start]
+    return [0, 1] if abs(direct) > _SURELY * std else [1]
 
 
 def _orders(family: Family, n: int) -> list[dict[str, int]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ class Candidate:
     """Its orders by name."""
     integrator: bool = False
     """A pole at 1 by construction."""
+    simulates: bool = False
+    """Estimated for simulation, where the estimator can be told."""
 
     @property
     def name(self) -> str:
@@ -45,7 +47,9 @@ class Candidate:
 
     def estimated(self, data: Dataset) -> Fit:
         """Return the model of the data, poles outside the unit circle reflected into it."""
-        known = {"integrator": True} if self.integrator else {}
+        known: dict[str, Any] = {"integrator": True} if self.integrator else {}
+        if self.simulates:
+            known["focus"] = "simulation"
         return ESTIMATORS[self.family](data, **dict(self.orders), **known, stable=True)
 
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
+from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.validation.model_search import search
-from armrig.validation.search_result import Family
+from armrig.validation.search_result import Family, SearchResult
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant
@@ -80,6 +81,35 @@ def test_the_highest_order_that_was_tried_is_no_answer(highest: int, said: bool)
     assert ("--max-order 4, orders=range(1, 5) in Python" in found.explain()) == said
 
 
+@pytest.mark.parametrize(("direct", "delays"), [(0.4, {0, 1}), (0.0, {1})])
+def test_a_direct_term_is_tried_where_the_data_show_one(direct: float, delays: set[int]) -> None:
+    """A delay of one sample is what a rig has; other data may have none."""
+    rng = np.random.default_rng(1)
+    u = telegraph(1000, 0.3, 1.5, 3.5, seed=rng) - 2.5
+    y = filtered([direct, 1.0], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1000)
+
+    found = search(Dataset(u=u, y=y, Ts=1.0), families=("oe",), orders=(1, 2))
+
+    assert {dict(j.candidate.orders)["nk"] for j in found.ranked} == delays
+    assert found.fit.nk == min(delays)
+
+
+def test_a_subspace_model_is_made_for_what_it_is_ranked_by() -> None:
+    """Simulated best, it is the output-error model; one step ahead it is not."""
+    data, other = (_data(seed, [1.0], [1.0, -0.9], 600) for seed in (1, 2))
+
+    simulated = search(data, other, families=("n4sid", "oe"), orders=(2,))
+    ahead = search(data, other, families=("n4sid", "oe"), orders=(2,), horizon=1)
+
+    A, F = (_of(simulated, family).denominator for family in ("n4sid", "oe"))
+    np.testing.assert_allclose(A, F, rtol=1e-3)
+    assert np.abs(_of(ahead, "n4sid").denominator - F).max() > 1e-3
+
+
+def _of(found: SearchResult, family: str) -> Fit:
+    return next(j.fit for j in found.ranked if j.candidate.family == family and j.fit)
+
+
 def test_other_processes_find_the_same() -> None:
     """To the last digit, whatever the executor."""
     data = _data(1, [1.0], [1.0], 400)
@@ -113,7 +143,7 @@ def test_a_pole_outside_the_circle_is_never_chosen(family: Family) -> None:
     assert all((abs(j.fit.poles().values) < 1).all() for j in found.ranked if j.fit is not None)
     moved = "stable=True reflected" in found.explain()
     assert moved == any("stable=True reflected" in w for w in found.fit.warnings)
-    assert moved or family in ("oe", "bj")
+    assert moved or family in ("oe", "bj", "n4sid")  # those look inside the circle only
 
 
 def test_a_model_whose_output_has_no_bound_is_not_ranked() -> None:
