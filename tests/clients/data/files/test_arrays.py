@@ -120,6 +120,14 @@ def test_arrays_of_numpy_are_columns_by_name(tmp_path: Path) -> None:
     assert data.Ts == pytest.approx(0.01, rel=1e-12)
 
 
+def test_complex_numbers_are_not_cut_in_half(tmp_path: Path) -> None:
+    """Their imaginary part would be lost."""
+    path = npz(tmp_path, u=U, y=Y + 0j)
+
+    with pytest.raises(DataFileError, match="signal y: is complex; save its real part"):
+        load_data(path, Ts=1)
+
+
 class Bomb:
     """What must never be unpickled."""
 
@@ -326,6 +334,17 @@ def test_damage_is_told_in_a_line(tmp_path: Path) -> None:
             assert len(refusal) - len(str(path)) < 400
             refused += bool(refusal)
         assert refused > 50
+
+
+def test_a_mat_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
+    """Not what its last array seems to be."""
+    path = mat(tmp_path, {"u": U, "y": Y})
+    path.write_bytes(path.read_bytes()[:-1])
+
+    with pytest.raises(
+        DataFileError, match=r"is a damaged MAT-file \(it ends too early\); save it"
+    ):
+        load_data(path, Ts=1)
 
 
 def _refusal(path: Path) -> str:
