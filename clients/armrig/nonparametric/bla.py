@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation
@@ -54,8 +55,8 @@ def bla(
     transient : int, default 1
         Periods left out at the beginning of each realisation, >= 0.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1, with a warning for another y that
-        behaves so.
+        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
+        the result then says.
 
     Returns
     -------
@@ -74,12 +75,14 @@ def bla(
     """
     require_integers(transient=(transient, 0))
     joint = data if isinstance(data, Dataset) else merge(list(data))
-    integrates = is_integrating(joint, integrator, "bla")
+    decided = integration(joint, integrator)
+    integrates = decided.integrates
     parts = list(joint.experiments())
     P = _common_period(parts) if period_length is None else period_length
     require_integers(period_length=(P, 2))
     pairs = [_whole_periods(part, P, transient, integrates=integrates) for part in parts]
-    return _approximation(joint, pairs, P, integrates=integrates)
+    found = _approximation(joint, pairs, P, integrates=integrates)
+    return replace(found, notes=(*decided.notes, *found.notes))
 
 
 def _approximation(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantile import two_sided
@@ -51,6 +51,8 @@ class Correlation:
     """Unit of u."""
     source: str
     """Hash of the recording, or ""."""
+    notes: tuple[str, ...] = ()
+    """What a reader should know."""
 
     def band(self, level: float = 0.99) -> float:
         """Return the half width that holds each g of lags without a relation."""
@@ -69,16 +71,15 @@ class Correlation:
         first = next((int(k) for k in outside if k >= 0), None)
         k = int(np.argmax(np.where(positive, np.abs(self.g), -1.0)))
         before = int(np.count_nonzero(outside < 0))
-        return "\n".join(
-            [
-                f"correlation analysis of {self.output}, {self.N} samples at {self.Ts:g} s, input "
-                f"whitened by order {self.whitener.size - 1}",
-                f"  largest g {self.g[k]:.4g} at lag {self.lags[k]}; 99 % band of no relation "
-                f"±{band:.3g}",
-                f"  first lag >= 0 outside: {first}; {before} of {np.count_nonzero(~positive)} "
-                "negative lags outside (feedback, if more than chance)",
-            ]
-        )
+        lines = [
+            f"correlation analysis of {self.output}, {self.N} samples at {self.Ts:g} s, input "
+            f"whitened by order {self.whitener.size - 1}",
+            f"  largest g {self.g[k]:.4g} at lag {self.lags[k]}; 99 % band of no relation "
+            f"±{band:.3g}",
+            f"  first lag >= 0 outside: {first}; {before} of {np.count_nonzero(~positive)} "
+            "negative lags outside (feedback, if more than chance)",
+        ]
+        return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
 
 def correlation(
@@ -103,8 +104,8 @@ def correlation(
     order : int, optional
         Of the autoregression; by default by AIC. 0 leaves u as it is.
     integrator : bool, optional
-        Whether y integrates u, which is then treated as its rate; by default so for theta_1, with
-        a warning for another y that behaves so.
+        Whether y integrates u, which is then treated as its rate; by default so for theta_1 and
+        another y that behaves so, which the result then says.
 
     Returns
     -------
@@ -125,7 +126,8 @@ def correlation(
     if np.ptp(data.u) == 0:
         msg = "u is constant: nothing can be correlated with it; record an input that varies"
         raise ValueError(msg)
-    integrates = is_integrating(data, integrator, "correlation")
+    decided = integration(data, integrator)
+    integrates = decided.integrates
     treated = difference(data) if integrates else data
     parts = list(treated.experiments())
     L = _whitener([part.u - np.mean(part.u) for part in parts], order)
@@ -155,6 +157,7 @@ def correlation(
         unit=treated.unit,
         input_unit=data.input_unit,
         source=data.source,
+        notes=decided.notes,
     )
 
 

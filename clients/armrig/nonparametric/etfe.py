@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.polynomial import summation
 
@@ -39,8 +39,8 @@ def etfe(
     period_length : int, optional
         P in samples; by default found from u.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1, with a warning for another y that
-        behaves so.
+        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
+        the result then says.
 
     Returns
     -------
@@ -63,7 +63,8 @@ def etfe(
     if np.ptp(data.u) == 0:
         msg = "u is constant: it has no frequency to answer at; record an input that varies"
         raise ValueError(msg)
-    integrates = is_integrating(data, integrator, "etfe")
+    decided = integration(data, integrator)
+    integrates = decided.integrates
     P = period(data.u) if period_length is None else period_length
     if P is not None and not 2 <= P <= data.N // 2:
         msg = f"period_length={P} must be 2 to {data.N // 2}, two whole periods of {data.N} samples"
@@ -89,6 +90,7 @@ def etfe(
         unit=data.unit,
         input_unit=data.input_unit,
         source=data.source,
+        notes=decided.notes,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.fir_regression import FirRegression, regression
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score_in_blocks
@@ -232,8 +232,8 @@ def impulse_response(
     negative_lags : int, default 0
         m; coefficients there that leave their band show feedback.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1, with a warning for another y that
-        behaves so.
+        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
+        the result then says.
 
     Returns
     -------
@@ -245,18 +245,14 @@ def impulse_response(
     ValueError
         There are too few samples for the lags, the kernel is unknown, or u does not excite.
 
-    Warns
-    -----
-    IntegratingOutputWarning
-        y behaves as integrating and `integrator` was not given.
-
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2 and 6.1.
     .. [2] T. Chen, H. Ohlsson, L. Ljung, Automatica 48 (2012) 1525-1535.
     """
     _require_input(data, kernel)
-    integrates = is_integrating(data, integrator, "impulse_response")
+    decided = integration(data, integrator)
+    integrates = decided.integrates
     n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
     require_integers(n=(n, 1), negative_lags=(negative_lags, 0))
     lags = np.arange(-negative_lags, n)
@@ -268,7 +264,8 @@ def impulse_response(
     free = len(asked) if kernel is None else negative_lags
     _require_rows(rows, free, f"n={n} with negative_lags={negative_lags}", data.N)
     estimate = _plain(rows) if kernel is None else _regularised(rows, kernel, negative_lags)
-    return _response(data, rows, lags, estimate, kernel, integrates=integrates)
+    found = _response(data, rows, lags, estimate, kernel, integrates=integrates)
+    return replace(found, warnings=(*decided.notes, *found.warnings))
 
 
 def _require_input(data: Dataset, kernel: Kernel | None) -> None:

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import warnings
+from dataclasses import dataclass
 
 from armrig.data.dataset import Dataset
-from armrig.data.treatment import INTEGRATING_OUTPUTS, IntegratingOutputWarning, integrating
+from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 
 
-def is_integrating(data: Dataset, integrator: bool | None, what: str) -> bool:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Integration:
+    """Whether an output is taken as integrating, and what a result says of it."""
+
+    integrates: bool
+    """y is treated as the sum of its rate."""
+    notes: tuple[str, ...] = ()
+    """Why, where the data decided; empty where the caller or the output's name did."""
+
+
+def integration(data: Dataset, integrator: bool | None) -> Integration:
     """Tell whether the output is to be taken as integrating.
 
-    What the caller says holds. With None an output known by name to integrate (theta_1) does;
-    another one that a unit root test finds to integrate does not, but warns.
-
-    Warns
-    -----
-    IntegratingOutputWarning
-        The test finds an integrating output and nobody has said whether it is one.
+    What the caller says holds. With None an output known by name to integrate (theta_1) does, and
+    so does one that a unit root test finds to integrate (`integrating`), which the notes say.
     """
     if integrator is not None:
-        return integrator
+        return Integration(integrates=integrator)
     if data.output in INTEGRATING_OUTPUTS:
-        return True
-    if reason := integrating(data):
-        warnings.warn(
-            f"{what}: {reason}; {what} of it assumes a response that dies out. "
-            "Say integrator=True to estimate its rate and integrate, or integrator=False",
-            IntegratingOutputWarning,
-            stacklevel=3,
-        )
-    return False
+        return Integration(integrates=True)
+    reason = integrating(data)
+    if not reason:
+        return Integration(integrates=False)
+    note = f"{reason}: taken as integrating; integrator=False takes it as one that does not"
+    return Integration(integrates=True, notes=(note,))

@@ -13,7 +13,7 @@ from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.impulse import impulse_response, long_enough
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.spectral import spa
 from armrig.nonparametric.step_analysis import (
@@ -134,8 +134,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         Steps, or any input that excites (telegraph); sampled faster than what it is to tell.
         Missing samples and several experiments are allowed.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1, with a warning for another y that
-        behaves so.
+        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
+        the result then says.
 
     Returns
     -------
@@ -152,7 +152,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     .. [1] The lab's handout, section 3.1.1.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.7.
     """
-    integrates = is_integrating(data, integrator, "sampling_time")
+    decided = integration(data, integrator)
+    integrates = decided.integrates
     steps = _settled_steps(data, integrates=integrates)
     stepped = steps is not None
     curve = _from_impulse(data, integrates) if steps is None else _from_steps(steps)
@@ -184,14 +185,15 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         spectrum=estimate,
         power=power / power.max(),
         source=data.source,
-        notes=tuple(
-            _notes(
+        notes=(
+            *decided.notes,
+            *_notes(
                 Ts,
                 data.Ts,
                 (Ts_step, Ts_spectrum, transient / FEWEST),
                 last,
                 _share(omega, power, NEAR_NYQUIST * np.pi / data.Ts),
-            )
+            ),
         ),
     )
 

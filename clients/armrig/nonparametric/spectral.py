@@ -12,7 +12,7 @@ from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.blackman_tukey import NO_POWER, blackman_tukey, blunted
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.welch import Spectra, welch
 from armrig.numerics.checks import column, require_integers
@@ -69,8 +69,8 @@ def spa(
         Samples by which y is advanced for the estimate, and G turned back after: a known delay
         that is not short beside the window lowers |G| and the coherence.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1, with a warning for another y that
-        behaves so.
+        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
+        the result then says.
 
     Returns
     -------
@@ -82,11 +82,6 @@ def spa(
     ValueError
         The window is impossible, a frequency is outside 0 to pi/Ts, or u is constant.
 
-    Warns
-    -----
-    IntegratingOutputWarning
-        y behaves as integrating and `integrator` was not given.
-
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 6.4 and 6.5.
@@ -95,7 +90,8 @@ def spa(
     if method not in ("blackman-tukey", "welch"):
         msg = f'method={method!r} must be "blackman-tukey" or "welch"'
         raise ValueError(msg)
-    integrates = is_integrating(data, integrator, "spa")
+    decided = integration(data, integrator)
+    integrates = decided.integrates
     require_integers(delay=(delay, 0))
     data = _advanced(data, delay) if delay else data
     N = _samples_with_output(data)
@@ -104,6 +100,7 @@ def spa(
     spectra, words, notes = smoothed(data, window, w, N, integrates=integrates)
     words += f", aligned by {delay} samples" if delay else ""
     turned = replace(spectra, yu=spectra.yu * np.exp(-1j * w * delay * data.Ts))
+    notes = [*decided.notes, *notes]
     return _estimate(data, w, turned, words, N, integrates=integrates, notes=notes)
 
 

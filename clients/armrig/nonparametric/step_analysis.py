@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.numerics.quantities import plural
 from armrig.numerics.stretches import constant
 
@@ -112,8 +112,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         At least one step up or down with 8 samples of rest before it; missing samples and several
         experiments are allowed.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1, with a warning for another y that
-        behaves so.
+        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
+        the result then says.
 
     Returns
     -------
@@ -130,7 +130,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     .. [1] The lab's handout, section 3.1.1.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.1.
     """
-    integrates = is_integrating(data, integrator, "step_analysis")
+    decided = integration(data, integrator)
+    integrates = decided.integrates
     treated = difference(data) if integrates else data
     k, y, sizes = _averaged(treated)
     t: Vector = np.asarray(data.Ts * (k - 0.5 * integrates), dtype=np.float64)
@@ -174,7 +175,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         unit=treated.unit,
         input_unit=data.input_unit,
         source=data.source,
-        warnings=tuple(_warnings(tail / gain, crossing, data.Ts)),
+        warnings=(*decided.notes, *_warnings(tail / gain, crossing, data.Ts)),
     )
 
 

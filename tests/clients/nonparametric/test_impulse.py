@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.data.treatment import IntegratingOutputWarning
 from armrig.nonparametric.impulse import impulse_response
 from armrig.nonparametric.kernels import Evidence, Kernel, factor
 from armrig.numerics.polynomial import filtered
@@ -153,16 +152,6 @@ def test_plain_bands_of_the_rate_hold_to_the_last_lag(arm: Any) -> None:
 
     assert np.sqrt(np.mean(np.square(z), axis=0))[-1] < 1.6
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.1)
-
-
-def test_an_unnamed_integrating_output_warns(arm: Any) -> None:
-    """With the reason and the way out; saying which is quiet."""
-    data = arm.telegraph()
-    unnamed = data.replaced(step=None, output="angle")
-
-    with pytest.warns(IntegratingOutputWarning, match="integrator=True"):
-        impulse_response(unnamed, 20)
-    assert impulse_response(unnamed, 20, integrator=True).integrator
 
 
 def test_negative_lags_show_feedback_and_only_feedback(second: Any) -> None:

@@ -42,7 +42,7 @@ def examine_data(data: Dataset) -> Iterator[Finding]:
         yield from _about_drift(data)
     yield from _about_history(data)
     yield from _about_feedback(data)
-    yield from _about_structures(data, integrator=data.output in INTEGRATING_OUTPUTS)
+    yield from _about_structures(data, integrator=bool(reason))
 
 
 def _about_input(data: Dataset) -> Finding:

@@ -14,7 +14,7 @@ from armrig.data.quantisation import quantum
 from armrig.estimation.arx import arx
 from armrig.models.fit import Fit
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
-from armrig.nonparametric.integrator import is_integrating
+from armrig.nonparametric.integrator import integration
 from armrig.numerics.checks import require_integers
 from armrig.numerics.quantile import two_sided
 from armrig.numerics.quantities import p_relation, plural
@@ -214,7 +214,7 @@ def delay(data: Dataset, *, nb: int = 4, nf: int = 4, integrator: bool | None = 
     .. [2] S. Björklund, *A Survey and Comparison of Time-Delay Estimation Methods in Linear
        Systems*, Linköping, 2003, chapters 5 and 6.
     """
-    integrates = is_integrating(data, integrator, "delay")
+    integrates = integration(data, integrator).integrates
     require_integers(nb=(nb, 1), nf=(nf, int(integrates)))
     samples, needed = data.N - data.missing, _PER_PARAMETER * (nb + nf + 1)
     if samples < needed:
