@@ -23,7 +23,7 @@ from armrig.cli.options import (
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
 
 if TYPE_CHECKING:
-    from armrig.validation.feedback_and_delay.delay import Delay
+    from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
 
@@ -85,6 +85,7 @@ def _delay_facts(late: Delay) -> dict[str, Any]:
         "delay": late.delay,
         "told": late.told,
         "interval": late.interval,
+        "integrator": late.integrator,
         "level": late.level,
         "p_values": late.p_values,
         "before": late.before,

@@ -54,8 +54,6 @@ class DelayTest(Protocol):
     @property
     def nk_range(self) -> str: ...  # noqa: D102
     @property
-    def oe_loss(self) -> Mapping[int, float]: ...  # noqa: D102
-    @property
     def arx_loss(self) -> Mapping[int, float]: ...  # noqa: D102
     @property
     def source(self) -> str: ...  # noqa: D102
@@ -95,14 +93,10 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     for panel in (ax, below):
         panel.axvline(result.nk, color=GREY, lw=0.8, ls="--")
     ax.legend(loc="upper right", title=result.nk_range, fontsize="small")
-    for loss, name, colour, marker in (
-        (result.oe_loss, "OE", BLUE, "o"),
-        (result.arx_loss, "ARX", VERMILION, "s"),
-    ):
-        nk, V = np.array(list(loss)), np.array(list(loss.values()))
-        best = float(V.min())
-        rise = result.response.N * np.log(V / best) if best > 0 else np.zeros(V.size)
-        below.plot(nk, rise, marker=marker, ms=4, lw=0.8, color=colour, label=name, mfc="none")
+    nk, V = np.array(list(result.arx_loss)), np.array(list(result.arx_loss.values()))
+    best = float(V.min())
+    rise = result.response.N * np.log(V / best) if best > 0 else np.zeros(V.size)
+    below.plot(nk, rise, marker="o", ms=4, lw=0.8, color=BLUE, label="ARX", mfc="none")
     below.axhline(CHI2_95_PERCENT, color=GREY, lw=0.8, ls=":", label="95 %")
     below.set_yscale("symlog", linthresh=10)
     below.set_yticks([0, 10, 100, 1000, 10000], ["0", "10", "100", "1000", "10⁴"])

@@ -1,0 +1,247 @@
+"""Whether u acts at each of the first lags: joint tests of a model's first coefficients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.data.dataset import Dataset
+from armrig.nonparametric.impulse import ImpulseResponse
+from armrig.numerics.criteria import aic
+from armrig.numerics.least_squares import column_norms
+from armrig.numerics.polynomial import filtered
+from armrig.numerics.regressors import arx_rows, complete, in_blocks, past
+from armrig.numerics.triangular import triangle
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+LEVEL = 0.001
+MOST_LAGS = 50  # of u, the order of B and the delay together
+_ORDERS = (20, 10, 5)  # most a's; the next where too many rows look back on a hole
+_WHOLE = 0.5  # least share of the rows that must be left by the holes
+_ROWS_PER_ORDER = 20  # samples for each a that is tried
+_BLOCK = 4096  # rows decomposed at once: they stay in the cache
+# Share of y's norm below which residuals are rounding: data without noise have F = 0/0.
+_ROUNDING = 1e-10
+_OWN = 0.005  # share of a lag of u that those before it must leave
+_POOREST = 28  # lags of their own, what a PRBS of period 31 has; few sines have fewer
+_GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the one n samples later
+_AHEAD = 40  # coefficients after the first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Before:
+    """Whether u would be seen if it acted at the lag before the first that was shown."""
+
+    k: int
+    """The lag."""
+    found: float
+    """Size of its coefficient, in σ."""
+    predicted: float
+    """Its least size if u acted there first, in σ, told by the coefficients that follow."""
+    p_value: float
+    """Of the hypothesis that u acts there first: one-sided, found against predicted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LagTests:
+    """Tests that u does not act at the lags 0 … k, for each k."""
+
+    p_values: Vector
+    """Of H_k: b_0 = … = b_k = 0, (n,)."""
+    coefficient: Vector
+    """b_k of the model that begins at lag k, (n,), in y's unit per u's."""
+    std: Vector
+    """Its standard deviation, (n,)."""
+    loss: Vector
+    """Mean squared error of the model that begins at lag k, (n,)."""
+    response: Vector
+    """Answer to a pulse of the model that begins at the first lag shown, from lag 0 on."""
+    na: int
+    """Order of A; 0 where the model is an impulse response."""
+    N: int
+    """Rows used."""
+
+    @property
+    def shown(self) -> int:
+        """The first lag at which H_k is rejected; the number of lags where none is."""
+        return _first(self.p_values)
+
+    def before(self, k: int) -> Before:
+        """Test whether u may act first at lag k, its coefficient being too small to be shown.
+
+        A first coefficient is at least 1/(1 + 3 n) of any that comes n samples later: the slowest
+        onset of a mechanical rig, t²/2 under a hold, has 1/(1 + 2 n).
+        """
+        from scipy.special import ndtr
+
+        later = np.arange(self.shown, self.response.size)
+        least = float(np.max(np.abs(self.response[later]) / (1 + _GROWTH * (later - k))))
+        found, predicted = abs(float(self.coefficient[k])) / self.std[k], least / self.std[k]
+        return Before(
+            k=k,
+            found=float(found),
+            predicted=float(predicted),
+            p_value=float(ndtr(found - predicted)),
+        )
+
+    def least(self) -> int:
+        """Return the least lag that is not ruled out, going down from the first that is shown."""
+        k = self.shown
+        while k > 0 and self.before(k - 1).p_value >= LEVEL:
+            k -= 1
+        return k
+
+
+def determined_lags(data: Dataset) -> int:
+    """Return how many successive lags of u each have a share of their own, 70 at most.
+
+    That of a lag is what those before it leave, sqrt(1 - R²) of its regression on them.
+
+    Raises
+    ------
+    ValueError
+        They are so few that u has power in a narrow band only: it follows from its own past, and
+        what the model lacks far away would look like a coefficient near lag 0.
+    """
+    most = min(MOST_LAGS + _ORDERS[0], (data.N - data.missing) // 3)
+    rows = [past(part.u, range(most)) for part in data.experiments()]
+    blocks = [x[complete(x)] for x in rows]
+    R = triangle((b - b.mean(axis=0) for b in blocks if b.shape[0]), most)
+    own = np.abs(np.diag(R)) > _OWN * column_norms(R)
+    found = int(np.argmin(np.append(own, False)))
+    if found < min(_POOREST, most):
+        msg = f"u(t - {found}) follows from the {found} samples after it: power in so narrow a "
+        msg += "band tells no delay; play a telegraph or a PRBS"
+        raise ValueError(msg)
+    return found
+
+
+def lag_tests(data: Dataset, response: ImpulseResponse, determined: int) -> LagTests:
+    """Test the first lags in an ARX model, or in the impulse response where too much is missing.
+
+    ARX with a level of each experiment, its orders by AIC among na <= 20 and the lags of u that
+    `response` has, no more of both than u determines: past outputs could stand in for lags of u
+    otherwise. An ARX model of high order comes as close as the data can tell to any linear system
+    and to any colour of the noise [1]_, so its F test ::
+
+        F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
+
+    holds its level without a model of the noise; V_k is the sum of squares of the model that
+    begins at lag k. All V_k come from one QR decomposition with the columns u(t - L) … u(t).
+
+    References
+    ----------
+    .. [1] L. Ljung, B. Wahlberg, Adv. Appl. Probab. 24 (1992) 412-440.
+    .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, sections 16.4 and 16.5.
+    """
+    samples = data.N - data.missing
+    lags = response.lags.size
+    whole = sum(block.shape[0] for block in _rows(data, 0, lags))
+    for most in _ORDERS:
+        na = max(min(most, samples // _ROWS_PER_ORDER, determined - lags), 0)
+        blocks = _rows(data, na, lags)
+        N = sum(block.shape[0] for block in blocks)
+        if max(_WHOLE * whole, 2 * (na + lags + len(blocks))) <= N:
+            return _in_arx(blocks, na, lags)
+    return _in_response(response)
+
+
+def _rows(data: Dataset, na: int, lags: int) -> list[Matrix]:
+    """Return [y lagged, u lagged, y] of each experiment about its means, complete rows only."""
+    blocks = []
+    for part in data.experiments():
+        rows = arx_rows(part.u, part.y, na=na, lags=range(lags))
+        whole = np.column_stack([rows.Phi, rows.y])[rows.usable]
+        if whole.shape[0]:
+            blocks.append(whole - whole.mean(axis=0))
+    return blocks
+
+
+def _in_arx(blocks: list[Matrix], most: int, lags: int) -> LagTests:
+    N, width = sum(block.shape[0] for block in blocks), most + lags + 1
+    R = triangle((piece for block in blocks for piece in in_blocks(block, _BLOCK)), width)
+    scale = column_norms(R)
+    scale[scale == 0] = 1.0
+    na, nb = _orders(R / scale, most, lags, N)
+    columns = [*range(na), *range(most + nb - 1, most - 1, -1), width - 1]
+    T, d = _triangle_of(R / scale, columns), na + nb
+    first = np.arange(d - 1, na - 1, -1)  # u(t), u(t - 1), … in T
+    diagonal, t = np.diag(T)[first], T[first, -1]
+    left = max(float(T[d, -1] ** 2), _ROUNDING**2)
+    s = np.sqrt(left / (N - d - len(blocks)))
+    unit = scale[-1] / scale[most : most + nb]
+    p_values = _joint(t / s, N - d - len(blocks))
+    return LagTests(
+        p_values=p_values,
+        coefficient=t / diagonal * unit,
+        std=s / np.abs(diagonal) * unit,
+        loss=(left + np.append(0.0, np.cumsum(t**2)[:-1])) * scale[-1] ** 2 / N,
+        response=_response(T, scale[columns], na, _first(p_values)),
+        na=na,
+        N=N,
+    )
+
+
+def _first(p_values: Vector) -> int:
+    """Return the first lag at which H_k is rejected; the number of lags where none is."""
+    found = np.flatnonzero(p_values < LEVEL)
+    return int(found[0]) if found.size else p_values.size
+
+
+def _response(T: Matrix, scale: Vector, na: int, k: int) -> Vector:
+    """Return the answer to a pulse of the model that begins at lag k, from lag 0 on."""
+    d = T.shape[1] - 1 - k
+    theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
+    A, B = np.append(1.0, theta[:na]), np.append(np.zeros(k), theta[na:][::-1])
+    return filtered(B, A, np.eye(1, k + _AHEAD)[0])
+
+
+def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
+    """Return the triangle of these columns of R, the last one's rest below the others in a row."""
+    return np.asarray(np.linalg.qr(R[:, columns], mode="r"))
+
+
+def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
+    """Return na and the number of lags of u, from lag 0 on, of least AIC."""
+    values = np.empty((most + 1, lags))
+    for na in range(most + 1):
+        T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
+        rest = np.cumsum(T[::-1, -1] ** 2)[::-1]
+        d = na + np.arange(1, lags + 1)
+        values[na] = aic(np.maximum(rest[d], _ROUNDING**2) / N, d, N)
+    na, last = divmod(int(np.argmin(values)), lags)
+    return na, last + 1
+
+
+def _in_response(response: ImpulseResponse) -> LagTests:
+    """Return Wald tests of the plain impulse response's first coefficients.
+
+    With the covariance L L^T the components of L^-1 g are independent, and the k-th times L_kk is
+    g(k) of the response that begins at lag k.
+    """
+    g, _ = response.decaying
+    covariance = response.covariance if response.rate is None else response.rate_covariance
+    rounding = (_ROUNDING * np.linalg.norm(g)) ** 2 + np.finfo(np.float64).tiny
+    L = np.linalg.cholesky(np.asarray(covariance) + rounding * np.eye(g.size))
+    score, std = np.linalg.solve(L, g), np.diag(L)
+    return LagTests(
+        p_values=_joint(score, max(response.N - g.size, 1)),
+        coefficient=std * score,
+        std=std,
+        loss=response.noise_variance * (1 + np.append(0.0, np.cumsum(score**2)[:-1]) / response.N),
+        response=g,
+        na=0,
+        N=response.N,
+    )
+
+
+def _joint(score: Vector, degrees: int) -> Vector:
+    """Return p of the mean squares of the first 1, 2, … scores: F(k, degrees)."""
+    from scipy.special import fdtrc
+
+    k = np.arange(1, score.size + 1)
+    return np.asarray(fdtrc(k, degrees, np.cumsum(score**2) / k))
