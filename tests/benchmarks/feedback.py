@@ -1,12 +1,12 @@
 """Monte Carlo of the test for feedback: false alarms in open loop, and what it finds.
 
-`level`: nine inputs on three plants at Ts 5, 10, 20 ms and N 300, 1000, 3000, whole and with 30 %
-of the outputs missing, so many runs a cell; then the six cells with most alarms anew, 1000 runs
-each. `bank SEED`: random plants, noises and inputs, one of each. `closed`: a P controller of the
-arm, and beside it what the open arm does with the very same input. `read`: the arm's angle through
-the potentiometer. `cost`: 10^6 samples. Run one with the project's environment::
+`level`: nine inputs on three plants at Ts 5, 10, 20 ms and N 300, 1000, 3000, whole or with some
+of the outputs missing at random, so many runs a cell; then the six cells with most alarms anew,
+1000 runs each. `bank`: random plants, noises and inputs, one run of each. `closed`: a P controller
+of the arm, and beside it what the open arm does with the very same input. `read`: the arm's angle
+through the potentiometer. `cost`: 10^6 samples. Run one with the project's environment::
 
-    python -P tests/benchmarks/feedback.py level RUNS
+    python -P tests/benchmarks/feedback.py level RUNS [% MISSING]
     … bank RUNS SEED, closed RUNS, read RUNS, cost
 """
 
@@ -106,24 +106,21 @@ def rejected(p: Vector) -> str:
     return f"{100 * np.mean(told < LEVEL):.1f} % of {told.size}{unsaid}"
 
 
-def level(runs: int) -> None:
-    """Print the false alarms, over all cells and along each factor."""
-    for missing in (0.0, 0.3):
-        some = runs if missing == 0 else max(runs // 4, 1)
-        cells: list[Cell] = [
-            (plant, name, Ts, N, missing)
-            for plant, name, Ts, N in product(PLANTS, INPUTS, SAMPLING, SIZES)
-        ]
-        p = {cell: alarms(cell, some, 41) for cell in cells}
-        print(f"open loop, {100 * missing:g} % missing: {rejected(np.concatenate([*p.values()]))}")
-        for i, names in enumerate((PLANTS, INPUTS, SAMPLING, SIZES)):
-            of = ((v, np.concatenate([q for c, q in p.items() if c[i] == v])) for v in names)
-            print("  " + "; ".join(f"{v}: {rejected(q)}" for v, q in of), flush=True)
-        worst = sorted(cells, key=lambda c: -float(np.mean(p[c] < LEVEL)))[:ALARMING]
-        for cell in worst if missing == 0 else worst[:1]:
-            first = 100 * np.mean(p[cell] < LEVEL)
-            again = rejected(alarms(cell, 1000, 42))
-            print(f"  {cell}: {first:.0f} % of {some}; anew {again}", flush=True)
+def level(runs: int, percent_missing: int = 0) -> None:
+    """Print the false alarms, over all cells and along each factor, and the worst cells anew."""
+    cells: list[Cell] = [
+        (plant, name, Ts, N, percent_missing / 100)
+        for plant, name, Ts, N in product(PLANTS, INPUTS, SAMPLING, SIZES)
+    ]
+    p = {cell: alarms(cell, runs, 41) for cell in cells}
+    print(f"open loop, {percent_missing} % missing: {rejected(np.concatenate([*p.values()]))}")
+    for i, names in enumerate((PLANTS, INPUTS, SAMPLING, SIZES)):
+        of = ((v, np.concatenate([q for c, q in p.items() if c[i] == v])) for v in names)
+        print("  " + "; ".join(f"{v}: {rejected(q)}" for v, q in of), flush=True)
+    for cell in sorted(cells, key=lambda c: -float(np.mean(p[c] < LEVEL)))[:ALARMING]:
+        first = 100 * np.mean(p[cell] < LEVEL)
+        again = rejected(alarms(cell, 1000, 42))
+        print(f"  {cell}: {first:.0f} % of {runs}; anew {again}", flush=True)
 
 
 def bank(runs: int, seed: int) -> None:

@@ -84,6 +84,21 @@ def test_feedback_is_found_and_its_open_replay_is_not(plant: HandoutPlant) -> No
     assert sum(replays) <= 4
 
 
+def test_input_of_long_ago_is_allowed_for(plant: HandoutPlant) -> None:
+    """A regulator's u has no mean power at 0 Hz: what comes tells of what was p samples ago.
+
+    Without the sums of old input a fifth of such replays is called feedback.
+    """
+    rng = np.random.default_rng(5)
+
+    def regulated() -> Vector:
+        return controlled(lambda _, y: -3.0 * y, 0.05 * rng.standard_normal(3000)).u
+
+    p = [sims(replayed(plant, regulated(), rng, 0.05)).p_value for _ in range(30)]
+
+    assert np.count_nonzero(np.array(p) < 0.05) <= 3
+
+
 def test_an_exact_relation_of_u_to_y_is_feedback() -> None:
     """A P controller without a moving setpoint: u is a function of y, and y's noise is in it."""
     noise = 0.05 * np.random.default_rng(1).standard_normal(1000)

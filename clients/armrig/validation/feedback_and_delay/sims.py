@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import log10
 
@@ -26,7 +26,6 @@ _SLOW = (0.0, 1 / 3, 1.0)  # the sums of older input forget this share of themse
 _ROWS_PER_PARAMETER = 5  # fewer and the F distribution is a wish
 _NOTHING = 1e-10  # share of u's power below which its past says all of it
 _NOISELESS = 1e-20  # share of y's power below which its past says all of it
-_ROUNDS = 4  # of estimating the regression and predicting missing outputs by it
 _BLOCK = 4096  # rows that are held in memory at a time
 
 
@@ -81,10 +80,9 @@ def sims(data: Dataset) -> Sims:
     the past is what a future u could tell of in open loop. As y's past has more lags than the
     plant has poles, the F distribution holds where y integrates, too: see [2] and [3].
 
-    A missing y(t) costs its own row. In the rows of others it is predicted from the past alone,
-    by the regression without f, which is estimated anew from that a few times; anything that
-    looks ahead would carry future u into the past. Nothing is carried over an experiment's end,
-    nor over a gap longer than p/2.
+    A missing y(t) costs its own row. In the rows after it a line between its neighbours stands for
+    it, of which the later is y(t) at most: no future u comes in by it. Nothing is carried over an
+    experiment's end, nor over a gap longer than p/2.
 
     Time and memory are linear in N, memory beyond u and y constant: R of the QR factorisation is
     made block by block.
@@ -106,7 +104,7 @@ def sims(data: Dataset) -> Sims:
     p = _lags(data)
     constants = len(data.starts)
     d = constants + 2 * p + len(_SLOW)
-    R, N = _regression(data, constants, p)
+    R, N = _factor(data, constants, p)
     degrees = N - d - FUTURE
     _require_information(R, constants, d, degrees)
     rss_0, rss_1 = (float(np.sum(R[k:, -1] ** 2)) for k in (d, d + 1))
@@ -151,7 +149,7 @@ def _lags(data: Dataset) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Piece:
-    """Samples of one experiment without a long gap; y is filled in where it is missing."""
+    """Samples of one experiment without a long gap; y has a line where it is missing."""
 
     u: Vector
     sums: Array
@@ -159,18 +157,6 @@ class _Piece:
     valid: Mask
     experiment: int
     p: int
-
-    def predict(self, constant: float, theta: Vector) -> None:
-        """Fill in what is missing by one-step prediction, from the past alone."""
-        p, a = self.p, theta[: self.p][::-1]
-        by_input = constant + filtered(np.append(0.0, theta[p : 2 * p]), [1.0], self.u)
-        by_input += self.sums @ theta[2 * p :]
-        first = self.valid[:p]
-        self.y[:p][~first] = np.interp(
-            np.flatnonzero(~first), np.flatnonzero(first), self.y[:p][first]
-        )
-        for t in (p + np.flatnonzero(~self.valid[p:])).tolist():
-            self.y[t] = by_input[t] + a @ self.y[t - p : t]
 
     def rows(self, constants: int) -> Iterator[Array]:
         """Yield [1 of each experiment, past y, past u, sums, future u, y(t)] in blocks of rows."""
@@ -189,7 +175,7 @@ class _Piece:
 
 
 def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
-    """Return what lies between long gaps, its holes filled by lines: a start for the prediction."""
+    """Return what lies between long gaps, a line in place of what is missing."""
     for i, part in enumerate(data.experiments()):
         near = np.ones(part.N, dtype=bool)
         for gap in stretches(~part.valid):
@@ -210,25 +196,11 @@ def _sums(u: Vector, p: int) -> Array:
     return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _SLOW])
 
 
-def _regression(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
-    """Return R of all rows, missing outputs predicted in their past, and the number of rows."""
-    pieces = list(_pieces(data, p))
-    R, N = _factor(pieces, constants, p)
-    if all(piece.valid.all() for piece in pieces):
-        return R, N
-    for _ in range(_ROUNDS):
-        theta = orthonormal(R[:, : -FUTURE - 1]).coefficients(R[:, -1])
-        for piece in pieces:
-            piece.predict(theta[piece.experiment], theta[constants:])
-        R, N = _factor(pieces, constants, p)
-    return R, N
-
-
-def _factor(pieces: Sequence[_Piece], constants: int, p: int) -> tuple[Array, int]:
+def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
     """Return R of the QR factorisation of all rows, and their number."""
     D = constants + 2 * p + len(_SLOW) + FUTURE + 1
     R, N = np.zeros((D, D)), 0
-    for piece in pieces:
+    for piece in _pieces(data, p):
         for block in piece.rows(constants):
             R = np.asarray(np.linalg.qr(np.vstack([R, block]), mode="r"))
             N += block.shape[0]
