@@ -29,7 +29,7 @@ from scipy.linalg.lapack import dggev
 
 from armrig.numerics.criteria import aic, mdl
 from armrig.numerics.gram import cholesky_factor, gram_of_windows
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import least_squares, without_span
 from armrig.numerics.polynomial import Array
 from armrig.numerics.stretches import stretches
 from armrig.numerics.triangular import triangle
@@ -171,7 +171,7 @@ def projection(w: Windows, weights: Weights) -> Projection:
     R12, R22 = w.R[:f, past], w.R[f : f + past.size, past]
     R23, R33 = w.R[f : f + past.size, -f:], w.R[f + past.size :, -f:]
     # The past may be dependent on itself: without noise it is.
-    H = orthonormal(R22).coefficients(R23).T
+    H = least_squares(R22, R23).T
     if weights == "cva":
         _, values, V = np.linalg.svd(np.vstack([R23, R33]), full_matrices=False)
         # S^(1/2) of the future's covariance; what is not there cannot be divided by.
@@ -248,11 +248,10 @@ def realised(w: Windows, found: Projection, n: int) -> Realisation:
     uf = w.columns("uf")
     later = np.concatenate([w.columns("up"), uf[:1], w.columns("yp"), y[:1]])
     known = w.R[:, np.concatenate([uf[1:], later])]
-    coefficients = orthonormal(known).coefficients(w.R[:, y[1:]])
+    coefficients = least_squares(known, w.R[:, y[1:]])
     ahead = w.R[:, later] @ coefficients[f - 1 :]
     left = np.column_stack([ahead @ shift.T, w.R[:, y[0]]])
-    basis = orthonormal(np.hstack([X, w.R[:, uf]]))
-    rho = basis.without(left)
+    rho = without_span(np.hstack([X, w.R[:, uf]]), left)
     covariance = rho.T @ rho / max(w.N - n - f - 1, 1)
     predictor = _steady_filter(A, C, covariance)
     if predictor is None:

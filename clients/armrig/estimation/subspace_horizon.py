@@ -92,14 +92,11 @@ def _loss(u: Array, y: Array, A: Array, C: Array, *, direct: bool) -> float:
     if y.size < 4 * n + 4:
         return 0.0
     pulse = impulse(C, y.size)
-    M = np.column_stack(
-        [
-            lagged(filtered([1.0], C, u), range(0 if direct else 1, n + 1)),
-            lagged(pulse, range(n)),
-            np.cumsum(pulse),
-            filtered(A, C, y),
-        ]
-    )
+    first = int(not direct)
+    M = np.empty((y.size, 2 * n + 3 - first), order="F")
+    M[:, : n + 1 - first] = lagged(filtered([1.0], C, u), range(first, n + 1))
+    M[:, n + 1 - first : -2] = lagged(pulse, range(n))
+    M[:, -2], M[:, -1] = np.cumsum(pulse), filtered(A, C, y)
     G = M.T @ M
     scale = np.sqrt(np.diag(G))
     scale[scale == 0] = 1.0

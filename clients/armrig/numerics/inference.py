@@ -125,7 +125,8 @@ def infer(
         msg += "initial conditions were fitted to them; lower the orders, or record longer"
         raise ValueError(msg)
     sse = sum(float(np.nansum(e**2)) for e in residuals)
-    basis = orthonormal(np.vstack(blocks)) if basis is None else basis
+    if basis is None:
+        basis = orthonormal(blocks[0] if len(blocks) == 1 else np.vstack(blocks))
     bread = basis.W @ basis.W.T
     # Through Q, not Psi: where columns are nearly alike, bread times M times bread would round to
     # variances below 0.

@@ -54,21 +54,43 @@ def orthonormal(M: Array) -> Basis:
     Scaling makes the rank independent of units. QR, not the normal equations: squaring M
     squares its condition number.
     """
-    d = M.shape[1]
+    Q, R, kept, scale = _decomposed(M)
+    W = np.zeros((M.shape[1], kept.size))
+    W[kept] = upper_inverse(R) / scale[:, None]
+    return Basis(Q=Q, W=W)
+
+
+def least_squares(M: Array, Y: Array) -> Array:
+    """Return X (d, m) of least |Y - M X|, as a basis of M does, without the inverse of its R."""
+    Q, R, kept, scale = _decomposed(M)
+    X = np.zeros((M.shape[1], Y.shape[1]))
+    if kept.size:
+        # Not dtrtrs: OpenBLAS wakes its threads for it, too. Pivoting leaves a triangle as it is.
+        X[kept] = np.linalg.solve(R, Q.T @ Y) / scale[:, None]
+    return X
+
+
+def without_span(M: Array, Y: Array) -> Array:
+    """Return Y (N, m) less its projection on the columns of M."""
+    Q, *_ = _decomposed(M)
+    return np.asarray(Y - Q @ (Q.T @ Y))
+
+
+def _decomposed(M: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
+    """Return Q and R of the independent columns, which they are, and what each was divided by."""
     scale = column_norms(M)
     used = np.flatnonzero(scale > 1e-100)  # the square of less underflows
     if used.size == 0 or M.shape[0] == 0:
-        return Basis(Q=np.zeros((M.shape[0], 0)), W=np.zeros((d, 0)))
-    whole = M if used.size == d else M[:, used]
+        none = np.zeros(0)
+        return np.zeros((M.shape[0], 0)), np.zeros((0, 0)), np.zeros(0, dtype=np.int_), none
+    whole = M if used.size == M.shape[1] else M[:, used]
     # In LAPACK's order, and its own to overwrite: nothing is copied again.
     scaled = np.divide(whole, scale[used], order="F")
     Q, R, order = qr(scaled, mode="economic", pivoting=True, check_finite=False, overwrite_a=True)
     diagonal = np.abs(np.diag(R))
     r = int(np.count_nonzero(diagonal > RANK_TOLERANCE * diagonal[0]))
-    W = np.zeros((d, r))
     kept = used[order[:r]]
-    W[kept] = upper_inverse(R[:r, :r]) / scale[kept, None]
-    return Basis(Q=Q[:, :r], W=W)
+    return Q[:, :r], R[:r, :r], kept, scale[kept]
 
 
 def upper_inverse(R: Array) -> Array:

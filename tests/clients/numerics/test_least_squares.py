@@ -1,0 +1,33 @@
+"""Least squares through an orthonormal basis."""
+
+from __future__ import annotations
+
+import numpy as np
+from armrig.numerics.least_squares import least_squares, orthonormal, without_span
+
+
+def test_with_and_without_a_basis_the_answer_is_the_same() -> None:
+    """Columns of all sizes, one dependent, one zero: those get the basis' zeros."""
+    rng = np.random.default_rng(1)
+    M = rng.standard_normal((40, 6)) * 10.0 ** np.arange(-4, 8, 2)
+    M[:, 3] = M[:, 0] * 1e3 + M[:, 1]
+    M[:, 5] = 0.0
+    Y = rng.standard_normal((40, 3))
+    before = M.copy()
+
+    basis = orthonormal(M)
+
+    assert basis.rank == 4
+    np.testing.assert_allclose(least_squares(M, Y), basis.coefficients(Y), rtol=1e-9)
+    np.testing.assert_allclose(without_span(M, Y), basis.without(Y), atol=1e-12)
+    np.testing.assert_allclose(M.T @ without_span(M, Y) / 1e6, 0.0, atol=1e-9)
+    np.testing.assert_array_equal(M, before)
+
+
+def test_nothing_explains_nothing() -> None:
+    """No column, no row, or only zeros."""
+    Y = np.ones((3, 2))
+
+    assert not least_squares(np.zeros((3, 2)), Y).any()
+    np.testing.assert_array_equal(without_span(np.zeros((3, 0)), Y), Y)
+    assert orthonormal(np.zeros((0, 2))).rank == 0
