@@ -64,7 +64,8 @@ def n4sid(
         Of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, Van Overschee and
         De Moor's N4SID.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term D.
+        Samples before u reaches y; 0 is a direct term D, without which a plant that answers at
+        the same instant is described poorly.
     integrator : bool, default False
         The pole nearest 1 is 1 exactly; the input's offset is estimated along. y itself is
         projected, never its difference, which would drown the slow poles in noise.

@@ -28,11 +28,12 @@ class SubspaceFit(Fit):
     weights: str
     """"cva", "moesp" or "n4sid"."""
     horizon: int
-    """Samples of past and of future that were looked at."""
+    """Samples of past and of future that the poles come from."""
     singular_values: Vector
     """Of the weighted projection of the future on the past, largest first, (horizon,)."""
     canonical_correlations: Vector
-    """Of future and past, (horizon,), 0 to 1; those of "cva", with any weights."""
+    """Of future and past, 0 to 1, at the longest horizon that was looked at; those of "cva", with
+    any weights."""
     suggested_order: int
     """Order of least MDL of the states' one-step errors; 10 at most."""
 
