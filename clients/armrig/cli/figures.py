@@ -33,10 +33,13 @@ def write_plot(path: Path | None, *draw: Callable[[Axes], Any], height: float = 
         return
     from matplotlib.figure import Figure
 
+    from armrig.cli.spinner import spinner
+
     # No constrained layout: it overlooks the panels that a figure appends below its axes.
     figure = Figure(figsize=(8.0, height * len(draw)))
     below = figure.subplots(len(draw), squeeze=False, gridspec_kw={"hspace": 0.32})[:, 0]
-    for ax, one in zip(below, draw, strict=True):
-        one(ax)
-    figure.savefig(path, dpi=150, bbox_inches="tight")
+    with spinner("drawing"):
+        for ax, one in zip(below, draw, strict=True):
+            one(ax)
+        figure.savefig(path, dpi=150, bbox_inches="tight")
     tell(f"figure: {path}")

@@ -186,6 +186,7 @@ def simulate(
             raise typer.BadParameter(msg)
         _step(p, json=json, plot=plot)
         return
+    from armrig.cli.spinner import spinner
     from armrig.models.model_file import load_fit
     from armrig.physics.physical_model import physical_model
     from armrig.validation.comparison import compare
@@ -194,7 +195,8 @@ def simulate(
     data = recorded(file, "theta_1", calibration)
     fits = [*(load_fit(path) for path in model or ()), physical_model(p, data)]
     labels = [*(path.stem for path in model or ()), "physics"]
-    table = compare(data, *fits, labels=labels)
+    with spinner("simulating"):
+        table = compare(data, *fits, labels=labels)
     write_plot(plot, lambda ax: plot_compare(data, *fits, labels=labels, table=table, ax=ax))
     if json:
         print_json({"recording": data.source, "models": [row_facts(row) for row in table.rows]})

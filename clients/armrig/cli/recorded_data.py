@@ -26,9 +26,12 @@ _ENOUGH = 20
 
 def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
     """Return the recordings, and tell their damage."""
+    from armrig.cli.spinner import spinner
     from armrig.recordings.loading import load
 
-    return [warned(load(file, calibration)) for file in files]
+    with spinner("reading"):
+        recordings = [load(file, calibration) for file in files]
+    return [warned(recording) for recording in recordings]
 
 
 def recorded(file: Path, output: OutputName, calibration: Path | None) -> Dataset:
@@ -157,10 +160,12 @@ def warn_of_estimation_data(table: ComparisonTable) -> None:
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
     """Return the frequency response that the data show without a model; empty where they do not."""
+    from armrig.cli.spinner import spinner
     from armrig.nonparametric.spectral_reference import spectral_reference
 
     try:
-        return [spectral_reference(data)]
+        with spinner("estimating the spectrum"):
+            return [spectral_reference(data)]
     except ValueError as err:
         tell(f"no spectral analysis beside the model: {err}")
         return []

@@ -18,8 +18,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.cli.figures import write_plot
 from armrig.cli.options import folded
-from armrig.cli.spinner import estimating, spinner
+from armrig.cli.spinner import AFTER_S, estimating, spinner
 from armrig.rig.collection import MOST_SAMPLES
 from armrig.rig.realtime_status import scheduling_sentences
 from armrig_core import commands, telemetry
@@ -986,6 +987,17 @@ def test_a_long_estimation_shows_that_it_lives() -> None:
 
     assert quick == ""
     assert "estimating …" in out.getvalue()
+
+
+def test_a_figure_that_takes_long_shows_that_it_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a terminal, as an estimation does."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+
+    write_plot(tmp_path / "slow.png", lambda _: time.sleep(AFTER_S + 0.3))
+
+    assert "drawing …" in capsys.readouterr().err
 
 
 def test_an_integrator_is_hinted_at_where_it_belongs(
