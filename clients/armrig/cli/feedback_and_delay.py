@@ -65,7 +65,8 @@ def check(
         return
     of_rig = from_recording(data)
     where = "open loop (handout 3.7)" if of_rig else "open loop"
-    say(f"{where}: {loop.verdict}\n{_indented(loop.explain())}")
+    verdict = loop.verdict.removeprefix("open loop: ")
+    say(f"{where}: {verdict}\n{_indented(loop.explain())}")
     say(f"delay{' (handout 3.8)' if of_rig else ''}\n{_indented(late.explain())}")
 
 

@@ -127,7 +127,7 @@ def test_a_model_is_validated_on_other_data(
     assert at_once["fit_percent"] == later["fit_percent"] > 80
     assert at_once["data"] == later["data"]
     assert f"validated on {folder}/other.csv (data {later['data'][:12]})" in out
-    assert "white residuals: p" in out
+    assert "residuals white (p = " in out
 
 
 def test_a_signal_that_is_given_is_what_the_model_is_of(
@@ -173,7 +173,7 @@ def test_feedback_and_delay_are_looked_for_in_them(
     assert found["delay"]["nk"] == armrig.delay(made()).nk == 1
     assert found["open_loop"]["p_value"] == armrig.open_loop(made()).p_value
     assert "handout" not in out
-    assert out.startswith("open loop\n")
+    assert out.startswith("open loop: no feedback found\n  Asked: ")
 
 
 @pytest.mark.parametrize(
