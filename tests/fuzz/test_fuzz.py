@@ -8,7 +8,7 @@ from random import Random
 import pytest
 from armrig_core.commands import Set
 
-from fuzz import bombs, cuts, files, frames, mutation, requests
+from fuzz import bombs, cuts, data_files, files, frames, mutation, requests
 
 
 def test_any_bytes_give_frames_or_are_told_as_spoilt() -> None:
@@ -36,6 +36,14 @@ def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
     assert found["cut"] > 300
     assert found["whole"] > 50
     assert found["refused"] > 10
+
+
+def test_any_file_of_data_gives_data_or_is_refused_in_a_line() -> None:
+    """Of each kind; a reader that is compiled fell over such files."""
+    found = data_files.fuzz(600, seed=1)
+
+    assert found["read"] > 50
+    assert found["refused"] > 200
 
 
 def test_a_recording_cut_at_every_byte_gives_its_beginning() -> None:
