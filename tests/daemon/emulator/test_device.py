@@ -662,6 +662,7 @@ def test_rails_and_turns_trip_in_run() -> None:
         assert (event.cause, sample.state, sample.u_k) == (cause, State.FAULT, 0)
         assert bool(sample.flags & Flag.ADC0_RAIL) == (cause is Cause.ADC_RAIL)
         assert bool(sample.flags & Flag.REV_LIMIT) == (cause is Cause.REV_LIMIT)
+        assert not sample.flags & (Flag.RUN | Flag.ARMED)
         assert host.device.board.volts == 0.0
 
 
