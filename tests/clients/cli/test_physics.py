@@ -35,6 +35,7 @@ def test_check_finds_no_feedback_and_no_delay(
     assert found["open_loop"]["feedback"] is False
     assert found["open_loop"]["p_value"] >= 0.01
     assert (found["delay"]["nk"], found["delay"]["delay"]) == (1, 0)
+    assert found["delay"]["integrator"] is True
     assert "nothing speaks against open loop" in text
     assert "no delay beyond the hold's own sample" in text
     assert figure.read_bytes().startswith(b"\x89PNG")

@@ -130,6 +130,20 @@ def test_holes_and_several_experiments_are_no_delay(plant: HandoutPlant) -> None
     assert armrig.delay(merge(parts)).delay == 2
 
 
+def test_many_short_experiments_are_enough() -> None:
+    """None of them is as long as the lags that one long experiment has."""
+    rng = np.random.default_rng(3)
+    parts = []
+    for _ in range(12):
+        u = rng.standard_normal(60)
+        y = filtered([0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(60)
+        parts.append(Dataset(u=u, y=y, Ts=1.0))
+
+    found = armrig.delay(merge(parts))
+
+    assert (found.nk, found.interval) == (2, (2, 2))
+
+
 def test_with_three_samples_in_ten_missing_the_impulse_response_is_tested() -> None:
     """Hardly a row has all of its past outputs then, and every row counts."""
     rng = np.random.default_rng(2)
@@ -168,7 +182,7 @@ def test_an_input_that_follows_from_its_own_past_is_refused() -> None:
     noise = np.random.default_rng(1).standard_normal(1000)
 
     for u in (np.ones(1000), np.sin(0.3 * t), twenty):
-        with pytest.raises(ValueError, match="play a telegraph or a PRBS"):
+        with pytest.raises(ValueError, match="narrow a band tells no delay"):
             armrig.delay(Dataset(u=u, y=filtered([0, 0.5], [1, -0.8], u) + noise, Ts=1.0))
 
 

@@ -14,10 +14,11 @@ from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.nonparametric.integrator import integration
 from armrig.numerics.quantities import plural
 from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.determined_lags import determined_lags
 from armrig.validation.feedback_and_delay.lag_tests import (
+    MOST_COEFFICIENTS,
     MOST_LAGS,
     LagTests,
-    determined_lags,
     lag_tests,
 )
 from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possible, smooth_onsets
@@ -80,7 +81,8 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         msg += "record longer"
         raise ValueError(msg)
     decided = integration(data, integrator)
-    determined = determined_lags(data)
+    longest = max(part.N for part in data.experiments())
+    determined = determined_lags(data, min(MOST_COEFFICIENTS, samples // 3, longest // 2))
     # A, with 20 coefficients beside the 50 lags, has its share of what u determines.
     n = min(MOST_LAGS, samples // 10, 5 * determined // 7)
     response = impulse_response(data, n, kernel=None, integrator=decided.integrates)

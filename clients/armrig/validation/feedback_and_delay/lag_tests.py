@@ -12,7 +12,7 @@ from armrig.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import filtered
-from armrig.numerics.regressors import arx_rows, complete, in_blocks, past
+from armrig.numerics.regressors import arx_rows, in_blocks
 from armrig.numerics.triangular import triangle
 
 Vector = NDArray[np.float64]
@@ -21,13 +21,12 @@ Matrix = NDArray[np.float64]
 LEVEL = 0.001
 MOST_LAGS = 50  # of u, the order of B and the delay together
 _ORDERS = (20, 10, 5)  # most a's; the next where too many rows look back on a hole
+MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
 _WHOLE = 0.5  # least share of the rows that must be left by the holes
 _ROWS_PER_ORDER = 20  # samples for each a that is tried
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 # Share of y's norm below which residuals are rounding: data without noise have F = 0/0.
 _ROUNDING = 1e-10
-_OWN = 0.005  # share of a lag of u that those before it must leave
-_POOREST = 28  # lags of their own, what a PRBS of period 31 has; few sines have fewer
 _GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the one n samples later
 _AHEAD = 40  # coefficients after the first
 
@@ -96,30 +95,6 @@ class LagTests:
         return k
 
 
-def determined_lags(data: Dataset) -> int:
-    """Return how many successive lags of u each have a share of their own, 70 at most.
-
-    That of a lag is what those before it leave, sqrt(1 - R²) of its regression on them.
-
-    Raises
-    ------
-    ValueError
-        They are so few that u has power in a narrow band only: it follows from its own past, and
-        what the model lacks far away would look like a coefficient near lag 0.
-    """
-    most = min(MOST_LAGS + _ORDERS[0], (data.N - data.missing) // 3)
-    rows = [past(part.u, range(most)) for part in data.experiments()]
-    blocks = [x[complete(x)] for x in rows]
-    R = triangle((b - b.mean(axis=0) for b in blocks if b.shape[0]), most)
-    own = np.abs(np.diag(R)) > _OWN * column_norms(R)
-    found = int(np.argmin(np.append(own, False)))
-    if found < min(_POOREST, most):
-        msg = f"u(t - {found}) follows from the {found} samples after it: power in so narrow a "
-        msg += "band tells no delay; play a telegraph or a PRBS"
-        raise ValueError(msg)
-    return found
-
-
 def lag_tests(data: Dataset, response: ImpulseResponse, determined: int) -> LagTests:
     """Test the first lags in an ARX model, or in the impulse response where too much is missing.
 
@@ -157,7 +132,8 @@ def _rows(data: Dataset, na: int, lags: int) -> list[Matrix]:
         rows = arx_rows(part.u, part.y, na=na, lags=range(lags))
         whole = np.column_stack([rows.Phi, rows.y])[rows.usable]
         if whole.shape[0]:
-            blocks.append(whole - whole.mean(axis=0))
+            whole -= whole.mean(axis=0)
+            blocks.append(whole)
     return blocks
 
 
