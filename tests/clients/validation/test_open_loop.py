@@ -87,16 +87,17 @@ def test_feedback_is_found_and_its_open_replay_is_not(plant: HandoutPlant) -> No
 def test_input_of_long_ago_is_allowed_for(plant: HandoutPlant) -> None:
     """A regulator's u has no mean power at 0 Hz: what comes tells of what was p samples ago.
 
-    Without the sums of old input a fifth of such replays is called feedback.
+    At 20 %, so that 8 of 40 are meant; without the sums of old input it is twice as many.
     """
     rng = np.random.default_rng(5)
 
     def regulated() -> Vector:
         return controlled(lambda _, y: -3.0 * y, 0.05 * rng.standard_normal(3000)).u
 
-    p = [sims(replayed(plant, regulated(), rng, 0.05)).p_value for _ in range(30)]
+    inputs = [regulated() for _ in range(40)]
+    p = [sims(replayed(plant, u, rng, 0.05)).p_value for u in inputs]
 
-    assert np.count_nonzero(np.array(p) < 0.05) <= 3
+    assert np.count_nonzero(np.array(p) < 0.2) <= 12
 
 
 def test_an_exact_relation_of_u_to_y_is_feedback() -> None:
