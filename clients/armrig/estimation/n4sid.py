@@ -9,6 +9,7 @@ import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
@@ -208,7 +209,11 @@ def _fit(
         fit_percent=found.fit_percent,
         whiteness=found.white.p_value,
         whiteness_test=found.white.test,
-        warnings=(*notes, *_warnings(data, n, A, found.covariance)),
+        warnings=(
+            *notes,
+            *_warnings(data, n, A, found.covariance),
+            *data_faults(data, residuals, way_out="" if n.trend else NO_OPTION),
+        ),
         **data.origin(),
         **facts,
     )

@@ -17,6 +17,7 @@ ESTIMATORS: dict[str, Callable[[Dataset], Fit]] = {
     "iv4": lambda data: armrig.iv4(data, na=2, nb=2),
     "armax": lambda data: armrig.armax(data, na=2, nb=2, nc=2),
     "oe": lambda data: armrig.oe(data, nb=2, nf=2),
+    "n4sid": lambda data: armrig.n4sid(data, order=2),
     "bj": lambda data: armrig.bj(data, nb=2, nc=1, nd=1, nf=2),
 }
 estimators = pytest.mark.parametrize("estimate", ESTIMATORS.values(), ids=ESTIMATORS.keys())
@@ -73,7 +74,7 @@ def test_steps_that_a_poor_model_misses_are_no_outliers() -> None:
     assert not about(armrig.arx(Dataset(u=u, y=y, Ts=1.0), na=1, nb=1), "hampel")
 
 
-@pytest.mark.parametrize("name", ["arx", "iv4", "armax", "oe"])
+@pytest.mark.parametrize("name", ["arx", "iv4", "n4sid", "armax", "oe"])
 def test_an_offset_of_y_is_told_with_what_to_do(name: str) -> None:
     """Five more than any answer to u; a noise model of its own takes it with a pole near 1."""
     data = dataset()
