@@ -442,10 +442,14 @@ def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
 # -- samples of scheduled runs -------------------------------------------------------------------
 
 
-def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start() -> None:
-    """t_zero + i Ts: until eight exchanges have told more."""
+@pytest.mark.parametrize("way_is_known", [False, True])
+def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
+    way_is_known: bool,
+) -> None:
+    """t_zero + i Ts: until eight exchanges have told more, and where a jump made it forgotten."""
     bench = _playing()
-    state = replace(bench.loop.state, clock=ClockMap())
+    clock = bench.loop.state.clock._replace(weight=0.0) if way_is_known else ClockMap()
+    state = replace(bench.loop.state, clock=clock)
     run = state.run
     assert run is not None
 
