@@ -22,6 +22,7 @@ from armrig.cli.model_structures import (
     Weights,
     WeightsOrNone,
     check_integrator,
+    check_single_estimate,
     chosen_orders,
     estimated,
 )
@@ -53,6 +54,12 @@ if TYPE_CHECKING:
 Integrator = Annotated[
     bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")
 ]
+Offset = Annotated[
+    bool, typer.Option("--offset", help="Estimate the input's offset along (ARMAX, OE, BJ).")
+]
+Stable = Annotated[
+    bool, typer.Option("--stable", help="Reflect poles that are outside the unit circle into it.")
+]
 Search = Annotated[
     bool,
     typer.Option("--search", help="Try all structures, or the one given, with several orders."),
@@ -82,6 +89,8 @@ def identify(
     nk: Nk = 1,
     weights: WeightsOrNone = None,
     integrator: Integrator = False,
+    offset: Offset = False,
+    stable: Stable = False,
     search: Search = False,
     most: MaxOrder = 5,
     jobs: Jobs = 1,
@@ -102,12 +111,15 @@ def identify(
     Says how sure each parameter is.
     """
     given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}
+    check_single_estimate(structure, offset=offset, stable=stable, search=search)
     wanted = _Wanted(
         structure=structure,
         orders=_checked_orders(structure, given, weights=weights, search=search),
         weights=_checked_weights(structure, weights),
         nk=nk,
         integrator=_checked_integrator(structure, integrator=integrator),
+        offset=offset,
+        stable=stable,
         search=search,
         most=most,
         jobs=jobs,
@@ -147,6 +159,8 @@ class _Wanted:
     weights: Weights | None
     nk: int
     integrator: bool
+    offset: bool
+    stable: bool
     search: bool
     most: int
     """Highest order that a search tries."""
@@ -243,6 +257,8 @@ def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:
             wanted.orders,
             nk=wanted.nk,
             integrator=wanted.integrator,
+            offset=wanted.offset,
+            stable=wanted.stable,
             weights=wanted.weights,
         )
     validation = None if other is None else _validated(fit, other)

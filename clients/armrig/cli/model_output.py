@@ -52,8 +52,18 @@ def search_lines(found: SearchResult) -> list[str]:
 
 
 def in_symbols(text: str) -> str:
-    """Return a sentence with std_robust as the column of the table is headed."""
-    return text.replace("std_robust", "σ robust")
+    """Return a sentence of Python's in the words of the command line and of its tables."""
+    for python, ours in _OURS.items():
+        text = text.replace(python, ours)
+    return text
+
+
+_OURS = {
+    "std_robust": "σ robust",
+    "offset=True": "--offset",
+    "stable=True": "--stable",
+    "armrig.detrend(data)": "--detrend",
+}
 
 
 _UNFINISHED = " (NOT CONVERGED)"

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 Structure = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]
 Weights = Literal["cva", "moesp", "n4sid"]
 
+_WITH_OFFSET = ("armax", "oe", "bj")
 _KINDS = {name: KINDS[name] for name in get_args(Structure)}
 
 
@@ -61,6 +62,21 @@ def check_integrator(structure: Structure) -> None:
         raise typer.BadParameter(msg)
 
 
+def check_single_estimate(
+    structure: Structure | None, *, offset: bool, stable: bool, search: bool
+) -> None:
+    """Refuse options that a search, or another structure, would do nothing with."""
+    if search and offset:
+        msg = "--offset does not go with --search; take the means off, --detrend"
+        raise typer.BadParameter(msg)
+    if search and stable:
+        msg = "--stable does not go with --search, whose models always are"
+        raise typer.BadParameter(msg)
+    if offset and structure not in _WITH_OFFSET:
+        msg = f"--offset goes with --structure {' or '.join(_WITH_OFFSET)}; take the means off, "
+        raise typer.BadParameter(msg + "--detrend")
+
+
 def estimated(
     data: Dataset,
     structure: Structure,
@@ -68,6 +84,8 @@ def estimated(
     *,
     nk: int,
     integrator: bool,
+    offset: bool = False,
+    stable: bool = False,
     weights: Weights | None = None,
 ) -> Fit:
     """Return the model; orders that are too high for the data are refused."""
@@ -79,7 +97,8 @@ def estimated(
 
     asked = {name: n for name, n in orders.items() if n is not None}
     require_sensible(samples=data.N - data.missing, nk=nk, integrator=integrator, **asked)
-    more: dict[str, Any] = {"integrator": True} if integrator else {}
+    asked_for = {"integrator": integrator, "offset": offset, "stable": stable}
+    more: dict[str, Any] = {name: True for name, wanted in asked_for.items() if wanted}
     if weights is not None:
         more["weights"] = weights
     named = listed([*orders])

@@ -393,3 +393,41 @@ def test_a_mistake_is_told_in_a_line_or_two(
     assert said in err
     assert 1 <= err.count("\n") <= 2
     assert max(map(len, err.splitlines())) <= 320
+
+
+def test_the_way_out_of_a_warning_is_an_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the words of the command line, and it does what it says."""
+    data = made()
+    write(tmp_path / "level.csv", data.replaced(step=None, y=data.y + 20))
+    shifted = armrig.load_data(tmp_path / "level.csv")
+    fit = armrig.oe(shifted, nb=2, nf=2, offset=True, stable=True)
+    line = "level.csv --structure oe --nb 2 --nf 2"
+
+    _, without, _ = run(f"identify {line}", tmp_path, capsys)
+    found = facts(f"identify {line} --offset --stable", tmp_path, capsys)
+    _, arx, _ = run("identify level.csv --structure arx --na 1 --nb 1", tmp_path, capsys)
+
+    assert "which the model cannot make: estimate it along, --offset\n" in without
+    assert "remove the means, --detrend, or take an estimator with --offset" in arx
+    assert [p["value"] for p in found["parameters"].values()] == fit.theta.tolist()
+    assert not any("cannot make" in w for w in found["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--structure arx --offset", "--offset goes with --structure armax or oe or bj"),
+        ("--search --offset", "--offset does not go with --search; take the means off, --detrend"),
+        ("--search --stable", "--stable does not go with --search, whose models always are"),
+    ],
+)
+def test_an_option_of_one_estimate_is_refused_where_it_does_nothing(
+    options: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nobody would see that it was without effect."""
+    code, out, err = run(f"identify data.csv {options}", folder, capsys)
+
+    assert (code, out) == (2, "")
+    assert said in err
