@@ -61,7 +61,7 @@ def replayed(plant: HandoutPlant, u: Vector, rng: np.random.Generator, std: floa
 def test_open_loop_is_called_closed_as_often_as_the_level_says(
     plant: HandoutPlant, draw: Draw
 ) -> None:
-    """100 runs of each at 5 %; Granger's test called such a PRBS closed in all of them.
+    """100 runs of each at 5 %; Granger's test called 27, 47, 17 and 30 % of them closed.
 
     The level over 1000 runs is measured by tests/benchmarks/feedback.py.
     """
