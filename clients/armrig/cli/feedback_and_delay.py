@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,6 +24,9 @@ from armrig.cli.options import (
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.data.dataset import Dataset
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
@@ -42,7 +46,6 @@ def check(
 ) -> None:
     """Test for open loop and for a delay (handout 3.7, 3.8)."""
     from armrig.cli.spinner import spinner
-    from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop
 
     check_plot(plot, [file])
@@ -56,8 +59,9 @@ def check(
     )
     data = signals.of(file)
     with spinner("testing"):
-        loop, late = open_loop(data, level), delay(data)
-    write_plot(plot, lambda ax: loop.plot(ax=ax), lambda ax: late.plot(ax=ax))
+        loop, late = open_loop(data, level), _delay(data)
+    drawn: list[OpenLoop | Delay] = [loop] if isinstance(late, str) else [loop, late]
+    write_plot(plot, *(partial(_draw, one) for one in drawn))
     if json:
         print_json(
             source_facts(data) | {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}
@@ -67,7 +71,22 @@ def check(
     where = "open loop (handout 3.7)" if of_rig else "open loop"
     verdict = loop.verdict.removeprefix("open loop: ")
     say(f"{where}: {verdict}\n{_indented(loop.explain())}")
-    say(f"delay{' (handout 3.8)' if of_rig else ''}\n{_indented(late.explain())}")
+    found = f"cannot be told: {late}" if isinstance(late, str) else late.explain()
+    say(f"delay{' (handout 3.8)' if of_rig else ''}\n{_indented(found)}")
+
+
+def _delay(data: Dataset) -> Delay | str:
+    """Return the delay, or why these data do not determine one."""
+    from armrig.validation.feedback_and_delay.delay import delay
+
+    try:
+        return delay(data)
+    except ValueError as err:
+        return str(err)
+
+
+def _draw(found: OpenLoop | Delay, ax: Axes) -> None:
+    found.plot(ax=ax)
 
 
 def _loop_facts(loop: OpenLoop) -> dict[str, Any]:
@@ -80,7 +99,9 @@ def _loop_facts(loop: OpenLoop) -> dict[str, Any]:
     }
 
 
-def _delay_facts(late: Delay) -> dict[str, Any]:
+def _delay_facts(late: Delay | str) -> dict[str, Any]:
+    if isinstance(late, str):
+        return {"nk": None, "told": False, "remarks": [late]}
     return {
         "nk": late.nk,
         "delay": late.delay,

@@ -176,6 +176,25 @@ def test_feedback_and_delay_are_looked_for_in_them(
     assert out.startswith("open loop: no feedback found\n  Asked: ")
 
 
+def test_a_narrow_input_determines_no_delay_and_the_loop_is_told_all_the_same(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two sines: what cannot be told stands in its place, in words and for programs."""
+    t = np.arange(600) * 0.01
+    u = np.sin(3 * t) + np.sin(7 * t)
+    y = lfilter([0, 0.1], [1, -0.9], u) + 0.01 * np.random.default_rng(1).standard_normal(600)
+    write(folder / "narrow.csv", armrig.Dataset(u=u, y=y, Ts=0.01))
+
+    code, out, _ = run("check narrow.csv --Ts 0.01", folder, capsys)
+    told = facts("check narrow.csv --Ts 0.01 --json", folder, capsys)
+
+    assert code == 0
+    assert "cannot tell whether there is feedback" in out
+    assert "cannot be told: u determines" in out
+    assert told["delay"]["nk"] is None
+    assert "u determines" in told["delay"]["remarks"][0]
+
+
 @pytest.mark.parametrize(
     "line",
     [

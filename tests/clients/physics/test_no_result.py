@@ -38,7 +38,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return printed.err
 
 
-@pytest.mark.parametrize(("command", "needed"), [("greybox", 5), ("split", 5), ("check", 115)])
+@pytest.mark.parametrize(("command", "needed"), [("greybox", 5), ("split", 5), ("check", 85)])
 def test_three_samples_are_too_few(
     bad: Path, capsys: pytest.CaptureFixture[str], command: str, needed: int
 ) -> None:

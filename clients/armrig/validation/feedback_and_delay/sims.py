@@ -142,8 +142,8 @@ def _lags(data: Dataset) -> int:
     p = min(round(10 * log10(max(there, 1))), _MOST_LAGS, affordable)
     if p < _LEAST_LAGS:
         needed = _ROWS_PER_PARAMETER * (2 * _LEAST_LAGS + fixed)
-        msg = f"{there} samples came; the test for feedback needs {needed}: record longer, or "
-        raise ValueError(msg + "lose fewer")
+        msg = f"{there} samples came; the test for feedback needs at least {needed}: "
+        raise ValueError(msg + "record longer, or lose fewer")
     return p
 
 
