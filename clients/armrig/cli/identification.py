@@ -34,7 +34,6 @@ from armrig.cli.options import (
     Detrend,
     Input,
     Json,
-    Nk,
     NoOutput,
     Signal,
     TimeColumn,
@@ -51,6 +50,14 @@ if TYPE_CHECKING:
     from armrig.validation.residuals import ResidualTest
     from armrig.validation.search_result import SearchResult
 
+NkOrNone = Annotated[
+    int | None,
+    typer.Option(
+        "--nk",
+        help="Samples before u reaches y.",
+        show_default="1; --search tries 0 too where the data show it",
+    ),
+]
 Integrator = Annotated[
     bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")
 ]
@@ -86,7 +93,7 @@ def identify(
     nd: NdOrNone = None,
     nf: NfOrNone = None,
     order: OrderOrNone = None,
-    nk: Nk = 1,
+    nk: NkOrNone = None,
     weights: WeightsOrNone = None,
     integrator: Integrator = False,
     offset: Offset = False,
@@ -157,7 +164,8 @@ class _Wanted:
     orders: dict[str, int | None]
     """By name; None lets the data choose. There are none in a search."""
     weights: Weights | None
-    nk: int
+    nk: int | None
+    """None: 1, and for a search 1, or 0 too where the data show a direct term."""
     integrator: bool
     offset: bool
     stable: bool
@@ -255,7 +263,7 @@ def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:
             data,
             wanted.structure,
             wanted.orders,
-            nk=wanted.nk,
+            nk=1 if wanted.nk is None else wanted.nk,
             integrator=wanted.integrator,
             offset=wanted.offset,
             stable=wanted.stable,

@@ -163,6 +163,19 @@ def test_a_search_tries_the_structures_on_them(
     assert found["validation"]["p_no_dynamics_missing"] > 0.01
 
 
+def test_a_search_tries_a_direct_term_where_the_data_show_one(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where --nk does not say otherwise."""
+    u = made().u
+    y = lfilter([1.0, 0.2], [1, -0.8], u) + 0.01 * np.random.default_rng(1).standard_normal(u.size)
+    write(folder / "direct.csv", armrig.Dataset(u=u, y=y, Ts=0.5))
+    line = "identify direct.csv --search --structure arx --max-order 2 --Ts 0.5"
+
+    assert facts(line, folder, capsys)["orders"]["nk"] == 0
+    assert facts(f"{line} --nk 1", folder, capsys)["orders"]["nk"] == 1
+
+
 def test_feedback_and_delay_are_looked_for_in_them(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
