@@ -17,7 +17,7 @@ from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
-from armrig.numerics.regressors import arx_rows, complete
+from armrig.numerics.regressors import ArxRows, arx_rows, complete
 from armrig.numerics.stretches import Mask
 from armrig.numerics.whiteness import autoregression, joined
 
@@ -65,23 +65,12 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     """
     require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     orders = f"na={na}, nb={nb}, nk={nk}"
-    d = na + nb
     lags = range(nk, nk + nb)
     parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
     inputs = [part.u for part in data.experiments()]
-    # NaN where a row is not complete.
-    whole = [p.block for p in parts]
-    N = sum(int(np.count_nonzero(p.usable)) for p in parts)
-    require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=N)
-
-    past = np.vstack([p.Phi[p.usable] for p in parts])
-    y = np.concatenate([p.y[p.usable] for p in parts])
-    basis = orthonormal(past)
-    if basis.rank < d:
-        msg = f"{orders}: the data determine only {basis.rank} of {d} parameters; "
-        msg += "lower the orders or excite with a richer input"
-        raise ValueError(msg)
-    theta = basis.coefficients(y)
+    whole = [p.block for p in parts]  # NaN where a row is not complete
+    y, theta = _by_least_squares(parts, orders)
+    N = y.size
     Z = _instruments(inputs, theta, na=na, nb=nb, nk=nk)
     theta, *_ = _solved(Z, whole, orders)
     L, _ = autoregression(joined(_left(whole, theta), _LONGEST))
@@ -103,7 +92,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         nk=nk,
         covariance=found.covariance,
         covariance_robust=found.covariance_robust,
-        noise_variance=sse / (N - d),
+        noise_variance=sse / (N - na - nb),
         loss=sse / N,
         N=N,
         Ts=data.Ts,
@@ -114,6 +103,20 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         **data.origin(),
     )
     return with_stability_warning(fit)
+
+
+def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Array]:
+    """Return y of all complete rows and theta of y = Phi theta + e, or refuse these data."""
+    Phi = np.vstack([p.Phi[p.usable] for p in parts])
+    y = np.concatenate([p.y[p.usable] for p in parts])
+    d = Phi.shape[1]
+    require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=y.size)
+    basis = orthonormal(Phi)
+    if basis.rank < d:
+        msg = f"{orders}: the data determine only {basis.rank} of {d} parameters; "
+        msg += "lower the orders or excite with a richer input"
+        raise ValueError(msg)
+    return y, basis.coefficients(y)
 
 
 def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:

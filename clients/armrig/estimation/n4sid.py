@@ -14,12 +14,13 @@ from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
     Weights,
+    Windows,
     projection,
     suggested_order,
     visible_states,
 )
 from armrig.estimation.subspace_horizon import delayed_signals, usable_windows
-from armrig.estimation.subspace_poles import best_poles, poles_at
+from armrig.estimation.subspace_poles import Poles, best_poles, poles_at
 from armrig.estimation.subspace_simulation import simulating
 from armrig.models.innovations import errors, prepared, regression
 from armrig.models.structure import Structure
@@ -51,8 +52,8 @@ def n4sid(
     The future of y is projected on past u and y, with the future input apart; the singular values
     of the weighted projection show the order, its left singular vectors give A and C, the states'
     residuals K. Given these, B, D and the unknown past follow from least squares on the one-step
-    errors. There is no search, and no start value. It is no minimum of the prediction error
-    either: a search (`armax`, `oe`, `bj`) gains some efficiency over it.
+    errors. There is no search, and so no minimum of the prediction error: a search (`armax`, `oe`,
+    `bj`) gains some efficiency over it.
 
     Parameters
     ----------
@@ -65,8 +66,7 @@ def n4sid(
         Of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, Van Overschee and
         De Moor's N4SID.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term D, without which a plant that answers at
-        the same instant is described poorly.
+        Samples before u reaches y; 0 is a direct term D, of a plant that answers at once.
     integrator : bool, default False
         The pole nearest 1 is 1 exactly; the input's offset is estimated along. y itself is
         projected, never its difference, which would drown the slow poles in noise.
@@ -100,6 +100,25 @@ def n4sid(
     .. [1] P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 10.6.
     """
+    _require_known(weights, focus)
+    require_integers(nk=(nk, 0), order=(1 if order is None else order, 1))
+    signals = delayed_signals(data, nk)
+    w = usable_windows(data, signals, order, horizon)
+    found = projection(w, weights)
+    canonical = found if weights == "cva" else projection(w, "cva")
+    suggested = suggested_order(w, canonical, min(_MOST, w.future - 2))
+    n = _visible(w, suggested if order is None else int(order))
+    if horizon is None:
+        free = best_poles(signals, w, found, n, weights, integrator=integrator, direct=nk == 0)
+    else:
+        free = poles_at(w, found, n, integrator=integrator)
+    structure = _structure(n, nk=nk, integrator=integrator)
+    facts: dict[str, Any] = {"weights": weights, "suggested_order": suggested}
+    facts["canonical_correlations"] = canonical.singular_values
+    return _focused(data, structure, free, facts, focus, stable=stable)
+
+
+def _require_known(weights: str, focus: str) -> None:
     if weights not in get_args(Weights):
         allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
         msg = f"weights={weights!r} must be one of {allowed}"
@@ -107,36 +126,35 @@ def n4sid(
     if focus not in get_args(Focus):
         msg = f'focus={focus!r} must be one of "prediction", "simulation"'
         raise ValueError(msg)
-    require_integers(nk=(nk, 0), order=(1 if order is None else order, 1))
-    signals = delayed_signals(data, nk)
-    w = usable_windows(data, signals, order, horizon)
-    found = projection(w, weights)
-    canonical = found if weights == "cva" else projection(w, "cva")
-    suggested = suggested_order(w, canonical, min(_MOST, w.future - 2))
-    n = suggested if order is None else int(order)
-    if n > (states := visible_states(w)):
-        msg = f"order={n}: the data show {states} states; lower the order"
+
+
+def _visible(w: Windows, order: int) -> int:
+    """Return the order, or refuse one that the data do not show."""
+    if order > (states := visible_states(w)):
+        msg = f"order={order}: the data show {states} states; lower the order"
         raise ValueError(msg)
-    if horizon is None:
-        free = best_poles(signals, w, found, n, weights, integrator=integrator, direct=nk == 0)
-    else:
-        free = poles_at(w, found, n, integrator=integrator)
-    A, B, C = free.A, None, free.C
-    structure = _structure(n, nk=nk, integrator=integrator)
-    if focus == "simulation":
-        A, B, C = simulating(data, structure, A, C, orders=f"order={n}, nk={nk}")
-    elif stable:
-        A = _stable(A, integrator=integrator)
-    facts = {
-        "weights": weights,
-        "horizon": free.horizon,
-        "singular_values": free.singular_values,
-        "canonical_correlations": canonical.singular_values,
-        "suggested_order": suggested,
-    }
+    return order
+
+
+def _focused(
+    data: Dataset,
+    n: Structure,
+    free: Poles,
+    facts: dict[str, Any],
+    focus: Focus,
+    *,
+    stable: bool,
+) -> SubspaceFit:
+    """Return the model with these poles, or with those that its purpose wants."""
+    facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
     notes = [] if free.steady else ["no steady Kalman gain was found: the noise model is 1/1"]
-    notes += reflection_warnings(free.A, A) if focus == "prediction" else ()
-    return _fit(data, structure, A, C, B, facts, tuple(notes))
+    if focus == "simulation":
+        orders = f"order={n.nc}, nk={n.nk}"
+        A, B, C = simulating(data, n, free.A, free.C, orders=orders)
+        return _fit(data, n, A, C, B, facts, tuple(notes))
+    A = _stable(free.A, integrator=bool(n.integrator)) if stable else free.A
+    notes += reflection_warnings(free.A, A)
+    return _fit(data, n, A, free.C, None, facts, tuple(notes))
 
 
 def _stable(A: Array, *, integrator: bool) -> Array:

@@ -161,9 +161,10 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
     first, last = _bandwidth(estimate)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
-    wanted = min(Ts_step, Ts_spectrum, transient / FEWEST)
-    Ts = nearest_125(wanted)
+    rules = (Ts_step, Ts_spectrum, transient / FEWEST)
+    Ts = nearest_125(min(rules))
     omega, power = _power(data, integrates=integrates)
+    near = _share(omega, power, NEAR_NYQUIST * np.pi / data.Ts)
     return SamplingTime(
         Ts=Ts,
         tau=tau,
@@ -174,7 +175,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         Ts_step=Ts_step,
         Ts_spectrum=Ts_spectrum,
         Ts_transient=(transient / MOST, transient / FEWEST),
-        near_nyquist=_share(omega, power, NEAR_NYQUIST * np.pi / data.Ts),
+        near_nyquist=near,
         beyond=_share(omega, power, np.pi / Ts) if Ts >= data.Ts else float("nan"),
         from_step=stepped,
         recorded_at=data.Ts,
@@ -185,16 +186,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         spectrum=estimate,
         power=power / power.max(),
         source=data.source,
-        notes=(
-            *decided.notes,
-            *_notes(
-                Ts,
-                data.Ts,
-                (Ts_step, Ts_spectrum, transient / FEWEST),
-                last,
-                _share(omega, power, NEAR_NYQUIST * np.pi / data.Ts),
-            ),
-        ),
+        notes=(*decided.notes, *_notes(Ts, data.Ts, rules, last, near)),
     )
 
 

@@ -185,13 +185,12 @@ def portmanteau(
     if theta_covariance is not None:
         Q = np.zeros((Psi.shape[0], 0))
     fitted = orthonormal(Psi).Q if Q is None else Q
-    k = range(1, lags + 1)
     V = R[0] ** 2 * pairs[1:] * N / (N + 2)
     M = np.diag(V)
     m = np.zeros(lags)
     by_fitted, by_theta = np.zeros((lags, fitted.shape[1])), np.zeros((lags, Psi.shape[1]))
     for x, known, span, (a, b) in zip(e, residuals, spans, pairwise(edges), strict=True):
-        Z = lagged(x, k)
+        Z = lagged(x, range(1, lags + 1))
         Z[~np.isfinite(known)] = 0.0
         m -= R[0] * (_autocorrelation(span, lags) + _autocorrelation(fitted[a:b], lags))
         explained = Z.T @ span

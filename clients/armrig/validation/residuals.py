@@ -95,9 +95,9 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
 
     Whiteness: the portmanteau test that allows for the estimated parameters, or Ljung-Box's where
     that cannot be trusted (see `armrig.numerics.whiteness`). Beside it stands the Ljung-Box test
-    of other programs, its degrees of freedom
-    lessened by na + nc + nd where these are the data that A, C and D were fitted to. Input: the
-    sums s_k = sum of e(t) u(t - k) are tested jointly, s^T M^-1 s against chi-squared, with ::
+    of other programs, its degrees of freedom lessened by na + nc + nd where these are the data
+    that A, C and D were fitted to. Input: the sums s_k = sum of e(t) u(t - k) are tested jointly,
+    s^T M^-1 s against chi-squared, with ::
 
         M = Z_p^T R_e Z_p                                        on estimation data
         M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
@@ -137,11 +137,7 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
     require_same_signals(fit, data)
     known = [prediction_errors(fit, part) for part in data.experiments()]
     N = sum(int(np.count_nonzero(np.isfinite(r.e))) for r in known)
-    L = default_lags(N) if lags is None else lags
-    longest = max(N // 2, 1)
-    if not 1 <= L <= longest:
-        msg = f"lags={L} must be 1 to {longest}, half of the {N} residuals"
-        raise ValueError(msg)
+    L = _possible(default_lags(N) if lags is None else lags, N)
     own = fit.estimated_from(data)
     e = joined([r.e for r in known], L)
     R, _ = autocovariance(e, L)
@@ -172,6 +168,15 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
         feedback=joint_p_value(input_.sums[future], input_.covariance[future, future]),
         on_estimation_data=own,
     )
+
+
+def _possible(L: int, N: int) -> int:
+    """Return the number of lags, or refuse one that N residuals do not allow."""
+    longest = max(N // 2, 1)
+    if not 1 <= L <= longest:
+        msg = f"lags={L} must be 1 to {longest}, half of the {N} residuals"
+        raise ValueError(msg)
+    return L
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

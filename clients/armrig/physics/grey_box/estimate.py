@@ -105,14 +105,7 @@ def greybox(
     physics.check()
     require_output(data, output)
     experiments = tuple(data.experiments())
-    n = len(physics.labels()[1])
-    samples = data.N - data.missing
-    needed = len(names) + (n + 1) * len(experiments) + 1
-    if samples < needed or min(part.N for part in experiments) < 2:
-        where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
-        msg = f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
-        msg += f"needed{where}: record longer"
-        raise ValueError(msg)
+    _require_samples(data, experiments, names, states=len(physics.labels()[1]))
     plain = GreyBox(
         physics=physics, names=tuple(x for x in names if x != COULOMB), experiments=experiments
     )
@@ -125,6 +118,18 @@ def greybox(
     return _fit(
         data, problem, best, names, given, worse=worse_with_friction(data, without.cost, best.cost)
     )
+
+
+def _require_samples(
+    data: Dataset, experiments: Sequence[Dataset], names: Sequence[str], *, states: int
+) -> None:
+    samples = data.N - data.missing
+    needed = len(names) + (states + 1) * len(experiments) + 1
+    if samples < needed or min(part.N for part in experiments) < 2:
+        where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
+        msg = f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
+        msg += f"needed{where}: record longer"
+        raise ValueError(msg)
 
 
 def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:

@@ -73,12 +73,10 @@ def inverse_dynamics(
     fixed : ArmParameters, optional
         N, R_m, K_m and, where it is not free, b_1; the handout's by default.
     friction : {"viscous", "coulomb", "both"}, optional
-        As for `greybox`, the input offset too. With T_c stretches in which the chassis is nearly
-        at rest are left out.
+        As for `greybox`, the input's offset too; with T_c stretches nearly at rest are left out.
     width : float, optional
-        Standard deviation of the smoothing kernel in s; by default 1.75 of the
-        chassis' time constants. A narrower one brings noise, a wider one loses excitation and more
-        around the dead band.
+        Standard deviation of the smoothing kernel in s; by default 1.75 of the chassis' time
+        constants. A narrower one brings noise, a wider one loses excitation and more data.
     fixed_std : mapping of str to float, optional
         As for `greybox`.
 
@@ -86,8 +84,7 @@ def inverse_dynamics(
     -------
     GreyFit
         Both standard deviations are those of the sandwich form: smoothed noise is never white.
-        `whiteness` is the p value of residuals that are as coloured as the kernel makes white noise
-        of the angle; below 1 % a warning says that something of the rig is not in the model.
+        `whiteness` is the p value of residuals that are white noise of the angle, smoothed.
 
     Raises
     ------
@@ -105,10 +102,9 @@ def inverse_dynamics(
     found = solution.inference.transformed(slope)
     physics, held = Physics(model=chassis, fixed=p, output="theta_1"), _held(names)
     by_held = slope @ solution.by_held
-    carried = by_held * [given.get(k, 0.0) for k in held]
-    covariance = found.covariance_robust + carried @ carried.T
+    covariance = found.covariance_robust + _carried(by_held, [given.get(k, 0.0) for k in held])
     std = named_std(names, covariance)
-    whiteness = _whiteness(solution.residuals, values, p, s, data.Ts)
+    white = _whiteness(solution.residuals, values, p, s, data.Ts)
     shares = by_held[0] * [getattr(p, k) for k in held] / values["J_1"]
     return GreyFit(
         method="inverse dynamics",
@@ -128,18 +124,25 @@ def inverse_dynamics(
         noise_variance=found.noise_variance,
         loss=found.loss,
         fit_percent=found.fit_percent,
-        whiteness=whiteness,
+        whiteness=white,
         whiteness_test=SMOOTHED_NOISE,
         quantum=quantum(data),
         N=found.N,
         Ts=data.Ts,
         physics=physics,
-        warnings=(
-            *below_zero(values, std),
-            *([_COLOURED.format(p=p_relation(whiteness))] if whiteness < WHITE_LEVEL else []),
-        ),
+        warnings=(*below_zero(values, std), *_noise_warnings(white)),
         **data.origin(),
     )
+
+
+def _carried(by_held: NDArray[np.float64], std: list[float]) -> NDArray[np.float64]:
+    """Return the covariance that deviations of what is held bring along."""
+    carried = by_held * std
+    return np.asarray(carried @ carried.T)
+
+
+def _noise_warnings(p_value: float) -> list[str]:
+    return [_COLOURED.format(p=p_relation(p_value))] if p_value < WHITE_LEVEL else []
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -75,11 +75,7 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     .. [2] S. Björklund, *A Survey and Comparison of Time-Delay Estimation Methods in Linear
        Systems*, Linköping, 2003, chapters 5 and 6.
     """
-    samples = data.N - data.missing
-    if samples < _FEWEST:
-        msg = f"{samples} samples came, the test for a delay needs at least {_FEWEST}: "
-        msg += "record longer"
-        raise ValueError(msg)
+    samples = _enough(data)
     decided = integration(data, integrator)
     longest = max(part.N for part in data.experiments())
     determined = determined_lags(data, min(MOST_COEFFICIENTS, samples // 3, longest // 2))
@@ -116,6 +112,16 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         largest_step=read.largest_step,
         acceleration=read.acceleration,
     )
+
+
+def _enough(data: Dataset) -> int:
+    """Return how many samples came, or refuse too few."""
+    samples = data.N - data.missing
+    if samples < _FEWEST:
+        msg = f"{samples} samples came, the test for a delay needs at least {_FEWEST}: "
+        msg += "record longer"
+        raise ValueError(msg)
+    return samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
