@@ -234,7 +234,7 @@ def test_memory_does_not_grow_with_the_regression() -> None:
     assert peak < 30e6
 
 
-@pytest.mark.parametrize(("N", "why"), [(60, "needs 85"), (200, "have their past beside them")])
+@pytest.mark.parametrize(("N", "why"), [(60, "at least 85"), (200, "have their past beside them")])
 def test_too_few_samples_are_refused(plant: HandoutPlant, N: int, why: str) -> None:
     """With the number that is needed; also where long gaps take the past away."""
     data = plant.dataset(1, N=N)

@@ -30,7 +30,6 @@ from armrig_daemon.pipe import (
     Distribution,
     Gap,
     Halt,
-    Hold,
     Host,
     Log,
     Play,
@@ -38,6 +37,7 @@ from armrig_daemon.pipe import (
     Reset,
     RunEnded,
     RunStarted,
+    SetVoltage,
     State,
     Timing,
 )
@@ -336,7 +336,7 @@ def test_a_command_that_fails_by_our_own_fault_is_refused_and_told(
     monkeypatch.setattr(between.service._runs, "plan", broken)
     replies = between.ask(RUN)
 
-    between.commands.take()
+    between.commands.serve()
 
     told = "run: RuntimeError('unexpected')"
     assert _refusal(replies) == told
@@ -349,7 +349,7 @@ def test_what_the_loop_was_not_granted_is_told(
     """To who reads the log, and to who asks."""
     granted = {"fifo": False, "refused": ["SCHED_FIFO"]}
 
-    between.service._take([Host(granted=granted)])
+    between.service._handle([Host(granted=granted)])
 
     assert "not granted: SCHED_FIFO; timing is less exact" in capsys.readouterr().err
     assert between.service._rig.status(None).host == granted
@@ -359,7 +359,7 @@ def test_what_the_loop_tells_in_a_run_stands_in_its_recording(between: Between) 
     """Each in its stream, beside the line that names the recording."""
     between.begin_run()
 
-    between.service._take([_sample(0), *TOLD_IN_A_RUN.values()])
+    between.service._handle([_sample(0), *TOLD_IN_A_RUN.values()])
 
     with _finished(between).open("rb") as file:
         topics = [channel.topic for _, channel, _ in make_reader(file).iter_messages()]
@@ -385,7 +385,7 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
 
     lots = []
     for _ in range(5):
-        between.commands.take()
+        between.commands.serve()
         lots.append(len(between.loop.orders()))
         between.ask(Set(lease=LEASE, n=100, u=0.0))
 
@@ -396,7 +396,7 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
     ("request_", "order"),
     [
         (Disarm(lease=LEASE, n=4), Release(order=1, lease=LEASE, n=4)),
-        (Set(lease=LEASE, n=4, u=5.0), Hold(order=1, lease=LEASE, n=4, code=65535)),
+        (Set(lease=LEASE, n=4, u=5.0), SetVoltage(order=1, lease=LEASE, n=4, code=65535)),
         (Stop(), Halt(order=1)),
         (AskedReset(), Reset(order=1)),
     ],
@@ -406,9 +406,9 @@ def test_a_command_is_the_loop_s_to_carry_out_and_to_answer(
 ) -> None:
     """With its lease and its number, which the core judges."""
     replies = between.ask(request_)
-    between.commands.take()
+    between.commands.serve()
     assert between.loop.orders() == [order]
 
-    between.service._take([Answer(order=1)])
+    between.service._handle([Answer(order=1)])
 
     assert next(iter(replies)).ok is not None
