@@ -104,12 +104,15 @@ def test_clean_data_lose_a_sample_as_seldom_as_said() -> None:
 
 
 def test_noise_that_is_no_arx_model_s_is_no_outlier_either(plant: Any) -> None:
-    """White noise on an angle leaves coloured residuals; the chance of an alarm stays 5 %."""
-    records = [plant.dataset(seed) for seed in range(100)]
+    """White noise on an angle leaves coloured residuals; the chance of an alarm stays 5 %.
+
+    With a spread taken 15 % too small there were alarms in 24 of the 50.
+    """
+    records = [plant.dataset(seed) for seed in range(50)]
 
     alarms = sum(bool(marked(data, hampel(data))) for data in records)
 
-    assert alarms <= 5 + 4 * np.sqrt(100 * 0.05 * 0.95), alarms
+    assert alarms <= 2.5 + 4 * np.sqrt(50 * 0.05 * 0.95), alarms
 
 
 def test_the_angle_s_own_turns_are_no_outliers(plant: Any) -> None:
