@@ -6,7 +6,7 @@ of the outputs missing at random, so many runs a cell; then the six cells with m
 of the arm, and beside it what the open arm does with the very same input. `read`: the arm's angle
 through the potentiometer. `cost`: 10^6 samples. Run one with the project's environment::
 
-    python -P tests/benchmarks/feedback.py level RUNS [% MISSING]
+    python tests/benchmarks/feedback.py level RUNS [% MISSING]
     … bank RUNS SEED, closed RUNS, read RUNS, cost
 """
 

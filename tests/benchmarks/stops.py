@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import armrig
-from control import Control
+from kernel_lateness import Control
 from processes import WITHIN_S, Burners
 from stand import Stand
 from stop_rows import ROWS, Row

@@ -26,7 +26,7 @@ from typing import Literal, NamedTuple
 import armrig
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
-from control import Control, Lateness
+from kernel_lateness import Control, Lateness
 from kernel_worker import KernelWorker, raised
 from processes import burning
 from stand import Stand

@@ -3,9 +3,9 @@
 Level: 5 % on white residuals of ARX, IV4, ARMAX, OE, BJ, n4sid and a grey box, at N 300, 1000 and
 10 000; ARX also without an input worth the name, where the noise alone determines A. Power: OE of
 y = G u + v with v a random walk, AR(.5), AR(.95) and MA(.5). Run it with the project's
-environment, -P since control.py beside it is not python-control::
+environment::
 
-    python -P tests/benchmarks/whiteness.py [runs]
+    python tests/benchmarks/whiteness.py [runs]
 """
 
 from __future__ import annotations
