@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 from armrig.numerics.stretches import stretches
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import numpy as np
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
 # M. Okabe, K. Ito, "Color Universal Design", 2008; without the yellow, too pale on paper.
@@ -99,6 +102,15 @@ def finish_over_time(ax: Axes, below: Axes, *, output: str, unit: str, end: floa
     below.set_xlabel("$t$ [s]")
     ax.legend(loc="best")
     finish(ax, below, xlim=(0.0, end or 1.0))
+
+
+def save(figure: Figure, path: Path, **options: Any) -> None:
+    """Write a figure so that the same figure gives the same bytes: without date or random ids."""
+    import matplotlib as mpl
+
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    with mpl.rc_context({"svg.hashsalt": "armrig"}):
+        figure.savefig(path, metadata=undated.get(path.suffix.lower()), **options)
 
 
 def shade(ax: Axes, data: Sampled) -> None:

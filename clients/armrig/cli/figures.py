@@ -33,6 +33,7 @@ def write_plot(path: Path | None, *draw: Callable[[Axes], Any], height: float = 
         return
     from matplotlib.figure import Figure
 
+    from armrig.canvas import save
     from armrig.cli.spinner import spinner
 
     # No constrained layout: it overlooks the panels that a figure appends below its axes.
@@ -41,5 +42,5 @@ def write_plot(path: Path | None, *draw: Callable[[Axes], Any], height: float = 
     with spinner("drawing"):
         for ax, one in zip(below, draw, strict=True):
             one(ax)
-        figure.savefig(path, dpi=150, bbox_inches="tight")
+        save(figure, path, dpi=150, bbox_inches="tight")
     tell(f"figure: {path}")

@@ -241,10 +241,11 @@ def _lateness(spread: Any, pacing: str) -> str:
 def _plot_timing(recording: Any, path: Path) -> None:
     from matplotlib.figure import Figure
 
+    from armrig.canvas import save
     from armrig.plots import plot_timing
 
     figure = Figure(figsize=(9.0, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     plot_timing(recording, quantity="jitter", ax=left)
     plot_timing(recording, quantity="lateness", ax=right)
-    figure.savefig(path, dpi=150)
+    save(figure, path, dpi=150)

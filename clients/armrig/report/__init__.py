@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from armrig.report.data_facts import treatment
-    from armrig.report.document import ReportError, report
+    from armrig.report.document import report
+    from armrig.report.typesetting import ReportError
 
 __all__ = ["ReportError", "report", "treatment"]
 
@@ -16,6 +17,7 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         msg = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(msg)
-    from armrig.report import data_facts, document
+    from armrig.report import data_facts, document, typesetting
 
-    return getattr(data_facts if name == "treatment" else document, name)
+    homes = {"treatment": data_facts, "ReportError": typesetting}
+    return getattr(homes.get(name, document), name)

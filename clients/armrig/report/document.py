@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Sequence
-from datetime import UTC, datetime
-from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
-
-import matplotlib as mpl
-import typst
 
 from armrig.numerics.quantities import error, percent
 from armrig.report.conclusions import abstract, conclusions
@@ -29,10 +23,7 @@ from armrig.report.model_facts import (
 )
 from armrig.report.recording_facts import disturbance_rows, facts, role, shared_facts, timing_rows
 from armrig.report.study import STEP, Study, kind_of
-
-
-class ReportError(RuntimeError):
-    """The report cannot be typeset."""
+from armrig.report.typesetting import recorded, typeset
 
 
 def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> Path:
@@ -42,6 +33,9 @@ def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> 
     ----------
     remarks : sequence of str
         Sentences that a reader must know beside the recordings' own, such as what was emulated.
+
+    The PDF's bytes follow from the study, the remarks and the versions of armrig, matplotlib and
+    typst: no time of day enters.
 
     Raises
     ------
@@ -54,22 +48,7 @@ def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> 
     with tempfile.TemporaryDirectory(prefix="armrig-report-") as directory:
         root = Path(directory)
         write_figures(study, root)
-        (root / "data.json").write_text(json.dumps(content(study, remarks)), encoding="utf-8")
-        template = (
-            resources.files("armrig.report").joinpath("report.typ").read_text(encoding="utf-8")
-        )
-        (root / "report.typ").write_text(template, encoding="utf-8")
-        fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
-        try:
-            pdf = typst.compile(
-                str(root / "report.typ"),
-                root=str(root),
-                font_paths=[str(fonts)],
-                ignore_system_fonts=True,
-            )
-        except RuntimeError as err:
-            msg = f"the report cannot be typeset: {err}"
-            raise ReportError(msg) from err
+        pdf = typeset(root, "report.typ", content(study, remarks), recorded(study.recordings))
     output.write_bytes(pdf)
     return output
 
@@ -84,7 +63,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "title": "Black-box identification of the rig",
         "subtitle": f"rig {manifest.rig}, recorded {manifest.started[:16].replace('T', ' ')}",
         "version": version("armrig"),
-        "date": datetime.now(tz=UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "date": f"{recorded(study.recordings):%Y-%m-%d}",
         "summary": abstract(study),
         "recordings": [
             {"role": role(study, r), "file": r.path.name, "sha256": r.sha256}

@@ -11,13 +11,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.canvas import pens
+from armrig.canvas import pens, save
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.report.study import STEP, Study, kind_of
 
 _STYLE: Any = {
     "svg.fonttype": "none",
-    "svg.hashsalt": "armrig",
     "font.family": "STIXGeneral",
     "mathtext.fontset": "stix",
     "font.size": 8.5,
@@ -43,7 +42,7 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
             figure = draw(study)
             if figure is not None:
                 paths.append(directory / f"{name}.svg")
-                figure.savefig(paths[-1], metadata={"Date": None})
+                save(figure, paths[-1])
     return tuple(paths)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import armrig
@@ -359,3 +360,20 @@ def test_the_units_of_the_data_are_told_with_what_they_rest_on(done: Study) -> N
     assert "calibration of 2026-11-20 04:00, known to 0.2\xa0%" in said(scale)
     assert "no meter was read" in said(scale)
     assert "that of a meter at the motor's terminals" in said(scale | meter)
+
+
+def test_the_same_recordings_give_the_same_bytes(done: Study, tmp_path: Path) -> None:
+    """Report and figures bear the date of the recordings, and no time of day.
+
+    To draw the figures anew takes more than a second, the resolution of a PDF's date.
+    """
+    pdfs = [report(done, tmp_path / name).read_bytes() for name in ("a.pdf", "b.pdf")]
+    figures = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        figures.append([path.read_bytes() for path in write_figures(done, tmp_path / name)])
+
+    assert pdfs[0] == pdfs[1]
+    started = datetime.fromisoformat(done.recordings[-1].manifest.started)
+    assert f"/CreationDate(D:{started:%Y%m%d}".encode() in pdfs[0]
+    assert figures[0] == figures[1]
