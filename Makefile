@@ -16,6 +16,7 @@ check: .venv/dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/python -m armrig_protocol.generate --check
+	$(BIN)/python -m armrig_daemon.configuration_reference --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python tests/rooms.py
@@ -47,6 +48,7 @@ format: .venv/dev
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 	$(BIN)/python -m armrig_protocol.generate
+	$(BIN)/python -m armrig_daemon.configuration_reference
 
 clean:
 	rm -rf .venv demo

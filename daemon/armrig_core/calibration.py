@@ -39,7 +39,7 @@ class Driver(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     gain: float = 1.0
     """Terminal volts for one volt of the code, where 65535 is 5 V; 0.1 to 10."""
     offset_v: float = 0.0
-    """Terminal voltage that the line of the readings has at code 0, in V."""
+    """Terminal voltage that the line of the readings has at code 0, in V; -5 to 5."""
 
     def __post_init__(self) -> None:
         """Refuse a driver that gives no voltages."""

@@ -1,4 +1,4 @@
-"""The command `armrigd`: run the daemon, or emulate a rig."""
+"""The command `armrigd`: run the daemon, emulate a rig, or print a configuration."""
 
 from __future__ import annotations
 
@@ -97,6 +97,20 @@ def emulate(
     except (ValueError, PortError) as err:
         _refuse(str(err))
     raise typer.Exit(code)
+
+
+@app.command("config")
+def show_config(
+    example: Annotated[
+        bool, typer.Option("--example", help="Print every key, commented out, with its default.")
+    ] = False,
+) -> None:
+    """Print a complete configuration to begin with; redirect it into a file."""
+    from armrig_daemon.configuration_reference import example as example_text
+
+    if not example:
+        _refuse("config: --example is needed: `armrigd config --example > armrig.toml`")
+    typer.echo(example_text())
 
 
 def _started(port: Path, baud: int) -> str:

@@ -50,7 +50,7 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Rig(Table, frozen=True, kw_only=True):
-    """`[rig]`."""
+    """`[rig]`: which rig this is."""
 
     id: str = "1"
     """Names the rig in keys, topics and files: a-z, 0-9 and -."""
@@ -61,7 +61,7 @@ class Rig(Table, frozen=True, kw_only=True):
 
 
 class Device(Table, frozen=True, kw_only=True):
-    """`[device]`."""
+    """`[device]`: the line to the device in the rig."""
 
     port: str = "/dev/armrig"
     """Serial port."""
@@ -70,7 +70,7 @@ class Device(Table, frozen=True, kw_only=True):
     watchdog_ms: Annotated[int, Meta(ge=WATCHDOG_MIN_MS, le=WATCHDOG_MAX_MS)] = WATCHDOG_DEFAULT_MS
     """Silence after which the device stops the motor by itself, in ms.
 
-    Where nobody says it, an emulated rig of `run --emulate` has the longest.
+    Where nobody says it, `run --emulate` has the longest.
     """
 
     def __post_init__(self) -> None:
@@ -81,14 +81,14 @@ class Device(Table, frozen=True, kw_only=True):
 
 
 class Timing(Table, frozen=True, kw_only=True):
-    """`[timing]`."""
+    """`[timing]`: the sampling time, and the loop that keeps it."""
 
     Ts: Annotated[float, Meta(ge=0.0005, le=1)] = 0.01
-    """Sampling time where an experiment asks for no other, in s."""
+    """Sampling time where an experiment asks for no other, in s; a whole number of µs."""
     priority: Annotated[int, Meta(ge=0, le=95)] = 80
     """SCHED_FIFO priority of the loop; 0 leaves it to the ordinary policy."""
     cpu: Annotated[int, Meta(ge=0)] | None = None
-    """Core that the loop is kept on."""
+    """Core that the loop is kept on; left out, the system chooses."""
     stop_after: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
     """Ticks missed in a row after which the motor is stopped; 0 skips them and goes on."""
     spin_us: Annotated[float, Meta(ge=0, le=500)] = 120
@@ -102,7 +102,7 @@ class Timing(Table, frozen=True, kw_only=True):
 
 
 class Limits(Table, frozen=True, kw_only=True):
-    """`[limits]`: they can only narrow what the rig stands."""
+    """`[limits]`: of voltage and motion; they can only narrow what the rig stands."""
 
     u_min_v: Volts = 0.0
     """Lowest motor voltage that a command may ask for, in V."""
@@ -111,7 +111,7 @@ class Limits(Table, frozen=True, kw_only=True):
     slew_v: Volts = 0.0
     """Largest change of the voltage in one sample, in V; 0 is none."""
     revolutions: Annotated[float, Meta(ge=0, le=655)] = 0.0
-    """Turns of the chassis allowed in one run, from its start; 0 is no limit."""
+    """Turns of the chassis allowed in one run, to hundredths; 0 is no limit."""
     alpha_rad: Annotated[float, Meta(ge=0, le=100)] = 0.0
     """Deflection of the arm allowed in the rehearsal of a run, in rad; 0 is no limit."""
 
@@ -126,10 +126,10 @@ class Limits(Table, frozen=True, kw_only=True):
 
 
 class Motor(Table, frozen=True, kw_only=True):
-    """`[motor]`."""
+    """`[motor]`: the driver of the motor."""
 
     rest_v: float = 0.0
-    """Voltage at which the motor's driver stands still, in V."""
+    """Voltage at which the motor's driver stands still, in V; only 0 is allowed."""
 
     def __post_init__(self) -> None:
         """Refuse what a stop of ours would not be."""
@@ -181,10 +181,10 @@ class Arm(Table, frozen=True, kw_only=True):
 
 
 class Recording(Table, frozen=True, kw_only=True):
-    """`[recording]`."""
+    """`[recording]`: what is kept of runs."""
 
     directory: str = ""
-    """Where recordings go; empty is the user's data directory."""
+    """Folder of the recordings; empty is armrig/recordings in $XDG_DATA_HOME (~/.local/share)."""
 
 
 class Config(Table, frozen=True, kw_only=True):
@@ -198,7 +198,7 @@ class Config(Table, frozen=True, kw_only=True):
     arm: Arm = Arm()
     recording: Recording = Recording()
     calibration: Calibration = Calibration()
-    """`[calibration]`: a file of `armrig calibrate`'s named by `file`, or its tables themselves."""
+    """`[calibration]`: what makes angles of readings and volts of codes, by file or by key."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
 # Allowed range of each number, both ends included.
-_RANGES: dict[str, tuple[float, float]] = {
+RANGES: dict[str, tuple[float, float]] = {
     "seed": (0, 2**63 - 1),
     "boot_ms": (0, 10_000),
     "baud": (9_600, 4_000_000),
@@ -35,7 +35,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "driver_gain": (0.5, 1.5),
     "driver_offset_v": (-1, 1),
 }
-_CHOICES: dict[str, tuple[int, ...]] = {
+CHOICES: dict[str, tuple[int, ...]] = {
     "pwm_bits": (0, 8, 9, 10, 11, 12, 13, 14, 15, 16),
     "adc_bits": (0, 10, 12),
 }
@@ -106,12 +106,12 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     def __post_init__(self) -> None:
         """Refuse a value out of its range."""
-        for key, (least, greatest) in _RANGES.items():
+        for key, (least, greatest) in RANGES.items():
             value = getattr(self, key)
             if not least <= value <= greatest:
                 msg = f"{key}={value!r} must be from {least} to {greatest}"
                 raise SettingsError(msg)
-        for key, choices in _CHOICES.items():
+        for key, choices in CHOICES.items():
             if getattr(self, key) not in choices:
                 allowed = ", ".join(map(str, choices))
                 msg = f"{key}={getattr(self, key)!r} must be one of {allowed}"

@@ -1,0 +1,112 @@
+"""Every key of the configuration is told, once, and as the daemon takes it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from armrig_core.calibration import Made
+from armrig_daemon.config import Config, ConfigError, load
+from armrig_daemon.configuration_reference import BEGIN, END, PAGE, example, page_tables, tables
+from armrig_daemon.emulator.settings import CHOICES, RANGES, EmulatorSettings
+
+
+def _leaves(kind: Any, before: str = "") -> Iterator[str]:
+    """Yield the dotted name of each value that the schema has."""
+    for field in msgspec.structs.fields(kind):
+        if isinstance(field.type, type) and issubclass(field.type, msgspec.Struct):
+            yield from _leaves(field.type, f"{before}{field.name}.")
+        elif field.type != Made | None:  # `armrig calibrate` writes it
+            yield f"{before}{field.name}"
+
+
+def _with_all_keys(tmp_path: Path, *but: str) -> Config:
+    """Return the configuration of the example with the # of each key taken away."""
+    text = re.sub(rf"(?m)^#(?!{'|'.join(but)})(?=\S+ = )", "", example())
+    path = tmp_path / "armrig.toml"
+    path.write_text(text, encoding="utf-8")
+    return load([path], {}, {})
+
+
+def test_every_key_of_the_schema_is_told_once() -> None:
+    """By table and dotted name, with what it is."""
+    told = [f"{table}.{key.name}" for table, _, keys in tables() for key in keys]
+    described = [(meaning, key.description) for _, meaning, keys in tables() for key in keys]
+
+    arm = {f"emulator.arm.{name}" for name in ("J_1", "J_2", "N", "K_lin", "R_m", "K_m", "b_1")}
+    assert len(told) == len(set(told))
+    assert set(told) == {*_leaves(Config), "calibration.file", *arm} - {"emulator.arm"}
+    assert all(meaning and description for meaning, description in described)
+
+
+def test_the_example_as_it_is_changes_nothing(tmp_path: Path) -> None:
+    """All keys stand behind a #: who saves it has not frozen a default."""
+    path = tmp_path / "armrig.toml"
+    path.write_text(example(), encoding="utf-8")
+
+    assert load([path], {}, {}) == Config()
+
+
+def test_the_values_of_the_example_are_the_defaults(tmp_path: Path) -> None:
+    """With every # taken away: a core to stay on has none, and a file excludes its tables."""
+    config = _with_all_keys(tmp_path, "file", "cpu")
+
+    assert config.arm.parameters() == Config().arm.parameters()
+    assert config.emulator.arm_parameters() == EmulatorSettings().arm_parameters()
+    same = msgspec.structs.replace(
+        config, arm=Config().arm, emulator=msgspec.structs.replace(config.emulator, arm={})
+    )
+    assert same == Config()
+
+
+def _cases() -> Iterator[tuple[str, str, str]]:
+    for table, _, keys in tables():
+        for key in keys:
+            if re.fullmatch(r"-?\d\S* to \S+", key.allowed):
+                yield table, key.name, key.allowed
+
+
+@pytest.mark.parametrize(("table", "name", "allowed"), [*_cases()])
+def test_a_range_that_is_told_is_the_one_that_is_kept(
+    tmp_path: Path, table: str, name: str, allowed: str
+) -> None:
+    """A value above it is refused, by that key's name."""
+    path = tmp_path / "armrig.toml"
+    path.write_text(f"[{table}]\n{name} = {float(allowed.split(' to ')[1]) * 2:.0f}\n")
+
+    with pytest.raises(ConfigError, match=name):
+        load([path], {}, {})
+
+
+def test_what_the_emulator_checks_is_told() -> None:
+    """Each of its ranges and choices is beside its key."""
+    (keys,) = (keys for table, _, keys in tables() if table == "emulator")
+    allowed = {key.name for key in keys if key.allowed and not key.name.startswith("arm.")}
+
+    assert allowed == {*RANGES, *CHOICES}
+
+
+def test_the_page_holds_the_tables_of_the_schema() -> None:
+    """As `make check` says, too."""
+    text = PAGE.read_text(encoding="utf-8")
+
+    assert text.split(BEGIN)[1].split(END)[0].strip() == page_tables().strip()
+
+
+def test_the_command_prints_the_example() -> None:
+    """To standard output; without the option it says what is needed."""
+    command = [sys.executable, "-m", "armrig_daemon", "config"]
+    printed = subprocess.run([*command, "--example"], capture_output=True, check=True)
+    bare = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert printed.stdout.decode() == example() + "\n"
+    assert (bare.returncode, bare.stdout) == (1, "")
+    assert bare.stderr == (
+        "armrigd: config: --example is needed: `armrigd config --example > armrig.toml`\n"
+    )
