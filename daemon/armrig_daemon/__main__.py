@@ -16,6 +16,7 @@ import msgspec
 import typer
 from armrig_core.endpoint import distrust, endpoint, socket_directory
 from armrig_core.printable import printable
+from armrig_core.recording_directory import installed
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
@@ -53,7 +54,7 @@ def run(
         overrides["device"] = {"port": port}
     if rig is not None:
         overrides["rig"] = {"id": rig}
-    paths = [config] if config is not None else configuration.installed()
+    paths = [config] if config is not None else installed()
     try:
         loaded = configuration.load(paths, os.environ, overrides, below=below)
         directory = configuration.recordings(loaded)

@@ -15,11 +15,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-import platformdirs
 from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
 from armrig_core.printable import printable
+from armrig_core.recording_directory import directory_of
 from armrig_core.topics import check_rig_id
 from armrig_core.volts import U_MAX_V, code_of
 from armrig_protocol.messages import (
@@ -38,7 +38,6 @@ from armrig_daemon.tables import TableError, convert
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
-SYSTEM = Path("/etc/armrig/armrig.toml")
 # Set for the tests and for the benefit of others; not keys of the configuration.
 _NOT_OURS = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA"}
 
@@ -238,22 +237,12 @@ class ConfigError(ValueError):
     """A configuration that is refused; names file, key, value and what is allowed."""
 
 
-def installed() -> list[Path]:
-    """Return the configuration files that there are, the weaker first."""
-    user = Path(platformdirs.user_config_dir("armrig")) / SYSTEM.name
-    return [path for path in (SYSTEM, user) if path.exists()]
-
-
 def recordings(config: Config) -> Path:
     """Return the directory that recordings go to."""
-    directory = config.recording.directory
-    if directory:
-        try:
-            return Path(directory).expanduser().absolute()
-        except RuntimeError as err:
-            msg = f"recording.directory = {directory!r}: there is no such user"
-            raise ConfigError(msg) from err
-    return Path(platformdirs.user_data_dir("armrig")) / "recordings"
+    try:
+        return directory_of(config.recording.directory)
+    except ValueError as err:
+        raise ConfigError(str(err)) from err
 
 
 def load(

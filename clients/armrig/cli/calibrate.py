@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
+from armrig.cli.chosen_recording import recording_path
 from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
 from armrig.numerics.quantities import with_std
 
@@ -49,10 +50,16 @@ ByHand = Annotated[
     bool, typer.Option("--by-hand", help="No motor: the arm's sign from a deflection by hand.")
 ]
 RestFile = Annotated[
-    Path | None, typer.Option("--rest", metavar="F", help="A recording of a rest made before.")
+    Path | None,
+    typer.Option(
+        "--rest", metavar="F", parser=recording_path, help="A recording of a rest made before."
+    ),
 ]
 TurnsFile = Annotated[
-    Path | None, typer.Option("--turns", metavar="F", help="A recording of turns made before.")
+    Path | None,
+    typer.Option(
+        "--turns", metavar="F", parser=recording_path, help="A recording of turns made before."
+    ),
 ]
 SamplingTime = Annotated[
     float | None, typer.Option("--Ts", help="Sampling time in s; the daemon's by default.")

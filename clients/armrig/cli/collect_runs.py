@@ -34,6 +34,8 @@ class Played(NamedTuple):
     """N and Ts in s -> u in V."""
     details: dict[str, Any]
     seconds: float | None
+    is_validation: bool = False
+    """Whether it is to validate what the one before gives."""
 
 
 def chosen_inputs(
@@ -76,7 +78,8 @@ def chosen_inputs(
         )
 
     first = played(experiment, seed)
-    return [first, played(f"{experiment}-validation", seed + 1)] if validation else [first]
+    second = played(f"{experiment}-validation", seed + 1)._replace(is_validation=True)
+    return [first, second] if validation else [first]
 
 
 def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | None) -> Played:
@@ -99,6 +102,10 @@ def _experiment_name(experiment: str, name: str) -> str:
         most = _LONGEST_NAME - len(experiment) - 1
         msg = f"--name {name}: at most {most} of a-z, 0-9 and - are allowed"
         raise ValueError(msg)
+    if name == "last" or re.match(r"validation\b", name):
+        meant = "@last is the newest recording" if name == "last" else "--validation adds that"
+        msg = f"--name {name}: {meant}; give another name"
+        raise ValueError(msg)
     return whole
 
 
@@ -107,8 +114,12 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
 
     `without_arm` is an experiment with the chassis alone: a rig that has its arm is refused.
     """
+    from dataclasses import replace
+
+    from armrig.recordings.folder import VALIDATION_OF
     from armrig.rig.collection import Plan, collect
 
+    each = list(played)
     plans = [
         Plan(
             experiment=_experiment_name(p.experiment, run.name),
@@ -121,11 +132,13 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
             dead_man=run.dead_man or None,
             without_arm=without_arm,
         )
-        for p in played
+        for p in each
     ]
-    for plan in plans:
-        done = collect(plan, rig=run.rig, connect=run.connect, tell=tell)
-        verdict = done.verdict
+    estimation = ""  # id of the run before
+    for p, plan in zip(each, plans, strict=True):
+        details = {**plan.details, VALIDATION_OF: estimation} if p.is_validation else plan.details
+        done = collect(replace(plan, details=details), rig=run.rig, connect=run.connect, tell=tell)
+        verdict, estimation = done.verdict, done.run_id
         if run.json:
             facts = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
             facts |= {"rehearsal": done.rehearsal}

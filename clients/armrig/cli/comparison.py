@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armrig.cli.chosen_recording import File, OtherFile
 from armrig.cli.comparison_rows import row_facts, row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.options import CalibrationFile, File, Json, Na, Nb, Nf, Nk, echo, print_json
+from armrig.cli.options import CalibrationFile, Json, Na, Nb, Nf, Nk, echo, print_json
 from armrig.cli.recorded_data import (
     dataset_of,
     loaded,
@@ -28,10 +29,6 @@ if TYPE_CHECKING:
 Models = Annotated[
     list[Path] | None,
     typer.Option("--model", metavar="JSON", help="Model that identify --save has written."),
-]
-OtherFile = Annotated[
-    Path | None,
-    typer.Argument(metavar="F2", help="Recording to validate with.", show_default=False),
 ]
 Horizon = Annotated[
     int | None,

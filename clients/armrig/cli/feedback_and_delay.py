@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import (
     CalibrationFile,
-    DataFile,
     DataTs,
     Detrend,
     Input,

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
-    File,
     Json,
     Na,
     Nb,
@@ -152,7 +152,12 @@ def _replay_verdict(found: Replay) -> str:
 
 
 def report(
-    files: Annotated[list[Path], typer.Argument(metavar="F…", help="Recordings (*.mcap).")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="F…", parser=recording_path, help="Recordings (*.mcap), or their @names."
+        ),
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="PDF to write.")] = Path(
         "report.pdf"
     ),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from armrig.cli.chosen_recording import DataFile, recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.files import check_output
 from armrig.cli.model_structures import (
@@ -29,7 +30,6 @@ from armrig.cli.model_structures import (
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
-    DataFile,
     DataTs,
     Detrend,
     Input,
@@ -77,7 +77,12 @@ MaxOrder = Annotated[
 Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes that --search estimates in.")]
 ValidationFile = Annotated[
     Path | None,
-    typer.Option("--validate", metavar="F2", help="Recording, or other data, to validate with."),
+    typer.Option(
+        "--validate",
+        metavar="F2",
+        parser=recording_path,
+        help="Recording, or other data, to validate with.",
+    ),
 ]
 Save = Annotated[
     Path | None, typer.Option("--save", metavar="JSON", help="File to write the model to.")

@@ -25,12 +25,7 @@ CalibrationFile = Annotated[
         help="Read the recordings with this calibration instead of the one attached.",
     ),
 ]
-File = Annotated[Path, typer.Argument(metavar="F", help="Recording (*.mcap).")]
 OutputName = Literal["theta_1", "alpha", "velocity"]
-DataFile = Annotated[
-    Path,
-    typer.Argument(metavar="F", help="Recording (*.mcap), or other data (.csv, .dat, .mat, .npz)."),
-]
 Signal = Annotated[
     str | None,
     typer.Option(

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.comparison_rows import row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.options import CalibrationFile, File, Json, NoOutput, echo, print_json, warned
+from armrig.cli.options import CalibrationFile, Json, NoOutput, echo, print_json, warned
 from armrig.cli.recorded_data import recorded
 
 if TYPE_CHECKING:
@@ -160,7 +161,10 @@ def _split_facts(study: SplitStudy) -> dict[str, Any]:
 
 def simulate(
     file: Annotated[
-        Path | None, typer.Argument(metavar="F", help="Recording whose input to simulate with.")
+        Path | None,
+        typer.Argument(
+            metavar="F", parser=recording_path, help="Recording whose input to simulate with."
+        ),
     ] = None,
     model: Annotated[
         list[Path] | None,

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armrig.cli.chosen_recording import DataFile
 from armrig.cli.comparison_rows import row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import (
     CalibrationFile,
-    DataFile,
     DataTs,
     Detrend,
     Input,

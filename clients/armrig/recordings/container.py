@@ -126,7 +126,7 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
     DamageError
         It is no regular file: a pipe or a device would keep us waiting, or never end.
     """
-    with open(path, "rb", opener=_opened) as stream:
+    with open(path, "rb", opener=opened) as stream:
         found = os.fstat(stream.fileno())
         if not stat.S_ISREG(found.st_mode):
             msg = "not a regular file"
@@ -152,7 +152,8 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
     return content
 
 
-def _opened(path: str, flags: int) -> int:
+def opened(path: str, flags: int) -> int:
+    """Open a file that may be anything, as the opener of `open`."""
     # Do not wait until somebody writes to a pipe. Windows has neither of the two flags.
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))
 

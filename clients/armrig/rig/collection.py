@@ -45,6 +45,8 @@ class Collected(NamedTuple):
     """Sampling time, in s."""
     verdict: DataVerdict | None
     """What the data are good for; None where the daemon's disk is not ours to read."""
+    run_id: str
+    """Id of the run, part of the recording's name."""
     rehearsal: Rehearsal | None
     """What the daemon's model of the rig did; None from a daemon that rehearses nothing."""
 
@@ -136,7 +138,7 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
             granted = opened.arm(plan.owner, plan.Ts)
             armed = True
             u = _input(plan, granted.Ts, tell)
-            path, rehearsal = _played(opened, plan, u, tell)
+            path, run_id, rehearsal = _played(opened, plan, u, tell)
         except KeyboardInterrupt as err:
             if not armed:
                 raise
@@ -146,18 +148,19 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
         except RigError as err:
             raise RigError(_reason(opened, err, connect)) from err
     verdict = data_verdict(load(path)) if path.is_file() else None
-    return Collected(path, u.size, granted.Ts, verdict, rehearsal)
+    return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal)
 
 
 def _played(
     rig: Rig, plan: Plan, u: NDArray[Any], tell: Callable[[str], None]
-) -> tuple[Path, Rehearsal | None]:
-    """Play an input under a progress bar; return the recording, and what the rehearsal said."""
+) -> tuple[Path, str, Rehearsal | None]:
+    """Play an input under a progress bar; return recording, run id, and what the rehearsal said."""
     rehearsal: Rehearsal | None = None
+    run_id = ""
 
     def accepted(run: RunAccepted) -> None:
-        nonlocal rehearsal
-        rehearsal = run.rehearsal
+        nonlocal rehearsal, run_id
+        rehearsal, run_id = run.rehearsal, run.run_id
         if rehearsal is not None:
             tell(sentence(rehearsal))
 
@@ -171,7 +174,7 @@ def _played(
             accepted=accepted,
             progress=progress,
         )
-    return path, rehearsal
+    return path, run_id, rehearsal
 
 
 ARM_OFF = (

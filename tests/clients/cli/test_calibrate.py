@@ -80,7 +80,7 @@ def test_the_person_is_led_through_it(
     def collect(plan: Plan, **_: Any) -> Collected:
         plans.append(plan)
         path = tmp_path / f"{plan.experiment.removeprefix('calibrate-')}.mcap"
-        return Collected(path, 0, 0.01, None, None)
+        return Collected(path, 0, 0.01, None, "", None)
 
     monkeypatch.setattr(collection, "collect", collect)
     monkeypatch.setattr(sys, "stdin", _Terminal("\n\n0.97\n\n"))

@@ -421,6 +421,8 @@ def test_collect_validation_plays_the_next_seed_too(
     assert [r.details["seed"] for r in (first, second)] == [7, 8]
     assert {r.details["input"] for r in (first, second)} == {name}
     assert first.u != second.u
+    assert "validation_of" not in first.details
+    assert second.details["validation_of"] == "r1"
 
 
 def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_path: Path) -> None:
@@ -1108,7 +1110,7 @@ def test_what_is_missing_is_told_with_what_it_is(capsys: pytest.CaptureFixture[s
     either = told(capsys)
 
     assert "--model JSON is missing: model that identify --save has written" in option
-    assert "F is missing: recording (*.mcap)" in argument
+    assert "F is missing: recording (*.mcap, @last or @NAME)" in argument
     assert "--model FILE (from `armrig identify --save FILE`)" in either
 
 

@@ -1,0 +1,144 @@
+"""Which recording is meant: a path, `@last`, `@NAME` or `@NAME/validation`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from armrig.cli.options import tell
+
+if TYPE_CHECKING:
+    from armrig.recordings.folder import RecordingSummary
+
+LAST = "last"
+_VALIDATION = "/validation"
+_LISTED = 4
+"""How many are named where several answer to a name."""
+
+
+class NoSuchRecordingError(RuntimeError):
+    """A name that no recording answers to, or several; says which there are."""
+
+
+_NAMES = "@last or @NAME"
+
+
+def recording_folder() -> Path:
+    """Return the folder that a daemon of this user records into, as it is configured."""
+    from armrig_core.recording_directory import installed, recording_directory
+
+    try:
+        return recording_directory(installed(), os.environ)
+    except ValueError as err:  # of a parser of options it would become a sentence of typer's
+        raise NoSuchRecordingError(str(err)) from err
+
+
+def recording_path(text: str) -> Path:
+    """Return the file that is meant, and tell which one a name stands for.
+
+    Raises
+    ------
+    NoSuchRecordingError
+        No recording answers to the name, or several do.
+    """
+    if not text.startswith("@"):
+        return Path(text)
+    found = chosen(text, recording_folder())
+    tell(f"{text} is {described(found)}")
+    return found.path
+
+
+def chosen(text: str, folder: Path) -> RecordingSummary:
+    """Return the whole recording in a folder that `@last`, `@NAME` or `@NAME/validation` means.
+
+    Of all others it reads the names, and of those that may be meant the metadata.
+
+    Raises
+    ------
+    NoSuchRecordingError
+        No recording answers to the name, or several do.
+    """
+    from armrig.recordings.folder import newest_first, summaries
+
+    paths = newest_first(folder)
+    if text == f"@{LAST}":
+        for newest in summaries(paths):
+            return newest
+    found = matching(text, paths)
+    if not found:
+        raise NoSuchRecordingError(_none(text, folder))
+    if len(found) > 1:
+        listed = "; ".join(described(s) for s in found[:_LISTED])
+        rest = f"; and {len(found) - _LISTED} older ones" if len(found) > _LISTED else ""
+        msg = f"{text} may be any of {len(found)} recordings: {listed}{rest}"
+        raise NoSuchRecordingError(msg)
+    return found[0]
+
+
+def matching(text: str, paths: Sequence[Path]) -> list[RecordingSummary]:
+    """Return the whole recordings of these files that answer to `@NAME` or `@NAME/validation`."""
+    from armrig.recordings.folder import may_answer_to, summaries
+
+    validation = text.endswith(_VALIDATION)
+    name = text.removeprefix("@").removesuffix(_VALIDATION)
+    possible = [path for path in paths if may_answer_to(path, name, validation=validation)]
+    return [s for s in summaries(possible) if s.answers_to(name, validation=validation)]
+
+
+def short_name(summary: RecordingSummary, paths: Sequence[Path]) -> str:
+    """Return the shortest way to say which of these files is meant: `@NAME` where no other is."""
+    names = [f"@{summary.manifest.run_id}"]
+    if summary.is_validation and (of := summary.name or summary.validation_of):
+        names.insert(0, f"@{of}{_VALIDATION}")
+    elif summary.name:
+        names.insert(0, f"@{summary.name}")
+    for name in names:
+        if [s.path for s in matching(name, paths)] == [summary.path]:
+            return name
+    return str(summary.path)
+
+
+def described(summary: RecordingSummary) -> str:
+    """Return which recording it is, for a person: what it is of, how long, when, and its id."""
+    manifest = summary.manifest
+    name = f" {summary.name}" if summary.name else ""
+    what = f"{summary.kind}{name}{' (validation)' if summary.is_validation else ''}"
+    when = manifest.started[:19].replace("T", " ")
+    return f"@{manifest.run_id}, {what}, {summary.seconds:g} s, {when}"
+
+
+def _none(text: str, folder: Path) -> str:
+    unfinished = sum(1 for _ in folder.glob("*.mcap.active"))
+    going = f" ({unfinished} still being written)" if unfinished else ""
+    if text == f"@{LAST}":
+        why = f"there is no whole recording in {folder}{going}; make one with `armrig collect`"
+    else:
+        why = f"no whole recording in {folder} has that name{going}; `armrig ls` lists them"
+    return f"{text}: {why}"
+
+
+OtherFile = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="F2",
+        parser=recording_path,
+        help="Recording to validate with.",
+        show_default=False,
+    ),
+]
+File = Annotated[
+    Path,
+    typer.Argument(metavar="F", parser=recording_path, help=f"Recording (*.mcap), {_NAMES}."),
+]
+DataFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="F",
+        parser=recording_path,
+        help=f"Recording (*.mcap, {_NAMES}), or other data (.csv, .dat, .mat, .npz).",
+    ),
+]

@@ -1,0 +1,77 @@
+"""The command that lists the recordings: ls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from armrig.cli.chosen_recording import recording_folder, short_name
+from armrig.cli.options import Json, echo, print_json, tell
+
+if TYPE_CHECKING:
+    from armrig.recordings.folder import RecordingSummary
+
+Count = Annotated[int, typer.Option("--count", min=1, help="How many of the newest.")]
+All = Annotated[bool, typer.Option("--all", help="All of them.")]
+_COUNT = 20
+_HEADINGS = ("recording", "experiment", "length", "Ts", "missing", "started", "")
+
+
+def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
+    """List the recordings, newest first, with the names that other commands take."""
+    from itertools import islice
+
+    from armrig.recordings.folder import facts_of, newest_first, summaries
+
+    folder = recording_folder()
+    paths = newest_first(folder)
+    found = list(islice(summaries(paths), None if every else count))
+    if json:
+        print_json({"folder": str(folder), "recordings": [facts_of(s) for s in found]})
+        return
+    if found:
+        echo(_table([_HEADINGS, *(_row(s, paths) for s in found)]))
+    _tell_of_the_rest(folder, paths, found, whole_were_sought=every or len(found) < count)
+
+
+def _row(summary: RecordingSummary, paths: list[Path]) -> tuple[str, ...]:
+    manifest = summary.manifest
+    remark = f"validation of @{summary.validation_of}" if summary.validation_of else "validation"
+    ended = summary.outcome.outcome
+    return (
+        short_name(summary, paths),
+        summary.kind,
+        f"{summary.seconds:g} s",
+        f"{manifest.Ts:g} s",
+        str(summary.outcome.missing),
+        manifest.started[5:16].replace("T", " "),
+        "; ".join([remark] * summary.is_validation + [ended.split(":")[0]] * (ended != "complete")),
+    )
+
+
+def _table(rows: list[tuple[str, ...]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def _tell_of_the_rest(
+    folder: Path, paths: list[Path], found: list[RecordingSummary], *, whole_were_sought: bool
+) -> None:
+    """Tell what is not in the table: the older ones, and what is not whole."""
+    unfinished = sum(1 for _ in folder.glob("*.mcap.active"))
+    if not paths and not unfinished:
+        tell(f"there are no recordings in {folder}; make one with `armrig collect`")
+        return
+    told = [f"in {folder}"]
+    if not whole_were_sought:
+        told.append(f"{len(paths) - len(found)} older ones: --all")
+    elif damaged := len(paths) - len(found):
+        told.append(f"{damaged} that are not whole: `armrig info FILE` says why")
+    if unfinished:
+        told.append(f"{unfinished} being written, or left by a daemon that died (*.active)")
+    tell("; ".join(told))

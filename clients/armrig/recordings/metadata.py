@@ -1,0 +1,98 @@
+"""The metadata of a recording without its samples, by the index at the end of the file."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from struct import Struct, error
+from typing import IO
+
+from armrig_core.manifest import OUTCOME, RUN
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Metadata, MetadataIndex
+
+from armrig.recordings.container import MAGIC, RECORD_LIMIT, CutOffError, opened
+from armrig.recordings.sample_rows import RECORD_HEAD, DamageError
+
+_FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, CRC
+_FOOTER_BODY = 8 + 8 + 4
+
+
+def read_metadata(path: Path) -> dict[str, dict[str, str]]:
+    """Return the metadata records of a run and of its outcome, by name; what is there of them.
+
+    Three short reads, however long the recording is. The samples are not looked at, so nothing is
+    said of whether they are whole.
+
+    Raises
+    ------
+    OSError
+        The file cannot be opened or read.
+    DamageError
+        It is no MCAP file, or has no end that says where the records are.
+    """
+    with open(path, "rb", opener=opened) as stream:
+        found = os.fstat(stream.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            msg = "not a regular file"
+            raise DamageError(msg)
+        if stream.read(len(MAGIC)) != MAGIC:
+            msg = "not an MCAP file"
+            raise DamageError(msg)
+        try:
+            return dict(_records(stream, found.st_size))
+        except (McapError, error, ValueError, OverflowError) as err:
+            msg = f"its index cannot be read ({err or type(err).__name__})"
+            raise DamageError(msg) from err
+
+
+def _records(stream: IO[bytes], size: int) -> Iterator[tuple[str, dict[str, str]]]:
+    for index in _indexes(stream, size):
+        if index.name in (RUN, OUTCOME):
+            opcode, body = _record(stream, index.offset)
+            if opcode != Opcode.METADATA:
+                msg = "its index points to something else than metadata"
+                raise DamageError(msg)
+            yield index.name, Metadata.read(_bytes(body)).metadata
+
+
+def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:
+    """Give what the summary, between the data and the footer, says of where metadata are."""
+    end = size - _FOOTER.size - len(MAGIC)
+    if end < len(MAGIC):
+        raise CutOffError("without its footer")
+    stream.seek(end)
+    tail = stream.read(_FOOTER.size + len(MAGIC))
+    opcode, length, start, _, _ = _FOOTER.unpack(tail[: _FOOTER.size])
+    if (opcode, length, tail[_FOOTER.size :]) != (Opcode.FOOTER, _FOOTER_BODY, MAGIC):
+        raise CutOffError("without its footer")
+    if not len(MAGIC) <= start <= end or end - start > RECORD_LIMIT:
+        msg = "its footer says of no summary"
+        raise DamageError(msg)
+    stream.seek(start)
+    summary, at = stream.read(end - start), 0
+    while at + RECORD_HEAD.size <= len(summary):
+        opcode, length = RECORD_HEAD.unpack_from(summary, at)
+        at += RECORD_HEAD.size
+        if opcode == Opcode.METADATA_INDEX:
+            yield MetadataIndex.read(_bytes(summary[at : at + length]))
+        at += length
+
+
+def _record(stream: IO[bytes], offset: int) -> tuple[int, bytes]:
+    stream.seek(offset)
+    head = stream.read(RECORD_HEAD.size)
+    opcode, length = RECORD_HEAD.unpack(head) if len(head) == RECORD_HEAD.size else (0, 0)
+    if length > RECORD_LIMIT:
+        msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
+        raise DamageError(msg)
+    return opcode, stream.read(length)
+
+
+def _bytes(data: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(data))

@@ -1,0 +1,272 @@
+"""Recordings by name: `@last`, `@NAME`, `@NAME/validation`, and the list of `armrig ls`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from armrig.recordings import metadata
+from armrig_core.manifest import Outcome
+from made_recordings import manifest, recorded, sample, written
+
+BEGUN = {
+    "step": ("13:00:00", "0000000a", {}),
+    "blackbox-monday": ("13:10:00", "0000000b", {}),
+    "blackbox-validation-monday": ("13:20:00", "0000000c", {"validation_of": "0000000b"}),
+    "blackbox": ("13:30:00", "0000000d", {}),
+    "blackbox-validation": ("13:40:00", "0000000e", {"validation_of": "0000000d"}),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give a folder of five recordings; one more is being written."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(folder))
+    for experiment in BEGUN:
+        put(folder, experiment)
+    data = of_run("step", "0000000f", "14:00:00", {})
+    written(folder, data[:-30], "1-step-20261120T140000-0000000f.mcap.active")
+    return folder
+
+
+def put(folder: Path, experiment: str, **other: str) -> Path:
+    """Write a recording of an experiment under the daemon's name for it, and return its path."""
+    at, run_id, details = BEGUN[experiment]
+    at, run_id = other.get("at", at), other.get("run_id", run_id)
+    stamp = f"20261120T{at.replace(':', '')}"
+    data = of_run(experiment, run_id, at, details)
+    return written(folder, data, f"1-{experiment}-{stamp}-{run_id}.mcap")
+
+
+def of_run(experiment: str, run_id: str, at: str, details: dict[str, str]) -> bytes:
+    """Return a recording of ten samples, two of which are missing."""
+    about = manifest(
+        experiment=experiment,
+        run_id=run_id,
+        started=f"2026-11-20T{at}+01:00",
+        details=details,
+    )
+    ended = Outcome(outcome="complete", samples=8, missing=2)
+    return recorded([sample(k) for k in range(8)], manifest=about, outcome=ended)
+
+
+def read(name: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the id of the run that `armrig info` reads for a name."""
+    assert main(["info", name, "--json"]) == 0
+    return str(json.loads(capsys.readouterr().out)["manifest"]["run_id"])
+
+
+@pytest.mark.parametrize(
+    ("name", "run_id"),
+    [
+        ("@last", "0000000e"),
+        ("@monday", "0000000b"),
+        ("@blackbox-monday", "0000000b"),
+        ("@monday/validation", "0000000c"),
+        ("@0000000b/validation", "0000000c"),
+        ("@blackbox", "0000000d"),
+        ("@blackbox/validation", "0000000e"),
+        ("@step", "0000000a"),
+        ("@0000000c", "0000000c"),
+        ("@1-step-20261120T130000-0000000a", "0000000a"),
+    ],
+)
+def test_a_recording_has_names(
+    folder: Path, name: str, run_id: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its own, its experiment's, its run's; a validation those of what it validates."""
+    assert read(name, capsys) == run_id
+
+
+def test_the_last_is_the_newest_that_is_whole(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the time in its name, whatever is cut off or being written beside it."""
+    written(folder, b"\x89MCAP0\r\nrest", "1-step-20261120T150000-00000010.mcap")
+    old = folder / "1-step-20261120T130000-0000000a.mcap"
+    old.touch()  # the newest to the file system
+
+    assert read("@last", capsys) == "0000000e"
+
+
+def test_what_a_name_stands_for_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Beside the answer, so that nobody reads another recording's."""
+    assert main(["info", "@monday", "--json"]) == 0
+
+    told = capsys.readouterr().err
+    assert told == "armrig: @monday is @0000000b, blackbox monday, 0.1 s, 2026-11-20 13:10:00\n"
+
+
+def test_an_ambiguous_name_is_refused_with_the_list(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each with an id that means it alone, the newest first."""
+    for n in range(1, 6):
+        put(folder, "blackbox-monday", at=f"12:0{n}:00", run_id=f"aaaaaaa{n}")
+
+    assert main(["identify", "@monday", "--structure", "arx"]) == 1
+
+    told = capsys.readouterr().err
+    assert "@monday may be any of 6 recordings: @0000000b, blackbox monday, 0.1 s, 2026" in told
+    assert "; @aaaaaaa5" in told
+    assert "and 2 older ones" in told
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("@tuesday", "@tuesday: no whole recording in {} has that name (1 still being written)"),
+        ("@0000000f", "@0000000f: no whole recording in {} has that name (1 still being written)"),
+        ("@", "@: no whole recording in {} has that name (1 still being written)"),
+    ],
+)
+def test_a_name_of_no_recording_is_refused(
+    folder: Path, name: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line, with the command that lists them."""
+    assert main(["info", name]) == 1
+
+    told = capsys.readouterr().err
+    assert told == f"armrig: {expected.format(folder)}; `armrig ls` lists them\n"
+
+
+def test_without_a_recording_the_way_to_one_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The folder need not be there."""
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "none"))
+
+    assert main(["info", "@last"]) == 1
+    assert main(["ls"]) == 0
+
+    told = capsys.readouterr().err
+    assert f"there is no whole recording in {tmp_path / 'none'}; make one with" in told
+    assert f"there are no recordings in {tmp_path / 'none'}; make one with" in told
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["info", "@x"],
+        ["replay", "@x"],
+        ["identify", "@x", "--structure", "arx"],
+        ["identify", "data.csv", "--structure", "arx", "--validate", "@x"],
+        ["validate", "@x", "--model", "model.json"],
+        ["compare", "@x", "F2"],
+        ["compare", "F", "@x"],
+        ["check", "@x"],
+        ["greybox", "@x"],
+        ["split", "@x"],
+        ["simulate", "@x"],
+        ["report", "@x"],
+        ["calibrate", "--rest", "@x"],
+        ["calibrate", "--turns", "@x"],
+    ],
+)
+def test_every_command_that_takes_a_recording_takes_a_name(
+    folder: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And refuses one that there is not in the same words."""
+    assert main(arguments) == 1
+
+    assert "@x: no whole recording in" in capsys.readouterr().err
+
+
+def test_a_name_reads_only_what_may_be_meant(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of thousands of recordings the others are passed over by their names."""
+    opened: list[str] = []
+    whole = metadata.read_metadata
+
+    def counted(path: Path) -> dict[str, dict[str, str]]:
+        opened.append(path.name)
+        return whole(path)
+
+    monkeypatch.setattr("armrig.recordings.folder.read_metadata", counted)
+
+    assert read("@step", capsys) == "0000000a"
+    assert opened == ["1-step-20261120T130000-0000000a.mcap"]
+    opened.clear()
+    read("@last", capsys)
+    assert len(opened) == 1
+
+
+def test_the_folder_is_that_of_the_configuration(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """What the daemon reads says where it records, and so where we look."""
+    monkeypatch.delenv("ARMRIG_RECORDING_DIRECTORY")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    (tmp_path / "config" / "armrig").mkdir(parents=True)
+    file = tmp_path / "config" / "armrig" / "armrig.toml"
+
+    file.write_text(f'[recording]\ndirectory = "{folder}"\n[limits]\nu_max_v = 4.5\n')
+    assert read("@last", capsys) == "0000000e"
+
+    file.write_text("[recording]\ndirectory = 5\n")
+    assert main(["info", "@last"]) == 1
+    assert f"{file}: [recording] directory must be the path of" in capsys.readouterr().err
+
+
+def test_ls_lists_the_newest_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With the name that means each alone, and what validates what."""
+    assert main(["ls"]) == 0
+
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0].split() == [
+        "recording",
+        *("experiment", "length", "Ts", "missing", "started"),
+    ]
+    names = ["@0000000d/validation", "@0000000d", "@monday/validation", "@monday", "@0000000a"]
+    assert [line.split()[0] for line in lines[1:]] == names
+    assert lines[3].endswith(
+        "blackbox    0.1 s   0.01 s  2        11-20 13:20  validation of @0000000b"
+    )
+    assert max(map(len, lines)) < 100
+    assert "1 being written, or left by a daemon that died" in err
+
+
+def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is older than the newest asked for, and what is not whole."""
+    written(folder, b"\x89MCAP0\r\nrest", "cut.mcap")
+
+    assert main(["ls", "--count", "2"]) == 0
+    few = capsys.readouterr()
+    assert main(["ls", "--all"]) == 0
+    every = capsys.readouterr()
+
+    assert len(few.out.splitlines()) == 3
+    assert "older ones: --all" in few.err
+    assert len(every.out.splitlines()) == 6
+    assert "1 that are not whole" in every.err
+
+
+def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With whole paths, and lengths as numbers."""
+    assert main(["ls", "--json"]) == 0
+
+    found = json.loads(capsys.readouterr().out)
+    assert found["folder"] == str(folder)
+    newest = found["recordings"][2]
+    assert newest["recording"] == str(next(folder.glob("*-0000000c.mcap")))
+    assert (newest["name"], newest["validation_of"]) == ("monday", "0000000b")
+    assert (newest["seconds"], newest["Ts"], newest["missing"]) == (0.1, 0.01, 2)
+
+
+@pytest.mark.parametrize("name", ["last", "validation", "validation-2"])
+def test_a_name_that_would_mean_another_recording_cannot_be_given(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`@last` is the newest, and what is called a validation is one."""
+    assert main(["collect", "step", "--name", name, "--connect", "nowhere"]) == 1
+
+    assert f"--name {name}: " in capsys.readouterr().err
