@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 from armrig_core.calibration import Made
+from armrig_core.recording_directory import SYSTEM
 from msgspec.inspect import (
     BoolType,
     DictType,
@@ -27,7 +28,7 @@ from msgspec.inspect import (
     type_info,
 )
 
-from armrig_daemon.config import SYSTEM, Config
+from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import CHOICES, RANGES
 
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
