@@ -1,0 +1,80 @@
+"""docs/telemetry.md: its tables are what the schemas say."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from armrig_core import commands, protobuf, topics
+from armrig_protocol.messages import Flag
+from google.protobuf import descriptor_pb2
+
+TEXT = (Path(__file__).parents[2] / "docs" / "telemetry.md").read_text(encoding="utf-8")
+
+
+def _table(heading: str) -> list[list[str]]:
+    """Return the rows of all tables below a heading, without their heads."""
+    below = re.split(r"\n#+ ", TEXT.split(f"# {heading}\n")[1])[0]
+    lines = [line for line in below.splitlines() if line.startswith("| ")]
+    rows = [[cell.strip() for cell in line[1:-1].split("|")] for line in lines]
+    return [row for row in rows if row[0] not in ("key", "field", "flag", "command")]
+
+
+def _messages() -> dict[str, descriptor_pb2.DescriptorProto]:
+    """Return each message that armrig defines, by its full name."""
+    sets = (protobuf.descriptor_set(name) for name in protobuf.OF_STREAM.values())
+    files = [f for data in sets for f in descriptor_pb2.FileDescriptorSet.FromString(data).file]
+    return {
+        f"{file.package}.{message.name}": message
+        for file in files
+        for message in file.message_type
+        if file.package != "google.protobuf"
+    }
+
+
+def _kind(field: descriptor_pb2.FieldDescriptorProto) -> str:
+    """Return a field's type as a .proto file says it, of a message of the same file by its name."""
+    if field.type_name:
+        return re.sub(r"^\.(armrig\.v1|foxglove\.Log)?\.?", "", field.type_name)
+    return descriptor_pb2.FieldDescriptorProto.Type.Name(field.type).removeprefix("TYPE_").lower()
+
+
+@pytest.mark.parametrize("name", _messages())
+def test_every_field_is_told_in_its_order(name: str) -> None:
+    """With its type; the order is that of the numbers, which count from 1."""
+    fields = [(field.name, _kind(field)) for field in _messages()[name].field]
+    told = [(row[0], row[1]) for row in _table(name) if not row[0].startswith("0x")]
+
+    assert [field.number for field in _messages()[name].field] == list(range(1, len(fields) + 1))
+    assert told == fields
+
+
+def test_every_flag_is_told() -> None:
+    """By its value and name."""
+    rows = [row for row in _table("armrig.v1.Sample") if row[0].startswith("0x")]
+
+    assert {row[1]: int(row[0], 16) for row in rows} == {flag.name: int(flag) for flag in Flag}
+
+
+def test_every_key_is_told_with_its_encoding() -> None:
+    """As the daemon declares them."""
+    told = {key.strip("`"): encoding.strip("`") for key, _, encoding in _table("Keys")[:6]}
+
+    assert told == {
+        topics.stream_key("<id>", stream): f"application/protobuf;{protobuf.OF_STREAM[stream]}"
+        for stream in topics.STREAMS
+    }
+    assert [row[0].strip("`") for row in _table("Keys")[6:]] == [
+        topics.schema_key("<id>", "<message>"),
+        topics.schema_key("<id>", "cmd/<command>"),
+        topics.command_key("<id>", "<command>"),
+        topics.alive_key("<id>"),
+    ]
+
+
+def test_every_command_is_told_with_its_fields() -> None:
+    """In the order of the schema that the daemon serves."""
+    told = {row[0]: [field for field in row[1].split(", ") if field] for row in _table("Commands")}
+
+    assert told == {name: list(kind.__struct_fields__) for name, kind in commands.REQUESTS.items()}
