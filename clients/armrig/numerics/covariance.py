@@ -14,6 +14,7 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import autoregression, joined
 
 _ROWS = 1 << 16  # filtered at once, so that length costs no memory
+_FEW_ROWS = 1 << 11  # summed at once
 
 
 def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
@@ -64,22 +65,39 @@ def _backwards(N: int) -> Iterator[tuple[int, int]]:
         yield max(end - _ROWS, 0), end
 
 
-def correlated_score(scores: Sequence[Array]) -> Array:
+def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return M for scores psi(t) e(t) that may depend on the noise (ARX): Newey-West.
 
     Bartlett weights 1 - k/(L + 1) up to L = floor(4 (N/100)^(2/9)), which is the mean square of
     all sums of L + 1 successive scores, those over the ends included.
 
+    Parameters
+    ----------
+    blocks : sequence of ndarray (N_i, d)
+        Psi of each experiment, zero in the rows where y is missing.
+    residuals : sequence of ndarray (N_i,)
+        Residuals of each experiment, NaN where y is missing.
+
     References
     ----------
     .. [1] W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708.
     """
-    N = sum(s.shape[0] for s in scores)
+    N = sum(e.size for e in residuals)
     L = int(4 * (N / 100) ** (2 / 9))
-    total = np.zeros((scores[0].shape[1],) * 2)
-    for s in scores:
-        none = np.zeros((L + 1, s.shape[1]))
-        upto = np.cumsum(np.vstack([none, s, none[1:]]), axis=0)
-        sums = upto[L + 1 :] - upto[: -L - 1]
-        total += sums.T @ sums / (L + 1)
+    total = np.zeros((blocks[0].shape[1],) * 2)
+    for Psi, e in zip(blocks, residuals, strict=True):
+        # Few rows at once: fresh memory for all of them costs more than the sums.
+        for begin in range(0, e.size + L, _FEW_ROWS):
+            sums = _sums_of_scores(Psi, e, L, begin, min(begin + _FEW_ROWS, e.size + L))
+            total += sums @ sums.T / (L + 1)
     return total
+
+
+def _sums_of_scores(Psi: Array, e: Array, L: int, begin: int, end: int) -> Array:
+    """Return the sums of psi(s) e(s), s = t - L … t, for t from `begin` to before `end`."""
+    first = begin - L - 1
+    a, b = max(first + 1, 0), min(end, e.size)
+    scores = np.zeros((Psi.shape[1], end - first))
+    np.multiply(Psi[a:b].T, np.nan_to_num(e[a:b]), out=scores[:, a - first : b - first])
+    upto = np.cumsum(scores, axis=1)
+    return np.asarray(upto[:, L + 1 :] - upto[:, : -L - 1])

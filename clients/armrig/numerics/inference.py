@@ -147,10 +147,8 @@ def infer(
 
 def _middle(score: Score, residuals: Sequence[Array], blocks: Sequence[Array]) -> Array:
     """Return M, the covariance of Psi^T e."""
-    if score == "exogenous":
-        return exogenous_score(blocks, residuals)
-    pairs = zip(blocks, residuals, strict=True)
-    return correlated_score([Psi * np.nan_to_num(e)[:, None] for Psi, e in pairs])
+    estimate = exogenous_score if score == "exogenous" else correlated_score
+    return estimate(blocks, residuals)
 
 
 def _explained(y: Array | None, residuals: Sequence[Array], sse: float) -> float:

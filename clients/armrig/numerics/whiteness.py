@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, lagged
+from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import p_relation
 
 Vector = NDArray[np.float64]
@@ -175,13 +175,12 @@ def portmanteau(
     .. [1] L. G. Godfrey, Econometrica 46 (1978) 1303-1310 (the Lagrange multiplier form).
     .. [2] G. M. Ljung, G. E. P. Box, Biometrika 65 (1978) 297-303.
     """
-    e = [np.nan_to_num(part) for part in residuals]
     N = sum(int(np.count_nonzero(np.isfinite(part))) for part in residuals)
     R, pairs = autocovariance(joined(residuals, lags), lags)
     if lags + sum(s.shape[1] for s in spans) + blocks[0].shape[1] >= N or R[0] == 0:
         return NOT_TESTED
     Psi = np.vstack(blocks)
-    edges = np.cumsum([0, *(x.size for x in e)])
+    edges = np.cumsum([0, *(e.size for e in residuals)])
     if theta_covariance is not None:
         Q = np.zeros((Psi.shape[0], 0))
     fitted = orthonormal(Psi).Q if Q is None else Q
@@ -189,15 +188,14 @@ def portmanteau(
     M = np.diag(V)
     m = np.zeros(lags)
     by_fitted, by_theta = np.zeros((lags, fitted.shape[1])), np.zeros((lags, Psi.shape[1]))
-    for x, known, span, (a, b) in zip(e, residuals, spans, pairwise(edges), strict=True):
-        Z = lagged(x, range(1, lags + 1))
-        Z[~np.isfinite(known)] = 0.0
+    for part, whole_span, (a, b) in zip(residuals, spans, pairwise(edges), strict=True):
+        e, span = np.nan_to_num(part), _without_last_zeros(whole_span)
         m -= R[0] * (_autocorrelation(span, lags) + _autocorrelation(fitted[a:b], lags))
-        explained = Z.T @ span
+        explained = _with_past(e, span, lags)
         M -= R[0] * explained @ explained.T
-        by_fitted = by_fitted + Z.T @ fitted[a:b]
+        by_fitted = by_fitted + _with_past(e, fitted[a:b], lags)
         if theta_covariance is not None:
-            by_theta = by_theta + Z.T @ Psi[a:b]
+            by_theta = by_theta + _with_past(e, Psi[a:b], lags)
     M -= R[0] * by_fitted @ by_fitted.T
     if theta_covariance is not None:
         M += by_theta @ theta_covariance @ by_theta.T
@@ -216,10 +214,25 @@ def _decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
     return Whiteness(p_value=portmanteau_p_value(Q, max(degrees, 1.0), N), test=test)
 
 
+def _without_last_zeros(M: Array) -> Array:
+    """Return M without the rows of zeros that it ends with."""
+    rows = np.flatnonzero(M.any(axis=1))
+    return M[: rows[-1] + 1] if rows.size else M[:0]
+
+
+def _with_past(e: Vector, M: Array, lags: int) -> Array:
+    """Return (lags, d), the sums of e(t - k) m(t)^T, k = 1 … lags, over the rows m(t)^T of M."""
+    # Not as a product of matrices: 25 lagged copies of e cost more to fill than to multiply.
+    n = M.shape[0]
+    before = np.concatenate([np.zeros(lags), e[:n]])
+    return np.array([before[lags - k : lags - k + n] @ M for k in range(1, lags + 1)])
+
+
 def _autocorrelation(Q: Array, lags: int) -> Array:
     """Return the sums of q(t)^T q(t - k), k = 1 … lags, over the rows q(t)^T of Q (N, r)."""
-    flat, r = np.ascontiguousarray(Q).ravel(), Q.shape[1]
-    return np.array([flat[k * r :] @ flat[: max(flat.size - k * r, 0)] for k in range(1, lags + 1)])
+    none = np.zeros(lags)
+    sums = [np.correlate(np.concatenate([q, none]), q)[1:] for q in Q.T if q.size]
+    return np.sum(sums, axis=0) if sums else none
 
 
 def portmanteau_p_value(Q: float, m: float, N: int) -> float:

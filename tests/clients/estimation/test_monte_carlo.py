@@ -114,14 +114,18 @@ def test_few_lags_allow_for_the_parameters_too(ahead: int) -> None:
 
 
 def test_correlated_scores_are_weighted_by_bartlett() -> None:
-    """Sums over pairs of one experiment, 1 - k/(L + 1) for k samples between them, L = 4."""
+    """1 - k/(L + 1) for k samples between two of one experiment, whatever its length."""
     rng = np.random.default_rng(1)
-    scores = [rng.standard_normal((N, 3)) for N in (70, 27, 3)]
+    lengths = (2200, 70, 27, 3)
+    Psi = [rng.standard_normal((N, 3)) for N in lengths]
+    e = [rng.standard_normal(N) for N in lengths]
+    e[1][5] = np.nan
 
-    M = correlated_score(scores)
+    M = correlated_score(Psi, e)
 
     expected = np.zeros((3, 3))
-    for s in scores:
+    for x, part in zip(Psi, e, strict=True):
+        s = x * np.nan_to_num(part)[:, None]
         lag = np.abs(np.subtract.outer(np.arange(len(s)), np.arange(len(s))))
-        expected += s.T @ np.maximum(1 - lag / 5, 0) @ s
+        expected += s.T @ np.maximum(1 - lag / 9, 0) @ s
     np.testing.assert_allclose(M, expected, atol=1e-12 * np.abs(expected).max())

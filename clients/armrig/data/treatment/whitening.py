@@ -9,12 +9,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.dataset import Vector
+from armrig.numerics.gram import cholesky_factor
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.regressors import complete, in_blocks
 from armrig.numerics.triangular import triangle
 
-_ROWS = 5_000
+_ROWS = 2_000
 _ENOUGH = 100_000  # rows: more do not make it a better judge of single samples
 
 
@@ -45,14 +46,17 @@ class Whitening:
 def whitening(parts: Sequence[tuple[Vector, Vector]], n: int, *, slope: bool = False) -> Whitening:
     """Estimate a model of order n from (u, y) of each experiment, y NaN where it is missing.
 
-    Of more than 100 000 rows evenly spread blocks are used.
+    Of more than 100 000 rows evenly spread blocks are used. From the normal equations, or by QR
+    where those have too few digits.
     """
     width = 2 * n + 2 + int(slope)
     total = sum(u.size for u, _ in parts)
     skip = max(1, total // _ENOUGH)
     blocks = [b for i, b in enumerate(_all_blocks(parts, n, slope)) if i % skip == 0]
     rows = sum(b.shape[0] for b in blocks)
-    R = triangle(blocks, width + 1)
+    R = cholesky_factor(np.sum([b.T @ b for b in blocks], axis=0)) if rows else None
+    if R is None:
+        R = triangle(blocks, width + 1)
     basis = orthonormal(R[:, :-1])
     theta = basis.coefficients(R[:, -1])
     sse = float(np.sum(basis.without(R[:, -1]) ** 2))
@@ -77,6 +81,10 @@ def _all_blocks(parts: Sequence[tuple[Vector, Vector]], n: int, slope: bool) -> 
         times = np.arange(n, y.size, dtype=np.float64)[:, None]
         blocks = (in_blocks(M, _ROWS) for M in (outputs, inputs, times))
         for ys, us, t in zip(*blocks, strict=True):
-            columns = [-ys[:, 1:], us, np.ones_like(t)]
-            columns += [t] if slope else []
-            yield np.hstack([*columns, ys[:, :1]])[complete(ys)]
+            block = np.ones((t.size, 2 * n + 3 + int(slope)))
+            np.negative(ys[:, 1:], out=block[:, :n])
+            block[:, n : 2 * n + 1], block[:, -1] = us, ys[:, 0]
+            if slope:
+                block[:, -2] = t[:, 0]
+            known = complete(ys)
+            yield block if known.all() else block[known]
