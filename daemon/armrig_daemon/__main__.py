@@ -21,9 +21,10 @@ from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
 from armrig_daemon.config import Config, Device
-from armrig_daemon.loop.realtime import end_with_parent
 
 _START_S = 5.0
+# Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
+_FOR_EMULATED: dict[str, dict[str, Any]] = {"device": {"watchdog_ms": WATCHDOG_MAX_MS}}
 
 app = typer.Typer(
     help="Drive a control laboratory's rig at a fixed sampling time.",
@@ -48,8 +49,7 @@ def run(
     from armrig_daemon.service.service import Service
 
     overrides: dict[str, dict[str, Any]] = {}
-    # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
-    below = {"device": {"watchdog_ms": WATCHDOG_MAX_MS}} if emulate else {}
+    below = _FOR_EMULATED if emulate else {}
     if port is not None:
         overrides["device"] = {"port": port}
     if rig is not None:
@@ -86,6 +86,8 @@ def emulate(
 
     try:
         if settings is not None:  # from `armrigd run --emulate`, which we shall not outlive
+            from armrig_daemon.loop.realtime import end_with_parent
+
             end_with_parent()
             chosen = msgspec.json.decode(settings, type=EmulatorSettings)
         else:
@@ -112,6 +114,38 @@ def show_config(
     if not example:
         _refuse("config: --example is needed: `armrigd config --example > armrig.toml`")
     typer.echo(example_text())
+
+
+@app.command()
+def play(
+    directory: Annotated[Path, typer.Option(help="Where the recordings go.")],
+    config: Annotated[
+        Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of noise, names and times.")] = 1,
+) -> None:
+    """Play runs on an emulated rig in virtual time, and record them.
+
+    Each line of the standard input is a run, as JSON: {"u": [1.5, 1.5, …], "experiment": "step"}.
+    Each line of the standard output is a recording.
+
+    The same seed, runs and configuration give the same bytes.
+    """
+    from armrig_daemon import config as configuration
+    from armrig_daemon.service.virtual_service import (
+        VirtualRunError,
+        VirtualService,
+        requests_of,
+    )
+
+    paths = [config] if config is not None else configuration.installed()
+    try:
+        loaded = configuration.load(paths, os.environ, {}, below=_FOR_EMULATED)
+        service = VirtualService(loaded, directory.absolute(), seed=seed)
+        for request in requests_of(sys.stdin.buffer.read()):
+            typer.echo(service.record(request))
+    except (ValueError, VirtualRunError, OSError) as err:
+        _refuse(str(err))
 
 
 def _started(port: Path, baud: int) -> str:

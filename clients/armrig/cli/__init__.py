@@ -61,6 +61,8 @@ for _command in (
     app.command()(_command)
 app.add_typer(collect.app, name="collect")
 
+_SIGPIPE = 13  # Windows has no such signal, and its name is not there
+
 # Newer versions of typer bring a click of their own, older ones use the click installed.
 _UsageError: Any = typer.BadParameter.__base__
 
@@ -107,10 +109,13 @@ def _signals() -> Iterator[list[signal.Signals]]:
         if len(received) == 1:
             raise KeyboardInterrupt
 
+    ending = [signal.SIGTERM]
+    if hasattr(signal, "SIGHUP"):  # not on Windows
+        ending.append(signal.SIGHUP)
     # A signal that nohup ignores stays ignored.
     before = {
         number: handler
-        for number in (signal.SIGTERM, signal.SIGHUP)
+        for number in ending
         if (handler := signal.getsignal(number)) not in (None, signal.SIG_IGN)
     }
     for number in before:
@@ -141,7 +146,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         # Nobody reads any more: what is buffered must raise nothing when the interpreter ends.
         with suppress(OSError, ValueError), Path(os.devnull).open("wb") as nothing:
             os.dup2(nothing.fileno(), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
+        return 128 + _SIGPIPE
     except OSError as err:
         named = f"{err.filename}: {err.strerror}" if err.filename and err.strerror else str(err)
         return _failed(named, 1)

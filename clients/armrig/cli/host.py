@@ -16,10 +16,17 @@ _LONGEST_DEMO_S = 600.0
 def demo(
     directory: Annotated[Path, typer.Option(help="Where everything goes.")] = Path("demo"),
     seconds: Annotated[float, typer.Option(min=5, help="Length of each telegraph.")] = 30.0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**63 - 2, help="Of the inputs and of the rig's noise.")
+    ] = 1,
+    virtual: Annotated[
+        bool,
+        typer.Option("--virtual", help="In virtual time: at once, the same bytes for each seed."),
+    ] = False,
 ) -> None:
     """Emulate a rig, record it, identify it, write a report.
 
-    Two minutes, no hardware.
+    Two minutes, no hardware; with --virtual 20 s, on any system with Python.
     """
     from armrig.cli.demo import demo as run_demo
 
@@ -29,7 +36,7 @@ def demo(
     if not seconds <= _LONGEST_DEMO_S:  # NaN neither
         msg = f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s"
         raise ValueError(msg)
-    run_demo(directory, seconds=seconds)
+    run_demo(directory, seconds=seconds, seed=seed, virtual=virtual)
 
 
 def bench(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -26,13 +27,21 @@ from armrig.report.study import STEP, Study, kind_of
 from armrig.report.typesetting import recorded, typeset
 
 
-def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> Path:
+def report(
+    study: Study,
+    output: str | Path,
+    *,
+    remarks: Sequence[str] = (),
+    figures: Path | None = None,
+) -> Path:
     """Typeset a study as a PDF at `output`, and return the path.
 
     Parameters
     ----------
     remarks : sequence of str
         Sentences that a reader must know beside the recordings' own, such as what was emulated.
+    figures : Path, optional
+        Directory to leave the figures in, as SVG.
 
     The PDF's bytes follow from the study, the remarks and the versions of armrig, matplotlib and
     typst: no time of day enters.
@@ -47,14 +56,17 @@ def report(study: Study, output: str | Path, *, remarks: Sequence[str] = ()) -> 
     output = Path(output)
     with tempfile.TemporaryDirectory(prefix="armrig-report-") as directory:
         root = Path(directory)
-        write_figures(study, root)
+        drawn = write_figures(study, root)
         pdf = typeset(root, "report.typ", content(study, remarks), recorded(study.recordings))
+        if figures is not None:
+            for path in drawn:
+                shutil.copyfile(path, figures / path.name)
     output.write_bytes(pdf)
     return output
 
 
 def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
-    """Return what the template says, as text: see report.typ."""
+    """Return what the template says as text: see report.typ."""
     manifest = study.recording_of(study.estimation.source).manifest
     truncated = [
         f"{r.path.name} is not whole: {r.damage}." for r in study.recordings if r.truncated

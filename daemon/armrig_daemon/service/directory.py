@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
+import shutil
 import stat
+import sys
 from pathlib import Path
 from typing import NamedTuple
+
+from armrig_daemon.service.file_lock import is_locked
 
 
 class LeftOver(NamedTuple):
@@ -44,31 +47,29 @@ def _is_written(path: Path) -> bool:
     # And should it be another one by now, a pipe is still not waited for.
     fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY)
     try:
-        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
+        return is_locked(fd)
     finally:
         os.close(fd)
-    return False
 
 
 def check_directory(directory: Path, needed: int) -> str:
     """Return why nothing can be recorded in `directory`, or nothing."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        free = os.statvfs(directory)
+        room = shutil.disk_usage(directory).free
     except OSError as err:
         return f"{directory}: {err.strerror}; set [recording] directory"
     if not os.access(directory, os.W_OK | os.X_OK):
         return f"{directory}: not writable; set [recording] directory"
-    room = free.f_bavail * free.f_frsize
     if room < needed:
         return f"{directory}: {room / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed; free the disk"
     return ""
 
 
 def sync_directory(directory: Path) -> None:
-    """Have the names in `directory` on the disk."""
+    """Have the names in `directory` on the disk, where the system can be asked for that."""
+    if sys.platform == "win32":  # it opens no directory
+        return
     fd = os.open(directory, os.O_RDONLY)
     try:
         os.fsync(fd)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -24,6 +24,7 @@ from mcap.writer import CompressionType, Writer
 
 from armrig_daemon.service.compact import compact
 from armrig_daemon.service.directory import sync_directory
+from armrig_daemon.service.file_lock import lock
 from armrig_daemon.service.protobuf_out import Outgoing
 
 CHUNK = 128 * 1024
@@ -89,7 +90,7 @@ class Recording:
                 compression=CompressionType.ZSTD,
                 enable_data_crcs=True,
             )
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # ours while we write
+            lock(self._file)  # ours while we write
             self._channels = self._begin(manifest, attachments)
             self._good = self._file.tell()
         except FileExistsError as err:
@@ -137,10 +138,10 @@ class Recording:
                 topic(manifest.rig, stream), "protobuf", schema
             )
         writer.add_metadata(RUN, manifest.metadata())
-        now = time.time_ns()
+        began = self._sample_ns + self._offset_ns
         for name, data in attachments.items():
             kind = _MEDIA_TYPES[name.rpartition(".")[2]]
-            writer.add_attachment(now, now, name, kind, data)
+            writer.add_attachment(began, began, name, kind, data)
         writer.flush()
         return channels
 
@@ -175,16 +176,19 @@ class Recording:
                 self._good, flushed = self._file.tell(), now
                 self._follow()
             if now - synced >= SYNC_S:
-                os.fdatasync(self._file.fileno())
+                _sync(self._file.fileno())
                 synced = now
 
     def _complete(self, outcome: Outcome) -> None:
+        self._writer.flush()  # so that the outcome stands behind the last sample
         self._writer.add_metadata(OUTCOME, outcome.metadata())
         self._writer.finish()
         self._file.flush()
         os.fsync(self._file.fileno())
         self._good = self._file.tell()
         self._follow()
+        if sys.platform == "win32":  # it renames no open file
+            self._file.close()
         try:
             compact(self.active, self._compacted)
             self._compacted.replace(self.active)
@@ -192,7 +196,7 @@ class Recording:
             self._follow()
             with contextlib.suppress(OSError):
                 self._compacted.unlink(missing_ok=True)
-        self.active.rename(self.path)
+        self.active.replace(self.path)
         self._file.close()
         self.kept = self.path
         sync_directory(self.path.parent)
@@ -256,6 +260,11 @@ class Recording:
         self._changed()
         while not ended:
             ended = isinstance(self._queue.get(), Outcome)
+
+
+def _sync(fd: int) -> None:
+    """Have the bytes of a file on the disk, with no more of its dates and sizes than needed."""
+    getattr(os, "fdatasync", os.fsync)(fd)  # not every system has the first
 
 
 def _into_nowhere(file: IO[bytes]) -> None:

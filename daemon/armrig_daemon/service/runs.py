@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import platform
-import secrets
 import time
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -25,6 +22,7 @@ from numpy.typing import NDArray
 
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.pipe import Gap, Play, RunStarted, State
+from armrig_daemon.service.circumstances import Circumstances, of_this_host
 from armrig_daemon.service.directory import check_directory
 from armrig_daemon.service.presence import Presence, begun, renewed
 from armrig_daemon.service.protobuf_out import Outgoing
@@ -48,9 +46,16 @@ class Planned(NamedTuple):
 class Runs:
     """The run in hand, if there is one, and the last one."""
 
-    def __init__(self, config: Config, directory: Path, changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        directory: Path,
+        changed: Callable[[], None],
+        circumstances: Circumstances | None = None,
+    ) -> None:
         """Record into `directory`; `changed` is called, from a writer's thread, to have a look."""
         self._config = config
+        self._circumstances = circumstances or of_this_host()
         self._directory = directory
         self._changed = changed
         self._calibration_raw = raw_samples(config.calibration)
@@ -121,11 +126,11 @@ class Runs:
             alpha_rad=limits.alpha_rad,
         )
         text = "".join(["u_v\n", *(f"{volts!r}\n" for volts in request.u)]).encode()
-        run_id = secrets.token_hex(4)
-        stamp = datetime.now(UTC).astimezone().strftime("%Y%m%dT%H%M%S")
+        codes = np.rint(u / U_MAX_V * CODE_FULL_SCALE).astype("<u2").tobytes()
+        run_id = self._circumstances.run_id(codes)
+        stamp = self._circumstances.now().strftime("%Y%m%dT%H%M%S")
         name = f"{self._config.rig.id}-{request.experiment}-{stamp}-{run_id}.mcap"
         self._planned = Planned(run_id, self._directory / name, request, rehearsal, text)
-        codes = np.rint(u / U_MAX_V * CODE_FULL_SCALE).astype("<u2").tobytes()
         order = Play(
             lease=request.lease,
             n=request.n,
@@ -271,7 +276,6 @@ class Runs:
         clock_offset_ns: int,
     ) -> Manifest:
         config = self._config
-        uname = platform.uname()
         return Manifest(
             rig=config.rig.id,
             run_id=planned.run_id,
@@ -281,14 +285,13 @@ class Runs:
             samples=len(planned.request.u),
             k_first=started.k_first,
             pacing=planned.request.pacing,
-            started=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+            started=self._circumstances.now().isoformat(timespec="milliseconds"),
             clock_offset_ns=clock_offset_ns,
             armrig=version("armrig"),
             protocol=f"{VERSION} {SCHEMA_HASH:08x}",
             device=state.device,
             host={
-                "kernel": f"{uname.system} {uname.release} {uname.version}",
-                "python": platform.python_version(),
+                **self._circumstances.host,
                 "port": config.device.port,
                 "baud": config.device.baud,
                 **host,

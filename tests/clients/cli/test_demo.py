@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from armrig.cli import demo
+from armrig.cli import demo, demo_plan, demo_rig
+from armrig.cli.demo_plan import Experiment, write_config
+from armrig.cli.demo_rig import Patience, TooBusyError
 from armrig.rig import client as rig_module
 from armrig.rig.client import RefusedError, Rig
 from armrig.rig.session import NoReplyError, RigError
@@ -50,27 +51,26 @@ def test_the_daemon_runs_while_it_is_needed_and_ends_when_that_fails(
     out = StringIO()
     with (
         pytest.raises(KeyboardInterrupt),
-        demo.running(tmp_path, Console(file=out)),
-        Rig(demo.RIG) as rig,
+        demo_rig.running(write_config(tmp_path, 1), Console(file=out)),
+        Rig(demo_plan.RIG) as rig,
     ):
         _interrupted_when_safe(rig)
 
     [daemon] = started
     assert daemon.returncode == 0
     assert "daemon and emulator run" in out.getvalue()
-    with pytest.raises(NoReplyError), Rig(demo.RIG):
+    with pytest.raises(NoReplyError), Rig(demo_plan.RIG):
         pass
 
 
-def test_a_daemon_that_refuses_to_start_is_quoted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_daemon_that_refuses_to_start_is_quoted(tmp_path: Path) -> None:
     """Its own last line says what is wrong."""
-    monkeypatch.setattr(demo, "_CONFIG", '[rig]\nid = "{rig}"\nname = "x"\n# {Ts} {directory}\n')
+    config = tmp_path / "armrig.toml"
+    config.write_text('[rig]\nid = "demo"\nname = "x"\n')
 
     with (
         pytest.raises(RigError, match=r"exit code 1: armrigd: .*name"),
-        demo.running(tmp_path, Console(file=StringIO())),
+        demo_rig.running(config, Console(file=StringIO())),
     ):
         pass
 
@@ -79,7 +79,7 @@ class StallingDaemon(FakeDaemon):
     """Refuses to arm, then ends a run by a fault, so many times each."""
 
     def __init__(self, endpoint: str, *, refusals: list[str], ends: list[str]) -> None:
-        super().__init__(endpoint, demo.RIG)
+        super().__init__(endpoint, demo_plan.RIG)
         self._refusals, self._ends = refusals, ends
 
     def _carry_out(self, request: commands.Request) -> Any:
@@ -101,8 +101,8 @@ def test_what_a_stalling_machine_costs_is_done_once_more(
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE, LATE], ends=["WATCHDOG (load 3)"])
 
-    with daemon, Rig(demo.RIG, connect=where) as rig:
-        path = _recorded(rig, out, retry_until=time.monotonic() + 60)
+    with daemon, Rig(demo_plan.RIG, connect=where) as rig:
+        path = _recorded(rig, out)
 
     assert str(path) == daemon.recording
     said = [line for line in out.getvalue().splitlines() if line.endswith("; once more")]
@@ -110,19 +110,38 @@ def test_what_a_stalling_machine_costs_is_done_once_more(
     assert "WATCHDOG (load 3)" in said[2]
 
 
-def test_a_machine_that_stalls_for_good_is_given_up(
+def test_a_machine_that_ends_three_runs_is_given_up(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In time, with the reason and what to do."""
+    """With the reason of the third; what was only refused for the moment does not count."""
     monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
-    daemon = StallingDaemon(where, refusals=[LATE], ends=[])
+    out = StringIO()
+    daemon = StallingDaemon(where, refusals=[LATE] * 4, ends=["first", "second", "third", "x"])
 
     with (
         daemon,
-        Rig(demo.RIG, connect=where) as rig,
-        pytest.raises(RigError, match=r"264 ms late.*this machine is too busy.*`armrig doctor`"),
+        Rig(demo_plan.RIG, connect=where) as rig,
+        pytest.raises(TooBusyError, match="third"),
     ):
-        _recorded(rig, StringIO(), retry_until=time.monotonic() - 1)
+        _recorded(rig, out)
+
+    assert out.getvalue().count("once more") == 6
+
+
+def test_a_machine_that_refuses_for_good_is_given_up_in_time(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where what is left would not be done 150 s after the beginning."""
+    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
+    monkeypatch.setattr(demo_rig, "LATEST_S", -1.0)
+    daemon = StallingDaemon(where, refusals=[LATE] * 2, ends=[])
+
+    with (
+        daemon,
+        Rig(demo_plan.RIG, connect=where) as rig,
+        pytest.raises(TooBusyError, match="264 ms late"),
+    ):
+        _recorded(rig, StringIO())
 
 
 def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
@@ -132,10 +151,10 @@ def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
 
     with (
         daemon,
-        Rig(demo.RIG, connect=where) as rig,
+        Rig(demo_plan.RIG, connect=where) as rig,
         pytest.raises(RefusedError, match=f"^{held}$"),
     ):
-        _recorded(rig, out, retry_until=time.monotonic() + 60)
+        _recorded(rig, out)
 
     assert out.getvalue() == ""
 
@@ -143,10 +162,10 @@ def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
 def test_a_rig_that_tripped_before_its_run_is_armed_once_more(where: str) -> None:
     """The watchdog runs from arming on: what is refused then is refused for the fault."""
     out = StringIO()
-    daemon = TrippingDaemon(where, demo.RIG)
+    daemon = TrippingDaemon(where, demo_plan.RIG)
 
-    with daemon, Rig(demo.RIG, connect=where) as rig:
-        path = _recorded(rig, out, retry_until=time.monotonic() + 60)
+    with daemon, Rig(demo_plan.RIG, connect=where) as rig:
+        path = _recorded(rig, out)
 
     assert str(path) == daemon.recording
     assert daemon.names() == ["arm", "run", "reset", "arm", "run"]
@@ -166,9 +185,35 @@ class TrippingDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
-def _recorded(rig: Rig, out: StringIO, *, retry_until: float) -> Path:
+def test_what_cannot_be_done_in_real_time_is_done_in_virtual_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here the daemon has no place for its socket; everything is there all the same."""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "file" / "none"))
+    out, folder = StringIO(), tmp_path / "demo"
+
+    demo.demo(folder, seconds=5, console=Console(file=out, width=400))
+
+    said = out.getvalue()
+    assert "the demonstration goes on in virtual time" in said
+    assert len(list(folder.glob("*.mcap"))) == 3
+    assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_the_report_says_what_was_made_in_virtual_time_and_why() -> None:
+    """Nothing of it where all was made in real time."""
+    assert "virtual" not in " ".join(demo._remarks(3, 3, ""))
+    assert "All recordings were made in virtual time" in demo._remarks(3, 0, "")[-1]
+    remark = demo._remarks(3, 1, "too busy")[-1]
+    assert remark.startswith("The last 2 of the recordings were made in virtual time")
+    assert remark.endswith("not let the rig be emulated in real time: too busy.")
+
+
+def _recorded(rig: Rig, out: StringIO) -> Path:
+    experiment = Experiment("step", np.full(3, 1.0), {})
     console = Console(file=out, width=400)
-    return demo._recorded(rig, np.full(3, 1.0), {}, "step", console, retry_until)
+    return demo_rig.recorded(rig, experiment, console, Patience([experiment]))
 
 
 def _interrupted_when_safe(rig: Rig) -> None:

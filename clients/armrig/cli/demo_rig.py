@@ -1,0 +1,164 @@
+"""The demonstration in real time: daemon and emulator as processes of their own."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from armrig_core.commands import StatusReport
+from rich.console import Console
+
+from armrig.cli.demo_plan import RIG, Experiment, Ts
+from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
+from armrig.rig.progress import bar, timing_note
+from armrig.rig.realtime_status import scheduling_sentences
+from armrig.rig.session import NoReplyError, RigError
+
+MOST_ENDED = 3
+"""Runs that a busy machine may end, before the demonstration goes on in virtual time."""
+LATEST_S = 150.0
+"""When it does so at the latest, in s, where the experiments take `_USUAL_S`."""
+_USUAL_S = 63.0
+_START_S, _STOP_S = 15.0, 5.0
+
+
+class TooBusyError(RigError):
+    """The machine stalls too often for an emulated rig in real time."""
+
+
+class Patience:
+    """How long a demonstration is tried in real time, and how often."""
+
+    def __init__(self, plan: Sequence[Experiment]) -> None:
+        """Begin now."""
+        self._left_s = sum(experiment.seconds for experiment in plan)
+        self._until_s = time.monotonic() + max(LATEST_S, LATEST_S - _USUAL_S + self._left_s)
+        self._ended = 0
+
+    def recorded(self, experiment: Experiment) -> None:
+        """Note that an experiment is done."""
+        self._left_s -= experiment.seconds
+
+    def run_ended(self) -> None:
+        """Note that a run was ended."""
+        self._ended += 1
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it is not to be tried once more: what is left would not be done in time."""
+        return self._ended >= MOST_ENDED or time.monotonic() + self._left_s > self._until_s
+
+
+def record_in_real_time(
+    plan: Sequence[Experiment], config: Path, console: Console, done: list[Path]
+) -> None:
+    """Play experiments on an emulated rig; put the recordings into `done`, one after the other.
+
+    Raises
+    ------
+    TooBusyError
+        The machine stalls too often.
+    RigError
+        The daemon does not start, or refuses.
+    """
+    patience = Patience(plan)
+    with running(config, console), Rig(RIG) as rig:
+        for line in scheduling_sentences(rig.status().host):
+            console.print(f"  {line}", highlight=False, markup=False)
+        for experiment in plan:
+            done.append(recorded(rig, experiment, console, patience))
+            patience.recorded(experiment)
+
+
+def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patience) -> Path:
+    """Arm and run; where a busy machine has held up the emulator, say so and run once more."""
+    while True:
+        wait_for_phase(rig, "safe")
+        try:
+            rig.arm("armrig demo", Ts)
+            with (
+                timing_note(rig) as note,
+                bar(experiment.name, console, note=note) as progress,
+            ):
+                return rig.run(experiment.u, progress=progress, **experiment.request)
+        except (RunEndedError, RefusedError) as err:
+            has_tripped = rig.status().phase == "fault"
+            has_ended = has_tripped or isinstance(err, RunEndedError)
+            if not (has_ended or isinstance(err, BusyError)):
+                raise
+            if has_ended:
+                patience.run_ended()
+            if patience.is_over:
+                raise TooBusyError(str(err)) from err
+            console.print(f"  {err}; once more", highlight=False, markup=False, soft_wrap=True)
+            if has_tripped:
+                rig.reset()
+            else:
+                rig.stop()  # gives back a rig that is still armed
+
+
+def wait_for_phase(rig: Rig, phase: str) -> StatusReport:
+    """Return the status once the daemon is in `phase`."""
+    until = time.monotonic() + _START_S
+    while (status := rig.status()).phase != phase:
+        if time.monotonic() > until:
+            msg = f"rig {rig.rig} is {status.phase} {status.reason}, not {phase}, after "
+            msg += f"{_START_S:g} s; look at the daemon's log"
+            raise RigError(msg)
+        time.sleep(0.05)
+    return status
+
+
+@contextmanager
+def running(config: Path, console: Console) -> Iterator[None]:
+    """Run the daemon on an emulated rig, and stop it whatever happens."""
+    log = config.with_name("armrigd.log")
+    program = [sys.executable, "-m", "armrig_daemon", "run", "--config", str(config), "--emulate"]
+    with log.open("wb") as output:
+        # A session of its own: Ctrl-C is ours, and we stop it in order.
+        daemon = subprocess.Popen(
+            program, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+        )
+        try:
+            ready = _wait_until_ready(daemon, log)
+            console.print(f"daemon and emulator run: rig {RIG} at {ready.endpoint}", markup=False)
+            yield
+        finally:
+            stop(daemon)
+
+
+def stop(daemon: subprocess.Popen[bytes]) -> None:
+    """Ask the daemon to end, which brings the motor to 0 V; kill it where it does not."""
+    if daemon.poll() is not None:
+        return
+    daemon.send_signal(signal.SIGTERM)
+    try:
+        daemon.wait(_STOP_S)
+    except subprocess.TimeoutExpired:
+        daemon.kill()
+        daemon.wait()
+
+
+def _wait_until_ready(daemon: subprocess.Popen[bytes], log: Path) -> StatusReport:
+    until = time.monotonic() + _START_S
+    while time.monotonic() < until:
+        if daemon.poll() is not None:
+            lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+            msg = f"the daemon ended with exit code {daemon.returncode}: "
+            msg += lines[-1] if lines else f"it said nothing in {log}"
+            raise RigError(msg)
+        try:
+            with Rig(RIG) as rig:
+                status = rig.status()
+            if status.phase == "safe":
+                return status
+        except NoReplyError:
+            pass  # not yet
+        time.sleep(0.1)
+    msg = f"the daemon is not ready after {_START_S:g} s; see {log}"
+    raise RigError(msg)

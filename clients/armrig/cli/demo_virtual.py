@@ -1,0 +1,64 @@
+"""The demonstration in virtual time: `armrigd play` plays and records, and nobody waits."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from armrig.cli.demo_plan import Experiment
+
+
+class VirtualTimeError(RuntimeError):
+    """`armrigd play` did not record what it was to; says why."""
+
+
+def record_in_virtual_time(
+    plan: Sequence[Experiment],
+    directory: Path,
+    config: Path,
+    *,
+    seed: int,
+    meanwhile: Callable[[], object] = lambda: None,
+) -> list[Path]:
+    """Play experiments on an emulated rig in virtual time; return their recordings.
+
+    Parameters
+    ----------
+    config : Path
+        Configuration of the rig.
+    seed : int
+        Of the emulated rig, and of the names and times of its recordings.
+    meanwhile : callable
+        What is done while another processor plays.
+
+    Raises
+    ------
+    VirtualTimeError
+        They could not be recorded.
+    """
+    program = [sys.executable, "-m", "armrig_daemon", "play"]
+    program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
+    # In a file: a pipe would have to be fed while we do something else.
+    with tempfile.TemporaryFile() as asked:
+        for one in plan:
+            asked.write(json.dumps({"u": one.u.tolist(), **one.request}).encode() + b"\n")
+        asked.seek(0)
+        player = subprocess.Popen(
+            program, stdin=asked, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+    try:
+        meanwhile()
+        said, complaint = player.communicate()
+    except BaseException:
+        player.kill()
+        player.communicate()
+        raise
+    if player.returncode:
+        lines = complaint.decode(errors="replace").strip().splitlines()
+        msg = lines[-1] if lines else f"armrigd play ended with exit code {player.returncode}"
+        raise VirtualTimeError(msg)
+    return [Path(line) for line in said.decode().splitlines()]

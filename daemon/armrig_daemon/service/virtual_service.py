@@ -1,0 +1,190 @@
+"""Runs on an emulated rig in virtual time: asked for and recorded as by `armrigd run`.
+
+Loop, core, codec, device and recorder are the same. There is no session, no priority, no terminal:
+nothing of the host that runs it is in what it records, and the same seed gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from armrig_core.commands import Run
+from armrig_core.telemetry import decode_sample
+from msgspec.structs import replace
+
+from armrig_daemon.config import Config, Recording
+from armrig_daemon.pipe import (
+    Acquire,
+    Answer,
+    Clock,
+    Gap,
+    Log,
+    Orders,
+    Record,
+    RunEnded,
+    RunStarted,
+    State,
+    Timing,
+    Trace,
+)
+from armrig_daemon.service.circumstances import Circumstances
+from armrig_daemon.service.protobuf_out import Outgoing, outgoing
+from armrig_daemon.service.runs import Runs
+from armrig_daemon.service.thinning import Thinning
+from armrig_daemon.virtual import VirtualRig
+
+LEASE = "0" * 32
+"""Of the one who is there; nobody could hold the rig in the place of another."""
+BEGINNING = datetime(2000, 1, 1, tzinfo=UTC)
+"""Virtual time begins here, for seed 0; for each seed a second later."""
+_SEEDS = 10 * 365 * 86_400  # beyond so many the beginnings come again
+_STEP_NS = 500_000_000
+_SETTLE_NS = 10_000_000_000
+_FINISH_S = 60.0
+
+
+class VirtualRunError(RuntimeError):
+    """A run in virtual time was refused, or ended early; says why."""
+
+
+class VirtualService:
+    """One emulated rig and the recordings of its runs."""
+
+    def __init__(self, config: Config, directory: Path, *, seed: int) -> None:
+        """Switch the rig on; `seed` is the device's and that of the runs' names and times."""
+        emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
+        # Where it is recorded, and behind which port, is the host's: the same rig is the same file.
+        device = replace(config.device, port="emulated")
+        self._config = replace(config, device=device, emulator=emulator, recording=Recording())
+        self._began = BEGINNING + timedelta(seconds=seed % _SEEDS)
+        self._offset_ns = int(self._began.timestamp()) * 1_000_000_000
+        self._rig = VirtualRig(self._config.rules(), emulator)
+        circumstances = Circumstances(
+            run_id=lambda codes: _name(seed, codes),
+            now=lambda: self._began + timedelta(microseconds=self._rig.ports.now // 1000),
+            host={"time": "virtual", "seed": seed},
+        )
+        self._runs = Runs(self._config, directory, lambda: None, circumstances)
+        self._thinning = Thinning()
+        self._n = 0
+        self._state: State | None = None
+        self._answers: dict[int, Answer] = {}
+        self._has_ended = False
+
+    def record(self, request: Run) -> Path:
+        """Arm, play and record a run; return its recording, complete on the disk.
+
+        Parameters
+        ----------
+        request : Run
+            As a client would ask for it; its lease and number are ours.
+
+        Raises
+        ------
+        VirtualRunError
+            The run was refused, or ended before its last sample.
+        ValueError
+            A voltage or the rehearsal is outside the limits, or nothing can be recorded.
+        """
+        self._until(lambda: self._state is not None and self._state.phase == "safe", "is not ready")
+        granted = self._ask(Acquire(owner="virtual time", lease=LEASE, ts_us=0))
+        self._n += 1
+        request = replace(request, lease=LEASE, n=self._n)
+        order, _ = self._runs.plan(request, granted.body["Ts"])
+        self._has_ended = False
+        self._ask(order)
+        seconds = len(request.u) * granted.body["Ts"]
+        self._until(lambda: self._has_ended, "does not end its run", seconds)
+        level, text = self._runs.finished(_FINISH_S)
+        last = self._runs.last
+        if level != "info" or last is None or last.outcome != "complete":
+            msg = text or f"the recording is not complete after {_FINISH_S:g} s"
+            raise VirtualRunError(msg)
+        return Path(last.recording)
+
+    def _ask(self, order: Orders) -> Answer:
+        """Give an order; return its answer, or raise where it is refused."""
+        self._n += 1
+        number = self._n
+        self._rig.order(replace(order, order=number))
+        self._until(lambda: number in self._answers, "does not answer")
+        answer = self._answers.pop(number)
+        if answer.error:
+            raise VirtualRunError(answer.error)
+        return answer
+
+    def _until(self, what: Callable[[], bool], failing: str, seconds: float = 0.0) -> None:
+        """Let time pass until `what` is true."""
+        ports = self._rig.ports
+        end_ns = ports.now + round(seconds * 1e9) + _SETTLE_NS
+        while not what():
+            if ports.now >= end_ns or self._rig.loop.ended:
+                msg = f"the emulated rig {failing}: {self._state}"
+                raise VirtualRunError(msg)
+            self._take(self._rig.run_until(min(end_ns, ports.now + _STEP_NS)))
+            self._rig.records.clear()
+
+    def _take(self, records: list[bytes | Record]) -> None:
+        """Carry what the loop said into the recording."""
+        batch: list[Outgoing] = []
+        for record in records:
+            match record:
+                case bytes():
+                    sample = decode_sample(record)
+                    if sample is not None and self._runs.includes_sample(sample.k):
+                        fields = sample.t_host_ns, sample.t_sched_ns, sample.k, record
+                        batch.append(Outgoing("sample", *fields))
+                case RunStarted():
+                    self._begin(record)
+                case RunEnded():
+                    late = self._thinning.due(self._rig.ports.now, end=True)
+                    batch += [outgoing(line, self._offset_ns) for line in late]
+                    self._runs.add(batch)
+                    batch = []
+                    self._runs.end(record.outcome)
+                    self._has_ended = True
+                case Answer():
+                    self._answers[record.order] = record
+                case Log() if not self._thinning.lets_through(record):
+                    pass
+                case Trace() | Gap() | Log() | Timing() | Clock() | State():
+                    if isinstance(record, State):
+                        self._state = record
+                    if self._runs.includes(record):
+                        batch.append(outgoing(record, self._offset_ns))
+        self._runs.add(batch)
+
+    def _begin(self, started: RunStarted) -> None:
+        if self._state is None:
+            msg = "a run started on a rig that has told no state"
+            raise VirtualRunError(msg)
+        self._runs.begin(started, self._state, {}, self._offset_ns)
+
+
+def _name(seed: int, codes: bytes) -> str:
+    """Return the name of a run: another one for each seed and each input."""
+    return hashlib.blake2b(codes, key=str(seed).encode(), digest_size=4).hexdigest()
+
+
+def requests_of(text: bytes) -> list[Run]:
+    """Return runs from JSON, one a line, as `armrigd play` reads them: `run` without its lease.
+
+    Raises
+    ------
+    ValueError
+        A line is no such run; says which, and what is wrong.
+    """
+    runs: list[Run] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        try:
+            fields: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
+            runs.append(msgspec.convert({"lease": LEASE, "n": 0, **fields}, Run))
+        except msgspec.MsgspecError as err:
+            msg = f"line {number} is no run: {err}"
+            raise ValueError(msg) from err
+    return runs

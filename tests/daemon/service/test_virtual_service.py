@@ -1,0 +1,94 @@
+"""Runs in virtual time: asked for as by a client, recorded as by the daemon."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig_core.commands import Run
+from armrig_daemon.config import Config, Limits
+from armrig_daemon.service.virtual_service import (
+    LEASE,
+    VirtualRunError,
+    VirtualService,
+    requests_of,
+)
+from msgspec.structs import replace
+
+REQUEST = Run(lease=LEASE, n=0, u=[0.0, *np.linspace(0.5, 4.5, 149)], experiment="ramp")
+
+
+def _recorded(folder: Path, seed: int, *requests: Run, config: Config | None = None) -> list[Path]:
+    service = VirtualService(config or Config(), folder, seed=seed)
+    return [service.record(request) for request in requests]
+
+
+def test_a_run_is_recorded_whole(tmp_path: Path) -> None:
+    """With its input, its steps, and no figure of the host."""
+    [path] = _recorded(tmp_path, 1, REQUEST)
+
+    recording = armrig.load(path)
+    assert recording.outcome is not None
+    assert recording.outcome.outcome == "complete"
+    assert (recording.samples.size, recording.missing) == (150, 0)
+    assert np.allclose(recording.u, REQUEST.u, atol=5 / 1024)
+    assert recording.manifest.host == {
+        "time": "virtual",
+        "seed": 1,
+        "port": "emulated",
+        "baud": 500_000,
+    }
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, pacing: str) -> None:
+    """In either mode, wherever it is recorded; another seed gives another noise and name."""
+    request = replace(REQUEST, pacing=pacing)
+    first, again, other = (
+        _recorded(tmp_path / name, seed, request, request)
+        for name, seed in (("first", 3), ("again", 3), ("other", 4))
+    )
+
+    for one, two in zip(first, again, strict=True):
+        assert one.name == two.name
+        assert one.read_bytes() == two.read_bytes()
+    assert first[0].read_bytes() != first[1].read_bytes()  # another time
+    assert {p.name for p in first}.isdisjoint(p.name for p in other)
+
+
+def test_what_the_limits_forbid_is_refused(tmp_path: Path) -> None:
+    """As by the daemon, before anything is recorded."""
+    config = Config(limits=Limits(u_max_v=3.0))
+
+    with pytest.raises(ValueError, match=r"is outside 0 … 3 V"):
+        _recorded(tmp_path, 1, REQUEST, config=config)
+
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_ends_early_is_told(tmp_path: Path) -> None:
+    """The chassis turns farther than the device allows; the recording is kept."""
+    config = Config(limits=Limits(revolutions=0.5))
+    service = VirtualService(config, tmp_path, seed=1)
+    service._runs._config = Config()  # else the rehearsal sees it coming
+
+    with pytest.raises(VirtualRunError, match="REV_LIMIT"):
+        service.record(REQUEST)
+
+    [path] = tmp_path.glob("*.mcap")
+    assert 0 < armrig.load(path).samples.size < 150
+
+
+def test_runs_are_read_from_lines_of_json() -> None:
+    """As a client asks for them, without a lease; what is no run is named by its line."""
+    line = json.dumps({"u": [1.0, 2.0], "experiment": "x", "details": {"seed": 1}})
+
+    [run] = requests_of(line.encode() + b"\n")
+
+    assert (run.u, run.experiment, run.details) == ([1.0, 2.0], "x", {"seed": 1})
+    with pytest.raises(ValueError, match=r"line 2 is no run: .*<= 5.0"):
+        requests_of(f'{line}\n{{"u": [6]}}'.encode())
