@@ -117,7 +117,7 @@ def show_config(
 
 
 @app.command()
-def play(
+def virtual(
     directory: Annotated[Path, typer.Option(help="Where the recordings go.")],
     config: Annotated[
         Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
@@ -138,7 +138,7 @@ def play(
         requests_of,
     )
 
-    paths = [config] if config is not None else configuration.installed()
+    paths = [config] if config is not None else installed()
     try:
         loaded = configuration.load(paths, os.environ, {}, below=_FOR_EMULATED)
         service = VirtualService(loaded, directory.absolute(), seed=seed)

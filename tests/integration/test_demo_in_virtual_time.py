@@ -10,7 +10,7 @@ from pathlib import Path
 import armrig
 from armrig.cli.replay import replay
 
-# Found by every Python below, that of `armrigd play` too: a system without POSIX's terminals.
+# Found by every Python below, that of `armrigd virtual` too: a system without POSIX's terminals.
 ELSEWHERE = """
 import os, signal, sys
 

@@ -1,4 +1,4 @@
-"""The demonstration in virtual time: `armrigd play` plays and records, and nobody waits."""
+"""The demonstration in virtual time: `armrigd virtual` plays and records, and nobody waits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armrig.cli.demo_plan import Experiment
 
 
 class VirtualTimeError(RuntimeError):
-    """`armrigd play` did not record what it was to; says why."""
+    """`armrigd virtual` did not record what it was to; says why."""
 
 
 def record_in_virtual_time(
@@ -40,7 +40,7 @@ def record_in_virtual_time(
     VirtualTimeError
         They could not be recorded.
     """
-    program = [sys.executable, "-m", "armrig_daemon", "play"]
+    program = [sys.executable, "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     # In a file: a pipe would have to be fed while we do something else.
     with tempfile.TemporaryFile() as asked:
@@ -59,6 +59,6 @@ def record_in_virtual_time(
         raise
     if player.returncode:
         lines = complaint.decode(errors="replace").strip().splitlines()
-        msg = lines[-1] if lines else f"armrigd play ended with exit code {player.returncode}"
+        msg = lines[-1] if lines else f"armrigd virtual ended with exit code {player.returncode}"
         raise VirtualTimeError(msg)
     return [Path(line) for line in said.decode().splitlines()]

@@ -172,7 +172,7 @@ def _name(seed: int, codes: bytes) -> str:
 
 
 def requests_of(text: bytes) -> list[Run]:
-    """Return runs from JSON, one a line, as `armrigd play` reads them: `run` without its lease.
+    """Return runs from JSON, one a line, as `armrigd virtual` reads them: `run` without its lease.
 
     Raises
     ------
