@@ -1,0 +1,86 @@
+"""docs/from-matlab.md: all its Python runs, in blocks and in tables, and its commands are taken."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pages
+import pytest
+from armrig.cli import main
+
+PAGE = pages.DOCS / "from-matlab.md"
+_TEXT = PAGE.read_text(encoding="utf-8")
+_CELLS = [line.split(" | ")[1:] for line in _TEXT.splitlines() if line.startswith("| `")]
+_PYTHON = re.compile(r"`((?:armrig|control|fit|data|z|print)\b[.\[(][^`]*)`")
+_COMMAND = re.compile(r"`(armrig \w+ [^`…]+)`")
+
+
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Give what the page's blocks define, run in an empty folder."""
+    folder = tmp_path_factory.mktemp("page")
+    names: dict[str, Any] = {"folder": folder}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for block in re.findall(r"```python\n(.*?)```", _TEXT, re.DOTALL):
+            exec(compile(block, str(PAGE), "exec"), names)
+    return names
+
+
+def test_every_block_prints_what_stands_below_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    assert pages.run(PAGE, capsys, atol=2e-3) == 4
+
+
+def test_every_expression_of_the_tables_runs(
+    names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With what the blocks define; there are as many as rows, or more."""
+    from matplotlib import pyplot as plt
+
+    monkeypatch.chdir(names["folder"])
+    found = [text for row in _CELLS for cell in row for text in _PYTHON.findall(cell)]
+
+    for text in found:
+        eval(text, names)
+
+    plt.close("all")
+    assert len(found) > len(_CELLS) > 30
+
+
+def test_a_call_of_the_last_column_is_one_of_armrig() -> None:
+    """An option that it names is one that the function has."""
+    import inspect
+
+    import armrig
+
+    for function, option in (
+        (armrig.n4sid, "weights"),
+        (armrig.impulse_response, "kernel"),
+        (armrig.armax, "initial"),
+        (armrig.oe, "stable"),
+        (armrig.compare, "horizon"),
+    ):
+        assert f"{option}=" in _TEXT
+        assert option in inspect.signature(function).parameters
+
+
+def test_every_command_of_the_page_runs(
+    names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To its end, on the two files that the page writes."""
+    monkeypatch.chdir(names["folder"])
+    commands = [c for c in _COMMAND.findall(_TEXT.split("## The app")[1]) if "report" not in c]
+
+    for command in commands:
+        assert main(shlex.split(command)[1:]) == 0, command
+
+    assert len(commands) == 4
+    assert (names["folder"] / "validation.png").stat().st_size > 0
