@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from itertools import cycle
+from math import tau
+from textwrap import fill
 from typing import TYPE_CHECKING, Any, Protocol
 
 from armrig.numerics.stretches import stretches
@@ -12,7 +14,7 @@ if TYPE_CHECKING:
 
     import numpy as np
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
+    from matplotlib.axis import Axis, XAxis, YAxis
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
@@ -20,8 +22,16 @@ if TYPE_CHECKING:
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 INK, GREY = "#222222", "#777777"
-COLOURS = (VERMILION, BLUE, GREEN, PURPLE, ORANGE, SKY)
-DASHES: tuple[Any, ...] = ("--", "-", "-.", ":", (0, (6, 1.5, 1.5, 1.5)), (0, (3, 1)))
+COLOURS = (SKY, VERMILION, BLUE, GREEN, PURPLE, INK)
+DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (4, 2)),
+    "-",
+    (0, (6, 1.5, 1, 1.5)),
+    (0, (1, 1)),
+    (0, (8, 3)),
+)
+WIDTHS = (3.6, 2.0, 0.8, 1.2, 1.2, 0.8)
 NAMES = {"theta_1": r"$\theta_1$", "alpha": r"$\alpha$", "velocity": r"$\dot\theta_1$"}
 MISSING = "#BBBBBB"
 
@@ -39,26 +49,27 @@ class Sampled(Protocol):
 
 
 def axes(ax: Axes | None) -> Axes:
-    """Return `ax`, or those of a new figure of pyplot's."""
+    """Return `ax`, or those of a new figure of pyplot's, laid out so that nothing is cut off."""
     if ax is not None:
         return ax
     from matplotlib import pyplot as plt
 
-    return plt.subplots()[1]
+    return plt.subplots(layout="constrained")[1]
 
 
 def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
     """Return `ax`, shortened, and a panel below it that takes `share` of the height of both."""
-    from mpl_toolkits.axes_grid1 import (  # type: ignore[import-untyped]
-        make_axes_locatable,
-    )
-
     ax = axes(ax)
-    size = f"{100 * share / (1 - share):.0f}%"
-    pad = 0.08 if sharex else 0.28
-    below = make_axes_locatable(ax).append_axes(
-        "bottom", size=size, pad=pad, sharex=ax if sharex else None
-    )
+    place = ax.get_subplotspec()
+    if place is None:
+        # Placed by hand: a grid of one place, just there.
+        (x0, y0), (x1, y1) = ax.get_position().get_points()
+        place = ax.figure.add_gridspec(1, 1, left=x0, right=x1, bottom=y0, top=y1)[0]
+    # A layout engine makes room for labels itself.
+    room = 0.02 if ax.figure.get_layout_engine() is not None else 0.08 if sharex else 0.5
+    grid = place.subgridspec(2, 1, height_ratios=(1 - share, share), hspace=room)
+    ax.set_subplotspec(grid[0])
+    below = ax.figure.add_subplot(grid[1], sharex=ax if sharex else None)
     if sharex:
         ax.tick_params(labelbottom=False)
     return ax, below
@@ -88,20 +99,125 @@ def signature(*sources: str) -> str:
     )
 
 
-def sign(ax: Axes, *sources: str) -> Axes:
-    """Write what the numbers are from above the axes, small."""
+def sign(ax: Axes, *sources: str, above: float = 0.0) -> Axes:
+    """Write what the numbers are from above the axes, small.
+
+    Parameters
+    ----------
+    above : float
+        Height, in points, of what stands above the axes already: see `legend`.
+    """
     if text := signature(*sources):
-        ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3)
+        ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3 + above)
     return ax
 
 
-def finish_over_time(ax: Axes, below: Axes, *, output: str, unit: str, end: float) -> None:
-    """Label an output over time and the error below it, and give them the look that all have."""
-    ax.set_ylabel(named(output, unit))
-    below.set_ylabel(named("error", unit))
-    below.set_xlabel("$t$ [s]")
-    ax.legend(loc="best")
-    finish(ax, below, xlim=(0.0, end or 1.0))
+def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
+    """Name the curves above the axes, where they cover nothing, and return the height in points.
+
+    Parameters
+    ----------
+    notes : str
+        Lines to stand above the names, such as a p value.
+    lift : float
+        Height, in points, of what stands above the axes already: see `hertz`.
+    """
+    import matplotlib as mpl
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+    from matplotlib.transforms import ScaledTranslation
+
+    handles, names = ax.get_legend_handles_labels()
+    if not (handles or notes):
+        return lift
+    font = FontProperties(size="small")
+    size = font.get_size_in_points()
+    room = 0.92 * 72 * ax.bbox.width / ax.figure.dpi  # labels may yet take some of it
+
+    def width(text: str) -> float:
+        return max(
+            text_to_path.get_text_width_height_descent(line, font, "$" in line)[0]
+            for line in text.split("\n")
+        )
+
+    def folded(text: str, room: float) -> str:
+        return fill(text, max(12, int(len(text) * room / max(width(text), 1.0))))
+
+    names = [folded(n, room - 3 * size) if width(n) > room - 3 * size else n for n in names]
+    widths = [width(n) + 3 * size for n in names]
+    columns = next((k for k in range(len(names), 1, -1) if _fits(widths, k, room, size)), 1)
+    title = "\n".join(folded(n, room) if width(n) > room else n for n in notes)
+    lines = [n.count("\n") + 1 for n in names]
+    rows = -(-len(names) // columns)
+    height = size * (1.45 * (max(sum(lines), rows) if columns == 1 else rows))
+    height += 1.5 * size * (title.count("\n") + 1) if title else 0.0
+    ax.legend(
+        handles,
+        names,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        bbox_transform=ax.transAxes + ScaledTranslation(0.0, lift / 72, ax.figure.dpi_scale_trans),
+        ncols=columns,
+        frameon=False,
+        fontsize=size,
+        title=title or None,
+        title_fontsize=size,
+        alignment="left",
+        borderpad=0.0,
+        borderaxespad=0.3,
+        labelspacing=0.3,
+        handlelength=2.2,
+        handletextpad=0.5,
+        columnspacing=1.2,
+    )
+    return float(lift + height + 0.3 * mpl.rcParams["font.size"])
+
+
+def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
+    """Return whether names of these widths fit side by side; columns are filled one by one."""
+    rest, total = list(widths), 1.2 * size * (columns - 1)
+    for k in range(columns):
+        n = len(widths) // columns + (k < len(widths) % columns)
+        total += max(rest[:n])
+        rest = rest[n:]
+    return total <= room
+
+
+def hertz(ax: Axes) -> float:
+    """Write the frequencies of an axis in rad/s in Hz, too, above; return the height in points."""
+    import matplotlib as mpl
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    def to_hertz(omega: Any) -> Any:
+        return omega / tau
+
+    def to_radians(f: Any) -> Any:
+        return f * tau
+
+    above = ax.secondary_xaxis("top", functions=(to_hertz, to_radians))
+    above.set_xscale("log")
+    above.xaxis.set_major_locator(LogLocator())
+    above.xaxis.set_major_formatter(FuncFormatter(lambda f, _: f"{f:g} Hz"))
+    above.xaxis.set_minor_formatter(NullFormatter())
+    above.tick_params(axis="x", which="both", labelsize="small", pad=1, colors=GREY)
+    above.spines["top"].set_visible(False)
+    size = FontProperties(size="small").get_size_in_points()
+    return float(1.4 * size + mpl.rcParams["xtick.major.size"])
+
+
+def decibels(x: NDArray[Any]) -> NDArray[np.float64]:
+    """Return 20 log10 |x|; of 0 the lowest that a figure can want."""
+    import numpy as np
+
+    return np.asarray(20 * np.log10(np.maximum(np.abs(x), 1e-15)), dtype=np.float64)
+
+
+def decibel_ticks(ax: Axes) -> None:
+    """Put the ticks of an axis in dB at multiples of 20, 40 … dB."""
+    from matplotlib.ticker import MaxNLocator
+
+    ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 4, 10]))
 
 
 def save(figure: Figure, path: Path, **options: Any) -> None:
@@ -120,6 +236,23 @@ def shade(ax: Axes, data: Sampled) -> None:
         ax.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
 
 
+def logarithmic(axis: XAxis | YAxis, low: float, high: float) -> None:
+    """Make an axis logarithmic, with 1, 2, 5, 10 … or the decades for ticks, as plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    ax = axis.axes
+    if axis.axis_name == "x":
+        ax.set_xscale("log")
+        ax.set_xlim(low, high)
+    else:
+        ax.set_yscale("log")
+        ax.set_ylim(low, high)
+    subs = (1.0, 2.0, 5.0) if high < 200 * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=20))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    bare_minor(axis)
+
+
 def bare_minor(*shown: Axis) -> None:
     """Write no number between the decades of logarithmic axes."""
     from matplotlib.ticker import NullFormatter
@@ -135,9 +268,24 @@ def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
     ax.axhline(0, color=INK, lw=0.6)
 
 
-def pens() -> Any:
-    """Iterate over colours and line styles, in pairs, for ever."""
-    return cycle(zip(COLOURS, DASHES, strict=True))
+def pens(curves: int) -> list[dict[str, Any]]:
+    """Return what draws each of so many curves: colour, dashes and width.
+
+    The first is the widest: where curves agree, each shows beside the next.
+    """
+    if curves == 1:
+        return [{"color": BLUE, "ls": "-", "lw": 1.4}]
+    each = cycle(zip(COLOURS, DASHES, WIDTHS, strict=True))
+    return [
+        {"color": colour, "ls": dash, "lw": width}
+        for (colour, dash, width), _ in zip(each, range(curves), strict=False)
+    ]
+
+
+def symbol(parameter: str) -> str:
+    """Return a parameter's name as mathematics: J_1 as $J_1$, K_lin as $K_{lin}$."""
+    letter, _, index = parameter.partition("_")
+    return f"${letter}_{{{index}}}$" if index else f"${letter}$"
 
 
 def named(output: str, unit: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -16,8 +17,10 @@ from armrig.numerics.polynomial import filtered
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
+from armrig.validation.comparison import compare
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -123,11 +126,37 @@ def test_every_axis_says_what_it_shows(plot: Plot, done: Study, recording: Recor
 
 
 def test_models_are_told_apart_without_colour(done: Study) -> None:
-    """By the style of their lines."""
+    """By dashes and width; the first is the widest, so that what lies on it does not hide it."""
     ax = plots.plot_step(*(m.model for m in done.models), ax=Figure().add_subplot())
 
-    styles = [str(line.get_linestyle()) for line in ax.lines]
+    styles = [(str(line.get_linestyle()), line.get_linewidth()) for line in ax.lines]
+    widths = [width for _, width in styles]
     assert len(set(styles)) == len(styles) == 3
+    assert widths[0] >= 1.5 * max(widths[1:])
+
+
+@EVERY
+@pytest.mark.parametrize("size", [(6.4, 4.8), (84 / 25.4, 2.7)], ids=["default", "column"])
+def test_the_names_stand_above_the_data(
+    plot: Plot, size: tuple[float, float], done: Study, recording: Recording
+) -> None:
+    """A legend covers no axes, its own or another's, and nothing is cut off."""
+    figure = Figure(figsize=size, layout="constrained")
+    ax = plot(done, recording, figure.add_subplot())
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+
+    for panel in figure.axes:
+        legend = panel.get_legend()
+        for other in figure.axes if legend else []:
+            assert legend is not None
+            named, data = legend.get_window_extent(), other.get_window_extent()
+            assert named.y0 >= data.y1 or named.y1 <= data.y0
+    seen = figure.get_tightbbox()
+    width, height = size
+    assert -0.02 < seen.x0 < seen.x1 < width + 0.02
+    assert -0.02 < seen.y0 < seen.y1 < height + 0.02
+    assert ax.has_data()
 
 
 def test_colours_differ_in_lightness(done: Study) -> None:
@@ -166,16 +195,16 @@ def test_every_sample_is_in_the_histogram(recording: Recording) -> None:
 
 
 def test_the_bode_band_holds_95_percent(done: Study) -> None:
-    """Of the magnitude, 1.96 standard deviations above the curve where it is linearised."""
+    """Of the magnitude, 1.96 standard deviations above the curve where it is linearised, in dB."""
     fit = done.best.fit
     omega = np.geomspace(30.0, 100.0, 20)  # away from the notch at 16 rad/s
     ax = plots.plot_bode(fit, omega=omega, ax=Figure().add_subplot())
 
     answer = fit.frequency_response(omega)
-    upper = np.abs(answer.G) + 1.96 * answer.std_magnitude
+    upper = 20 * np.log10(np.abs(answer.G) + 1.96 * answer.std_magnitude)
     edge = ax.collections[0].get_paths()[0].vertices
     heights = np.asarray(edge)[:, 1]
-    assert all(np.min(np.abs(heights / v - 1)) < 1e-5 for v in upper)
+    assert all(np.min(np.abs(heights - v)) < 1e-4 for v in upper)
     assert said(ax) == ["OE[4 4 1], 95 % linearised"]
 
 
@@ -184,7 +213,7 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     fit = hardly_a_pair()
     ax = plots.plot_poles_zeros(fit, ax=Figure().add_subplot())
 
-    assert said(ax)[0] == "OE[2 2 1], 95 % sampled"
+    assert said(ax) == ["OE[2 2 1], 95 %", "95 % by draws"]
     assert len(ax.collections) >= 2  # a shade and its border
     draws = drawn(fit)
     assert draws is not None
@@ -212,11 +241,11 @@ def test_spectral_analysis_stands_beside_a_model_as_dots(done: Study) -> None:
     ax = plots.plot_bode(fit, estimate, ax=Figure().add_subplot())
 
     [dots] = [line for line in ax.lines if line.get_marker() == "o"]
-    omega, magnitude = (np.asarray(x, dtype=np.float64) for x in dots.get_data())
+    omega, level = (np.asarray(x, dtype=np.float64) for x in dots.get_data())
     near = (omega > 20) & (omega < 60)
     assert np.count_nonzero(near) > 5
-    modelled = np.abs(fit.frequency_response(omega[near]).G)
-    assert np.median(np.abs(magnitude[near] / modelled - 1)) < 0.1
+    modelled = 20 * np.log10(np.abs(fit.frequency_response(omega[near]).G))
+    assert np.median(np.abs(level[near] - modelled)) < 0.8
     assert said(ax)[-1] == "Blackman-Tukey, 95 %"
 
 
@@ -233,7 +262,65 @@ def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
     )
 
     sampled, continuous = (np.asarray(line.get_ydata()) for line in ax.lines)
-    np.testing.assert_allclose(sampled, continuous, rtol=1e-3)
+    np.testing.assert_allclose(sampled, continuous, atol=0.01)
+
+
+def test_the_bode_plot_has_hertz_above(done: Study) -> None:
+    """Its own axis in rad/s, and Hz where 2 pi of them stand."""
+    ax = plots.plot_bode(done.best.fit, ax=Figure().add_subplot())
+    (above,) = ax.child_axes
+    ax.figure.draw_without_rendering()
+
+    assert np.asarray(above.get_xlim()) * 2 * np.pi == pytest.approx(np.asarray(ax.get_xlim()))
+    assert "dB" in ax.get_ylabel()
+
+
+def test_a_ramp_is_shown_without_its_slope(done: Study, recording: Recording) -> None:
+    """An angle that turns on shows nothing else; the label gives what was taken off."""
+    ax = plots.plot_data(recording, ax=Figure().add_subplot())
+
+    slope, _ = np.polyfit(recording.t[recording.valid], recording.theta_1[recording.valid], 1)
+    shown = np.asarray(ax.lines[0].get_ydata(), dtype=np.float64)
+    np.testing.assert_allclose(shown, recording.theta_1 - slope * recording.t, atol=1e-9)
+    assert f"{slope:.3g} $t$ [rad]" in ax.get_ylabel()
+
+
+def test_a_step_keeps_its_ramp(done: Study) -> None:
+    """There the slope is the answer."""
+    step = done.recordings[0]
+
+    ax = plots.plot_data(step, ax=Figure().add_subplot())
+
+    shown = np.asarray(ax.lines[0].get_ydata(), dtype=np.float64)
+    np.testing.assert_array_equal(shown, step.theta_1)
+
+
+def test_a_jitter_of_nothing_is_no_histogram(recording: Recording) -> None:
+    """One bar would say less than a sentence."""
+    samples = recording.samples.copy()
+    samples["t_sched_ns"] = np.arange(samples.size) * 10_000_000
+    samples["t_host_ns"] = samples["t_sched_ns"] + 824_000
+    ax = plots.plot_timing(
+        replace(recording, samples=samples), quantity="lateness", ax=Figure().add_subplot()
+    )
+
+    assert not ax.patches
+    assert [t.get_text() for t in ax.texts] == [
+        f"{samples.size} samples, all\n824 µs, to the microsecond"
+    ]
+
+
+def test_errors_are_shown_against_the_best_model(done: Study) -> None:
+    """The other models' curves are their difference to it: no noise hides them."""
+    table = compare(done.validation, *_models(done))
+    ax = plots.plot_compare(done.validation, *_models(done), table=table, ax=Figure().add_subplot())
+
+    below = ax.figure.axes[1]
+    best = min(table.rows, key=lambda row: row.rms_error)
+    differences = [row.y - best.y for row in table.rows if row is not best]
+    lines = [np.asarray(line.get_ydata()) for line in below.lines]
+    for difference in differences:
+        assert any(y.shape == difference.shape and np.allclose(y, difference) for y in lines)
 
 
 def test_identical_errors_need_no_logarithm(done: Study) -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from armrig.cli.files import check_output
 from armrig.cli.options import tell
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Plot = Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Figure to write.")]
 
@@ -27,8 +24,8 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
     check_figure(path)
 
 
-def write_plot(path: Path | None, *draw: Callable[[Axes], Any], height: float = 3.6) -> None:
-    """Write a figure with one axes for each that draws, and say where it is."""
+def write_plot(path: Path | None, *draw: Callable[..., Any], height: float = 3.6) -> None:
+    """Write a figure with axes for each that draws into `ax`, and say where it is."""
     if path is None:
         return
     from matplotlib.figure import Figure
@@ -36,11 +33,11 @@ def write_plot(path: Path | None, *draw: Callable[[Axes], Any], height: float = 
     from armrig.canvas import save
     from armrig.cli.spinner import spinner
 
-    # No constrained layout: it overlooks the panels that a figure appends below its axes.
-    figure = Figure(figsize=(8.0, height * len(draw)))
-    below = figure.subplots(len(draw), squeeze=False, gridspec_kw={"hspace": 0.32})[:, 0]
+    # As wide as the text of an A4 page.
+    figure = Figure(figsize=(6.3, height * len(draw)), layout="constrained")
+    below = figure.subplots(len(draw), squeeze=False)[:, 0]
     with spinner("drawing"):
         for ax, one in zip(below, draw, strict=True):
-            one(ax)
-        save(figure, path, dpi=150, bbox_inches="tight")
+            one(ax=ax)
+        save(figure, path, dpi=200)
     tell(f"figure: {path}")

@@ -249,8 +249,8 @@ def _plot_timing(recording: Any, path: Path) -> None:
     from armrig.canvas import save
     from armrig.plots import plot_timing
 
-    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    figure = Figure(figsize=(6.3, 2.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     plot_timing(recording, quantity="jitter", ax=left)
     plot_timing(recording, quantity="lateness", ax=right)
-    save(figure, path, dpi=150)
+    save(figure, path, dpi=200)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -152,23 +153,22 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
-    """Write the solutions at the largest of the steps."""
+    """Write the solutions of each row of the table, one figure for each step given."""
     if plot is None:
         return
     from armrig.physics.integrators.figures import plot_solution
 
-    largest = max(row.h for row in solved.rows)
+    steps = [{row.method: row.h for row in solved.rows}]
+    if solved.advice is None:
+        given = dict.fromkeys(row.h for row in solved.rows)
+        steps = [{row.method: row.h for row in solved.rows if row.h == h} for h in given]
     write_plot(
         plot,
-        lambda ax: plot_solution(
-            solved.problem,
-            largest,
-            methods=solved.methods,
-            state=_STATE,
-            label="speed [rad/s]",
-            ax=ax,
+        *(
+            partial(plot_solution, solved.problem, h, state=_STATE, label="speed [rad/s]")
+            for h in steps
         ),
-        height=5.0,
+        height=4.0,
     )
 
 

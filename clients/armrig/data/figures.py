@@ -8,12 +8,28 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, INK, NAMES, Sampled, finish, named, panels, shade, sign
+from armrig.canvas import (
+    BLUE,
+    INK,
+    NAMES,
+    Sampled,
+    bare_minor,
+    finish,
+    hertz,
+    named,
+    panels,
+    shade,
+    sign,
+)
+from armrig.numerics.quantities import minus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
+
+_RAMP = 0.95  # share of the variance that a straight line explains, from which on it hides the rest
+_CHANGES = 5  # of the input; one that changes less often is a step
 
 
 class Signals(Sampled, Protocol):
@@ -59,17 +75,39 @@ class HasSignals(Protocol):
         """Return its signals."""
 
 
+def without_ramp(data: Signals) -> tuple[Vector, str]:
+    """Return the ramp that hides what else an output does, (N,), and the label of what is left.
+
+    An angle that turns on for 140 rad shows nothing but that it turns. Where a straight line
+    explains nearly all of y its slope is taken off, and the label says so; the answer to a step
+    keeps it, for there the slope is the answer.
+    """
+    none = np.zeros(data.t.size), named(data.output, data.unit)
+    seen = data.valid
+    if np.count_nonzero(seen) < 3 or np.count_nonzero(np.diff(data.u)) < _CHANGES:
+        return none
+    slope, level = np.polyfit(data.t[seen], data.y[seen], 1)
+    left = np.var(data.y[seen] - level - slope * data.t[seen])
+    if not left < (1 - _RAMP) * np.var(data.y[seen]):
+        return none
+    name, digits = NAMES.get(data.output, data.output), minus(f"{abs(slope):.3g}")
+    label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$ [{data.unit or '–'}]"
+    return slope * data.t, label
+
+
 def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     """Show output and, below it, input against time; where the output is missing is shaded.
 
-    A recording shows theta_1.
+    A recording shows theta_1. What is a ramp and little else is shown without it: see
+    `without_ramp`.
     """
     data = _signals(source)
     ax, below = panels(ax, 0.28)
     for panel in (ax, below):
         shade(panel, data)
-    ax.plot(data.t, data.y, color=BLUE, lw=0.9)
-    ax.set_ylabel(named(data.output, data.unit))
+    ramp, label = without_ramp(data)
+    ax.plot(data.t, data.y - ramp, color=BLUE, lw=0.9)
+    ax.set_ylabel(label)
     below.step(data.t, data.u, where="post", color=INK, lw=0.7)
     below.set_ylabel(named("$u$", data.input_unit))
     below.set_xlabel("$t$ [s]")
@@ -99,13 +137,14 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
         panel.set_xscale("log")
         panel.set_yscale("log")
         panel.set_ylabel(f"{NAMES.get(label, label)} [{squared(unit)}s/rad]")
+        bare_minor(panel.xaxis, panel.yaxis)
         shown = density[density > 0]
         if shown.size:
             # A periodic input has only rounding errors between its lines: show twelve decades.
             panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
     below.set_xlabel(r"$\omega$ [rad/s]")
     finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))
-    return sign(ax, data.source)
+    return sign(ax, data.source, above=hertz(ax))
 
 
 def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
@@ -115,14 +154,15 @@ def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes
     """
     data = _signals(source)
     ax, below = panels(ax, 0.5, sharex=False)
-    for panel, values, colour, label in (
-        (ax, data.y[data.valid], BLUE, named(data.output, data.unit)),
+    ramp, label = without_ramp(data)
+    for panel, values, colour, name in (
+        (ax, (data.y - ramp)[data.valid], BLUE, label),
         (below, data.u, INK, named("$u$", data.input_unit)),
     ):
         panel.hist(values, bins=60, color=colour, alpha=0.75)
         panel.set_yscale("log")
-        panel.set_ylim(0.6, 6 * panel.get_ylim()[1])  # room for the name
-        panel.text(0.5, 0.95, label, ha="center", va="top", transform=panel.transAxes)
+        panel.set_ylim(bottom=0.6)
+        panel.set_xlabel(name)
         panel.set_ylabel("samples")
         finish(panel)
     return sign(ax, data.source)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, GREY, VERMILION, axes, finish
+from armrig.canvas import BLUE, GREY, VERMILION, axes, finish, legend, logarithmic
 from armrig.numerics.criteria import Criterion
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ class Losses(Protocol):
     @property
     def validation_loss(self) -> Vector | None: ...  # noqa: D102
     @property
-    def output_variance(self) -> float: ...  # noqa: D102
-    @property
     def criteria(self) -> tuple[Criterion, ...]: ...  # noqa: D102
     def envelope(self, criterion: Criterion | None) -> Integers: ...  # noqa: D102
     def chosen(self, criterion: Criterion) -> int: ...  # noqa: D102
@@ -51,17 +49,17 @@ def plot_orders(
 ) -> Axes:
     """Show the best structure for each number of parameters, and what each criterion chooses.
 
-    The ordinate is the share of y's variance that is not explained one step ahead, on the
-    validation data where there are some.
+    The ordinate is the loss one step ahead over the least of them, on the validation data where
+    there are some.
     """
     ax = axes(ax)
     on_other = table.validation_loss is not None
     loss = table.loss if table.validation_loss is None else table.validation_loss
-    share = 100 * loss / table.output_variance
+    share = loss / float(np.nanmin(np.where(np.isfinite(loss) & (loss > 0), loss, np.nan)))
     d = table.parameters
     best = table.envelope(criterion)
     shown = np.isfinite(share)
-    ax.plot(d[shown], share[shown], ".", color=GREY, ms=3, alpha=0.35, label="all structures")
+    ax.plot(d[shown], share[shown], ".", color=GREY, ms=4, alpha=0.5, label="all structures")
     ax.plot(d[best], share[best], "o-", color=BLUE, ms=4, lw=1.0, label="best of so many")
     chosen: dict[int, list[str]] = {}
     for name in table.criteria:
@@ -73,22 +71,18 @@ def plot_orders(
         ax.annotate(
             f"{label} [{o.na} {o.nb} {o.nk}]",
             (d[i], share[i]),
-            xytext=(0, 16 + 13 * k),
+            xytext=(0, -14 - 13 * k),
             textcoords="offset points",
-            ha="center",
+            ha="right" if d[i] > 0.6 * d.max() else "left",
             fontsize="small",
             bbox={"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0},
             arrowprops={"arrowstyle": "-", "color": GREY, "lw": 0.6},
         )
-    ax.set_yscale("log")
-    for axis in (ax.yaxis.set_major_formatter, ax.yaxis.set_minor_formatter):
-        axis("{x:g}")
-    ax.locator_params(axis="x", integer=True)
     top = float(share[best].max()) if best.size else 1.0
-    low = float(np.nanmin(share))
-    ax.set_ylim(low / 1.3, max(3 * top, 1.5 * low))
+    logarithmic(ax.yaxis, 0.6, max(1.5 * top, 2.5))
+    ax.locator_params(axis="x", integer=True)
     ax.set_xlabel("number of parameters, $n_a + n_b$")
-    ax.set_ylabel(f"not explained of {'validation' if on_other else 'the'} data [%]")
-    ax.legend(loc="upper right", fontsize="small")
+    ax.set_ylabel(f"loss{' on validation data' if on_other else ''} over the least")
     finish(ax)
+    legend(ax)
     return ax

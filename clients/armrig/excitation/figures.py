@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, INK, SKY, finish
+from armrig.canvas import BLUE, INK, SKY, finish, hertz
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -93,6 +93,7 @@ def plot_input(description: DescribedInput) -> Figure:
             0.5, 0.5, "no power but the mean's", ha="center", transform=spectrum.transAxes
         )
     spectrum.set_xlabel(r"$\omega$ [rad/s], up to Nyquist's")
+    hertz(spectrum)
     spectrum.set_ylabel("power [V² s/rad]")
     span = float(np.ptp(d.levels)) or 1.0
     width = span / 10 if d.binned else span / 40

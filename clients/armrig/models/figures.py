@@ -7,13 +7,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.canvas import GREY, INK, NAMES, axes, bare_minor, finish, panels, pens, sign
+from armrig.canvas import (
+    GREY,
+    INK,
+    NAMES,
+    axes,
+    decibel_ticks,
+    decibels,
+    finish,
+    hertz,
+    legend,
+    panels,
+    pens,
+    sign,
+)
 from armrig.models.labels import (
     Labels,
     gain_unit,
     labels_of,
+    left_out,
     sources_of,
-    tell_left_out,
     with_method,
 )
 from armrig.models.model import Model
@@ -58,30 +71,26 @@ def plot_bode(
         else np.asarray(omega, np.float64)
     )
     ax, below = panels(ax, 0.42)
-    least, most = np.inf, 0.0
-    pen = pens()
+    levels: list[NDArray[np.float64]] = []
+    curves = [m for m in models if not isinstance(m, SpectralEstimate)]
+    pen = iter(pens(len(curves)))
     sampled: dict[str, Draws | None] = {}
     for model, name in zip(models, labels_of(models, labels), strict=True):
         if isinstance(model, SpectralEstimate):
-            magnitude = _dots(ax, below, model, name if labels else _method(model), w)
+            levels.append(_dots(ax, below, model, name if labels else _method(model), w))
         else:
-            magnitude, sampled[name] = _curve(ax, below, model, name, w, next(pen))
-        least = min(least, float(np.nanmin(magnitude, initial=np.inf)))
-        most = max(most, float(np.nanmax(magnitude, initial=0.0)))
+            level, sampled[name] = _curve(ax, below, model, name, w, next(pen))
+            levels.append(level)
     ax.set_xscale("log")
-    ax.set_yscale("log")
-    below.set_xscale("log")
-    if most > 0:
-        _decades(ax, least / 3, most * 3)
+    _limit_level(ax, np.concatenate(levels))
     below.set_ylim(-365, 5)
     below.set_yticks([-360, -270, -180, -90, 0])
-    ax.set_ylabel(f"$|G|$ [{gain_unit(models)}]")
+    ax.set_ylabel(f"$|G|$ [dB re 1 {gain_unit(models)}]")
     below.set_ylabel("arg $G$ [°]")
     below.set_xlabel(r"$\omega$ [rad/s]")
-    ax.legend(loc="lower left")
     finish(ax, below, xlim=(float(w[0]), float(w[-1])))
-    tell_left_out(ax, sampled, models=len(models))
-    return sign(ax, *sources_of(models))
+    above = legend(ax, *left_out(sampled, models=len(models)), lift=hertz(ax))
+    return sign(ax, *sources_of(models), above=above)
 
 
 def plot_step(
@@ -97,7 +106,7 @@ def plot_step(
     ax = axes(ax)
     curves: list[NDArray[np.float64]] = []
     sampled: dict[str, Draws | None] = {}
-    for model, name, (colour, dash) in zip(models, labels_of(models, labels), pens(), strict=False):
+    for model, name, pen in zip(models, labels_of(models, labels), pens(len(models)), strict=True):
         answer = model.step_response(n or max(50, round(1 / model.Ts)))
         curves.append(answer.y)
         if np.nan_to_num(answer.std).any():
@@ -105,35 +114,23 @@ def plot_step(
             band = step_band(model, answer, draws)
             sampled |= {name: draws} if band.method == "sampled" else {}
             name = with_method(name, band)
-            ax.fill_between(answer.t, band.low, band.high, color=colour, alpha=0.25, lw=0)
-        ax.plot(answer.t, answer.y, color=colour, ls=dash, label=name)
+            ax.fill_between(answer.t, band.low, band.high, color=pen["color"], alpha=0.25, lw=0)
+        ax.plot(answer.t, answer.y, label=name, **pen)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel(f"{NAMES.get(models[0].output, models[0].output)} [{gain_unit(models)}]")
-    ax.legend(loc="best")
     ax.margins(x=0)
     _limited(ax, np.concatenate(curves))
     finish(ax)
-    tell_left_out(ax, sampled, models=len(models))
-    return sign(ax, *sources_of(models))
+    above = legend(ax, *left_out(sampled, models=len(models)))
+    return sign(ax, *sources_of(models), above=above)
 
 
 def plot_fit(model: Model) -> Figure:
     """Return a figure of one model: frequency and step response, poles and zeros."""
     from matplotlib import pyplot as plt
 
-    figure = plt.figure(figsize=(9.0, 6.0))
-    grid = figure.add_gridspec(
-        nrows=2,
-        ncols=2,
-        width_ratios=(1.35, 1),
-        height_ratios=(1, 1.35),
-        left=0.09,
-        right=0.97,
-        bottom=0.2,
-        top=0.93,
-        hspace=0.5,
-        wspace=0.3,
-    )
+    figure = plt.figure(figsize=(9.0, 5.6), layout="constrained")
+    grid = figure.add_gridspec(nrows=2, ncols=2, width_ratios=(1.2, 1), height_ratios=(1, 1.5))
     plot_bode(model, ax=figure.add_subplot(grid[:, 0]))
     plot_step(model, ax=figure.add_subplot(grid[0, 1]))
     plot_poles_zeros(model, ax=figure.add_subplot(grid[1, 1]))
@@ -141,42 +138,47 @@ def plot_fit(model: Model) -> Figure:
 
 
 def _curve(
-    ax: Axes, below: Axes, model: Any, name: str, omega: NDArray[np.float64], pen: Any
+    ax: Axes,
+    below: Axes,
+    model: Any,
+    name: str,
+    omega: NDArray[np.float64],
+    pen: dict[str, Any],
 ) -> tuple[NDArray[np.float64], Draws | None]:
-    """Draw one model, and return its magnitude, and the draws that its bands are of."""
-    colour, dash = pen
+    """Draw one model, and return its level in dB, and the draws that its bands are of."""
     x, G, bands, draws = _response(model, omega)
-    magnitude, phase = np.abs(G), _phase(G)
+    level, phase = decibels(G), _phase(G)
+    shade: dict[str, Any] = {"color": pen["color"], "alpha": 0.25, "lw": 0}
     if bands is not None:
-        # A logarithmic axis has no place for 0.
-        low = np.maximum(bands[0].low, magnitude * 1e-3)
-        ax.fill_between(x, low, bands[0].high, color=colour, alpha=0.25, lw=0)
+        low = np.maximum(bands[0].low, np.abs(G) * 1e-3)  # 0 has no decibels
+        ax.fill_between(x, decibels(low), decibels(bands[0].high), **shade)
         reach = [np.clip(np.degrees(edge), -180, 180) for edge in (bands[1].low, bands[1].high)]
-        below.fill_between(x, phase + reach[0], phase + reach[1], color=colour, alpha=0.25, lw=0)
+        below.fill_between(x, phase + reach[0], phase + reach[1], **shade)
         name = with_method(name, bands[0])
-    ax.plot(x, magnitude, color=colour, ls=dash, label=name)
-    below.plot(x, phase, color=colour, ls=dash)
+    ax.plot(x, level, label=name, **pen)
+    below.plot(x, phase, **pen)
     by_draws = bands is not None and "sampled" in (bands[0].method, bands[1].method)
-    return np.asarray(magnitude), draws if by_draws else None
+    return level, draws if by_draws else None
 
 
 def _dots(
     ax: Axes, below: Axes, estimate: SpectralEstimate, name: str, omega: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Draw an estimate without a structure as dots with bars, and return its magnitude."""
+    """Draw an estimate without a structure as dots with bars, and return its level in dB."""
     w = estimate.omega
     known = np.isfinite(estimate.G) & (w >= omega[0]) & (w <= omega[-1]) & (np.abs(estimate.G) > 0)
     at = _spread(w, np.flatnonzero(known))
     w, G = w[at], estimate.G[at]
-    magnitude, phase = np.abs(G), _phase(G)
+    magnitude, level, phase = np.abs(G), decibels(G), _phase(G)
     std = np.nan_to_num(estimate.std_magnitude[at]), np.nan_to_num(estimate.std_phase[at])
-    down = np.minimum(HALF_WIDTH * std[0], magnitude * (1 - 1e-3))
+    down = level - decibels(np.maximum(magnitude - HALF_WIDTH * std[0], magnitude * 1e-3))
+    up = decibels(magnitude + HALF_WIDTH * std[0]) - level
     across = np.degrees(np.minimum(HALF_WIDTH * std[1], np.pi))
     style: dict[str, Any] = {"color": INK, "ecolor": GREY, "elinewidth": 0.7, "zorder": 1.5}
     style |= {"fmt": "o", "ms": 2.5}
-    ax.errorbar(w, magnitude, yerr=[down, HALF_WIDTH * std[0]], label=name, **style)
+    ax.errorbar(w, level, yerr=[down, up], label=name, **style)
     below.errorbar(w, phase, yerr=across, **style)
-    return np.asarray(magnitude)
+    return level
 
 
 def _spread(w: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -216,12 +218,12 @@ def _phase(G: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(phase)
 
 
-def _decades(ax: Axes, low: float, high: float) -> None:
-    """Limit a logarithmic axis; a short one to whole decades, or it would have none to label."""
-    if high < 100 * low:
-        low, high = (float(10.0 ** f(np.log10(x))) for f, x in ((np.floor, low), (np.ceil, high)))
-    ax.set_ylim(low, high)
-    bare_minor(ax.yaxis)
+def _limit_level(ax: Axes, level: NDArray[np.float64]) -> None:
+    """Limit an axis in dB to what the curves reach, and put its ticks at multiples of 20 dB."""
+    shown = level[np.isfinite(level)]
+    if shown.size:
+        ax.set_ylim(float(shown.min()) - 6.0, float(shown.max()) + 6.0)
+    decibel_ticks(ax)
 
 
 def _limited(ax: Axes, y: NDArray[np.float64]) -> None:

@@ -9,8 +9,6 @@ from armrig.models.model import Model
 from armrig.numerics.confidence_regions import Band
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from armrig.models.parameter_draws import Draws
 
 Labels = Sequence[str] | None
@@ -45,14 +43,11 @@ def with_method(name: str, band: Band) -> str:
     return f"{name}, 95 % {band.method}"
 
 
-def tell_left_out(ax: Axes, of: Mapping[str, Draws | None], *, models: int) -> None:
-    """Write above the legend which draws were left out, if any, and of which model."""
+def left_out(of: Mapping[str, Draws | None], *, models: int) -> list[str]:
+    """Return a line that says which draws were left out, if any, and of which model."""
     said = [
         f"{name}: {d.left_out}" if models > 1 else d.left_out
         for name, d in of.items()
         if d is not None and d.left_out
     ]
-    legend = ax.get_legend()
-    if said and legend is not None:
-        legend.set_title(f"draws left out: {'; '.join(said)}")
-        legend.get_title().set_fontsize("x-small")
+    return [f"draws left out: {'; '.join(said)}"] if said else []

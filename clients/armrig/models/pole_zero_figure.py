@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.canvas import GREY, INK, axes, finish, pens, sign
+from armrig.canvas import GREY, INK, axes, finish, legend, pens, sign
 from armrig.models.cancellation import overlapping
-from armrig.models.labels import Labels, labels_of, sources_of, tell_left_out
+from armrig.models.labels import Labels, labels_of, left_out, sources_of
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import Region
@@ -31,8 +31,9 @@ def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = No
     """Show poles (×) and zeros (○) in the z plane with their 95 % regions, and the unit circle.
 
     A real root has an interval (a bar), the others an ellipse, full lines; where draws of the
-    parameters show that the linearisation is poor, the densest 95 % of the draws, dotted, and
-    shaded. A square holds a pole and a zero that cannot be told apart (1 %).
+    parameters show that the linearisation is poor, the densest 95 % of the draws, dotted and
+    shaded; the legend says so where there are any. A square holds a pole and a zero that cannot be
+    told apart (1 %).
     """
     ax = axes(ax)
     angle = np.linspace(0, 2 * np.pi, 721)
@@ -41,9 +42,10 @@ def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = No
     ax.axvline(0, color=GREY, lw=0.5)
     shown: list[Region] = []
     by_draws: dict[str, Draws | None] = {}
-    for model, name, (colour, _), size in zip(
-        models, labels_of(models, labels), pens(), cycle(_SIZES), strict=False
+    for model, name, pen, size in zip(
+        models, labels_of(models, labels), pens(len(models)), cycle(_SIZES), strict=False
     ):
+        colour = pen["color"]
         draws = drawn(model)
         poles, zeros = pole_regions(model, draws), zero_regions(model, draws)
         if any(r.method == "sampled" for r in (*poles, *zeros)):
@@ -52,35 +54,20 @@ def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = No
         for found, marker in ((poles, "x"), (zeros, "o")):
             z = np.array([r.centre for r in found], dtype=np.complex128)
             style = {"color": colour, "mfc": "none", "ms": size, "mew": 1.2, "ls": "none"}
-            label = _label(name, [*poles, *zeros], draws) if marker == "x" else None
+            label = (name if draws is None else f"{name}, 95 %") if marker == "x" else None
             ax.plot(z.real, z.imag, marker, label=label, zorder=3, **style)
             for region in found:
                 _draw(ax, region, colour)
         if draws is not None:
             _mark_cancelling(ax, model)
+    if by_draws:
+        ax.plot([], [], color=INK, lw=1.0, ls=":", label="95 % by draws")
     _frame(ax, shown)
     ax.set(xlabel="Re $z$", ylabel="Im $z$")
     ax.set_aspect("equal")
-    ax.legend(
-        loc="upper center",
-        bbox_to_anchor=(0.5, -0.2),
-        frameon=False,
-        fontsize="small",
-        markerscale=0.7,
-    )
     finish(ax)
-    tell_left_out(ax, by_draws, models=len(models))
-    return sign(ax, *sources_of(models))
-
-
-def _label(name: str, found: list[Region], draws: Draws | None) -> str:
-    if draws is None:
-        return name
-    by_draws = sum(r.method == "sampled" for r in found)
-    if not by_draws:
-        return f"{name}, 95 % linearised"
-    part = "" if by_draws == len(found) else f" in {by_draws} of {len(found)}"
-    return f"{name}, 95 % sampled{part}"
+    above = legend(ax, *left_out(by_draws, models=len(models)))
+    return sign(ax, *sources_of(models), above=above)
 
 
 def _draw(ax: Axes, region: Region, colour: str) -> None:

@@ -7,7 +7,21 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, GREEN, GREY, SKY, VERMILION, bare_minor, finish, panels, sign
+from armrig.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    SKY,
+    VERMILION,
+    bare_minor,
+    decibel_ticks,
+    decibels,
+    finish,
+    hertz,
+    legend,
+    panels,
+    sign,
+)
 from armrig.numerics.confidence_regions import HALF_WIDTH
 
 if TYPE_CHECKING:
@@ -48,7 +62,6 @@ class Spectrum(Protocol):
 def plot_spectral(estimate: Spectrum, *, ax: Axes | None = None) -> Axes:
     """Show magnitude, phase and, where it is known, coherence, with 95 % bands."""
     ax, below = panels(ax, 0.36)
-    shown = (ax, below)
     w, G = estimate.omega, estimate.G
     known = np.isfinite(G) & (w > 0) & (np.abs(G) > 0)
     w, magnitude = w[known], np.abs(G[known])
@@ -60,11 +73,12 @@ def plot_spectral(estimate: Spectrum, *, ax: Axes | None = None) -> Axes:
     std, across = estimate.std_magnitude[known], np.degrees(estimate.std_phase[known])
     if np.isfinite(std).any():
         width = HALF_WIDTH * np.nan_to_num(std)
-        low = np.maximum(magnitude - width, 0.03 * magnitude)
-        ax.fill_between(w, low, magnitude + width, color=SKY, alpha=0.45, lw=0, label="95 %")
+        low, high = np.maximum(magnitude - width, 0.03 * magnitude), magnitude + width
+        shaded: dict[str, Any] = {"color": SKY, "alpha": 0.45, "lw": 0}
+        ax.fill_between(w, decibels(low), decibels(high), label="95 %", **shaded)
         reach = np.minimum(HALF_WIDTH * np.nan_to_num(across), 180)
-        below.fill_between(w, phase - reach, phase + reach, color=SKY, alpha=0.45, lw=0)
-    ax.plot(w, magnitude, color=BLUE, label=estimate.method.split(",")[0], **style)
+        below.fill_between(w, phase - reach, phase + reach, **shaded)
+    ax.plot(w, decibels(magnitude), color=BLUE, label=estimate.method.split(",")[0], **style)
     below.plot(w, phase, color=BLUE, **style)
     if estimate.nonlinear_std is not None and np.isfinite(estimate.nonlinear_std).any():
         for x, name, colour, dash in (
@@ -76,33 +90,29 @@ def plot_spectral(estimate: Spectrum, *, ax: Axes | None = None) -> Axes:
             ),
             (_of(estimate.noise_only_std, known), "noise", GREEN, ":"),
         ):
-            ax.plot(w, np.where(x > 0, x, np.nan), color=colour, ls=dash, lw=1.0, label=name)
+            shown = np.where(x > 0, x, np.nan)
+            ax.plot(w, decibels(shown), color=colour, ls=dash, lw=1.0, label=name)
     ax.set_xscale("log")
-    ax.set_yscale("log")
-    below.set_xscale("log")
-    if estimate.nonlinear_std is not None:
-        ax.set_ylim(top=20 * ax.get_ylim()[1])  # room for the legend
     if phase.size:
         ticks = 90 * np.arange(np.floor(phase.min() / 90), np.ceil(phase.max() / 90) + 1)
         below.set_yticks(ticks[:: max(1, ticks.size // 6)])
         below.set_ylim(phase.min() - 60, phase.max() + 60)
-    ax.set_ylabel(f"$|G|$ [{_gain(estimate)}]")
+    ax.set_ylabel(f"$|G|$ [dB re 1 {_gain(estimate)}]")
     below.set_ylabel("arg $G$ [°]")
+    decibel_ticks(ax)
+    below.set_xlabel(r"$\omega$ [rad/s]")
+    bare_minor(below.xaxis)
+    finish(ax, below, xlim=(float(w[0]), float(w[-1])) if w.size > 1 else None)
+    lift = hertz(ax)
     if estimate.coherence is not None:
         other = ax.twinx()
-        other.set_axes_locator(ax.get_axes_locator())
         other.plot(w, estimate.coherence[known], color=GREY, lw=0.8, ls="--")
         other.set_ylim(0, 1.02)
-        other.set_ylabel("coherence (dashed)", color=GREY)
+        other.set_ylabel("coherence", color=GREY)
         other.tick_params(colors=GREY)
         other.spines["top"].set_visible(False)
-    below.set_xlabel(r"$\omega$ [rad/s]")
-    ax.legend(
-        loc="lower left" if estimate.nonlinear_std is None else "upper right", fontsize="small"
-    )
-    bare_minor(*(ax.xaxis for ax in shown))
-    finish(*shown, xlim=(float(w[0]), float(w[-1])) if w.size > 1 else None)
-    return sign(ax, estimate.source)
+        ax.plot([], [], color=GREY, lw=0.8, ls="--", label="coherence")
+    return sign(ax, estimate.source, above=legend(ax, lift=lift))
 
 
 def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]:

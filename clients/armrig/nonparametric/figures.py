@@ -16,7 +16,12 @@ from armrig.canvas import (
     SKY,
     VERMILION,
     axes,
+    bare_minor,
+    decibel_ticks,
+    decibels,
     finish,
+    hertz,
+    legend,
     panels,
     sign,
     stems,
@@ -171,10 +176,9 @@ def plot_impulse(response: Response, *, level: float = 0.99, ax: Axes | None = N
         ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     rate = f"rate of {_name(response.output)}" if response.integrator else _name(response.output)
     ax.set_ylabel(f"$g$ of {rate}\n[{_gain(response, rate=response.integrator)}]")
-    how = response.kernel.upper() if response.kernel else "least squares"
-    ax.legend(loc="best", title=how)
+    how = f"{response.kernel.upper()} kernel" if response.kernel else "least squares"
     finish(*(p for p in (ax, below) if p is not None))
-    return sign(ax, response.source)
+    return sign(ax, response.source, above=legend(ax, how))
 
 
 def plot_correlation(result: Correlated, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
@@ -186,9 +190,8 @@ def plot_correlation(result: Correlated, *, level: float = 0.99, ax: Axes | None
     ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     ax.set_xlabel("lag [samples], negative: y came first")
     ax.set_ylabel(f"$R_{{yu}}/R_u(0)$, whitened [{_gain(result)}]")
-    ax.legend(loc="best")
     finish(ax)
-    return sign(ax, result.source)
+    return sign(ax, result.source, above=legend(ax))
 
 
 def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
@@ -210,32 +213,32 @@ def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
     )
     ax.set_xlabel("$t$ from the step [s]")
     ax.set_ylabel(f"{_name(result.output)} [{_gain(result)}]")
-    ax.legend(loc="lower right")
     end = min(float(result.t[-1]), 2.5 * max(result.settling, 2 * at))
     finish(ax, xlim=(max(float(result.t[0]), -0.15 * end), end))
-    return sign(ax, result.source)
+    _about(ax, np.append(result.smooth[result.t <= end], [0.0, result.gain]))
+    return sign(ax, result.source, above=legend(ax))
 
 
 def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     """Show the step response at the recommended instants, and the spectrum with its band."""
     ax, below = panels(ax, 0.5, sharex=False)
     end = 1.5 * result.settling
-    ax.plot(result.t, result.response, color=BLUE, lw=1.1, label="step response / final value")
+    t, response = _with_gaps(result.t, result.response)
+    ax.plot(t, response, color=BLUE, lw=1.1, label="step response")
     grid = np.arange(0.0, min(end, float(result.t[-1])), result.Ts)
-    dots = np.interp(grid, result.t, result.response)
+    dots = np.interp(grid, t, response)
     name = rf"every {1e3 * result.Ts:g} ms"
     ax.plot(grid, dots, "o", color=VERMILION, ms=2.6, label=name)
-    ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0)
+    ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0, label="±5 %")
     ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 %")
     ax.set_xlim(0, end)
-    shown = result.response[result.t <= end]
-    lowest, highest = float(np.nanmin(shown)), float(np.nanmax(shown))
-    ax.set_ylim(lowest - 0.4 * (highest - lowest), None)  # room for the legend
-    _within(ax, "$t$ [s]")
-    ax.legend(loc="lower left", ncols=3, handlelength=1.2, columnspacing=0.8, fontsize="small")
+    ax.set_xlabel("$t$ [s]")
+    ax.set_ylabel("of the final value")
     s = result.spectrum
     level = float(np.mean(s.magnitude[: max(1, s.omega.size // 10)]))
-    below.plot(s.omega, s.magnitude / level, color=BLUE, lw=1.1, label="$|G|$ / low-frequency gain")
+    below.plot(
+        s.omega, s.magnitude / level, color=BLUE, lw=1.1, label="$|G|$ over its low-frequency value"
+    )
     below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="output's power")
     below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":")
     for w, name, colour, dash in (
@@ -246,12 +249,17 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
         below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
     below.set_xscale("log")
     below.set_yscale("log")
-    below.set_ylim(1e-7, 4)  # the lower half is the legend's
+    within = s.magnitude[np.isfinite(s.magnitude) & (s.magnitude > 0)] / level
+    powers = result.power[result.power > 0]
+    lowest = min(float(within.min(initial=0.1)), float(powers.min(initial=0.1)))
+    below.set_ylim(0.5 * max(lowest, 1e-5), 4)
     below.set_xlabel(r"$\omega$ [rad/s]")
-    below.legend(loc="lower left", ncols=2, fontsize="small")
+    below.set_ylabel("relative")
+    bare_minor(below.yaxis)
     finish(ax)
     finish(below, xlim=(float(s.omega[0]), max(float(s.omega[-1]), 1.2 * np.pi / result.Ts)))
-    return sign(ax, result.source)
+    legend(below, lift=hertz(below))
+    return sign(ax, result.source, above=legend(ax))
 
 
 def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
@@ -260,7 +268,7 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
     s = hints.spectrum
     known = np.isfinite(s.G) & (s.omega > 0)
     w, magnitude = s.omega[known], s.magnitude[known]
-    ax.plot(w, magnitude, color=BLUE, lw=1.1, label="$|G|$")
+    ax.plot(w, decibels(magnitude), color=BLUE, lw=1.1, label="$|G|$")
     for slope, at, name, dash in (
         (hints.low_slope, float(w[0]), "low", "--"),
         (hints.high_slope, hints.trusted / 2, "high", "-."),
@@ -268,23 +276,24 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
         reach = at * np.array([1.0, 4.0]) if name == "low" else at * np.array([0.6, 2.0])
         level = float(np.interp(at, w, magnitude)) * (1.6 if name == "low" else 1.9)
         line = level * (reach / at) ** (slope / 20)
-        ax.plot(reach, line, color=INK, ls=dash, lw=1.0, label=f"{minus(f'{slope:.0f}')} dB/decade")
+        text = f"{minus(f'{slope:.0f}')} dB/decade"
+        ax.plot(reach, decibels(line), color=INK, ls=dash, lw=1.0, label=text)
     for marks, marker, name in (
         (hints.resonances, "^", "resonance"),
         (hints.antiresonances, "v", "antiresonance"),
     ):
         x = np.asarray(marks, dtype=np.float64)
         if x.size:
-            ax.plot(
-                x, np.interp(x, w, magnitude), marker, color=VERMILION, ms=6, ls="none", label=name
-            )
-    ax.axvspan(hints.trusted, max(float(w[-1]), hints.trusted), color=GREY, alpha=0.2, lw=0)
+            at_marks = decibels(np.interp(x, w, magnitude))
+            ax.plot(x, at_marks, marker, color=VERMILION, ms=6, ls="none", label=name)
+    unexplained = (hints.trusted, max(float(w[-1]), hints.trusted))
+    ax.axvspan(*unexplained, color=GREY, alpha=0.2, lw=0, label="unexplained by the input")
     ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_ylim(0.3 * float(np.min(magnitude[w <= hints.trusted])), 4 * float(magnitude.max()))
-    _within(ax, r"$\omega$ [rad/s], grey: unexplained")
-    ax.set_ylabel(f"$|G|$ [{_gain(s)}]")
-    ax.legend(loc="lower left")
+    seen = decibels(magnitude[w <= hints.trusted])
+    ax.set_ylim(float(seen.min()) - 12, float(decibels(magnitude).max()) + 12)
+    decibel_ticks(ax)
+    ax.set_xlabel(r"$\omega$ [rad/s]")
+    ax.set_ylabel(f"$|G|$ [dB re 1 {_gain(s)}]")
     values = hints.singular_values[:12]
     index = np.arange(1, values.size + 1)
     below.bar(index, values, color=SKY, edgecolor=BLUE, lw=0.5)
@@ -292,17 +301,25 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
     below.axhline(hints.threshold, color=VERMILION, ls="--", lw=1.0, label=name)
     below.set_yscale("log")
     below.set_xticks(index)
-    below.set_xlabel("Hankel singular value of the response that dies out")
+    below.set_xlabel("Hankel singular value of what dies out")
     below.set_ylabel("relative")
-    below.legend(loc="upper right")
     finish(ax, xlim=(float(w[0]), float(w[-1])))
     finish(below)
-    return sign(ax, s.source)
+    legend(below)
+    return sign(ax, s.source, above=legend(ax, lift=hertz(ax)))
 
 
-def _within(ax: Axes, text: str) -> None:
-    """Write the label of an x axis inside, where another panel stands below."""
-    ax.text(0.995, 0.02, text, transform=ax.transAxes, ha="right", va="bottom", fontsize="small")
+def _with_gaps(t: Vector, y: Vector) -> tuple[Vector, Vector]:
+    """Return a curve with a NaN in each of its gaps, so that no line is drawn across."""
+    gaps = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1
+    return np.insert(t, gaps, t[gaps - 1] + 1e-9), np.insert(y, gaps, np.nan)
+
+
+def _about(ax: Axes, y: Vector) -> None:
+    """Limit an axis to a curve, so that noisy dots beside it do not flatten it."""
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    room = 0.25 * (high - low) or 1.0
+    ax.set_ylim(low - room, high + room)
 
 
 def _name(output: str) -> str:

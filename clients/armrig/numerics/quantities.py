@@ -25,6 +25,17 @@ def with_std(value: float, std: float) -> str:
     return f"{value:.{decimals}f} ± {std:.{decimals}f}"
 
 
+def scaled(value: float, std: float, unit: str) -> str:
+    """Return a number ± its standard deviation with a power of ten: (1.6989 ± 0.0016)·10⁻³ m."""
+    exponent = floor(log10(abs(value))) if value and isfinite(value) else 0
+    if -3 < exponent < 4:
+        return f"{minus(with_std(value, std))}{NBSP}{unit}".rstrip()
+    # An exponent divisible by three has a name.
+    exponent = 3 * floor(exponent / 3)
+    text = with_std(value / 10.0**exponent, std / 10.0**exponent)
+    return f"({minus(text)})·10{raised(exponent)}{NBSP}{unit}".rstrip()
+
+
 def with_range(value: float, low: float, high: float) -> str:
     """Return a number with its range, as 1.23 (1.11 … 1.40)."""
     decimals = min(places((high - low) / 4), _MOST_DECIMALS)
@@ -51,8 +62,12 @@ def power(x: float) -> str:
     if not 0 < abs(x) < 1e-3:
         return number(x)
     exponent = floor(log10(abs(x)))
-    raised = str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"{x / 10.0**exponent:.2f}·10{raised}"
+    return f"{x / 10.0**exponent:.2f}·10{raised(exponent)}"
+
+
+def raised(exponent: int) -> str:
+    """Return an exponent in raised digits."""
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def microseconds(x: float) -> str:

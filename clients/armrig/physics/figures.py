@@ -7,55 +7,56 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, pens
+from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, legend, pens, symbol
 from armrig.physics.step_response import characteristics, step_response, step_sensitivities
 from armrig.physics.systems import ArmParameters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_BOX = {"boxstyle": "round,pad=0.5", "fc": "white"}
+_TOP, _LOW, _BETWEEN = 2.0, 0.0, 1.0  # heights of the rows of the drawing
+_PARTS = (
+    ("circuit\n$R_m\\,i = u - u_m$", (1.25, _TOP), VERMILION),
+    ("motor\n$Q_m = K_m\\,i$", (2.65, _TOP), VERMILION),
+    ("gear\n$Q_E = N\\,Q_m$", (4.0, _TOP), INK),
+    ("back-EMF\n$u_m = K_m N\\,\\dot\\theta_1$", (2.2, _BETWEEN), VERMILION),
+    ("chassis\n$J_1\\,\\ddot\\theta_1 = Q_E + Q_s$", (4.0, _LOW), BLUE),
+    ("spring\n$Q_s = K_{lin}\\,\\alpha$", (2.65, _LOW), BLUE),
+    ("arm\n$J_2(\\ddot\\theta_1+\\ddot\\alpha) = -Q_s$", (1.25, _LOW), BLUE),
+)
+_QUANTITIES = (
+    ((0.3, _TOP), (0.8, _TOP), "$u$", (0.5, _TOP + 0.2)),
+    ((1.68, _TOP), (2.25, _TOP), "$i$", (1.95, _TOP + 0.2)),
+    ((3.05, _TOP), (3.6, _TOP), "$Q_m$", (3.3, _TOP + 0.2)),
+    ((4.2, _TOP - 0.3), (4.2, _LOW + 0.3), "$Q_E$", (4.4, _BETWEEN)),
+    ((3.75, _BETWEEN), (2.68, _BETWEEN), r"$\dot\theta_1$", (3.25, _BETWEEN + 0.22)),
+    ((1.25, _BETWEEN), (1.25, _TOP - 0.3), "$u_m$", (1.05, _BETWEEN + 0.35)),
+    ((3.05, 0.08), (3.45, 0.08), "$Q_s$", (3.25, 0.28)),
+    ((3.45, -0.08), (3.05, -0.08), r"$\theta_1$", (3.25, -0.28)),
+    ((2.25, 0.08), (1.8, 0.08), "$Q_s$", (2.03, 0.28)),
+    ((1.8, -0.08), (2.25, -0.08), r"$\alpha$", (2.03, -0.28)),
+)
 
 
 def plot_rig(*, ax: Axes | None = None) -> Axes:
-    """Show the parts of the rig and the quantities between them (phase 1 of the derivation)."""
+    """Show the parts of the rig and the quantities between them (phase 1 of the derivation).
+
+    The electrical half above, the mechanical half below it, from right to left.
+    """
     ax = axes(ax)
-    parts = {
-        "circuit\n$R_m\\,i = u - u_m$": (0.0, 0.0, VERMILION),
-        "motor\n$Q_m = K_m\\,i$": (2.3, 0.0, VERMILION),
-        "gear\n$Q_E = N\\,Q_m$": (4.6, 0.0, INK),
-        "chassis\n$J_1\\,\\ddot\\theta_1 = Q_E + Q_s$": (7.2, 0.0, BLUE),
-        "spring\n$Q_s = K_{lin}\\,\\alpha$": (10.0, 0.0, BLUE),
-        "arm\n$J_2(\\ddot\\theta_1+\\ddot\\alpha) = -Q_s$": (12.9, 0.0, BLUE),
-        "back-EMF\n$u_m = K_m N\\,\\dot\\theta_1$": (2.3, -1.7, VERMILION),
-    }
-    for text, (x, y, colour) in parts.items():
-        ax.text(x, y, text, ha="center", va="center", fontsize=9, bbox=_BOX | {"ec": colour})
-    for begin, end, label in (
-        ((-2.0, 0.0), (-0.95, 0.0), "$u$"),
-        ((0.95, 0.0), (1.5, 0.0), "$i$"),
-        ((3.1, 0.0), (3.75, 0.0), "$Q_m$"),
-        ((5.45, 0.0), (5.95, 0.0), "$Q_E$"),
-        ((9.1, 0.12), (8.45, 0.12), "$Q_s$"),
-        ((8.45, -0.12), (9.1, -0.12), ""),
-        ((10.9, 0.12), (11.45, 0.12), "$Q_s$"),
-        ((11.45, -0.12), (10.9, -0.12), ""),
-    ):
+    size = min(9.0, 72 * ax.bbox.width / ax.figure.dpi / 36)  # points: a box takes 9 of its height
+    for text, (x, y), colour in _PARTS:
+        box = {"boxstyle": "round,pad=0.4", "fc": "white", "ec": colour}
+        ax.text(x, y, text, ha="center", va="center", fontsize=size, bbox=box)
+    for begin, end, label, (x, y) in _QUANTITIES:
         ax.annotate("", end, begin, arrowprops={"arrowstyle": "->", "color": INK})
-        middle = ((begin[0] + end[0]) / 2, begin[1] + 0.17)
-        ax.text(*middle, label, ha="center", va="bottom", fontsize=9)
-    ax.text(8.78, -0.22, r"$\theta_1$", ha="center", va="top", fontsize=9)
-    ax.text(11.18, -0.22, r"$\alpha$", ha="center", va="top", fontsize=9)
-    for way in (([7.2, 7.2, 3.45], [-0.45, -1.7, -1.7]), ([1.15, 0.0, 0.0], [-1.7, -1.7, -0.45])):
-        ax.plot(*way, color=INK, lw=1.0)
-    ax.annotate("", (3.4, -1.7), (3.6, -1.7), arrowprops={"arrowstyle": "->", "color": INK})
-    ax.annotate("", (0.0, -0.42), (0.0, -0.6), arrowprops={"arrowstyle": "->", "color": INK})
-    ax.text(7.3, -1.0, r"$\dot\theta_1$", va="center", fontsize=9)
-    ax.text(0.1, -1.0, r"$u_m$", va="center", fontsize=9)
-    ax.text(0.0, 0.75, "electrical", color=VERMILION, fontsize=9, ha="center")
-    ax.text(10.0, 0.75, "mechanical", color=BLUE, fontsize=9, ha="center")
-    ax.set_xlim(-2.2, 14.9)
-    ax.set_ylim(-2.3, 1.1)
+        ax.text(x, y, label, ha="center", va="center", fontsize=size)
+    for corner in (([3.75, 3.75], [_LOW + 0.3, _BETWEEN]), ([1.72, 1.25], [_BETWEEN, _BETWEEN])):
+        ax.plot(*corner, color=INK, lw=1.0)
+    ax.text(0.02, 1.45, "electrical", color=VERMILION, fontsize=size, va="center")
+    ax.text(0.02, 0.0, "mechanical", color=BLUE, fontsize=size, va="center")
+    ax.set_xlim(-0.05, 4.6)
+    ax.set_ylim(-0.45, 2.4)
     ax.set_axis_off()
     return ax
 
@@ -82,23 +83,24 @@ def plot_physical_step(
     cases = {"handout": ArmParameters()} if cases is None else cases
     t = np.linspace(0.0, seconds, 1001)
     top = 0.0
-    for (label, p), (colour, dash) in zip(cases.items(), pens(), strict=False):
+    for (label, p), pen in zip(cases.items(), pens(len(cases)), strict=True):
         speed = step_response(p, t, u=u)
         top = max(top, float(speed.max()))
-        ax.plot(t, speed, color=colour, ls=dash, lw=1.2, label=label)
+        ax.plot(t, speed, label=label, **pen)
     first = characteristics(next(iter(cases.values())))
     steady = first.steady_speed * u
     top = max(top, steady)
     rise = np.array([0.0, 1.08 * top / (first.initial_slope * u)])
-    ax.plot(rise, first.initial_slope * u * rise, color=GREY, ls=":", lw=1.2)
-    ax.axhline(steady, color=GREY, ls=":", lw=1.2)
-    label = f"steady {steady:.4g} rad/s, slope {first.initial_slope * u:.4g} rad/s²"
-    ax.plot([], [], color=GREY, ls=":", lw=1.2, label=label)
-    ax.set_ylim(0.0, 1.12 * top)
+    ax.plot(rise, first.initial_slope * u * rise, color=GREY, ls="-", lw=0.8)
+    ax.axhline(steady, color=GREY, ls="-", lw=0.8)
+    of = f"{next(iter(cases))}: " if len(cases) > 1 else ""
+    label = f"{of}steady {steady:.4g} rad/s, slope {first.initial_slope * u:.4g} rad/s²"
+    ax.plot([], [], color=GREY, ls="-", lw=0.8, label=label)
+    ax.set_ylim(0.0, 1.08 * top)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel(r"$\dot\theta_1$ [rad/s]")
-    ax.legend(loc="lower right", fontsize="small")
     finish(ax, xlim=(0.0, seconds))
+    legend(ax)
     return ax
 
 
@@ -116,14 +118,14 @@ def plot_sensitivities(
     t = np.linspace(0.0, seconds, 1001)
     by = step_sensitivities(p, t, names=names, u=u)
     ax.axhline(0, color=GREY, lw=0.6)
-    drawn: list[str] = []
-    for name, (colour, dash) in zip(names, pens(), strict=False):
-        twin = next((x for x in drawn if np.allclose(by[x], by[name], atol=1e-9)), None)
-        label = f"{name} (as {twin})" if twin else name
-        ax.plot(t, 10 * by[name], color=colour, ls=dash, lw=1.2, label=label)
-        drawn.append(name)
+    drawn: dict[str, list[str]] = {}
+    for name in names:
+        twin = next((x for x in drawn if np.allclose(by[x], by[name], atol=1e-9)), name)
+        drawn.setdefault(twin, []).append(name)
+    for (name, alike), pen in zip(drawn.items(), pens(len(drawn)), strict=True):
+        ax.plot(t, 10 * by[name], label=", ".join(map(symbol, alike)), **(pen | {"lw": 1.3}))
     ax.set_xlabel("$t$ [s]")
-    ax.set_ylabel(r"change of $\dot\theta_1$ for 1 % [mrad/s]")
-    ax.legend(loc="best", fontsize="small", ncols=2)
+    ax.set_ylabel("$\\dot\\theta_1$ for 1 % more [mrad/s]")
     finish(ax, xlim=(0.0, seconds))
+    legend(ax)
     return ax

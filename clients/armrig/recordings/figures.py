@@ -5,14 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, SKY, VERMILION, axes, finish, short, sign
+from armrig.canvas import BLUE, SKY, VERMILION, axes, finish, legend, logarithmic, short, sign
 from armrig.recordings.jitter import jitter_us, lateness_us
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.recordings.recording import Recording
+
+Vector = NDArray[np.float64]
+
+_RESOLUTION_US = 1.0  # of the device's clock
 
 
 def plot_timing(
@@ -22,6 +27,8 @@ def plot_timing(
     ax: Axes | None = None,
 ) -> Axes:
     """Show the histogram of a time, both axes logarithmic, with its p50, p99 and maximum.
+
+    Where all times are the same to the clock's resolution, that is written instead.
 
     Parameters
     ----------
@@ -33,25 +40,38 @@ def plot_timing(
         x, label = jitter_us(recording), r"$|\Delta t - T_s|$ on the device's clock [µs]"
     else:
         x, label = lateness_us(recording), "host's lateness [µs]"
+    if x.size == 0 or np.ptp(x) < _RESOLUTION_US:
+        return _write_the_same(ax, recording, x, label)
+    marks = np.percentile(x, (50, 99, 100))
     # Times below the clock's resolution stand at the left edge.
-    floor = 0.5 if quantity == "jitter" else 0.1
-    marks = np.percentile(x, (50, 99, 100)) if x.size else ()
+    least = 0.5 if quantity == "jitter" else 0.1
+    floor = max(least, 0.5 * float(x.min()))
     x = np.maximum(x, floor)
-    top = max(float(x.max(initial=floor)) * 1.3, floor * 20)
+    top = max(float(x.max()) * 1.3, floor * 20)
     edges = np.geomspace(floor, top, 41)
     # The device's clock ticks in µs. Bins between two ticks would be empty and show a comb.
     bins = np.unique(np.round(edges)) + 0.5 if quantity == "jitter" else edges
     bins = np.insert(bins, 0, floor) if bins[0] > floor else bins
     ax.hist(x, bins=bins.tolist(), color=SKY, edgecolor=BLUE, lw=0.5)
-    ax.set_xscale("log")
+    logarithmic(ax.xaxis, floor, top)
     ax.set_yscale("log")
     ax.set_xlim(floor, top)
-    ax.set_ylim(0.6, max(ax.get_ylim()[1] * 6, 20.0))
+    ax.set_ylim(bottom=0.6)
     for name, value, dash in zip(("p50", "p99", "max"), marks, (":", "--", "-"), strict=False):
         text = f"{name} {short(value)} µs"
         ax.axvline(max(value, floor), color=VERMILION, ls=dash, lw=1.1, label=text)
     ax.set_xlabel(label)
     ax.set_ylabel("samples")
-    ax.legend(loc="upper center", ncols=3, handlelength=1.2, columnspacing=0.9, borderpad=0.3)
+    finish(ax)
+    return sign(ax, recording.sha256, above=legend(ax))
+
+
+def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Axes:
+    """Write that all times are the same: a histogram would be one bar."""
+    text = "no samples"
+    if x.size:
+        text = f"{x.size} samples, all\n{short(float(np.median(x)))} µs, to the microsecond"
+    ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes)
+    ax.set(xticks=[], yticks=[], xlabel=label, ylabel="samples")
     finish(ax)
     return sign(ax, recording.sha256)

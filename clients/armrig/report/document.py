@@ -122,12 +122,14 @@ def _captions(study: Study) -> dict[str, str]:
     halves = ": first and second half of one recording" if study.halves else ""
     return {
         "data": f"Estimation data (left, recording {estimation}) and validation data (right, "
-        f"recording {validation}){halves}: chassis angle with its turns counted, and the voltage "
-        "that the device applied. Shaded: dead band, or a missing sample.",
+        f"recording {validation}){halves}: chassis angle with its turns counted, less the ramp of "
+        "its mean speed, and the voltage that the device applied. Shaded: dead band, or a missing "
+        "sample.",
         "fits": f"Simulation of the validation data (recording {validation}). "
         f"{study.note[0].upper()}{study.note[1:]}.",
         "compare": f"Angle measured and simulated on the validation data (recording {validation}), "
-        "and the errors, on a scale that is linear in the middle and logarithmic beyond.",
+        "less the ramp of its mean speed; below, data (dots) and models less the best model, on a "
+        "scale that is linear in the middle and logarithmic beyond.",
         "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
         f"{validation}). The models are simulated from the beginning of the data, as above.",
         "bode": "Frequency response from voltage to angle, with 95 % bands, linearised or, where "

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.canvas import pens, save
+from armrig.canvas import legend, pens, save
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.report.study import STEP, Study, kind_of
 
@@ -22,9 +22,6 @@ _STYLE: Any = {
     "font.size": 8.5,
     "axes.linewidth": 0.6,
     "lines.linewidth": 1.1,
-    "legend.fontsize": 7.5,
-    "legend.framealpha": 0.9,
-    "legend.edgecolor": "#cccccc",
     "xtick.labelsize": 7.5,
     "ytick.labelsize": 7.5,
     "axes.unicode_minus": True,
@@ -46,17 +43,14 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
     return tuple(paths)
 
 
-def _canvas(height: float, *places: tuple[float, float, float, float]) -> tuple[Figure, list[Any]]:
-    """Return a figure `height` inches high with axes at (left, bottom, right, top) inches."""
-    figure = Figure(figsize=(_WIDTH, height))
-    return figure, [
-        figure.add_axes((a / _WIDTH, b / height, (c - a) / _WIDTH, (d - b) / height))
-        for a, b, c, d in places
-    ]
+def _canvas(height: float, columns: int = 1, rows: int = 1) -> tuple[Figure, list[Any]]:
+    """Return a figure as wide as the text and `height` inches high, and its axes."""
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False).ravel().tolist()
 
 
 def _timing_figure(study: Study) -> Figure:
-    figure, axes = _canvas(2.25, (0.5, 0.45, 3.05, 2.05), (3.8, 0.45, 6.35, 2.05))
+    figure, axes = _canvas(2.1, 2)
     recording = study.recording_of(study.estimation.source)
     plots.plot_timing(recording, quantity="jitter", ax=axes[0])
     plots.plot_timing(recording, quantity="lateness", ax=axes[1])
@@ -64,7 +58,7 @@ def _timing_figure(study: Study) -> Figure:
 
 
 def _data_figure(study: Study) -> Figure:
-    figure, axes = _canvas(2.5, (0.5, 0.42, 3.05, 2.3), (3.8, 0.42, 6.35, 2.3))
+    figure, axes = _canvas(2.4, 2)
     for ax, data in zip(axes, (study.estimation, study.validation), strict=True):
         plots.plot_data(data, ax=ax)
     return figure
@@ -74,13 +68,13 @@ def _step_figure(study: Study) -> Figure | None:
     steps = [r for r in study.recordings if kind_of(r) == STEP]
     if not steps:
         return None
-    figure, (ax,) = _canvas(2.1, (0.5, 0.42, 6.35, 1.9))
+    figure, (ax,) = _canvas(2.0)
     plots.plot_data(steps[0], ax=ax)
     return figure
 
 
 def _compare_figure(study: Study) -> Figure:
-    figure, (ax,) = _canvas(3.0, (0.5, 0.42, 6.35, 2.8))
+    figure, (ax,) = _canvas(3.0)
     fits = [m.model for m in study.estimated]
     names = [m.name for m in study.estimated]
     plots.plot_compare(study.validation, *fits, labels=names, ax=ax)
@@ -88,30 +82,29 @@ def _compare_figure(study: Study) -> Figure:
 
 
 def _velocity_figure(study: Study) -> Figure:
-    figure, (ax,) = _canvas(2.1, (0.5, 0.42, 6.25, 1.9))
+    figure, (ax,) = _canvas(2.0)
     data = study.validation
     t = data.t[1:]
     begin = min(data.N // 3 * data.Ts, max(data.t[-1] - DETAIL_S, 0.0))
     shown = (t >= begin) & (t <= begin + DETAIL_S)
     rate = np.diff(data.y) / data.Ts
     ax.plot(t[shown], rate[shown], ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
-    for model, (colour, dash) in zip(study.estimated, pens(), strict=False):  # pens never end
+    for model, pen in zip(study.estimated, pens(len(study.estimated)), strict=True):
         modelled = np.diff(model.comparison.y) / data.Ts
-        ax.plot(t[shown], modelled[shown], color=colour, ls=dash, label=f"{model.name}, simulated")
+        ax.plot(t[shown], modelled[shown], label=f"{model.name}, simulated", **pen)
     lowest, highest = np.nanmin(rate[shown]), np.nanmax(rate[shown])
     room = 0.15 * (highest - lowest)
     ax.set_ylim(lowest - room, highest + room)
     ax.set_xlim(begin, begin + DETAIL_S)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel(rf"$\Delta\theta_1/T_s$ [{data.unit}/s]")
-    ax.legend(loc="upper right", ncols=3)
     plots.finish(ax)
-    plots.sign(ax, data.source)
+    plots.sign(ax, data.source, above=legend(ax))
     return figure
 
 
 def _bode_figure(study: Study) -> Figure:
-    figure, (ax,) = _canvas(3.6, (0.55, 0.45, 6.35, 3.4))
+    figure, (ax,) = _canvas(3.4)
     names = [*(m.name for m in study.models), "spectral analysis, 95 %"]
     data = spectral_reference(study.estimation)
     plots.plot_bode(*(m.model for m in study.models), data, labels=names, ax=ax)
@@ -119,7 +112,7 @@ def _bode_figure(study: Study) -> Figure:
 
 
 def _step_poles_figure(study: Study) -> Figure:
-    figure, axes = _canvas(3.25, (0.5, 1.15, 3.3, 3.05), (4.1, 1.15, 6.3, 3.05))
+    figure, axes = _canvas(2.7, 2)
     fits, names = [m.model for m in study.models], [m.name for m in study.models]
     plots.plot_step(*fits, labels=names, ax=axes[0])
     plots.plot_poles_zeros(*fits, labels=names, ax=axes[1])
@@ -129,15 +122,12 @@ def _step_poles_figure(study: Study) -> Figure:
 def _residuals_figure(study: Study) -> Figure:
     """Draw the tests of all estimated models, two in a row."""
     rows = (len(study.estimated) + 1) // 2
-    places = []
-    for i in range(len(study.estimated)):
-        left, right = ((0.55, 3.1), (3.85, 6.35))[i % 2]
-        floor = _RESIDUALS * (rows - 1 - i // 2)
-        places.append((left, floor + 0.42, right, floor + 2.95))
-    figure, axes = _canvas(_RESIDUALS * rows, *places)
-    for ax, model in zip(axes, study.estimated, strict=True):
+    figure, axes = _canvas(_RESIDUALS * rows, min(2, len(study.estimated)), rows)
+    for ax in axes[len(study.estimated) :]:
+        ax.remove()
+    for ax, model in zip(axes, study.estimated, strict=False):
         plots.plot_residuals(model.fit, study.validation, ax=ax)
-        ax.set_title(model.name, loc="left", fontsize=8.5)
+        ax.set_ylabel(f"{model.name}: {ax.get_ylabel()}")
     return figure
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 from armrig.canvas import (
     BLUE,
     GREY,
-    INK,
+    MISSING,
     VERMILION,
     axes,
     finish,
-    finish_over_time,
+    legend,
+    logarithmic,
     panels,
     shade,
-    short,
     sign,
+    symbol,
 )
-from armrig.numerics.quantities import plural
+from armrig.data.figures import without_ramp
+from armrig.numerics.quantities import plural, raised, scaled
 from armrig.physics.grey_box.least_squares_problem import GreyBox
 from armrig.physics.grey_box.parameters import COULOMB, UNITS
 from armrig.physics.grey_box.sampled_model import Physics
@@ -110,35 +112,44 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     problem = GreyBox(physics=fit.physics, names=names, experiments=tuple(data.experiments()))
     e = np.full(data.N, np.nan)
     e[data.valid] = problem.at(problem.coordinates({n: fit.values[n] for n in names}), ()).e
-    estimates = ", ".join(f"{n} = {fit.values[n]:.4g} ± {fit.std[n]:.1g}" for n in fit.names)
-    ax.plot(data.t, data.y, color=INK, lw=1.8, alpha=0.55, label="measured")
-    ax.plot(data.t, data.y - e, color=VERMILION, ls="--", lw=1.0, label=f"grey box, {estimates}")
-    below.plot(data.t, e, color=VERMILION, lw=0.6)
+    estimates = ", ".join(
+        f"{symbol(n)} = {scaled(fit.values[n], fit.std[n], UNITS.get(n, ''))}" for n in fit.names
+    )
+    ramp, label = without_ramp(data)
+    ax.plot(data.t, data.y - ramp, color=MISSING, lw=3.0, label="measured")
+    ax.plot(data.t, data.y - e - ramp, color=BLUE, lw=1.0, label=f"grey box, {estimates}")
+    below.plot(data.t, e, color=BLUE, lw=0.6)
     below.axhline(0, color=GREY, lw=0.6)
-    end = float(data.t[-1])
-    finish_over_time(ax, below, output=data.output, unit=data.unit, end=end)
-    return sign(ax, data.source)
+    ax.set_ylabel(label)
+    below.set_ylabel(f"error [{data.unit or '–'}]")
+    below.set_xlabel("$t$ [s]")
+    finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
+    return sign(ax, data.source, above=legend(ax))
 
 
 def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     """Show each part's estimate with ±2 standard deviations and, below, those against N."""
     ax, below = panels(axes(ax), 0.5, sharex=False)
     unit = UNITS.get(study.parameter, "")
-    label = f"{study.parameter} [{unit}]" if unit else study.parameter
+    size, of_std = (
+        10.0 ** (3 * np.floor(np.log10(np.abs(np.concatenate(v)).max()) / 3))
+        for v in ([s.values for s in study.splits], [s.std for s in study.splits])
+    )
     x, ticks = 0.0, []
     for s in study.splits:
         place = x + np.arange(s.k)
-        value, std = s.pooled
-        ax.errorbar(place, s.values, 2 * s.std, fmt="o", color=BLUE, ms=4, lw=1.0, capsize=3)
+        value, std = (part / size for part in s.pooled)
+        bars: dict[str, Any] = {"fmt": "o", "color": BLUE, "ms": 4, "lw": 1.0, "capsize": 3}
+        ax.errorbar(place, s.values / size, 2 * s.std / size, **bars)
         edge = (place[0] - 0.4, place[-1] + 0.4)
         ax.fill_between(edge, value - 2 * std, value + 2 * std, color=VERMILION, alpha=0.2, lw=0)
         ax.plot(edge, [value, value], color=VERMILION, ls="--", lw=1.0)
         ticks.append((float(place.mean()), plural(s.k, "part")))
         x += s.k + 1
     ax.set_xticks([t for t, _ in ticks], [name for _, name in ticks])
-    ax.set_ylabel(label)
+    ax.set_ylabel(f"{symbol(study.parameter)} [{_power(size)}{unit}]")
     N = np.concatenate([s.N for s in study.splits])
-    reported = np.concatenate([s.std for s in study.splits])
+    reported = np.concatenate([s.std for s in study.splits]) / of_std
     line = np.geomspace(N.min() / 1.2, N.max() * 1.2, 20)
     law = float(np.mean(reported * np.sqrt(N)))
     below.plot(line, law / np.sqrt(line), color=GREY, ls="--", lw=1.0, label=r"$1/\sqrt{N}$")
@@ -147,7 +158,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     if several:
         below.plot(
             [float(s.N.mean()) for s in several],
-            [s.scatter for s in several],
+            [s.scatter / of_std for s in several],
             "x",
             color=VERMILION,
             ms=7,
@@ -158,13 +169,24 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     below.set_yscale("log")
     places = sorted({float(n) for s in study.splits for n in [s.N.mean()]})
     below.set_xticks(places, [f"{n:.0f}" for n in places])
-    low, high = below.get_ylim()
-    heights = np.geomspace(low, high, 5)[1:-1]
-    below.set_yticks(heights, [short(h) for h in heights])
     below.minorticks_off()
+    logarithmic(below.yaxis, *_with_ticks(*below.get_ylim()))
     below.set_xlabel("samples $N$")
-    below.set_ylabel("std")
-    below.legend(loc="best", fontsize="small")
+    below.set_ylabel(f"σ [{_power(of_std)}{unit}]")
     finish(ax)
     finish(below)
+    legend(below)
     return sign(ax, study.source)
+
+
+def _with_ticks(low: float, high: float) -> tuple[float, float]:
+    """Return limits that hold at least two of 1, 2, 5 and their multiples by powers of ten."""
+    steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.arange(-4.0, 4.0)[:, None]
+    below, above = steps[steps <= high], steps[steps >= low]
+    return min(low, float(below.max()) * 0.95), max(high, float(above.min()) * 1.05)
+
+
+def _power(size: float) -> str:
+    """Return a power of ten as the head of a unit: 10⁻³ and a blank; nothing for 1."""
+    exponent = round(float(np.log10(size)))
+    return f"10{raised(exponent)} " if exponent else ""

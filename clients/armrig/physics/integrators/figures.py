@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, panels, pens, short
+from armrig.canvas import (
+    BLUE,
+    GREY,
+    INK,
+    MISSING,
+    VERMILION,
+    axes,
+    finish,
+    legend,
+    panels,
+    pens,
+)
+from armrig.numerics.quantities import number
 from armrig.physics.integrators.accuracy import Convergence, Sinusoid, all_methods
 from armrig.physics.integrators.linear_system import system
 from armrig.physics.integrators.methods import METHODS, amplification
@@ -40,30 +52,32 @@ def plot_stability_regions(
         All by default. Methods with the same region share a line.
     """
     ax = axes(ax)
-    x, y = np.meshgrid(np.linspace(-2.4, 3.2, 561), np.linspace(-2.2, 2.2, 441))
+    x, y = np.meshgrid(np.linspace(-2.4, 0.8, 321), np.linspace(-2.2, 2.2, 441))
     z = x + 1j * y
     ax.axhline(0, color=GREY, lw=0.5)
     ax.axvline(0, color=GREY, lw=0.5)
     regions: dict[bytes, list[str]] = {}
     for name in all_methods(methods):
         regions.setdefault(METHODS[name].stability_polynomial.tobytes(), []).append(name)
-    for names, (colour, dash) in zip(regions.values(), pens(), strict=False):
+    for names, pen in zip(regions.values(), pens(len(regions)), strict=True):
         size = amplification(METHODS[names[0]], z)
-        ax.contour(x, y, size, levels=[1.0], colors=[colour], linestyles=[dash], linewidths=1.3)
+        ax.contour(
+            x, y, size, levels=[1.0], colors=[pen["color"]], linestyles=[pen["ls"]], linewidths=1.5
+        )
         label = ", ".join(METHODS[n].name for n in names)
-        ax.plot([], [], color=colour, ls=dash, lw=1.3, label=label)
+        ax.plot([], [], label=label, **(pen | {"lw": 1.5}))
     if A is not None:
         h = stability_limit(A, "forward_euler") if h is None else h
         points = h * np.linalg.eigvals(system(A, np.zeros(np.shape(A)[0]))[0])
-        label = rf"$h\lambda$, $h$ = {short(1e3 * h)} ms"
+        label = rf"$h\lambda$, $h$ = {_in_ms(h)}"
         ax.plot(points.real, points.imag, "x", color=INK, ms=7, mew=1.5, label=label)
-    ax.set_xlim(-2.4, 3.2)
+    ax.set_xlim(-2.4, 0.8)
     ax.set_ylim(-2.2, 2.2)
     ax.set_aspect("equal")
     ax.set_xlabel(r"Re $h\lambda$")
     ax.set_ylabel(r"Im $h\lambda$")
-    ax.legend(loc="upper right", fontsize="small", framealpha=0.9)
     finish(ax)
+    legend(ax)
     return ax
 
 
@@ -75,22 +89,20 @@ def plot_convergence(studies: Sequence[Convergence], *, ax: Axes | None = None) 
     """
     ax = axes(ax)
     tops = []
-    for study, (colour, dash) in zip(studies, pens(), strict=False):
+    for study, pen in zip(studies, pens(len(studies)), strict=True):
         seen = np.isfinite(study.error)
         label = f"{METHODS[study.method].name}, order {study.order:.2f}"
-        ax.plot(
-            study.h[seen], study.error[seen], color=colour, ls=dash, marker=".", ms=5, label=label
-        )
+        ax.plot(study.h[seen], study.error[seen], marker=".", ms=5, label=label, **pen)
         if np.isfinite(study.limit) and study.limit > 0:
-            ax.axvline(study.limit, color=colour, ls=":", lw=1.0)
+            ax.axvline(study.limit, color=pen["color"], ls=":", lw=1.2)
         tops.append(study.error[seen & (study.h <= study.limit)].max(initial=0.0))
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_ylim(top=30 * max([*tops, 1e-12]))
     ax.set_xlabel("step $h$ [s]")
     ax.set_ylabel("largest error, share of each state")
-    ax.legend(loc="lower right", fontsize="small")
     finish(ax)
+    legend(ax, "dotted upright: stability limit")
     return ax
 
 
@@ -117,7 +129,7 @@ def plot_stability_edge(
     for panel, share, colour in ((ax, _SHORT_OF, BLUE), (below, _BEYOND, VERMILION)):
         _, x = integrate(A_, rest, lambda t: 0.0, x0, share * limit, n, method)
         panel.plot(np.arange(n + 1), x[:, state], color=colour, lw=0.5, rasterized=True)
-        panel.set_ylabel(f"$x$, {share:g} limit")
+        panel.set_ylabel(f"$x$ at {share:g} limit")
     below.set_xlabel(f"step number, {METHODS[method].name}, limit {limit:.5g} s")
     finish(ax, below)
     return ax
@@ -125,23 +137,35 @@ def plot_stability_edge(
 
 def plot_solution(
     problem: Sinusoid,
-    h: float,
+    h: float | Mapping[str, float],
     *,
     methods: Sequence[str] | None = None,
     state: int = 0,
     label: str = "x",
     ax: Axes | None = None,
 ) -> Axes:
-    """Show one state as each method gives it at the step h, with the exact one, and the errors."""
+    """Show one state as each method gives it, with the exact one, and below it the errors.
+
+    Parameters
+    ----------
+    h : float or mapping of str to float
+        Step in s, of all methods or by method.
+    methods : sequence of str, optional
+        Those of `h` where it is a mapping, else all.
+    """
     ax, below = panels(ax, 0.4)
-    n = max(1, round(problem.span / h))
-    fine = np.linspace(0.0, n * h, 1000)
+    steps = h if isinstance(h, Mapping) else dict.fromkeys(all_methods(methods), h)
+    names = all_methods(methods) if methods is not None else tuple(steps)
+    one = len(set(steps.values())) == 1
+    end = max(steps[name] * max(1, round(problem.span / steps[name])) for name in names)
+    fine = np.linspace(0.0, end, 1000)
     right = problem.truth(fine)[:, state]
-    ax.plot(fine, right, color=INK, lw=1.8, alpha=0.55, label="exact")
-    for name, (colour, dash) in zip(all_methods(methods), pens(), strict=False):
-        t, x = problem.solve(h, n, name)
-        ax.plot(t, x[:, state], color=colour, ls=dash, lw=1.0, label=METHODS[name].name)
-        below.plot(t, x[:, state] - problem.truth(t)[:, state], color=colour, ls=dash, lw=0.9)
+    ax.plot(fine, right, color=MISSING, lw=4.0, label="exact")
+    for name, pen in zip(names, pens(len(names)), strict=True):
+        t, x = problem.solve(steps[name], max(1, round(problem.span / steps[name])), name)
+        text = METHODS[name].name if one else f"{METHODS[name].name}, {_in_ms(steps[name])}"
+        ax.plot(t, x[:, state], label=text, **(pen | {"lw": 0.7 * pen["lw"]}))
+        below.plot(t, x[:, state] - problem.truth(t)[:, state], **(pen | {"lw": 0.7 * pen["lw"]}))
     span = float(np.ptp(right)) or 1.0
     ax.set_ylim(float(right.min()) - 0.3 * span, float(right.max()) + 0.3 * span)
     below.set_ylim(-0.5 * span, 0.5 * span)
@@ -152,7 +176,11 @@ def plot_solution(
         below.set_ylim(-1.2 * max(finite), 1.2 * max(finite))
     ax.set_ylabel(label)
     below.set_ylabel("error")
-    below.set_xlabel(f"$t$ [s], $h$ = {short(1e3 * h)} ms")
-    ax.legend(loc="best", fontsize="small")
-    finish(ax, below, xlim=(0.0, n * h))
+    below.set_xlabel("$t$ [s]")
+    finish(ax, below, xlim=(0.0, end))
+    legend(ax, *([f"$h$ = {_in_ms(steps[names[0]])}"] if one else []))
     return ax
+
+
+def _in_ms(h: float) -> str:
+    return f"{number(1e3 * h)} ms"

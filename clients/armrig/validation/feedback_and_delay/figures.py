@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, panels, sign
+from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, legend, panels, sign
 from armrig.numerics.quantities import p_relation
 from armrig.validation.residuals import BAND_99_PERCENT
 
@@ -77,22 +77,18 @@ def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
     ax.axvspan(float(result.sims.lags[0]) - 0.5, 0.5, color=VERMILION, alpha=0.07, lw=0)
     ax.axvline(0.5, color=GREY, lw=0.6, ls=":")
     ax.set_xlabel("lag [samples]; shaded: y was read first")
-    low, high = ax.get_ylim()
-    ax.set_ylim(low, high + 0.3 * (high - low))  # room for the legend
-    title = f"Sims' F-test: p {p_relation(result.p_value)}, {result.verdict}"
-    ax.legend(loc="upper left", title=title, fontsize="small")
     finish(ax)
-    return sign(ax, result.source)
+    test = f"Sims' F-test: p {p_relation(result.p_value)}, {result.verdict}"
+    return sign(ax, result.source, above=legend(ax, test))
 
 
 def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     """Show the first coefficients with their band and, below, the losses by nk."""
-    ax, below = panels(ax, 0.45)
+    ax, below = panels(ax, 0.5, sharex=False)
     last = result.nk + _BEYOND
     _response(ax, result.response, 0, last)
     for panel in (ax, below):
         panel.axvline(result.nk, color=GREY, lw=0.8, ls="--")
-    ax.legend(loc="upper right", title=result.nk_range, fontsize="small")
     nk, V = np.array(list(result.arx_loss)), np.array(list(result.arx_loss.values()))
     best = float(V.min())
     rise = result.response.N * np.log(V / best) if best > 0 else np.zeros(V.size)
@@ -103,11 +99,15 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     below.set_ylim(bottom=-1)
     below.minorticks_off()
     below.set_ylabel("$N$ ln(loss/least)")
-    below.set_xlabel("lag, or nk [samples]")
-    below.set_xticks(range(last + 1))
-    below.legend(loc="upper right", fontsize="small")
-    finish(ax, below, xlim=(-0.5, last + 0.5))
-    return sign(ax, result.source)
+    below.set_xlabel("nk [samples]")
+    for panel in (ax, below):
+        panel.set_xticks(range(last + 1))
+        panel.set_xlim(-0.5, last + 0.5)
+    ax.set_xlabel("lag [samples]")
+    finish(ax)
+    finish(below)
+    legend(below)
+    return sign(ax, result.source, above=legend(ax, result.nk_range))
 
 
 def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
