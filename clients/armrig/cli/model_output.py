@@ -62,6 +62,7 @@ _OURS = {
     "std_robust": "σ robust",
     "offset=True": "--offset",
     "stable=True": "--stable",
+    "integrator=True": "--integrator",
     "armrig.detrend(data)": "--detrend",
 }
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from armrig.data.dataset import Dataset
-from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
@@ -34,6 +34,10 @@ Focus = Literal["prediction", "simulation"]
 
 _MOST = 10  # order that is suggested at most
 _NEAR_ONE = 0.02  # distance of a pole from 1 that is worth a word
+_NOT_LEAST = (
+    "the residuals are coloured, which a subspace model of the true order may show too, for it "
+    "does not minimise the one-step errors: see whether those of armax or bj are white"
+)
 
 
 def n4sid(
@@ -89,6 +93,9 @@ def n4sid(
         `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
         polynomials; the subspace estimate's own is not known, and larger: for an ARMAX model of
         order 2 (N = 2000, 200 runs) it scattered by 0.92 to 1.06 times these deviations.
+        `whiteness` supposes least one-step errors. These are above the least by a bias that N
+        does not take away, and the longer the data the surer it is seen: of a Box-Jenkins system
+        of order 3 the residuals are called coloured at 5 % in 10 of 100 runs at N = 1000.
 
     Raises
     ------
@@ -230,6 +237,7 @@ def _fit(
         warnings=(
             *notes,
             *_warnings(data, n, A, found.covariance),
+            *([_NOT_LEAST] if found.white.coloured else []),
             *data_faults(data, residuals, way_out="" if n.trend else NO_OPTION),
         ),
         **data.origin(),
@@ -248,13 +256,18 @@ def _warnings(data: Dataset, n: Structure, A: Array, covariance: Array) -> Itera
         then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
         yield (
             f"a pole is 1 within its accuracy, off by {off:.1g} with a deviation of {std:.1g}: "
-            f"{then} ask for integrator=True"
+            f"{then} ask for integrator=True, or simulations drift"
         )
-    elif not n.integrator and data.output in INTEGRATING_OUTPUTS and off < _NEAR_ONE:
-        yield f"{data.output} integrates and a pole is {off:.1g} from 1: try integrator=True"
+    elif not n.integrator and _may_integrate(data, z[nearest]) and (found := integrating(data)):
+        yield f"{found}, and a pole is {off:.1g} from 1: try integrator=True"
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
         yield unstable(float(others.max()), REFLECT)
+
+
+def _may_integrate(data: Dataset, z: complex) -> bool:
+    """Tell whether a pole near 1 may be an integrator's: outside it is only where y is known."""
+    return abs(z - 1) < _NEAR_ONE and (abs(z) <= 1 or data.output in INTEGRATING_OUTPUTS)
 
 
 def _pole_std(A: Array, z: complex, covariance: Array) -> float:

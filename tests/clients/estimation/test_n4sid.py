@@ -101,10 +101,41 @@ def test_an_integrating_angle_without_an_integrator_is_warned_of(plant: HandoutP
 
         said = [w for w in fit.warnings if "a pole is 1 within its accuracy" in w]
         assert len(said) == 1
-        assert said[0].endswith("theta_1 integrates, so ask for integrator=True")
+        assert "theta_1 integrates, so ask for integrator=True" in said[0]
         assert not any("unstable" in w for w in fit.warnings)
     assert sides == {True, False}
     assert not any("integrator" in w for w in n4sid(plant.dataset(1), 4, integrator=True).warnings)
+
+
+def test_an_integrator_that_only_the_data_show_is_warned_of() -> None:
+    """A pole near 1 that is not 1 within its accuracy: the unit root test speaks then."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
+    v = filtered([1.0], [1.0, -0.9], rng.standard_normal(600))
+    integrates, slow = (
+        Dataset(u=u, y=filtered([0.0, 0.05], np.convolve([1, -p], [1, -0.8]), u) + v, Ts=1.0)
+        for p in (1.0, 0.95)
+    )
+
+    of_one, of_other = (
+        [w for w in n4sid(x, 2).warnings if "integrator=True" in w] for x in (integrates, slow)
+    )
+
+    assert len(of_one) == 1
+    assert of_one[0].startswith("y behaves as an integrating output")
+    assert not of_other
+
+
+def test_coloured_residuals_are_told_apart_from_a_wrong_order() -> None:
+    """The model does not minimise the one-step errors, so armax of the same orders is to judge."""
+    rng = np.random.default_rng(1)
+    u, e = rng.choice([-1.0, 1.0], 1000), 0.5 * rng.standard_normal(1000)
+    data = Dataset(u=u, y=filtered(B, F, u) + filtered([1.0], [1.0, 0, 0, 0, -0.9], e), Ts=1.0)
+
+    low, enough = (n4sid(data, order) for order in (2, 6))
+
+    assert [any("armax" in w for w in fit.warnings) for fit in (low, enough)] == [True, False]
+    assert [fit.white.coloured for fit in (low, enough)] == [True, False]
 
 
 def test_a_pole_that_is_surely_outside_is_called_unstable() -> None:
