@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from armrig.recordings.folder import RecordingSummary
 
 LAST = "last"
-_VALIDATION = "/validation"
+VALIDATION = "/validation"
 _LISTED = 4
 """How many are named where several answer to a name."""
 
@@ -83,17 +83,17 @@ def matching(text: str, paths: Sequence[Path]) -> list[RecordingSummary]:
     """Return the whole recordings of these files that answer to `@NAME` or `@NAME/validation`."""
     from armrig.recordings.folder import may_answer_to, summaries
 
-    validation = text.endswith(_VALIDATION)
-    name = text.removeprefix("@").removesuffix(_VALIDATION)
+    validation = text.endswith(VALIDATION)
+    name = text.removeprefix("@").removesuffix(VALIDATION)
     possible = [path for path in paths if may_answer_to(path, name, validation=validation)]
     return [s for s in summaries(possible) if s.answers_to(name, validation=validation)]
 
 
 def short_name(summary: RecordingSummary, paths: Sequence[Path]) -> str:
     """Return the shortest way to say which of these files is meant: `@NAME` where no other is."""
-    names = [f"@{summary.manifest.run_id}"]
+    names = [f"@{summary.manifest.run_id}", f"@{summary.path.stem}"]
     if summary.is_validation and (of := summary.name or summary.validation_of):
-        names.insert(0, f"@{of}{_VALIDATION}")
+        names.insert(0, f"@{of}{VALIDATION}")
     elif summary.name:
         names.insert(0, f"@{summary.name}")
     for name in names:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +13,7 @@ from armrig.cli.chosen_recording import File, OtherFile
 from armrig.cli.comparison_rows import row_facts, row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import CalibrationFile, Json, Na, Nb, Nf, Nk, echo, print_json
+from armrig.cli.parameters import HANDOUT, Given, physics_beside
 from armrig.cli.recorded_data import (
     dataset_of,
     loaded,
@@ -21,6 +22,8 @@ from armrig.cli.recorded_data import (
 )
 
 if TYPE_CHECKING:
+    from armrig_core.arm import ArmParameters
+
     from armrig.data.dataset import Dataset
     from armrig.models.model import Model
     from armrig.recordings.recording import Recording
@@ -45,6 +48,7 @@ def compare(
     nk: Nk = 1,
     model: Models = None,
     horizon: Horizon = None,
+    given: Given = None,
     calibration: CalibrationFile = None,
     plot: Plot = None,
     json: Json = False,
@@ -52,8 +56,10 @@ def compare(
     """Compare models on a recording that they never saw.
 
     Identify ARX and OE from F and compare them, the physics and those of --model on F2; without
-    F2 compare those of --model on F.
+    F2 compare those of --model on F. With --set the physics of these parameters stands beside the
+    handout's.
     """
+    changed = physics_beside(given) if given else {}
     if other is None and not model:
         msg = "give a second recording to validate with, or the models to compare, --model FILE "
         msg += "(from `armrig identify --save FILE`)"
@@ -67,6 +73,8 @@ def compare(
         compared = _Compared(models=saved, data=data, where=str(file))
     else:
         compared = _studied(recordings, saved, na=na, nb=nb, nf=nf, nk=nk)
+        changed.pop(HANDOUT, None)  # the physics is there already
+    compared = _with_physics(compared, changed)
     table = _table(compared, horizon)
     _plot_comparison(compared, table, plot)
     if json:
@@ -123,6 +131,14 @@ def _studied(
         where += ", its second half, the first one estimates"
     models = [(assessed.name, assessed.model) for assessed in done.models]
     return _Compared(models=models + saved, data=done.validation, where=where)
+
+
+def _with_physics(compared: _Compared, changed: dict[str, ArmParameters]) -> _Compared:
+    """Return what is compared with physical models behind it."""
+    from armrig.physics.physical_model import physical_model
+
+    more = [(name, physical_model(p, compared.data)) for name, p in changed.items()]
+    return replace(compared, models=[*compared.models, *more])
 
 
 def _table(compared: _Compared, horizon: int | None) -> ComparisonTable:

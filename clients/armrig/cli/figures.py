@@ -11,7 +11,9 @@ import typer
 from armrig.cli.files import check_output
 from armrig.cli.options import tell
 
-Plot = Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Figure to write.")]
+Plot = Annotated[
+    Path | None, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")
+]
 
 
 def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:

@@ -36,7 +36,7 @@ def info(
     calibration: CalibrationFile = None,
     json: Json = False,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="PNG", help="Figure of the timing to write.")
+        Path | None, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure of the timing.")
     ] = None,
 ) -> None:
     """Say what a recording holds and how well it was sampled."""

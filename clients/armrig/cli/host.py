@@ -51,7 +51,7 @@ def bench(
     ] = False,
     json: Annotated[Path | None, typer.Option("--json", metavar="F", help="JSON to write.")] = None,
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="F", help="Figure to write.")
+        Path | None, typer.Option("-o", "--plot", metavar="F", help="Figure to write.")
     ] = None,
 ) -> None:
     """Measure this host's timing against the limit.

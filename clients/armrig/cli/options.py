@@ -17,6 +17,7 @@ Connect = Annotated[
     str | None, typer.Option("--connect", metavar="ENDPOINT", help="zenoh endpoint of the daemon.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Say where each figure comes from.")]
 CalibrationFile = Annotated[
     Path | None,
     typer.Option(
@@ -65,9 +66,7 @@ Detrend = Annotated[
 
 def _refuse_output(given: str | None) -> None:
     if given is not None:
-        msg = (
-            f"the signal is chosen by --signal {given}; a figure's file is --plot, a model's --save"
-        )
+        msg = f"the signal is chosen by --signal {given}; a figure's file is -o, a model's --save"
         raise typer.BadParameter(msg)
 
 

@@ -11,22 +11,18 @@ from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.comparison_rows import row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.options import CalibrationFile, Json, NoOutput, echo, print_json, warned
+from armrig.cli.parameters import Given, cases, parameters, physics_beside
 from armrig.cli.recorded_data import recorded
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
     from armrig.data.dataset import Dataset
+    from armrig.models.model import Model
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
 
 GreySignal = Annotated[Literal["theta_1", "alpha"], typer.Option("--signal", help="Which output.")]
-Given = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="NAME=VALUE", help="A parameter of the rig in SI units; may be repeated."
-    ),
-]
 Free = Annotated[
     list[str] | None,
     typer.Option(
@@ -63,7 +59,7 @@ def greybox(
     from armrig.physics.grey_box.estimate import greybox as estimate
 
     check_plot(plot, [file])
-    fixed = _parameters(given)
+    fixed = parameters(given)
     data, model = _data_and_rig(file, signal, calibration, model)
     with spinner("estimating"):
         fit = estimate(
@@ -126,7 +122,7 @@ def split(
     from armrig.physics.grey_box.split_study import split_study
 
     check_plot(plot, [file])
-    cuts, fixed = _cuts(parts), _parameters(given)
+    cuts, fixed = _cuts(parts), parameters(given)
     data, model = _data_and_rig(file, signal, calibration, model)
     rig = _model(model)
 
@@ -182,13 +178,13 @@ def simulate(
     With a recording's input; without a recording, what the physics answers to a step of one volt
     (handout 2.2).
     """
-    p = _parameters(given)
+    physics = physics_beside(given)
     check_plot(plot, [f for f in (file, *(model or ())) if f is not None])
     if file is None:
         if model:
             msg = "--model needs a recording, whose input it is simulated with: armrig simulate F"
             raise typer.BadParameter(msg)
-        _step(p, json=json, plot=plot)
+        _step(cases(given), json=json, plot=plot)
         return
     from armrig.cli.spinner import spinner
     from armrig.models.model_file import load_fit
@@ -197,8 +193,9 @@ def simulate(
     from armrig.validation.figures import plot_compare
 
     data = recorded(file, "theta_1", calibration)
-    fits = [*(load_fit(path) for path in model or ()), physical_model(p, data)]
-    labels = [*(path.stem for path in model or ()), "physics"]
+    fits: list[Model] = [load_fit(path) for path in model or ()]
+    fits += [physical_model(p, data) for p in physics.values()]
+    labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):
         table = compare(data, *fits, labels=labels)
     write_plot(plot, lambda ax: plot_compare(data, *fits, labels=labels, table=table, ax=ax))
@@ -209,12 +206,12 @@ def simulate(
     echo(table.explain())
 
 
-def _step(p: ArmParameters, *, json: bool, plot: Path | None) -> None:
+def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) -> None:
     from armrig.physics.figures import plot_physical_step
     from armrig.physics.step_response import characteristics
 
-    found = characteristics(p)
-    write_plot(plot, lambda ax: plot_physical_step({"these parameters": p}, ax=ax))
+    found = characteristics(list(compared.values())[-1])
+    write_plot(plot, lambda ax: plot_physical_step(compared, ax=ax))
     if json:
         roots = {
             name: [[z.real, z.imag] for z in getattr(found, name).tolist()]
@@ -247,27 +244,6 @@ def _model(name: str) -> Any:
     from armrig.physics.systems import arm, chassis
 
     return {"chassis": chassis, "arm": arm}[name]
-
-
-def _parameters(given: list[str] | None) -> ArmParameters:
-    """Return the handout's parameters with those given in their place."""
-    from dataclasses import fields, replace
-
-    from armrig_core.arm import ArmParameters
-
-    names = [f.name for f in fields(ArmParameters)]
-    values: dict[str, float] = {}
-    for text in given or ():
-        name, _, number = text.partition("=")
-        try:
-            value = float(number)
-        except ValueError:
-            value = None
-        if name not in names or value is None:
-            msg = f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
-            raise typer.BadParameter(msg)
-        values[name] = value
-    return replace(ArmParameters(), **values)
 
 
 def _cuts(text: str) -> tuple[int, ...]:

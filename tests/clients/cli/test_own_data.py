@@ -268,7 +268,7 @@ def test_output_is_no_signal_any_more(command: str, capsys: pytest.CaptureFixtur
     assert main([*command.split(), "--output", "velocity"]) == 2
 
     assert capsys.readouterr().err.startswith(
-        "armrig: --output: the signal is chosen by --signal velocity; a figure's file is --plot, a"
+        "armrig: --output: the signal is chosen by --signal velocity; a figure's file is -o, a"
     )
 
 

@@ -1,0 +1,179 @@
+"""The commands that look at data before a model: plot, sampling, hints (handout 3.1, 3.2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from armrig.cli.chosen_recording import DataFile, File
+from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.options import (
+    CalibrationFile,
+    DataTs,
+    Detrend,
+    Input,
+    Json,
+    Signal,
+    TimeColumn,
+    print_json,
+    print_table,
+    say,
+)
+from armrig.cli.recorded_data import Signals, loaded, source_facts
+
+if TYPE_CHECKING:
+    from armrig.data.dataset import Dataset
+    from armrig.nonparametric.sampling_time import SamplingTime
+    from armrig.nonparametric.step_analysis import StepAnalysis
+    from armrig.nonparametric.structure_hints import StructureHints
+
+Drawing = Annotated[Path, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")]
+
+
+def plot(
+    file: File,
+    calibration: CalibrationFile = None,
+    figure: Drawing = Path("plot.png"),
+    json: Json = False,
+) -> None:
+    """Draw a recording: u, theta_1, its rate, alpha, and what is wrong (handout 3.1.4).
+
+    Shaded is what is missing or in the dead band, ringed are outliers; a drift is told.
+    """
+    from armrig.cli.spinner import spinner
+    from armrig.recordings.overview import overview
+
+    check_plot(figure, [file])
+    [recording] = loaded([file], calibration)
+    with spinner("looking for outliers and drift"):
+        found = overview(recording)
+    write_plot(figure, lambda ax: found.plot(ax=ax), height=7.0)
+    if json:
+        print_json(found.facts() | {"figure": str(figure)})
+        return
+    print_table(*found.rows())
+
+
+def sampling(
+    file: DataFile,
+    input: Input = None,
+    signal: Signal = None,
+    time: TimeColumn = None,
+    Ts: DataTs = None,
+    detrend: Detrend = False,
+    calibration: CalibrationFile = None,
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Recommend a sampling time from a step, or from other data (handout 3.1).
+
+    By the handout's rules: 20 times the bandwidth, and 7 to 10 samples in the transient.
+    """
+    from armrig.cli.spinner import spinner
+    from armrig.nonparametric.sampling_time import sampling_time
+
+    check_plot(plot, [file])
+    data = Signals(
+        signal=signal, input=input, time=time, Ts=Ts, detrend=detrend, calibration=calibration
+    ).of(file)
+    with spinner("estimating the response"):
+        choice = sampling_time(data)
+        steps = _steps(data) if choice.from_step else None
+    shown = [choice] if steps is None else [steps, choice]
+    write_plot(plot, *(_drawing(one) for one in shown), height=4.5)
+    if json:
+        print_json(source_facts(data) | _sampling_facts(choice))
+        return
+    say("\n".join(repr(one) for one in reversed(shown)))
+
+
+def _steps(data: Dataset) -> StepAnalysis | None:
+    """Return the analysis of the steps; None where they are not held for long enough."""
+    from armrig.nonparametric.step_analysis import step_analysis
+
+    try:
+        return step_analysis(data)
+    except ValueError:
+        return None
+
+
+def _drawing(one: Any) -> Any:
+    return lambda ax: one.plot(ax=ax)
+
+
+def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
+    return {
+        "Ts": choice.Ts,
+        "recorded_at": choice.recorded_at,
+        "output": choice.output,
+        "method": "step" if choice.from_step else "impulse response",
+        "tau": choice.tau,
+        "omega_step": choice.omega_step,
+        "omega_spectrum": choice.omega_spectrum,
+        "settling": choice.settling,
+        "Ts_step": choice.Ts_step,
+        "Ts_spectrum": choice.Ts_spectrum,
+        "Ts_transient": choice.Ts_transient,
+        "notes": choice.notes,
+    }
+
+
+def hints(
+    file: DataFile,
+    input: Input = None,
+    signal: Signal = None,
+    time: TimeColumn = None,
+    Ts: DataTs = None,
+    detrend: Detrend = False,
+    calibration: CalibrationFile = None,
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Say which structure the data motivate: integrator, order, nk (handout 3.2).
+
+    From impulse response, spectra and the Hankel matrix, which assume no structure.
+    """
+    from armrig.cli.spinner import spinner
+    from armrig.nonparametric.structure_hints import structure_hints
+
+    check_plot(plot, [file])
+    data = Signals(
+        signal=signal, input=input, time=time, Ts=Ts, detrend=detrend, calibration=calibration
+    ).of(file)
+    with spinner("estimating without a structure"):
+        found = structure_hints(data)
+    _draw_hints(found, data, plot)
+    if json:
+        print_json(source_facts(data) | _hint_facts(found))
+        return
+    say(repr(found))
+
+
+def _draw_hints(found: StructureHints, data: Dataset, plot: Path | None) -> None:
+    write_plot(
+        plot,
+        lambda ax: found.response.plot(ax=ax),
+        lambda ax: data.plot("spectrum", ax=ax),
+        lambda ax: found.plot(ax=ax),
+        height=5.0,
+    )
+
+
+def _hint_facts(found: StructureHints) -> dict[str, Any]:
+    return {
+        "structure": "oe",
+        "orders": {"nb": found.nb, "nf": found.nf, "nk": found.nk},
+        "integrator": found.integrator,
+        "low_slope": found.low_slope,
+        "low_slope_std": found.low_slope_std,
+        "high_slope": found.high_slope,
+        "relative_degree": found.relative_degree,
+        "resonances": found.resonances,
+        "antiresonances": found.antiresonances,
+        "first_lag": found.first_lag,
+        "singular_values": found.singular_values.tolist(),
+        "threshold": found.threshold,
+        "reasons": [line.removeprefix("- ") for line in found.explain().splitlines()],
+    }

@@ -1,0 +1,73 @@
+"""The option that changes the rig's parameters: --set."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from armrig_core.arm import ArmParameters
+
+Given = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="A parameter of the rig in SI units; may be repeated."
+    ),
+]
+HANDOUT = "handout"
+"""What the handout's own parameters are called in tables and figures."""
+
+
+def parameters(given: list[str] | None) -> ArmParameters:
+    """Return the handout's parameters with those given in their place."""
+    from dataclasses import replace
+
+    from armrig_core.arm import ArmParameters
+
+    return replace(ArmParameters(), **_values(given))
+
+
+def cases(given: list[str] | None) -> dict[str, ArmParameters]:
+    """Return what is compared in 2.3: the handout's, each change alone, and all of them."""
+    from dataclasses import replace
+
+    from armrig_core.arm import ArmParameters
+
+    values = _values(given)
+    alone = {f"{name}={value:g}": {name: value} for name, value in values.items()}
+    if len(values) > 1:
+        alone["both" if len(values) == 2 else "all"] = values
+    handout = ArmParameters()
+    return {HANDOUT: handout} | {name: replace(handout, **one) for name, one in alone.items()}
+
+
+def physics_beside(given: list[str] | None) -> dict[str, ArmParameters]:
+    """Return the physical models that stand beside others: the changed one with the handout's."""
+    handout = parameters(None)
+    return {HANDOUT: handout, changes(given): parameters(given)} if given else {"physics": handout}
+
+
+def changes(given: list[str] | None) -> str:
+    """Return what was changed, as a label; "" where nothing was."""
+    return ", ".join(f"{name}={value:g}" for name, value in _values(given).items())
+
+
+def _values(given: list[str] | None) -> dict[str, float]:
+    from dataclasses import fields
+
+    from armrig_core.arm import ArmParameters
+
+    names = [f.name for f in fields(ArmParameters)]
+    values: dict[str, float] = {}
+    for text in given or ():
+        name, _, number = text.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = None
+        if name not in names or value is None:
+            msg = f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
+            raise typer.BadParameter(msg)
+        values[name] = value
+    return values

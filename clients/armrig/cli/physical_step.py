@@ -1,0 +1,151 @@
+"""The command of the model by physics: model (handout 2.1 to 2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.options import Json, Verbose, echo, print_json, say
+from armrig.cli.parameters import Given, cases, changes
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from armrig_core.arm import ArmParameters
+
+    from armrig.physics.step_response import Characteristics
+
+_SECONDS = 2.0  # after which the speed is steady to five digits
+_STEPS = 200_000
+_STATES = ("theta_1", "alpha", "theta_1'", "alpha'")
+_PRIME = "'"
+
+
+def model(
+    given: Given = None,
+    verbose: Verbose = False,
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Say what physics predicts: A, B, poles, step (handout 2.1 to 2.3).
+
+    With --set the handout's own parameters, each change alone and all together stand beside each
+    other.
+    """
+    check_plot(plot)
+    found = {name: _answer(p) for name, p in cases(given).items()}
+    last = list(found.values())[-1]
+    _draw({name: answer.parameters for name, answer in found.items()}, plot)
+    if json:
+        print_json({"models": {name: _facts(answer) for name, answer in found.items()}})
+        return
+    echo(f"{_state_space(last.parameters)}\n\n{_table(found)}\n")
+    say(
+        f"A step of 1 V, simulated{_of(given)}: the speed begins to rise by {last.slope:.1f} "
+        f"rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the chassis stands, "
+        "so there is no back-EMF, and the spring is not wound: the torque accelerates J_1 alone."
+    )
+    if verbose:
+        say(f"\n{last.predicted.explain()}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Answer:
+    """What a set of parameters predicts, and what its simulated step shows."""
+
+    predicted: Characteristics
+    slope: float
+    """Of the simulated speed at t = 0, in rad/s²."""
+    speed: float
+    """Simulated, at the end, in rad/s."""
+
+    @property
+    def parameters(self) -> ArmParameters:
+        return self.predicted.parameters
+
+
+def _answer(p: ArmParameters) -> _Answer:
+    import numpy as np
+
+    from armrig.physics.step_response import characteristics, step_response
+
+    t = np.linspace(0.0, _SECONDS, _STEPS + 1)
+    speed = step_response(p, t)
+    slope = float(speed[1] / t[1])
+    return _Answer(predicted=characteristics(p), slope=slope, speed=float(speed[-1]))
+
+
+def _of(given: list[str] | None) -> str:
+    """Return which parameters a sentence is of, where they are not the handout's."""
+    return f" with {changes(given)}" if given else ""
+
+
+def _state_space(p: ArmParameters) -> str:
+    """Return x' = A x + B u, the derivative of a state a line."""
+    from armrig_core.arm import arm_matrices
+
+    A, B, _ = arm_matrices(p)
+    lines = [f"x' = A x + B u  {''.join(f'{name:>10}' for name in _STATES)}       u [V]"]
+    for name, row, (b,) in zip(_STATES, A + 0.0, B + 0.0, strict=True):
+        by = "".join(f"{a:10.4g}" for a in row)
+        lines.append(f"{name + _PRIME:>13} = {by}{b:12.4g}")
+    return "\n".join(lines)
+
+
+def _table(found: dict[str, _Answer]) -> str:
+    """Return the figures by which the models differ, a model a column."""
+    columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", "poles [1/s]", "", "", "zeros [1/s]"]]
+    for name, answer in found.items():
+        p = answer.predicted
+        poles = _roots(p.poles)
+        poles += [""] * (3 - len(poles))
+        figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *poles, *_roots(p.zeros)]
+        columns.append([name, *figures])
+    widths = [max(map(len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
+    return "\n".join(
+        "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+
+
+def _roots(roots: Any) -> list[str]:
+    """Return roots as text, a pair as one."""
+    texts = []
+    for z in roots.tolist():
+        real = f"{z.real:.2f}" if z.real else "0"
+        if z.imag > 0:
+            texts.append(f"{real} ± {z.imag:.2f}i" if z.real else f"±{z.imag:.2f}i")
+        elif z.imag == 0:
+            texts.append(real)
+    return texts
+
+
+def _facts(answer: _Answer) -> dict[str, Any]:
+    from armrig_core.arm import arm_matrices
+
+    p = answer.predicted
+    A, B, _ = arm_matrices(p.parameters)
+    return {
+        "parameters": asdict(p.parameters),
+        "states": _STATES,
+        "A": A.tolist(),
+        "B": B.tolist(),
+        "steady_speed": p.steady_speed,
+        "initial_slope": p.initial_slope,
+        "rigid_slope": p.rigid_slope,
+        "poles": [[z.real, z.imag] for z in p.poles.tolist()],
+        "zeros": [[z.real, z.imag] for z in p.zeros.tolist()],
+        "simulated": {"slope": answer.slope, "speed": answer.speed, "seconds": _SECONDS},
+    }
+
+
+def _draw(compared: dict[str, ArmParameters], plot: Path | None) -> None:
+    from armrig.physics.figures import plot_physical_step, plot_sensitivities
+
+    write_plot(
+        plot,
+        lambda ax: plot_physical_step(compared, ax=ax),
+        lambda ax: plot_sensitivities(ax=ax),
+    )

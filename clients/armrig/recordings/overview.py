@@ -1,0 +1,126 @@
+"""What to look at first in a recording (handout, 3.1.4): missing samples, outliers, drift."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import tau
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.data.treatment import Drift, drift, hampel
+from armrig.numerics.quantities import plural
+from armrig.recordings.findings import alpha_moves
+from armrig.recordings.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Vector = NDArray[np.float64]
+_Output = Literal["theta_1", "alpha", "velocity"]
+_SEARCHED: tuple[_Output, ...] = ("theta_1", "alpha")
+_DRIFTING: tuple[_Output, ...] = ("velocity", "alpha")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Overview:
+    """A recording, and what is wrong with single samples of it or with its level."""
+
+    recording: Recording
+    """What was looked at."""
+    outliers: Mapping[str, Vector]
+    """Times of the outliers in s, by output; an output that could not be searched is left out."""
+    drift: Mapping[str, Drift]
+    """By output: of the rate of theta_1, which integrates, and of alpha."""
+    reasons: Mapping[str, str]
+    """Why an output could not be searched, by output."""
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return names and values for a person."""
+        rec = self.recording
+        rate = _rate(rec)
+        turned = np.ptp(rec.theta_1[rec.valid]) / tau if rec.valid.any() else 0.0
+        return [
+            ("u", f"{_range(rec.u)} V, {np.nanmean(rec.u):.3g} V on average"),
+            ("theta_1", f"the chassis turned {turned:.1f} times, at {_range(rate)} rad/s"),
+            ("alpha", f"{_range(rec.alpha)} rad"),
+            ("missing", f"{rec.missing} of {plural(rec.N, 'sample')}"),
+            ("dead band", f"{plural(rec.hidden, 'sample')} without theta_1"),
+            *((f"outliers, {name}", _outliers(times)) for name, times in self.outliers.items()),
+            *((f"drift, {name}", str(found)) for name, found in self.drift.items()),
+            *((f"not looked at, {name}", why) for name, why in self.reasons.items()),
+        ]
+
+    def facts(self) -> dict[str, Any]:
+        """Return it for a program."""
+        rec = self.recording
+        return {
+            "sha256": rec.sha256,
+            "samples": rec.N,
+            "missing": rec.missing,
+            "invalid": rec.hidden,
+            "outliers": {name: times.tolist() for name, times in self.outliers.items()},
+            "drift": {
+                name: {"rate": d.rate, "std": d.std, "unit": f"{d.unit}/s"}
+                for name, d in self.drift.items()
+            },
+            "not_looked_at": dict(self.reasons),
+        }
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Show u, theta_1, its rate and alpha against time, with what was found."""
+        from armrig.recordings.overview_figure import plot_overview
+
+        return plot_overview(self, ax=ax)
+
+
+def overview(recording: Recording) -> Overview:
+    """Look for outliers in both angles, and for a drift of the rate of theta_1 and of alpha.
+
+    The angle itself does not drift: it integrates, and its line answers the mean of u.
+    """
+    outliers: dict[str, Vector] = {}
+    drifts: dict[str, Drift] = {}
+    reasons: dict[str, str] = {}
+    if not alpha_moves(recording):  # of a reading that hardly changes each step looks like one
+        reasons["alpha"] = "it rests: the arm was off, or held"
+    known = np.isfinite(recording.u)
+    for output in (name for name in _SEARCHED if name not in reasons):
+        try:
+            data = recording.dataset(output)
+            marked = data.valid & ~hampel(data).valid
+        except ValueError as err:
+            reasons[output] = str(err)
+        else:
+            outliers[output] = recording.t[known][marked]
+    for output in (name for name in _DRIFTING if name not in reasons):
+        try:
+            drifts[output] = drift(recording.dataset(output))[0]
+        except ValueError as err:
+            reasons.setdefault(output, str(err))
+    return Overview(
+        recording=recording,
+        outliers=MappingProxyType(outliers),
+        drift=MappingProxyType(drifts),
+        reasons=MappingProxyType(reasons),
+    )
+
+
+def _rate(recording: Recording) -> Vector:
+    """Return the rate of theta_1 in rad/s by differences, (N,); NaN where it is not known."""
+    return np.diff(recording.theta_1, prepend=np.nan) / recording.Ts
+
+
+def _range(x: Vector) -> str:
+    x = x[np.isfinite(x)]
+    return f"{x.min():.3g} to {x.max():.3g}" if x.size else "not known"
+
+
+def _outliers(times: Vector) -> str:
+    if not times.size:
+        return "none"
+    first = ", ".join(f"{t:g} s" for t in times[:5])
+    return f"{times.size}, at {first}" + (" …" if times.size > 5 else "")

@@ -1,0 +1,61 @@
+"""The first figure of a recording: all signals against time, one below the other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from armrig.canvas import BLUE, INK, MISSING, NAMES, VERMILION, axes, finish, sign
+from armrig.numerics.stretches import stretches
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.recordings.overview import Overview
+
+
+def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
+    """Show u, theta_1, its rate and alpha against time.
+
+    Shaded is where a sample is missing or shows no angle; outliers are ringed.
+    """
+    from mpl_toolkits.axes_grid1 import (  # type: ignore[import-untyped]
+        make_axes_locatable,
+    )
+
+    rec = found.recording
+    ax = axes(ax)
+    divider = make_axes_locatable(ax)
+    below = [divider.append_axes("bottom", size="100%", pad=0.1, sharex=ax) for _ in range(3)]
+    rate = np.diff(rec.theta_1, prepend=np.nan) / rec.Ts
+    every = [ax, *below]
+    ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
+    signals = (
+        ("theta_1", rec.theta_1, rec.valid, f"{NAMES['theta_1']} [rad]"),
+        ("velocity", rate, rec.valid, f"{NAMES['velocity']} [rad/s]"),
+        ("alpha", rec.alpha, rec.valid_alpha, f"{NAMES['alpha']} [rad]"),
+    )
+    ax.set_ylabel("$u$ [V]")
+    for panel, (name, y, valid, label) in zip(below, signals, strict=True):
+        panel.plot(rec.t, y, color=BLUE, lw=0.7)
+        panel.set_ylabel(label)
+        for gap in stretches(~valid):
+            begin, end = (gap.start - 0.5) * rec.Ts, (gap.stop - 0.5) * rec.Ts
+            panel.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
+        _ring(panel, found, name, y)
+    for panel in every[:-1]:
+        panel.tick_params(labelbottom=False)
+    below[-1].set_xlabel("$t$ [s]")
+    finish(*every, xlim=(0.0, float(rec.t[-1]) or 1.0))
+    return sign(ax, rec.sha256)
+
+
+def _ring(panel: Axes, found: Overview, name: str, y: np.ndarray) -> None:
+    """Draw a ring around each outlier of a signal."""
+    times = found.outliers.get(name, np.zeros(0))
+    rows = np.searchsorted(found.recording.t, times)
+    if rows.size:
+        label = f"{rows.size} outliers" if rows.size > 1 else "an outlier"
+        panel.plot(times, y[rows], "o", mfc="none", mec=VERMILION, ms=7, label=label)
+        panel.legend(loc="upper right", fontsize="small")

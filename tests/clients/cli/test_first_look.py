@@ -1,0 +1,195 @@
+"""The commands before a model is estimated: model, plot, sampling, hints (handout 2.1 to 3.2)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig.cli import main
+from armrig.excitation import step, telegraph
+from made_recordings import manifest, of_the_arm, recorded, turning, written
+
+PNG = b"\x89PNG"
+
+
+def facts(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
+    """Return what the command prints as JSON."""
+    assert main([*arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what the command tells a person."""
+    assert main(arguments) == 0
+    return capsys.readouterr().out
+
+
+def test_model_says_what_the_handout_asks_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A, B, poles, zeros, steady speed and slope; by physics and by a simulated step; a figure."""
+    figure = tmp_path / "step.png"
+
+    text = said(["model", "-o", str(figure)], capsys)
+    handout = facts(["model"], capsys)["models"]["handout"]
+
+    for shown in ("1.8623", "98.40", "-8.05 ± 17.08i", "-36.74", "±15.75i", "-52.84", "-947.9"):
+        assert shown in text
+    assert text.startswith("x' = A x + B u")
+    assert handout["steady_speed"] == pytest.approx(1.8623, abs=5e-5)
+    assert handout["simulated"]["speed"] == pytest.approx(handout["steady_speed"], rel=1e-6)
+    assert handout["simulated"]["slope"] == pytest.approx(handout["initial_slope"], rel=1e-3)
+    assert handout["A"][2] == pytest.approx([0, 700, -52.84, 0], rel=1e-4)
+    assert figure.read_bytes().startswith(PNG)
+    assert max(map(len, text.splitlines()[:-1])) <= 80
+
+
+def test_model_holds_changed_parameters_against_the_handouts(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Each change alone, and both; neither J_1 nor J_2 moves the steady speed (2.3)."""
+    arguments = ["model", "--set", "J_1=0.0034", "--set", "J_2=0.005"]
+
+    text = said(arguments, capsys)
+    found = facts(arguments, capsys)["models"]
+
+    assert list(found) == ["handout", "J_1=0.0034", "J_2=0.005", "both"]
+    assert len({round(m["steady_speed"], 9) for m in found.values()}) == 1
+    slopes = [round(m["initial_slope"], 2) for m in found.values()]
+    assert slopes == [98.40, 49.20, 98.40, 49.20]
+    assert "simulated with J_1=0.0034, J_2=0.005: the speed begins to rise by 49.2 rad/s²" in text
+    assert max(map(len, text.splitlines()[:-1])) <= 80
+
+
+@pytest.mark.parametrize(
+    ("given", "expected", "code"),
+    [
+        ("J_3=1", "--set J_3=1: give NAME=VALUE, such as J_1=0.0017; names are J_1, J_2, N,", 2),
+        ("J_1", "--set J_1: give NAME=VALUE", 2),
+        ("J_1=0", "J_1=0.0 must be finite and > 0", 1),
+    ],
+)
+def test_model_refuses_parameters_that_no_rig_has(
+    given: str, expected: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line, with what is allowed."""
+    assert main(["model", "--set", given]) == code
+
+    assert expected in capsys.readouterr().err
+
+
+def test_plot_draws_a_recording_and_says_what_is_wrong(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Signals, missing samples, outliers, drift; this one lacks five samples."""
+    figure = tmp_path / "all.png"
+    arguments = ["plot", str(three_recordings[2]), "-o", str(figure)]
+
+    text = said(arguments, capsys)
+    found = facts(arguments, capsys)
+
+    assert figure.read_bytes().startswith(PNG)
+    assert found["missing"] == 5
+    assert found["outliers"] == {"theta_1": [], "alpha": []}
+    for name in ("velocity", "alpha"):
+        drift = found["drift"][name]
+        assert abs(drift["rate"]) < 3 * drift["std"]
+    rows = dict(line.split("  ", 1) for line in text.splitlines())
+    assert rows["missing"].strip() == "5 of 1200 samples"
+    assert rows["outliers, alpha"].strip() == "none"
+
+
+def test_plot_finds_an_outlier_where_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In s, and in the default figure of this folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("made_recordings._reading", _with_outlier(at=400))
+    path = written(tmp_path, of_the_arm(telegraph(800, 0.05, seed=3)))
+
+    found = facts(["plot", str(path)], capsys)
+
+    assert found["outliers"]["alpha"] == [pytest.approx(4.0)]
+    assert (tmp_path / "plot.png").read_bytes().startswith(PNG)
+
+
+def _with_outlier(at: int) -> Any:
+    """Return a converter that reads alpha wrongly once."""
+    import made_recordings
+
+    right, calls = made_recordings._reading, iter(range(10**6))
+
+    def reading(angle: float, pot: Any, rng: Any) -> int:
+        counts = right(angle, pot, rng)
+        return counts if pot.wraps or next(calls) != at else counts + 6400
+
+    return reading
+
+
+def test_plot_of_a_chassis_says_that_alpha_rests(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It has no outliers that mean anything, and none are sought."""
+    data = recorded(
+        turning([30000 + 40 * (k % 50) for k in range(200)]), manifest=manifest(samples=200)
+    )
+    path = written(tmp_path, data)
+
+    found = facts(["plot", str(path), "-o", str(tmp_path / "x.png")], capsys)
+
+    assert "alpha" not in found["outliers"]
+    assert found["not_looked_at"]["alpha"].startswith("it rests")
+
+
+def test_sampling_recommends_a_time_with_its_method(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From a step by the 63 % time, from a telegraph by the impulse response; a figure of it."""
+    path = written(tmp_path, of_the_arm(step(600, at=100)))
+    other = written(tmp_path, of_the_arm(telegraph(1500, 0.05, seed=1)), "telegraph.mcap")
+    figure = tmp_path / "sampling.png"
+
+    text = said(["sampling", str(path), "-o", str(figure)], capsys)
+    by_step, by_impulse = (facts(["sampling", str(p)], capsys) for p in (path, other))
+
+    assert text.startswith("sampling time: ")
+    assert "step analysis" in text
+    assert (by_step["method"], by_impulse["method"]) == ("step", "impulse response")
+    assert by_step["Ts"] in (0.002, 0.005, 0.01)
+    assert by_step["Ts_transient"][0] < by_step["Ts_transient"][1]
+    assert figure.read_bytes().startswith(PNG)
+
+
+def test_hints_motivate_the_structure_of_the_arm(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Four poles, one at 1, no delay beyond the hold's; with reasons and a figure."""
+    figure = tmp_path / "hints.png"
+    arguments = ["hints", str(three_recordings[1])]
+
+    text = said([*arguments, "-o", str(figure)], capsys)
+    found = facts(arguments, capsys)
+
+    assert found["orders"] == {"nb": 4, "nf": 4, "nk": 1}
+    assert found["integrator"] is True
+    assert len(found["reasons"]) == len(text.splitlines()) - 1
+    assert figure.read_bytes().startswith(PNG)
+
+
+def test_simulate_and_compare_keep_the_handouts_beside_what_was_changed(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The rig has the handout's parameters here: they fit better than a heavier arm's (2.3)."""
+    estimation, validation = map(str, three_recordings[1:])
+    changed = ["--set", "J_2=0.006"]
+
+    simulated = facts(["simulate", validation, *changed], capsys)["models"]
+    compared = facts(["compare", estimation, validation, *changed], capsys)["models"]
+
+    assert [m["model"] for m in simulated] == ["handout", "J_2=0.006"]
+    assert [m["model"] for m in compared] == ["ARX", "OE", "physics", "J_2=0.006"]
+    for models in (simulated, compared):
+        handout, heavier = models[-2:]
+        assert handout["rms_error"] < heavier["rms_error"]
