@@ -97,6 +97,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SIGTERM and SIGHUP (a closed terminal) end it as Ctrl-C does, which stops a rig that is running
     for us; the exit code is then 128 and the signal's number.
     """
+    # Before numpy comes: OpenBLAS's threads wait for each other by spinning, which made a figure take
+    # minutes instead of seconds beside other programs, and our matrices are too small to gain by them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with _signals() as received:
         code = _run(arguments)
     if received:
