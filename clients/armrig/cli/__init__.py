@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 from armrig.cli import (
     calibrate,
@@ -24,6 +25,7 @@ from armrig.cli import (
     host,
     identification,
     integrators,
+    lab,
     listing,
     physical_step,
     physics,
@@ -32,40 +34,57 @@ from armrig.cli import (
 )
 from armrig.cli.options import tell
 
+_ORDER: list[str] = []
+
+
+class _InOrder(typer.core.TyperGroup):
+    """Lists a command that has others below it in its place, and not behind all that have none."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands."""
+        return sorted(super().list_commands(ctx), key=_ORDER.index)
+
+
 app = typer.Typer(
+    cls=_InOrder,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-# In the order in which `armrig --help` lists them.
+# In the order in which `armrig --help` lists them: a rig, its data, and the path of the handout.
 for _command in (
-    host.demo,
+    lab.lab,
     rig.status,
     rig.watch,
     rig.stop,
     rig.reset,
     calibrate.calibrate,
-    host.bench,
-    host.doctor,
-    physical_step.model,
+    collect.app,
     listing.ls,
     files.info,
-    files.replay,
+    physical_step.model,
     first_look.plot,
     first_look.sampling,
     first_look.hints,
     identification.identify,
     validation.validate,
     comparison.compare,
+    physics.simulate,
     feedback_and_delay.check,
     physics.greybox,
     physics.split,
-    physics.simulate,
     integrators.integrate,
     files.report,
+    files.replay,
+    host.demo,
+    host.bench,
+    host.doctor,
 ):
-    app.command()(_command)
-app.add_typer(collect.app, name="collect")
+    if isinstance(_command, typer.Typer):
+        app.add_typer(_command, name="collect")
+    else:
+        app.command()(_command)
+    _ORDER.append("collect" if isinstance(_command, typer.Typer) else _command.__name__)
 
 _SIGPIPE = 13  # Windows has no such signal, and its name is not there
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import echo, print_json, tell
 
 SECONDS = 30.0
@@ -134,11 +135,12 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         )
         for p in each
     ]
-    estimation = ""  # id of the run before
+    estimation, first = "", None  # id of the run before; path of the first that is here to read
     for p, plan in zip(each, plans, strict=True):
         details = {**plan.details, VALIDATION_OF: estimation} if p.is_validation else plan.details
         done = collect(replace(plan, details=details), rig=run.rig, connect=run.connect, tell=tell)
         verdict, estimation = done.verdict, done.run_id
+        first = first or (done.path if verdict else None)
         if run.json:
             facts = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
             facts |= {"rehearsal": done.rehearsal}
@@ -151,3 +153,5 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
             raise RuntimeError(verdict.summary)
         else:
             tell(verdict.summary)
+    if first is not None and not run.json:
+        say_next(f"collect {each[0].experiment}", file=typed(first))

@@ -12,6 +12,7 @@ import typer
 from armrig.cli.chosen_recording import File, OtherFile
 from armrig.cli.comparison_rows import row_facts, row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import CalibrationFile, Json, Na, Nb, Nf, Nk, echo, print_json
 from armrig.cli.parameters import HANDOUT, Given, physics_beside
 from armrig.cli.recorded_data import (
@@ -82,6 +83,7 @@ def compare(
         print_json({"validation": compared.data.source, "models": rows})
     else:
         _print_comparison(compared, table)
+        say_next("compare", file=typed(file))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ import typer
 
 from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.next_step import say_next
 from armrig.cli.options import (
     CalibrationFile,
     DataTs,
@@ -73,6 +74,8 @@ def check(
     say(f"{where}: {verdict}\n{_indented(loop.explain())}")
     found = f"cannot be told: {late}" if isinstance(late, str) else late.explain()
     say(f"delay{' (handout 3.8)' if of_rig else ''}\n{_indented(found)}")
+    if of_rig:
+        say_next("check")
 
 
 def _delay(data: Dataset) -> Delay | str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.chosen_recording import File, recording_path
+from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
@@ -51,6 +52,7 @@ def info(
         print_json(_recording_facts(recording))
     else:
         print_table(*_recording_rows(recording))
+        say_next("info", file=typed(file))
 
 
 def _recording_facts(rec: Recording) -> dict[str, Any]:

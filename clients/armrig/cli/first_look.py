@@ -9,6 +9,7 @@ import typer
 
 from armrig.cli.chosen_recording import DataFile, File
 from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.next_step import AFTER, kind_of, say_next, typed, validation_beside
 from armrig.cli.options import (
     CalibrationFile,
     DataTs,
@@ -21,7 +22,7 @@ from armrig.cli.options import (
     print_table,
     say,
 )
-from armrig.cli.recorded_data import Signals, loaded, source_facts
+from armrig.cli.recorded_data import Signals, from_recording, loaded, source_facts
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -38,9 +39,10 @@ def plot(
     figure: Drawing = Path("plot.png"),
     json: Json = False,
 ) -> None:
-    """Draw a recording: u, theta_1, its rate, alpha, and what is wrong (handout 3.1.4).
+    """Draw a recording, and say what is wrong (handout 3.1.4).
 
-    Shaded is what is missing or in the dead band, ringed are outliers; a drift is told.
+    u, theta_1, its rate and alpha. Shaded is what is missing or in the dead band,
+    ringed are outliers; a drift is told.
     """
     from armrig.cli.spinner import spinner
     from armrig.recordings.overview import overview
@@ -54,6 +56,8 @@ def plot(
         print_json(found.facts() | {"figure": str(figure)})
         return
     print_table(*found.rows())
+    after = f"plot {kind_of(file)}"
+    say_next(after if after in AFTER else "plot", file=typed(file))
 
 
 def sampling(
@@ -67,9 +71,10 @@ def sampling(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Recommend a sampling time from a step, or from other data (handout 3.1).
+    """Recommend a sampling time (handout 3.1).
 
-    By the handout's rules: 20 times the bandwidth, and 7 to 10 samples in the transient.
+    From a step, or from other data, by the handout's rules: 20 times the bandwidth, and 7 to 10
+    samples in the transient.
     """
     from armrig.cli.spinner import spinner
     from armrig.nonparametric.sampling_time import sampling_time
@@ -87,6 +92,8 @@ def sampling(
         print_json(source_facts(data) | _sampling_facts(choice))
         return
     say("\n".join(repr(one) for one in reversed(shown)))
+    if from_recording(data):
+        say_next("sampling", Ts=choice.Ts)
 
 
 def _steps(data: Dataset) -> StepAnalysis | None:
@@ -131,9 +138,10 @@ def hints(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Say which structure the data motivate: integrator, order, nk (handout 3.2).
+    """Say which structure the data motivate (handout 3.2).
 
-    From impulse response, spectra and the Hankel matrix, which assume no structure.
+    Integrator, order and nk from impulse response, spectra and the Hankel matrix, which assume no
+    structure.
     """
     from armrig.cli.spinner import spinner
     from armrig.nonparametric.structure_hints import structure_hints
@@ -149,6 +157,16 @@ def hints(
         print_json(source_facts(data) | _hint_facts(found))
         return
     say(repr(found))
+    if from_recording(data):
+        validation = validation_beside(file)
+        validate = f" --validate {validation}" if validation else ""
+        say_next("hints", file=typed(file), options=_options(found), validate=validate)
+
+
+def _options(found: StructureHints) -> str:
+    """Return the options of `armrig identify` that the hints motivate."""
+    integrator = " --integrator" if found.integrator else ""
+    return f"--structure oe --nb {found.nb} --nf {found.nf} --nk {found.nk}{integrator}"
 
 
 def _draw_hints(found: StructureHints, data: Dataset, plot: Path | None) -> None:

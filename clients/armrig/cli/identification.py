@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -27,6 +28,7 @@ from armrig.cli.model_structures import (
     chosen_orders,
     estimated,
 )
+from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
@@ -157,7 +159,9 @@ def identify(
         _print_lines(found, validate)
     if save is not None:
         found.fit.save(save)
-    _plot_model(found.fit, plot)
+    _plot_model(found, plot)
+    if not json and from_recording(data):
+        _say_next(found.fit, file, validate, save)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -313,10 +317,12 @@ def _validated(fit: Fit, other: Dataset) -> _Validation:
 
 def _print_lines(found: _Found, validate: Path | None) -> None:
     from armrig.cli import model_output
+    from armrig.validation.advice.advice import advice
 
     if found.search is not None:
         say("\n".join(model_output.search_lines(found.search)))
     say("\n".join(model_output.model_lines(found.fit)))
+    say(model_output.in_symbols(repr(advice(found.fit))))
     if found.validation is not None:
         say(f"validation on {validate}\n{found.validation.table!r}")
         say("\n".join(model_output.residual_lines(found.validation.tests)))
@@ -326,8 +332,12 @@ def _print_lines(found: _Found, validate: Path | None) -> None:
 
 def _print_json(found: _Found, data: Dataset) -> None:
     from armrig.cli import model_output
+    from armrig.validation.advice.advice import advice
 
     facts = model_output.model_facts(found.fit) | source_facts(data)
+    facts["advice"] = [
+        {"about": f.about, "level": f.level, "text": f.text} for f in advice(found.fit).findings
+    ]
     if found.search is not None:
         facts["search"] = _search_facts(found.search)
     if found.validation is not None:
@@ -336,13 +346,30 @@ def _print_json(found: _Found, data: Dataset) -> None:
     print_json(facts)
 
 
-def _plot_model(fit: Fit, plot: Path | None) -> None:
+def _say_next(fit: Fit, file: Path, validate: Path | None, save: Path | None) -> None:
+    """Say what comes after the model: keep it, then validate it on data that it has not seen."""
+    if save is None:
+        orders = " ".join(f"--{name} {n}" for name, n in fit.orders.items() if n is not None)
+        options = f"--structure {fit.structure} {orders}" + " --integrator" * fit.integrator
+        validation = typed(validate) if validate else validation_beside(file)
+        options += f" --validate {validation}" if validation else ""
+        say_next("identify", file=typed(file), options=options)
+        return
+    validation = typed(validate) if validate else validation_beside(file)
+    after = "identify --save" if validation else "identify alone"
+    say_next(after, validation=validation, model=quote(str(save)), Ts=fit.Ts)
+
+
+def _plot_model(found: _Found, plot: Path | None) -> None:
     if plot is None:
         return
     from armrig.plots import plot_bode, plot_poles_zeros, plot_step
+    from armrig.validation.search_figure import plot_search
 
+    fit, searched = found.fit, found.search
     write_plot(
         plot,
+        *([] if searched is None else [lambda ax: plot_search(searched, ax=ax)]),
         lambda ax: plot_bode(fit, ax=ax),
         lambda ax: plot_step(fit, ax=ax),
         lambda ax: plot_poles_zeros(fit, ax=ax),

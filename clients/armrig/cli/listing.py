@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.chosen_recording import recording_folder, short_name
+from armrig.cli.next_step import say_next
 from armrig.cli.options import Json, echo, print_json, tell
 
 if TYPE_CHECKING:
@@ -20,7 +21,10 @@ _HEADINGS = ("recording", "experiment", "length", "Ts", "missing", "started", ""
 
 
 def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
-    """List the recordings, newest first, with the names that other commands take."""
+    """List the recordings, newest first.
+
+    With the names that other commands take for files, such as @last.
+    """
     from itertools import islice
 
     from armrig.recordings.folder import facts_of, newest_first, summaries
@@ -34,6 +38,8 @@ def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
     if found:
         echo(_table([_HEADINGS, *(_row(s, paths) for s in found)]))
     _tell_of_the_rest(folder, paths, found, whole_were_sought=every or len(found) < count)
+    if found:
+        say_next("ls", file=short_name(found[0], paths))
 
 
 def _row(summary: RecordingSummary, paths: list[Path]) -> tuple[str, ...]:

@@ -32,6 +32,7 @@ def model_lines(fit: Fit) -> list[str]:
         heading(fit),
         f"  {form(fit)}{root}",
         *coefficients(fit),
+        *root_lines(fit),
         f"  fit {fit.fit_percent:.2f} % one step ahead on estimation data",
         f"  loss {fit.loss:.4g}{squared}, FPE {fit.fpe:.4g}{squared}, AIC {fit.aic:.5g}",
         f"  {whiteness_sentence(fit, 'σ', 'σ robust')}",
@@ -60,6 +61,7 @@ def in_symbols(text: str) -> str:
 
 _OURS = {
     "std_robust": "σ robust",
+    "trust std": "trust σ",
     "offset=True": "--offset",
     "stable=True": "--stable",
     "integrator=True": "--integrator",
@@ -83,6 +85,23 @@ def coefficients(fit: Fit) -> list[str]:
         lines.append(
             f"  {f'{name} q^-{power}':12} {value:>14.{decimals}f} {_std(std)} {_std(robust)}"
         )
+    return lines
+
+
+def root_lines(fit: Fit) -> list[str]:
+    """Return poles and zeros in the z plane with their standard deviations, a pair as one."""
+    lines = [f"  {'root of z':12} {'value':>22} {'σ':>10} {'σ of the imaginary part':>24}"]
+    for name, found in (("pole", fit.poles()), ("zero", fit.zeros())):
+        with np.errstate(invalid="ignore"):  # as above
+            stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+        for z, (real, imag) in zip(found.values.tolist(), stds.tolist(), strict=True):
+            if z.imag < 0:
+                continue
+            pair = f" ± {z.imag:.5f}i" if z.imag > 0 else ""
+            std = f"{'fixed':>10}" if real == 0 and not pair else _std(real)
+            lines.append(
+                f"  {name:12} {f'{z.real:.5f}{pair}':>22} {std}{f' {imag:24.2g}' if pair else ''}"
+            )
     return lines
 
 

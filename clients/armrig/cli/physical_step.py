@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.next_step import say_next
 from armrig.cli.options import Json, Verbose, echo, print_json, say
 from armrig.cli.parameters import Given, cases, changes
 
@@ -28,10 +29,10 @@ def model(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Say what physics predicts: A, B, poles, step (handout 2.1 to 2.3).
+    """Say what physics predicts (handout 2.1 to 2.3).
 
-    With --set the handout's own parameters, each change alone and all together stand beside each
-    other.
+    A, B, poles, zeros, and the step: steady speed and initial slope. With --set the handout's own
+    parameters, each change alone and all together stand beside each other.
     """
     check_plot(plot)
     found = {name: _answer(p) for name, p in cases(given).items()}
@@ -48,6 +49,7 @@ def model(
     )
     if verbose:
         say(f"\n{last.predicted.explain()}")
+    say_next("model --set" if given else "model")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ import typer
 from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.comparison_rows import row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import CalibrationFile, Json, NoOutput, echo, print_json, warned
 from armrig.cli.parameters import Given, cases, parameters, physics_beside
 from armrig.cli.recorded_data import recorded
@@ -71,6 +72,7 @@ def greybox(
         print_json({"recording": data.source, "model": model} | _grey_facts(fit))
         return
     echo(f"{fit!r}\n{fit.explain()}")
+    say_next("greybox", file=typed(file))
 
 
 def _grey_facts(fit: GreyFit) -> dict[str, Any]:
@@ -136,6 +138,7 @@ def split(
         print_json({"recording": data.source} | _split_facts(study))
         return
     echo(f"{study!r}\n{study.explain()}")
+    say_next("split")
 
 
 def _split_facts(study: SplitStudy) -> dict[str, Any]:
@@ -204,6 +207,7 @@ def simulate(
         return
     echo(f"{table!r}\n{table.table()}")
     echo(table.explain())
+    say_next("simulate F", file=typed(file))
 
 
 def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) -> None:
@@ -221,6 +225,7 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
         print_json({name: getattr(found, name) for name in figures} | roots)
         return
     echo(found.explain())
+    say_next("simulate")
 
 
 def _data_and_rig(

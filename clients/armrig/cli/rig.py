@@ -5,10 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
 
+from armrig.cli.next_step import say_next
 from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table
 
 
@@ -48,6 +50,8 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         ),
         ("recordings", report.recordings),
     )
+    if report.phase == "safe" and not report.line and rig == "1" and not connect:
+        say_next("status")
 
 
 def _device_text(device: dict[str, Any]) -> str:
@@ -79,7 +83,8 @@ def stop(rig: RigId = "1", connect: Connect = None) -> None:
     """Bring the rig to 0 V, whoever has it."""
     with _opened(rig, connect) as opened:
         opened.stop()
-    echo(f"rig {rig} was told to stop; `armrig status` says how it is")
+    echo(f"rig {rig} was told to stop")
+    say_next("stop", rig=_given(rig, connect))
 
 
 def reset(rig: RigId = "1", connect: Connect = None) -> None:
@@ -87,9 +92,16 @@ def reset(rig: RigId = "1", connect: Connect = None) -> None:
     with _opened(rig, connect) as opened:
         was_latched = opened.reset()
     if was_latched:
-        echo(f"rig {rig} was reset; `armrig status` says how it is")
+        echo(f"rig {rig} was reset")
     else:
         echo(f"rig {rig}: nothing is latched, so there is nothing to reset")
+    say_next("reset", rig=_given(rig, connect))
+
+
+def _given(rig: str, connect: str | None) -> str:
+    """Return the options that name the rig, as typed behind a command."""
+    named = "" if rig == "1" else f" --rig {rig}"
+    return f"{named} --connect {quote(connect)}" if connect else named
 
 
 @contextmanager

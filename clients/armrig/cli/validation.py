@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +13,7 @@ import typer
 from armrig.cli.chosen_recording import DataFile
 from armrig.cli.comparison_rows import row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.next_step import estimation_of, say_next, typed
 from armrig.cli.options import (
     CalibrationFile,
     DataTs,
@@ -26,6 +28,7 @@ from armrig.cli.options import (
 )
 from armrig.cli.recorded_data import (
     Signals,
+    from_recording,
     spectral_beside,
     warn_of_estimation_data,
 )
@@ -89,6 +92,14 @@ def validate(
         _print_validation_json(validated, model)
     else:
         _print_validation(validated, file)
+        if from_recording(data):
+            estimation = estimation_of(file)
+            say_next(
+                "validate" if estimation else "validate alone",
+                file=typed(file),
+                estimation=estimation,
+                model=quote(str(model)),
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

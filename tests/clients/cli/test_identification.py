@@ -175,3 +175,44 @@ def test_a_file_that_is_no_model_is_told_in_a_line(
     assert capsys.readouterr().err == (
         f"armrig: {path} is no model; `armrig identify --save` and fit.save(path) write them\n"
     )
+
+
+def test_identify_says_roots_and_advice(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Poles and zeros with standard deviations, a pair in a line, and what to act on."""
+    arguments = ["identify", str(three_recordings[1]), "--structure", "oe", "--integrator"]
+
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert main([*arguments, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+
+    rows = [line.split() for line in text.splitlines() if line.startswith(("  pole", "  zero"))]
+    assert ["pole", "1.00000", "fixed"] in rows
+    [pair] = [row for row in rows if row[0] == "pole" and "±" in row]
+    assert len(pair) == 6
+    assert all(0 < float(std) < 0.01 for std in pair[4:])
+    assert "advice on OE[4 4 1] of theta_1: nothing to act on" in text
+    assert {f["level"] for f in found["advice"]} == {"good"}
+
+
+def test_the_figure_of_a_search_has_a_point_for_each_model(
+    three_recordings: tuple[Path, ...], tmp_path: Path
+) -> None:
+    """Its error over its number of parameters, the chosen one ringed."""
+    from armrig.validation.model_search import search
+    from armrig.validation.search_figure import plot_search
+
+    first, second = (armrig.load(path).dataset() for path in three_recordings[1:])
+    found = search(first, second, families=("arx", "oe"), orders=range(1, 5), nk=1)
+    ax = plot_search(found)
+
+    points = [line for line in ax.lines if line.get_label() in ("ARX", "OE")]
+    shown = np.concatenate([line.get_xydata() for line in points])
+    assert sorted(shown[:, 0]) == sorted(one.parameters for one in found.ranked)
+    assert shown[:, 1].min() == pytest.approx(found.rms.min() ** 2)
+    i = found.chosen_index
+    [ring] = [line for line in ax.lines if line.get_markersize() == 12]
+    assert ring.get_xdata()[0] == found.ranked[i].parameters
+    assert ring.get_ydata()[0] == pytest.approx(found.rms[i] ** 2)

@@ -1,0 +1,129 @@
+"""The command that starts a rig with all that it needs: lab."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from math import degrees, isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from armrig_core.printable import printable
+
+from armrig.cli.next_step import next_line
+from armrig.cli.options import RigId, echo
+
+if TYPE_CHECKING:
+    import subprocess
+
+    from armrig_core.commands import StatusReport
+
+    from armrig.rig.client import Rig
+
+Port = Annotated[
+    str | None,
+    typer.Option("--port", metavar="DEVICE", help="Serial port of a rig; without it, emulated."),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="TOML", help="Configuration, in place of the installed ones."),
+]
+_STATUS_S = 0.5
+_VIEW_S = 0.1
+_BLANK = "–"
+
+
+def lab(port: Port = None, config: Config = None, rig: RigId = "1") -> None:
+    """Start a rig with its daemon, and show it live until Ctrl-C.
+
+    Without --port the rig is an emulated one. All other commands find it, in a second terminal.
+    The motor ends at 0 V.
+    """
+    import platformdirs
+
+    from armrig.rig.client import Rig
+    from armrig.rig.local_daemon import running
+
+    log = Path(platformdirs.user_state_dir("armrig")) / f"lab-{rig}.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    arguments = ["--rig", rig, *(["--emulate"] if port is None else ["--port", port])]
+    arguments += [] if config is None else ["--config", str(config)]
+    what = "an emulated rig" if port is None else port
+    with running(arguments, rig=rig, log=log) as daemon, Rig(rig) as opened:
+        try:
+            _show(opened, daemon, log, what)
+        finally:
+            echo("ending: the motor goes to 0 V")
+
+
+def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str) -> None:
+    """Say when the rig is ready, and show what it does; on a terminal in place."""
+    from armrig.rig.local_daemon import require_running
+
+    shown = told = ""
+    status, asked_s = rig.status(), time.monotonic()
+    with rig.arrivals("sample") as newest, _view() as (say, draw):
+        sample = None
+        while True:
+            require_running(daemon, log)
+            if time.monotonic() - asked_s >= _STATUS_S:
+                status, asked_s = rig.status(), time.monotonic()
+            sample = (newest() or [sample])[-1]
+            if (now := _sentence(status, what)) and now != told:
+                say(now)
+                told = now
+            if (view := _lines(status, sample)) != shown:
+                draw(view)
+                shown = view
+            time.sleep(_VIEW_S)
+
+
+def _sentence(status: StatusReport, what: str) -> str:
+    """Return that the rig is ready, or what it waits for; "" for what passes by itself."""
+    if status.phase == "safe":
+        ready = f"rig ready, 0 V: {what}, rig {status.rig}; recordings go to {status.recordings}"
+        return f"{ready}\nin a second terminal:\n{next_line('lab')}"
+    if status.reason:
+        return f"{status.reason}; {status.remedy}, then `armrig reset`"
+    return f"waiting for the rig: {status.line}" if status.line else ""
+
+
+def _lines(status: StatusReport, sample: Any) -> str:
+    """Return what is shown live: how the rig is, its newest sample, and its run."""
+    who = f"{status.owner} has it" if status.owner else "nobody has it"
+    lines = [f"rig {status.rig}: {status.phase}, {who}"]
+    if sample is not None:
+        lines.append(
+            f"u {sample.u_applied_v:.3f} V   theta_1 {_angle(sample.theta_1_rad)}   "
+            f"alpha {_angle(sample.alpha_rad)}"
+        )
+    last = status.last_run
+    if last is not None:
+        how = f"recorded, {last.outcome}" if last.finished else "recording"
+        lines.append(f"{how}: {last.samples} samples, {Path(last.recording).name}")
+    return "\n".join(lines)
+
+
+def _angle(x: float) -> str:
+    return f"{degrees(x):.1f}°" if isfinite(x) else _BLANK
+
+
+@contextmanager
+def _view() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
+    """Give what says a line for good, and what draws the live view below, on a terminal only."""
+    if not sys.stdout.isatty():
+        yield echo, lambda _: None
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    console = Console()
+    with Live(console=console, refresh_per_second=10, transient=True) as live:
+        yield (
+            lambda text: console.print(Text(printable(text, keep="\n")), soft_wrap=True),
+            lambda text: live.update(Text(printable(text, keep="\n"))),
+        )

@@ -1,0 +1,128 @@
+"""The path of the handout: what a person types next, ready to copy."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from armrig_core.printable import printable
+
+AFTER: Mapping[str, str] = {
+    "lab": "armrig collect step --Ts 0.002 --seconds 10 --name first",
+    "model": "armrig model --set J_2=0.005 --set K_lin=2.4 -o step.png",
+    "model --set": "armrig lab",
+    "calibrate": "armrig collect step --Ts 0.002 --seconds 10 --name first",
+    "status": "armrig collect step --Ts 0.002 --seconds 10 --name first",
+    "stop": "armrig status{rig}",
+    "reset": "armrig status{rig}",
+    "ls": "armrig info {file}",
+    "info": "armrig plot {file}",
+    "collect step": "armrig sampling {file} -o sampling.png",
+    "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --validation",
+    "collect blackbox": "armrig plot {file}",
+    "collect greybox": "armrig greybox {file}",
+    "collect staircase": "armrig plot {file}",
+    "collect bla": "armrig plot {file}",
+    "plot": "armrig hints {file} -o hints.png",
+    "plot step": "armrig sampling {file} -o sampling.png",
+    "plot greybox": "armrig greybox {file}",
+    "hints": "armrig identify {file} {options}{validate} --save model.json",
+    "identify": "armrig identify {file} {options} --save model.json",
+    "identify --save": "armrig validate {validation} --model {model} -o validate.png",
+    "identify alone": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --seed 2",
+    "validate": "armrig compare {estimation} {file} --model {model} -o compare.png",
+    "validate alone": "armrig check {file}",
+    "compare": "armrig check {file}",
+    "simulate": "armrig lab",
+    "simulate F": "armrig check {file}",
+    "check": "armrig collect greybox --seconds 30",
+    "greybox": "armrig split {file} -o split.png",
+    "split": "armrig integrate -o integrate.png",
+    "integrate": "armrig report {files} -o report.pdf",
+}
+"""The line after each command, with what stands in braces filled in."""
+
+
+def say_next(after: str, **values: str | float) -> None:
+    """Print the line after a command, beside what was asked for; it is not folded, to be copied."""
+    with suppress(OSError):  # the terminal may be closed
+        print(next_line(after, **values), file=sys.stderr)
+
+
+def next_line(after: str, **values: str | float) -> str:
+    """Return the line after a command."""
+    return f"next: {printable(AFTER[after].format(**values))}"
+
+
+def typed(path: Path) -> str:
+    """Return a recording as a person would type it: its @name where it has one, or its path."""
+    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder, short_name
+    from armrig.recordings.folder import newest_first, summary_of
+    from armrig.recordings.sample_rows import DamageError
+
+    try:
+        folder = recording_folder()
+        if path.absolute().parent == folder.absolute():
+            return short_name(summary_of(path), newest_first(folder))
+    except (NoSuchRecordingError, DamageError, OSError):
+        pass
+    return shlex.quote(str(path))
+
+
+def estimation_of(path: Path) -> str:
+    """Return the recording that one validates, as typed; "" where it does not say."""
+    name = typed(path)
+    if not name.startswith("@"):
+        return ""
+    from armrig.recordings.folder import summary_of
+
+    of = summary_of(path).validation_of
+    return f"@{of}" if of else ""
+
+
+def kind_of(path: Path) -> str:
+    """Return the kind of experiment of a recording; "" where it does not say."""
+    from armrig.recordings.folder import summary_of
+    from armrig.recordings.sample_rows import DamageError
+
+    try:
+        return summary_of(path).kind
+    except (DamageError, OSError):
+        return ""
+
+
+def newest_pair() -> str:
+    """Return the newest recording that another one validates, and that one; "" without such."""
+    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
+    from armrig.recordings.folder import newest_first, summaries
+
+    try:
+        paths = newest_first(recording_folder())
+    except NoSuchRecordingError:
+        return ""
+    for found in summaries([path for path in paths if "-validation" in path.name]):
+        if found.validation_of:
+            return f"@{found.validation_of} @{found.validation_of}/validation"
+    return ""
+
+
+def validation_beside(path: Path) -> str:
+    """Return the recording that validates what one gives, as typed; "" where there is none."""
+    from armrig.cli.chosen_recording import (
+        VALIDATION,
+        NoSuchRecordingError,
+        chosen,
+        recording_folder,
+    )
+
+    name = typed(path)
+    if not name.startswith("@"):
+        return ""
+    try:
+        chosen(f"{name}{VALIDATION}", recording_folder())
+    except NoSuchRecordingError:
+        return ""
+    return f"{name}{VALIDATION}"

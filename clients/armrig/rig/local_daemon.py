@@ -1,0 +1,95 @@
+"""A daemon of this machine as a child: started, waited for, and ended whatever happens."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from armrig.rig.client import Rig
+from armrig.rig.session import NoReplyError, RigError
+
+_START_S = 15.0
+_STOP_S = 5.0
+_POLL_S = 0.1
+
+
+@contextmanager
+def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run `armrigd run` with these arguments until the block ends; the motor is then at 0 V.
+
+    Parameters
+    ----------
+    rig : str
+        Its id, by which it is waited for until it answers.
+    log : Path
+        Where all that it says goes.
+
+    Raises
+    ------
+    RigError
+        The daemon ended, or does not answer; quotes its last line.
+    """
+    program = [sys.executable, "-m", "armrig_daemon", "run", *arguments]
+    with log.open("wb") as output:
+        # A session of its own: Ctrl-C is ours, and we stop it in order.
+        daemon = subprocess.Popen(
+            program, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+        )
+        try:
+            _wait_until_it_answers(daemon, rig, log)
+            yield daemon
+        finally:
+            stop(daemon)
+
+
+def stop(daemon: subprocess.Popen[bytes]) -> None:
+    """Ask the daemon to end, which brings the motor to 0 V; kill it where it does not.
+
+    A second Ctrl-C does not keep it from that.
+    """
+    if daemon.poll() is not None:
+        return
+    daemon.send_signal(signal.SIGTERM)
+    try:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # not the main thread, which no signal interrupts
+        before = None
+    try:
+        daemon.wait(_STOP_S)
+    except subprocess.TimeoutExpired:
+        daemon.kill()
+        daemon.wait()
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGINT, before)
+
+
+def require_running(daemon: subprocess.Popen[bytes], log: Path) -> None:
+    """Raise RigError with the daemon's last line where it has ended."""
+    if daemon.poll() is None:
+        return
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    msg = f"the daemon ended with exit code {daemon.returncode}: "
+    msg += lines[-1].removeprefix("armrigd: ") if lines else f"it said nothing in {log}"
+    raise RigError(msg)
+
+
+def _wait_until_it_answers(daemon: subprocess.Popen[bytes], rig: str, log: Path) -> None:
+    until = time.monotonic() + _START_S
+    while time.monotonic() < until:
+        require_running(daemon, log)
+        try:
+            with Rig(rig) as opened:
+                opened.status()
+        except NoReplyError:
+            time.sleep(_POLL_S)  # not yet
+        else:
+            require_running(daemon, log)  # who answered may be another one, which ours gave way to
+            return
+    msg = f"the daemon does not answer after {_START_S:g} s; see {log}"
+    raise RigError(msg)

@@ -1,0 +1,100 @@
+"""A rig with one command: `armrig lab` starts it, and leaves nothing behind however it ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from armrig.rig.client import Rig
+from armrig.rig.session import NoReplyError
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+_PATIENCE_S = 60.0
+# As from a terminal, also where the tests run in the background, which ignores Ctrl-C.
+_LAB = """
+import signal, sys
+from armrig.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(main(["lab"]))
+"""
+
+
+@pytest.fixture(autouse=True)
+def folders(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep sockets, logs and recordings apart from the user's."""
+    directory = tmp_path_factory.mktemp("s")
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    for name in ("XDG_RUNTIME_DIR", "XDG_STATE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME"):
+        monkeypatch.setenv(name, str(directory))
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Give a lab whose rig is ready."""
+    said = tmp_path / "said"
+    with said.open("w") as out:
+        process = subprocess.Popen([sys.executable, "-c", _LAB], stdout=out, stderr=out, text=True)
+        try:
+            until = time.monotonic() + _PATIENCE_S
+            while "rig ready, 0 V" not in said.read_text():
+                assert process.poll() is None, said.read_text()
+                assert time.monotonic() < until, said.read_text()
+                time.sleep(0.1)
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+def of_this_test() -> list[str]:
+    """Return the programs of armrigd that run with our sockets."""
+    mark = f"XDG_RUNTIME_DIR={os.environ['XDG_RUNTIME_DIR']}".encode()
+    found = []
+    for directory in Path("/proc").glob("[0-9]*"):
+        try:
+            program = (directory / "cmdline").read_bytes()
+            if b"armrig_daemon" in program and mark in (directory / "environ").read_bytes():
+                found.append(program.replace(b"\0", b" ").decode())
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_lab_leaves_nothing_behind(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
+    """Not while a run turns the motor either: it is stopped, and recorded up to then."""
+    with Rig() as rig:  # as any command in a second terminal, by default
+        rig.arm("a student")
+        with rig.arrivals("sample") as samples:
+            rig.set(1.0)
+            until = time.monotonic() + _PATIENCE_S
+            while not any(s.u_applied_v > 0 for s in samples()):
+                assert time.monotonic() < until
+                rig.set(1.0)
+        assert len(of_this_test()) >= 3  # service, loop, emulator
+        lab.send_signal(number)
+        assert lab.wait(_PATIENCE_S) == 128 + number
+
+    assert of_this_test() == []
+    with pytest.raises(NoReplyError), Rig():
+        pass
+
+
+def test_a_second_lab_is_told_of_the_first(lab: subprocess.Popen[str]) -> None:
+    """In a line, and the first goes on."""
+    second = subprocess.run(
+        [sys.executable, "-m", "armrig", "lab"], capture_output=True, text=True, check=False
+    )
+
+    assert second.returncode == 1
+    assert "a daemon of rig 1 already runs at" in second.stderr
+    assert "Traceback" not in second.stderr
+    assert lab.poll() is None
+    with Rig() as rig:
+        assert rig.status().phase == "safe"

@@ -1,0 +1,122 @@
+"""The line after each command: what is typed next, as the command line takes it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from armrig.cli import app, main
+from armrig.cli.next_step import AFTER
+from made_recordings import manifest, of_the_arm, recorded, sample, written
+
+VALUES: dict[str, Any] = {
+    "file": "F.mcap",
+    "estimation": "F.mcap",
+    "validation": "F2.mcap",
+    "files": "F.mcap F2.mcap",
+    "model": "model.json",
+    "options": "--structure oe --nb 4 --nf 4 --nk 1 --integrator",
+    "validate": " --validate F2.mcap",
+    "Ts": 0.005,
+    "rig": " --rig 2",
+}
+
+
+@pytest.fixture
+def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any) -> Path:
+    """Give a folder with a telegraph's recording, and the one that validates what it gives."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(folder))
+    monkeypatch.chdir(tmp_path)
+    for experiment, run_id, details in (
+        ("blackbox", "0000000a", {}),
+        ("blackbox-validation", "0000000b", {"validation_of": "0000000a"}),
+    ):
+        about = manifest(experiment=experiment, run_id=run_id, details=details)
+        data = recorded([sample(k) for k in range(10)], manifest=about)
+        written(folder, data, f"1-{experiment}-20261120T130000-{run_id}.mcap")
+    return folder
+
+
+@pytest.mark.parametrize("after", AFTER)
+def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
+    """Command, options and their values."""
+    words = shlex.split(AFTER[after].format(**VALUES))
+    command: Any = typer.main.get_command(app)
+
+    assert words.pop(0) == "armrig"
+    while hasattr(command, "commands"):
+        command = command.commands[words.pop(0)]
+    command.make_context("armrig", words)  # raises where an option or a value is not taken
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("model", "armrig model --set "),
+        ("model --set J_1=0.002", "armrig lab"),
+        ("ls", "armrig info @0000000a/validation"),
+        ("info @0000000a", "armrig plot @0000000a"),
+        ("integrate", "armrig report @0000000a @0000000a/validation -o report.pdf"),
+    ],
+)
+def test_a_command_ends_with_what_comes_next(
+    pair: Path, arguments: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the last line beside the answer, by the short name of the recording."""
+    assert main(arguments.split()) == 0
+
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith(f"next: {expected}")
+
+
+def test_a_program_is_told_nothing_of_it(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With --json the answer is all."""
+    for arguments in ("model", "ls", "info @0000000a", "integrate"):
+        assert main([*arguments.split(), "--json"]) == 0
+
+    assert "next:" not in "".join(capsys.readouterr())
+
+
+def test_the_way_from_a_structure_to_its_validation(
+    three_recordings: tuple[Path, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """hints, identify, validate and compare: each line is typed as it stands."""
+    monkeypatch.chdir(tmp_path)
+    estimation, validation = map(str, three_recordings[1:])
+    typed = ["hints", estimation]
+    walked = []
+    for _ in range(4):
+        walked.append(typed[0])
+        assert main(typed) == 0
+        last = capsys.readouterr().err.splitlines()[-1]
+        typed = shlex.split(last.removeprefix("next: armrig "))
+        if walked[-1] == "hints":
+            typed += ["--validate", validation]
+
+    assert walked == ["hints", "identify", "validate", "check"]
+    assert (tmp_path / "model.json").exists()
+    assert (tmp_path / "validate.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_recording_elsewhere_is_named_by_its_path(
+    pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a shell takes it."""
+    import numpy as np
+
+    path = written(tmp_path, of_the_arm(np.full(50, 1.0)), "my run.mcap")
+
+    assert main(["info", str(path)]) == 0
+
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"next: armrig plot '{path}'"
+    assert re.search(r"'.* .*'", last)
