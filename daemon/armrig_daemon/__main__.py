@@ -61,7 +61,7 @@ def run(
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
     except ValueError as err:
         _refuse(str(err))
-    os.umask(0o007)
+    os.umask(0o027)  # the group may read a recording, and nobody but us change it
     if not emulate:
         raise typer.Exit(Service(loaded, where, directory).run())
     with _emulated(loaded) as device:

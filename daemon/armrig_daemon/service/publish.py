@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import queue
 import time
 from collections.abc import Callable, Iterator
@@ -100,6 +101,15 @@ def session_config(endpoint: str) -> zenoh.Config:
     )
 
 
+def _opened(endpoint: str) -> zenoh.Session:
+    """Return a session whose socket the group may open, too: to connect is to write to it."""
+    before = os.umask(0o007)
+    try:
+        return zenoh.open(session_config(endpoint))
+    finally:
+        os.umask(before)
+
+
 class Command:
     """A query that waits for its answer; exactly one is given."""
 
@@ -139,7 +149,7 @@ class Session:
         self._waiting = {kind: queue.Queue[Command](MOST_WAITING) for kind in Kind}
         self._wake = wake
         self._buckets: dict[str, token_bucket.Bucket] = {}
-        self._session = zenoh.open(session_config(endpoint))
+        self._session = _opened(endpoint)
         self._publishers = {
             stream: self._session.declare_publisher(
                 stream_key(rig, stream),
