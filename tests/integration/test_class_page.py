@@ -1,0 +1,108 @@
+"""docs/class.md: what it says of a rig that several people share."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from armrig.rig.client import BusyError, RefusedError, Rig
+from armrig_daemon import config
+from armrig_daemon.emulator.settings import EmulatorSettings
+from processes import Bench
+
+PAGE = (Path(__file__).parents[2] / "docs" / "class.md").read_text(encoding="utf-8")
+SAID = [text.strip() for text in re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)]
+LINES = [
+    line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.split("\n")
+]
+THERE = "unixsock-stream//run/armrig/1.sock"
+
+
+def _endpoint(bench: Bench) -> str:
+    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
+
+
+def _armrig(bench: Bench, line: str) -> subprocess.CompletedProcess[str]:
+    """Run a command of the page on the bench's rig."""
+    arguments = shlex.split(
+        line.replace(THERE, _endpoint(bench)).replace("--seconds 30", "--seconds 2")
+    )
+    command = [sys.executable, "-m", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_the_commands_of_a_student_are_taken(served: Bench) -> None:
+    """Each line that names the socket, but for the one that goes on until Ctrl-C."""
+    lines = [line for line in LINES if line.startswith("armrig ") and THERE in line]
+
+    done = {line.split()[1]: _armrig(served, line) for line in lines if "watch" not in line}
+
+    assert [*done] == ["status", "collect", "stop"]
+    assert {name: run.returncode for name, run in done.items()} == dict.fromkeys(done, 0)
+
+
+def test_the_group_may_open_the_socket_and_read_recordings(served: Bench) -> None:
+    """And others neither; nobody but the daemon's user may change a recording."""
+    with served.rig() as rig:
+        rig.arm("a test")
+        recording = rig.run([1.0] * 10)
+
+    socket = served.folder / "armrig" / "1.sock"
+    assert oct(socket.stat().st_mode & 0o777) == "0o770"
+    assert oct(recording.stat().st_mode & 0o777) == "0o640"
+
+
+def test_a_held_rig_is_refused_with_who_holds_it(served: Bench) -> None:
+    """In the words of the page; it is no refusal for the moment only, and a stop is everybody's."""
+    with served.rig() as holder, Rig("1", connect=_endpoint(served)) as other:
+        holder.arm("group 3")
+        with pytest.raises(RefusedError) as refused:
+            other.arm("group 4")
+        other.stop()
+        with pytest.raises(RefusedError):
+            holder.set(1.0)
+
+    assert str(refused.value) in SAID
+    assert not isinstance(refused.value, BusyError)
+
+
+def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
+    """In the words of the page."""
+    second = subprocess.run(
+        [sys.executable, "-m", "armrig_daemon", "run", "--port", served.folder / "no-port"],
+        env={**os.environ, "XDG_RUNTIME_DIR": str(served.folder)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+    assert second.returncode == 1
+    (said,) = [text for text in SAID if "already runs" in text]
+    assert f"armrigd: {said.replace(THERE, _endpoint(served))}" in second.stderr.splitlines()
+
+
+def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:
+    """With the limits that it tells, by the daemon's own reader."""
+    (text,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    path = tmp_path / "armrig.toml"
+    path.write_text(text)
+
+    limits = config.load([path], {}, {}).limits
+
+    assert (limits.u_max_v, limits.revolutions, limits.alpha_rad) == (4.5, 40.0, 0.8)
+
+
+def test_a_group_s_own_emulated_rig_is_what_the_page_says() -> None:
+    """Its variables are keys of the configuration."""
+    (line,) = [line for line in LINES if line.startswith("ARMRIG_")]
+    environ = dict(word.split("=", 1) for word in shlex.split(line) if word.startswith("ARMRIG_"))
+
+    emulator = config.load([], environ, {}).emulator
+
+    assert emulator == EmulatorSettings(seed=3, arm={"J_1": 0.0021})
