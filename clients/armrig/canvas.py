@@ -285,7 +285,8 @@ def pens(curves: int) -> list[dict[str, Any]]:
 def symbol(parameter: str) -> str:
     """Return a parameter's name as mathematics: J_1 as $J_1$, K_lin as $K_{lin}$."""
     letter, _, index = parameter.partition("_")
-    return f"${letter}_{{{index}}}$" if index else f"${letter}$"
+    index = f"{{{index}}}" if len(index) > 1 else index
+    return f"${letter}_{index}$" if index else f"${letter}$"
 
 
 def named(output: str, unit: str) -> str:

@@ -18,7 +18,12 @@ from armrig.nonparametric.figures import (
     plot_step_analysis,
     plot_structure,
 )
-from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
+from armrig.physics.figures import (
+    beside_the_handout,
+    plot_physical_step,
+    plot_rig,
+    plot_sensitivities,
+)
 from armrig.physics.grey_box.figures import plot_greybox, plot_split
 from armrig.physics.integrators.figures import (
     plot_convergence,
@@ -26,9 +31,11 @@ from armrig.physics.integrators.figures import (
     plot_stability_edge,
     plot_stability_regions,
 )
+from armrig.recordings.calibration.figures import plot_calibration
 from armrig.recordings.figures import plot_timing
 from armrig.validation.feedback_and_delay.figures import plot_delay, plot_open_loop
 from armrig.validation.figures import plot_compare, plot_residuals
+from armrig.validation.search_figure import plot_search
 
 __all__ = [
     "BLUE",
@@ -39,8 +46,10 @@ __all__ = [
     "PURPLE",
     "SKY",
     "VERMILION",
+    "beside_the_handout",
     "finish",
     "plot_bode",
+    "plot_calibration",
     "plot_compare",
     "plot_convergence",
     "plot_correlation",
@@ -57,6 +66,7 @@ __all__ = [
     "plot_residuals",
     "plot_rig",
     "plot_sampling_time",
+    "plot_search",
     "plot_sensitivities",
     "plot_solution",
     "plot_spectral",

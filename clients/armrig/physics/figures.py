@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, legend, pens, symbol
+from armrig.physics.grey_box.parameters import UNITS
 from armrig.physics.step_response import characteristics, step_response, step_sensitivities
 from armrig.physics.systems import ArmParameters
 
@@ -70,12 +72,12 @@ def plot_physical_step(
 ) -> Axes:
     """Show the chassis' speed after a step from rest, for several sets of parameters.
 
-    The first one's steady speed and initial slope are drawn beside it.
+    The legend gives the steady speed and the initial slope of each; the first one's are drawn.
 
     Parameters
     ----------
     cases : mapping of str to ArmParameters, optional
-        Label -> parameters; the handout's by default.
+        Label -> parameters; the handout's by default. See `beside_the_handout`.
     u : float, default 1
         Height of the step in V.
     """
@@ -86,22 +88,34 @@ def plot_physical_step(
     for (label, p), pen in zip(cases.items(), pens(len(cases)), strict=True):
         speed = step_response(p, t, u=u)
         top = max(top, float(speed.max()))
-        ax.plot(t, speed, label=label, **pen)
+        found = characteristics(p)
+        steady, slope = u * found.steady_speed, u * found.initial_slope
+        text = f"{label}: {steady:.4f} rad/s, slope {slope:.2f} rad/s²"
+        ax.plot(t, speed, label=text, **pen)
     first = characteristics(next(iter(cases.values())))
     steady = first.steady_speed * u
     top = max(top, steady)
     rise = np.array([0.0, 1.08 * top / (first.initial_slope * u)])
     ax.plot(rise, first.initial_slope * u * rise, color=GREY, ls="-", lw=0.8)
     ax.axhline(steady, color=GREY, ls="-", lw=0.8)
-    of = f"{next(iter(cases))}: " if len(cases) > 1 else ""
-    label = f"{of}steady {steady:.4g} rad/s, slope {first.initial_slope * u:.4g} rad/s²"
-    ax.plot([], [], color=GREY, ls="-", lw=0.8, label=label)
     ax.set_ylim(0.0, 1.08 * top)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel(r"$\dot\theta_1$ [rad/s]")
     finish(ax, xlim=(0.0, seconds))
     legend(ax)
     return ax
+
+
+def beside_the_handout(p: ArmParameters) -> dict[str, ArmParameters]:
+    """Return the handout's parameters and these, by what was changed: cases to be shown."""
+    own = ArmParameters()
+    changed = {f.name: getattr(p, f.name) for f in fields(p)}
+    texts = [
+        f"{symbol(name)} = {value:g} {UNITS[name]}".strip()
+        for name, value in changed.items()
+        if value != getattr(own, name)
+    ]
+    return {"handout": own} | ({", ".join(texts): p} if texts else {})
 
 
 def plot_sensitivities(

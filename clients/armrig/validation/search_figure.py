@@ -1,60 +1,86 @@
-"""The figure of a search: the error of each model against its number of parameters."""
+"""Figure of a search over model structures: what more parameters gain, and what was chosen."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armrig.canvas import GREY, INK, axes, finish, pens
-from armrig.models.structure_table import KINDS
+from armrig.canvas import COLOURS, GREY, INK, axes, finish, legend, logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.validation.search_result import SearchResult
+Vector = NDArray[np.float64]
 
 _MARKERS = "osD^vP"
-_MOST = 1e4
-"""Errors of more than so many times the best are drawn at the upper edge."""
+_MOST = 1000.0  # times the least error; what is worse is off the figure, and counted
 
 
-def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
-    """Show the mean squared error on the validation data over the number of parameters.
+class Candidate(Protocol):
+    """A structure with its orders."""
 
-    The line is the best model of each number; below the dotted line is what one standard error
-    of the best one does not tell from it, and the chosen one, the simplest of those, is ringed.
+    @property
+    def family(self) -> str: ...  # noqa: D102
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+
+class Scored(Protocol):
+    """A candidate with a model."""
+
+    @property
+    def candidate(self) -> Candidate: ...  # noqa: D102
+    @property
+    def parameters(self) -> int: ...  # noqa: D102
+
+
+class Search(Protocol):
+    """What is drawn of a search: `SearchResult` has it."""
+
+    @property
+    def ranked(self) -> Sequence[Scored]: ...  # noqa: D102
+    @property
+    def rms(self) -> Vector: ...  # noqa: D102
+    @property
+    def chosen_index(self) -> int: ...  # noqa: D102
+    @property
+    def horizon(self) -> int | None: ...  # noqa: D102
+    @property
+    def unit(self) -> str: ...  # noqa: D102
+
+
+def plot_search(found: Search, *, ax: Axes | None = None) -> Axes:
+    """Show the error on the validation data against the number of parameters, by structure.
+
+    A line joins the best of each structure with so many parameters; the chosen one is ringed.
     """
     ax = axes(ax)
-    n = np.array([one.parameters for one in found.ranked])
-    loss = np.asarray(found.rms) ** 2
-    shown = np.minimum(loss, _MOST * loss.min())
-    families = np.array([one.candidate.family for one in found.ranked])
-    for (colour, _), marker, family in zip(
-        pens(), _MARKERS, dict.fromkeys(families.tolist()), strict=False
-    ):
-        of = families == family
-        ax.plot(n[of], shown[of], marker, color=colour, ms=5, ls="", label=KINDS[family].title)
-    counts = np.unique(n)
-    ax.plot(counts, [shown[n == k].min() for k in counts], color=GREY, lw=0.9, zorder=0)
-    within = loss[found.within].max()
-    ax.axhline(within, color=GREY, ls=":", lw=1.0)
+    d = np.array([scored.parameters for scored in found.ranked])
+    families = [scored.candidate.family for scored in found.ranked]
+    shown = found.rms <= _MOST * float(found.rms[0])
+    for k, family in enumerate(dict.fromkeys(sorted(families))):
+        mine = np.array([f == family for f in families]) & shown
+        colour, marker = COLOURS[k % len(COLOURS)], _MARKERS[k % len(_MARKERS)]
+        if not mine.any():
+            continue
+        ax.plot(d[mine], found.rms[mine], marker, color=colour, ms=3.5, alpha=0.6, mew=0)
+        counts = np.unique(d[mine])
+        least = [float(found.rms[mine & (d == n)].min()) for n in counts]
+        ax.plot(counts, least, marker=marker, color=colour, ms=4.5, lw=1.1, label=family.upper())
     i = found.chosen_index
-    ax.plot(n[i], shown[i], "o", mfc="none", mec=INK, ms=12, mew=1.4)
-    ax.annotate(
-        found.chosen.candidate.name,
-        (n[i], shown[i]),
-        xytext=(0, -16),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        fontsize="small",
-    )
-    ax.set_yscale("log")
-    bottom, top = ax.get_ylim()
-    ax.set_ylim(bottom / (top / bottom) ** 0.15, top)  # room for the name
+    at = (float(d[i]), float(found.rms[i]))
+    chosen = f"chosen: {found.ranked[i].candidate.name}"
+    ax.plot(*at, "o", color=INK, ms=12, mfc="none", mew=1.5, ls="none", label=chosen)
+    ax.axhline(at[1], color=GREY, lw=0.6, ls=":")
+    logarithmic(ax.yaxis, 0.8 * float(found.rms[0]), 1.3 * float(found.rms[shown].max()))
+    ax.locator_params(axis="x", integer=True)
+    how = "simulated" if found.horizon is None else f"{found.horizon} ahead"
     ax.set_xlabel("number of parameters")
-    ax.set_ylabel(f"mean squared error [{found.unit}²]" if found.unit else "mean squared error")
-    ax.legend(loc="upper right", fontsize="small", ncols=3)
+    ax.set_ylabel(f"rms error, {how} [{found.unit or '–'}]")
     finish(ax)
+    off = np.count_nonzero(~shown)
+    legend(ax, *([f"{off} more are over {_MOST:g} times the best"] if off else []))
     return ax

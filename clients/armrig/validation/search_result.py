@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from armrig.models.structure_table import KINDS
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.residuals import ResidualTest
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
 Family = Literal["arx", "iv4", "armax", "oe", "bj", "n4sid"]
@@ -111,6 +114,12 @@ class SearchResult:
     def within(self) -> NDArray[np.bool_]:
         """Which of `ranked` are within one standard error of the best, (n,)."""
         return np.asarray(self.excess <= self.excess_std)
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Show error against number of parameters: see `armrig.plots.plot_search`."""
+        from armrig.validation.search_figure import plot_search
+
+        return plot_search(self, ax=ax)
 
     def explain(self) -> str:
         """Return in words what was chosen, and why."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import armrig
@@ -10,7 +11,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
+from armrig.physics.figures import (
+    beside_the_handout,
+    plot_physical_step,
+    plot_rig,
+    plot_sensitivities,
+)
 from armrig.physics.grey_box.figures import plot_greybox, plot_split
 from armrig.physics.integrators.accuracy import convergence, sinusoid
 from armrig.physics.integrators.figures import (
@@ -108,3 +114,33 @@ def test_an_edge_that_is_not_there_is_refused() -> None:
     """The trapezoidal rule has none."""
     with pytest.raises(ValueError, match="no edge to show"):
         plot_stability_edge(A, "trapezoidal")
+
+
+def test_changed_parameters_stand_beside_the_handouts_own() -> None:
+    """Assignment 2.3: both curves, named by what was changed, with their numbers."""
+    p = ArmParameters()
+    cases = beside_the_handout(replace(p, J_1=2 * p.J_1, K_lin=2 * p.K_lin))
+    ax = plot_physical_step(cases, ax=Figure().add_subplot())
+
+    legend = ax.get_legend()
+    assert legend is not None
+    assert [" ".join(t.get_text().split()) for t in legend.get_texts()] == [
+        "handout: 1.8623 rad/s, slope 98.40 rad/s²",
+        "$J_1$ = 0.0034 kg m², $K_{lin}$ = 2.38 Nm/rad: 1.8623 rad/s, slope 49.20 rad/s²",
+    ]
+    own, changed = (np.asarray(line.get_ydata()) for line in ax.lines[:2])
+    assert changed[5] == pytest.approx(own[5] / 2, rel=0.1)
+
+
+def test_each_method_is_drawn_at_its_own_step() -> None:
+    """A table of recommended steps has one for each; the figure has the same."""
+    ax = plot_solution(PROBLEM, {"heun": 0.01, "ab2": 0.004}, ax=Figure().add_subplot())
+
+    legend = ax.get_legend()
+    assert legend is not None
+    assert [t.get_text() for t in legend.get_texts()] == [
+        "exact",
+        "Heun, RK(2), 10 ms",
+        "AB(2), 4 ms",
+    ]
+    assert [len(np.asarray(line.get_xdata())) for line in ax.lines[1:]] == [101, 251]

@@ -20,11 +20,12 @@ from armrig.recordings.calibration.motor import terminal_voltage
 from armrig.recordings.calibration.rest import mean_reading, rounding_variance, spread
 from armrig.recordings.calibration.rotation import turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
-from calibration_rig import calibrated, truth, unknown_rig
+from calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_recordings import manifest
 from made_turns import HIGH, LOW, D, made_turns, still
+from matplotlib.figure import Figure as Canvas
 
 MADE = Made(date="2026-11-01T00:00:00+00:00", rig="1", device_uid="0001", armrig="0.1.0")
 
@@ -309,3 +310,20 @@ def test_a_calibration_that_is_missing_or_stale_is_told(
 
     assert len(found) == bool(said)
     assert re.search(said, " ".join(found))
+
+
+def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
+    """Readings between their edges; speed against voltage; a rest alone has no figure."""
+    rest, turns = runs(unknown_rig(1000), REST, TURNS)
+    found = estimate(rest, turns)
+
+    ax = found.plot(turns, ax=Canvas().add_subplot())
+
+    assert found.turned is not None
+    edges = [line.get_ydata()[0] for line in ax.lines if len(line.get_ydata()) == 2]
+    assert edges == [found.turned.low.value, found.turned.high.value]
+    below = ax.figure.axes[1]
+    [points] = [c for c in below.containers if c.get_label() == "measured"]
+    assert len(points.lines[0].get_xdata()) == 3
+    with pytest.raises(CalibrationError, match="without turns"):
+        estimate(rest).plot(turns)

@@ -14,6 +14,7 @@ from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
 from armrig.validation.model_search import search
 from armrig.validation.search_result import Family, SearchResult
+from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant
@@ -171,3 +172,24 @@ def test_what_cannot_be_searched_is_refused() -> None:
         search(data, families=("arimax",))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="none of the structures could be estimated; the first"):
         search(data, families=("arx",), orders=(40,))
+
+
+def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
+    """Error against number of parameters, a line for each structure."""
+    found = search(_data(1, [1.0], [1.0]), _data(2, [1.0], [1.0]), families=("arx", "oe"))
+
+    ax = found.plot(ax=Figure().add_subplot())
+
+    legend = ax.get_legend()
+    assert legend is not None
+    names = [t.get_text() for t in legend.get_texts()]
+    assert names == ["ARX", "OE", f"chosen: {found.chosen.candidate.name}"]
+    [ring] = [line for line in ax.lines if line.get_markerfacecolor() == "none"]
+    assert ring.get_xdata() == [found.chosen.parameters]
+    assert ring.get_ydata() == [found.rms[found.chosen_index]]
+    best = next(line for line in ax.lines if line.get_label() == "OE")
+    x, y = (np.asarray(values) for values in best.get_data())
+    assert (np.diff(x) > 0).all()
+    assert y.min() == min(
+        r for r, s in zip(found.rms, found.ranked, strict=True) if s.candidate.family == "oe"
+    )

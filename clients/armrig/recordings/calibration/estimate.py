@@ -32,6 +32,8 @@ from armrig.recordings.calibration.rest import (
 from armrig.recordings.calibration.rotation import Turning, turning
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from armrig.recordings.recording import Recording
 
 _UNSTEADY = 1.5  # residuals at constant speed over what noise and rounding explain
@@ -82,6 +84,12 @@ class Estimate:
         share = (high.value - low.value) / d.value
         std = hypot(low.std, high.std, share * d.std) / d.value
         return Figure(value=tau * (1 - share), std=tau * std)
+
+    def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Axes:
+        """Show what the turns say: see `armrig.plots.plot_calibration`."""
+        from armrig.recordings.calibration.figures import plot_calibration
+
+        return plot_calibration(self, turns, ax=ax)
 
     def figures(self) -> dict[str, Figure]:
         """Return all that was measured, by names that end in their units."""

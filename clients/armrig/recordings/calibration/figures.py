@@ -1,0 +1,93 @@
+"""Figure of a calibration: the potentiometer over its turns, and the motor's line."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from armrig_core.calibration import Figure
+from numpy.typing import NDArray
+
+from armrig.canvas import BLUE, GREY, INK, VERMILION, finish, legend, panels
+from armrig.numerics.quantities import scaled, with_std
+from armrig.recordings.calibration.motor import IDEAL_DRIVER, Speeds, TerminalVoltage
+from armrig.recordings.calibration.readings import CalibrationError, Readings, readings_of
+from armrig.recordings.calibration.rotation import Turning
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.recordings.recording import Recording
+
+Vector = NDArray[np.float64]
+
+
+class Calibrated(Protocol):
+    """What is drawn of a calibration's estimate: `Estimate` has it."""
+
+    @property
+    def turned(self) -> Turning | None: ...  # noqa: D102
+    @property
+    def speeds(self) -> Speeds | None: ...  # noqa: D102
+    @property
+    def terminal(self) -> TerminalVoltage | None: ...  # noqa: D102
+    @property
+    def rad_per_count(self) -> Figure | None: ...  # noqa: D102
+
+
+def plot_calibration(
+    estimate: Calibrated, turns: Recording | Readings, *, ax: Axes | None = None
+) -> Axes:
+    """Show theta_1's readings with the edges of its track and, below, speed against voltage.
+
+    Parameters
+    ----------
+    turns : Recording or Readings
+        The run of constant voltages that the estimate is of.
+
+    Raises
+    ------
+    CalibrationError
+        The estimate is of a rest only.
+    """
+    turned, size = estimate.turned, estimate.rad_per_count
+    if turned is None or size is None:
+        msg = "there is no figure of a calibration without turns: record them, --volts"
+        raise CalibrationError(msg)
+    ax, below = panels(ax, 0.45, sharex=False)
+    readings = readings_of(turns)
+    ax.plot(readings.t, readings.theta_1, ".", color=BLUE, ms=1.5)
+    for edge, name, dash in ((turned.low, "low", "--"), (turned.high, "high", "-.")):
+        text = f"{name} edge {with_std(edge.value, edge.std)}"
+        ax.axhline(edge.value, color=VERMILION, ls=dash, lw=1.0, label=text)
+    ax.set_xlim(0.0, float(readings.t[-1]) or 1.0)
+    ax.set_xlabel("$t$ [s]")
+    ax.set_ylabel(r"$\theta_1$ [counts]")
+    _plot_speeds(below, turned, estimate.speeds, estimate.terminal)
+    finish(ax)
+    finish(below)
+    legend(ax, f"one count is {scaled(size.value, size.std, 'rad')}")
+    legend(below)
+    return ax
+
+
+def _plot_speeds(
+    ax: Axes, turned: Turning, speeds: Speeds | None, terminal: TerminalVoltage | None
+) -> None:
+    """Show the speed at each voltage with ±2 σ, and the line through them."""
+    offset, gain = (terminal or IDEAL_DRIVER).line
+    v = offset + gain * turned.volts
+    scale = 2 * np.pi * turned.direction / turned.per_turn.value
+    omega = scale * turned.slopes
+    std = abs(scale) * np.sqrt(np.diag(turned.covariance)[:-1])
+    ax.errorbar(v, omega, 2 * std, fmt="o", color=BLUE, ms=4, lw=1.0, capsize=3, label="measured")
+    if speeds is not None:
+        stands = speeds.zero_torque.value
+        ends = np.array([stands, 1.05 * float(v.max())])
+        rate = f"{with_std(speeds.rate.value, speeds.rate.std)} rad/s/V"
+        ax.plot(ends, speeds.rate.value * (ends - stands), color=INK, lw=0.9, label=rate)
+        at = f"stands at {with_std(stands, speeds.zero_torque.std)} V"
+        ax.plot(stands, 0.0, "s", color=VERMILION, ms=5, mfc="none", ls="none", label=at)
+    ax.axhline(0, color=GREY, lw=0.6)
+    ax.set_xlabel("$u$ at the terminals [V]" if terminal is not None else "$u$ of the code [V]")
+    ax.set_ylabel(r"$\dot\theta_1$ [rad/s]")
