@@ -171,12 +171,16 @@ def of_the_arm(
     experiment: str = "blackbox",
     seed: int = 1,
     missing: slice | None = None,
+    start: float = 0.0,
 ) -> bytes:
-    """Return a recording of the handout's arm driven by `u`: 10-bit readings, dead band, jitter."""
+    """Return a recording of the handout's arm driven by `u`: 10-bit readings, dead band, jitter.
+
+    From rest at theta_1 = `start`.
+    """
     rng = np.random.default_rng(seed)
     A, B, C = arm_matrices(ArmParameters())
     Phi, Gamma = zero_order_hold(A, B, TS)
-    x = np.zeros(4)
+    x = np.array([start, 0.0, 0.0, 0.0])
     messages: list[Any] = []
     lost = range(*missing.indices(u.size)) if missing else range(0)
     for k, volts in enumerate(u):

@@ -82,7 +82,7 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
         try:
             rig.arm("armrig demo", Ts)
             with (
-                timing_note(rig) as note,
+                timing_note(rig, experiment.u.size) as note,
                 bar(experiment.name, console, note=note) as progress,
             ):
                 return rig.run(experiment.u, progress=progress, **experiment.request)

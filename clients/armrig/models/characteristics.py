@@ -53,7 +53,10 @@ class ModelCharacteristics:
     bandwidth: float
     """Lowest frequency at which |G| is the gain less 3 dB, in rad/s; NaN where it never is."""
     rise_time: float
-    """Time to 63 % of the gain after a step, in s: the handout's time constant."""
+    """The 63 % time: from a step to 63 % of the gain, less the dead time of nk - 1 samples, in s.
+
+    Of a rate, which is that of the middle of each interval, as `step_analysis` takes it.
+    """
     overshoot: float
     """Highest point of the step response over the gain, less 1, in percent."""
     std: dict[str, float]
@@ -176,14 +179,13 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
         return abs(_horner(b, at)) ** 2 / max(abs(_horner(f, at)) ** 2, 1e-300)
 
     y = filtered(B, F, np.ones(_length(F)))
+    k = np.arange(y.size, dtype=np.float64) - max(model.nk - 1, 0) - 0.5 * integrating
     return {
         "gain": gain,
         "resonance": _extreme(omega, of_grid, power, sign=1),
         "antiresonance": _extreme(omega, of_grid, power, sign=-1),
         "bandwidth": _crossing(omega, of_grid, gain**2 / 2, falling=True),
-        "rise_time": _crossing(
-            model.Ts * np.arange(y.size, dtype=np.float64), y / gain, _RISE, falling=False
-        ),
+        "rise_time": _crossing(model.Ts * k, y / gain, _RISE, falling=False),
         "overshoot": 100 * (float(np.max(y / gain)) - 1),
     }
 

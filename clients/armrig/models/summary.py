@@ -26,7 +26,7 @@ _UNITS = {
     "rise_time": "s",
     "overshoot": "%",
 }
-_NAMES = {"rise_time": "time to 63 %", "antiresonance": "anti-resonance"}
+_NAMES = {"rise_time": "63 % time", "antiresonance": "anti-resonance"}
 _ROUNDING = 1e-9
 
 

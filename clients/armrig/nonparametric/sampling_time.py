@@ -47,7 +47,7 @@ class SamplingTime:
     Ts: float
     """Recommended, in s: one of 1, 2, 5 times a power of ten."""
     tau: float
-    """63 % time of the step response, in s (of the rate, if y integrates)."""
+    """63 % time of the step response (of the rate, if y integrates), less the dead time, in s."""
     omega_step: float
     """omega_B = 1/tau, in rad/s."""
     omega_first: float
@@ -101,8 +101,8 @@ class SamplingTime:
         lines = [
             f"sampling time: {1e3 * self.Ts:g} ms recommended (from {self.output} at "
             f"{1e3 * self.recorded_at:g} ms, {how})",
-            f"  step:      tau {1e3 * self.tau:.3g} ms, omega_B = 1/tau = {self.omega_step:.3g} "
-            f"rad/s, omega_s = 20 omega_B: Ts {1e3 * self.Ts_step:.3g} ms",
+            f"  step:      63 % time tau {1e3 * self.tau:.3g} ms, omega_B = 1/tau = "
+            f"{self.omega_step:.3g} rad/s, omega_s = 20 omega_B: Ts {1e3 * self.Ts_step:.3g} ms",
             f"  spectrum:  -3 dB first at {self.omega_first:.3g}, last at "
             f"{self.omega_spectrum:.3g} rad/s, omega_s = 20 omega_B: Ts "
             f"{1e3 * self.Ts_spectrum:.3g} ms",
@@ -186,7 +186,10 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         spectrum=estimate,
         power=power / power.max(),
         source=data.source,
-        notes=(*decided.notes, *_notes(Ts, data.Ts, rules, last, near)),
+        notes=(
+            *(steps.warnings if steps else decided.notes),
+            *_notes(Ts, data.Ts, rules, last, near),
+        ),
     )
 
 
@@ -236,9 +239,8 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
         msg = "the step response returns to 0: no time constant can be read from it"
         raise ValueError(msg)
     t, y = np.append(t[0] - data.Ts, t), np.append(0.0, y / gain)
-    crossing, _ = crossing_time(t, y, SHARE)
-    half, _ = crossing_time(t, y, 0.5)
-    dead, _ = dead_time(t, y, half, data.Ts)  # counts for neither rule
+    crossing = crossing_time(t, y, SHARE)
+    dead, _ = dead_time(t, y, crossing_time(t, y, 0.5), data.Ts)  # counts for neither rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
     return t, y, crossing - dead, end - dead

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
+from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
 from armrig.nonparametric.integrator import integration
+from armrig.nonparametric.step_rise import Rise, step_rise
 from armrig.numerics.quantities import plural
-from armrig.numerics.stretches import constant
+from armrig.numerics.stretches import Mask, constant, stretches
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,6 +25,8 @@ Vector = NDArray[np.float64]
 
 SHARE = 1 - np.exp(-1)  # 63.2 %: what a first-order system reaches after one time constant
 SHORTEST_HOLD = 8  # samples before and after a step
+SHORTEST_GAP, SMALL_GAP = 2, 0.1
+"""Samples, and share of the 63 % time, from which on a gap on the rise is told."""
 SMOOTH = 0.03  # noise of the smoothed response, as a share of the final value
 
 
@@ -47,9 +51,17 @@ class StepAnalysis:
     dead_time_interval: tuple[float, float]
     """About 95 %, in s."""
     tau: float
-    """Time to 63.2 % of the final value less the dead time, in s."""
+    """The 63 % time: from the step to 63.2 % of the final value, less the dead time, in s."""
     tau_std: float
-    """Its standard deviation: noise at the crossing over the slope there."""
+    """Its standard deviation: noise and gaps on the rise, and the dead time's."""
+    rise_t: Vector
+    """Times of `rise`, in s."""
+    rise: Vector
+    """The smoothed rise that the 63 % time is read from, in y's unit per u's."""
+    rise_std: Vector
+    """Its standard deviation, which grows in a gap."""
+    hidden: tuple[float, float] | None
+    """Between which times y is missing on the rise, in s; None where it is not."""
     settling: float
     """Time from which the smoothed answer stays within 5 % of its final value, in s."""
     overshoot: float
@@ -90,7 +102,7 @@ class StepAnalysis:
             f"step analysis of {self.output}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s",
             f"  gain {self.gain:.4g} ± {self.gain_std:.2g} {unit}",
             f"  dead time {self.dead_time:.4g} s (95 %: {low:.4g} … {high:.4g} s)",
-            f"  63 % time constant {self.tau:.4g} ± {self.tau_std:.2g} s, so omega_B = 1/tau = "
+            f"  63 % time {self.tau:.4g} ± {self.tau_std:.2g} s, so omega_B = 1/tau = "
             f"{self.bandwidth:.4g} rad/s",
             f"  within 5 % after {self.settling:.4g} s, overshoot {100 * self.overshoot:.0f} %",
         ]
@@ -98,13 +110,15 @@ class StepAnalysis:
 
 
 def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnalysis:
-    """Return the 63 % time constant, the dead time and the gain of the answer to a step.
+    """Return the 63 % time, the dead time and the gain of the answer to a step.
 
     All changes of u with long holds before and after are used, each answer less its own level
     before and weighted by the size of its step. Of an integrating y the rate is analysed, whose
-    sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. A moving average, as short as
-    brings the noise under 3 % of the final value, is looked at for the crossing; the dead time L
-    is that of s (t - L)^p for t > L, p = 1 or 2, fitted to the rise up to one half.
+    sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. The 63 % time is read from a
+    smoothing spline from the step on (`armrig.nonparametric.step_rise`), whose deviation grows
+    where samples are missing. The dead time L is that of s (t - L)^p for t > L, p = 1 or 2, fitted
+    to the rise up to one half. Settling and overshoot are those of a moving average, as short as
+    brings the noise under 3 % of the final value.
 
     Parameters
     ----------
@@ -133,7 +147,9 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     decided = integration(data, integrator)
     integrates = decided.integrates
     treated = difference(data) if integrates else data
-    k, y, sizes = _averaged(treated)
+    steps = _steps(treated)
+    k, y = _averaged(treated, steps, slope=False)
+    own = _averaged(data, steps, slope=True)[1] if integrates else y
     t: Vector = np.asarray(data.Ts * (k - 0.5 * integrates), dtype=np.float64)
     tail = y[k >= (2 * k[-1]) // 3]
     tail = tail[np.isfinite(tail)]
@@ -143,15 +159,16 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         msg = f"{treated.output} does not answer to the step: final value {gain:.3g} ± "
         msg += f"{gain_std:.2g}; make it larger, or hold it longer"
         raise ValueError(msg)
-    smooth, window, noise = _smoothed(y, k, gain)
-    crossing, slope = crossing_time(t, smooth / gain, SHARE)
-    half, _ = crossing_time(t, smooth / gain, 0.5)
-    L, interval = dead_time(t, y / gain, half, data.Ts)
+    smooth, window = _smoothed(y, k, gain)
+    rise = _rise(own, k, data, steps, gain, integrates=integrates)
+    L, interval = dead_time(t, y / gain, crossing_time(rise.t, rise.y, 0.5), data.Ts)
+    L_std = (interval[1] - interval[0]) / 4 if L else 0.0
     after = t > 0
     off = np.abs(smooth / gain - 1)
     # What the settled third does is noise: of thousands of samples some are beyond any 2 of its
     # standard deviations.
     outside = off[after] > 0.05 + np.nanmax(off[k >= (2 * k[-1]) // 3])
+    hidden = _hidden(own, k, rise.crossing, data.Ts)
     last = int(np.flatnonzero(outside)[-1]) if outside.any() else -1
     times = t[after]
     settling = float(times[min(last + 1, times.size - 1)])
@@ -164,60 +181,123 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         gain_std=gain_std,
         dead_time=L,
         dead_time_interval=interval,
-        tau=crossing - L,
-        tau_std=noise / abs(gain) / slope,
+        tau=rise.crossing - L,
+        tau_std=float(np.hypot(rise.crossing_std, L_std)),
+        rise_t=rise.t,
+        rise=rise.y * gain,
+        rise_std=rise.std * abs(gain),
+        hidden=hidden,
         settling=settling,
         overshoot=max(0.0, float(np.nanmax(smooth[after] / gain)) - 1),
         rate=integrates,
-        steps=sizes,
+        steps=len(steps.at),
         Ts=data.Ts,
         output=treated.output,
         unit=treated.unit,
         input_unit=data.input_unit,
         source=data.source,
-        warnings=(*decided.notes, *_warnings(tail / gain, crossing, data.Ts)),
+        warnings=(*decided.notes, *_warnings(tail / gain, rise, hidden, data)),
     )
 
 
-def _averaged(data: Dataset) -> tuple[NDArray[np.int_], Vector, int]:
-    """Return samples from the step on (negative before), the mean answer, and the steps."""
+class _Steps(NamedTuple):
+    """The steps that are averaged."""
+
+    at: list[tuple[int, int]]
+    """Experiment, and the first sample of it with the new input."""
+    pre: int
+    """Samples before each."""
+    post: int
+    """Samples from each on."""
+
+
+def _steps(data: Dataset) -> _Steps:
     found = []
-    for part in data.experiments():
+    for i, part in enumerate(data.experiments()):
         for before, after in pairwise(constant(part.u)):
             pre, post = before.stop - before.start, after.stop - after.start
             known = int(np.count_nonzero(part.valid[before]))
             if min(known, post) >= SHORTEST_HOLD:
-                found.append((part, after.start, pre, post))
+                found.append((i, after.start, pre, post))
     if not found:
         msg = f"u has no step with {SHORTEST_HOLD} constant samples before and after; record "
         msg += "armrig.step(N, at=50), or use impulse_response(data).step_response()"
         raise ValueError(msg)
     longest = max(min(pre, post) for _, _, pre, post in found)
     kept = [f for f in found if min(f[2], f[3]) >= longest // 2]
-    pre, post = min(f[2] for f in kept), min(f[3] for f in kept)
-    k = np.arange(-pre, post)
+    return _Steps([f[:2] for f in kept], min(f[2] for f in kept), min(f[3] for f in kept))
+
+
+def _averaged(data: Dataset, steps: _Steps, *, slope: bool) -> tuple[NDArray[np.int_], Vector]:
+    """Return samples from the step on (negative before), and the mean answer to a unit step.
+
+    Each less its level before; with `slope` less the straight line before.
+    """
+    k = np.arange(-steps.pre, steps.post)
     total, weight = np.zeros(k.size), np.zeros(k.size)
-    for part, at, _, _ in kept:
+    parts = list(data.experiments())
+    for i, at in steps.at:
+        part = parts[i]
         size = part.u[at] - part.u[at - 1]
-        level = np.nanmean(part.y[at - pre // 2 - 1 : at])
-        y = part.y[at - pre : at + post] - level
-        there = np.isfinite(y)
-        total[there] += size * y[there]
-        weight[there] += size**2
+        near = slice(at - steps.pre // 2 - 1, at)
+        y, known = part.y[at - steps.pre : at + steps.post], part.valid[near]
+        there = np.arange(near.start - at, 0)[known]
+        before = np.polyfit(there, part.y[near][known], 1 if slope else 0)
+        y = y - np.polyval(before, k)
+        known = np.isfinite(y)
+        total[known] += size * y[known]
+        weight[known] += size**2
     with np.errstate(invalid="ignore"):
-        return k, np.where(weight > 0, total / weight, np.nan), len(kept)
+        return k, np.where(weight > 0, total / weight, np.nan)
 
 
-def _smoothed(y: Vector, k: NDArray[np.int_], gain: float) -> tuple[Vector, int, float]:
-    """Return the shortest moving average that is quiet enough, its length, and its noise."""
+def _rise(
+    y: Vector, k: NDArray[np.int_], data: Dataset, steps: _Steps, gain: float, *, integrates: bool
+) -> Rise:
+    """Return the rise of y over the gain."""
+    y = y / gain
+    after = y[k >= 0]
+    after[0] = 0.0  # the input acts from here on
+    after[_alone(np.isfinite(after))] = np.nan
+    parts = list(data.experiments())
+    # The converter's steps do not show while the output rests.
+    sizes = [abs(p.u[at] - p.u[at - 1]) for p, at in ((parts[i], at) for i, at in steps.at)]
+    rounding = quantum(data) / (abs(gain) * float(np.linalg.norm(sizes)))
+    # Third differences: what still swings before the step is no noise.
+    noise = max(float(np.nanmean(np.diff(y[k < 0], 3) ** 2)) / 20, rounding**2 / 12)
+    return step_rise(after, SHARE, data.Ts, integrates=integrates, least_variance=noise)
+
+
+def _alone(known: Mask) -> Mask:
+    """Return which samples stand alone between two gaps: a wiper at the edge of its track lies."""
+    alone = np.zeros_like(known)
+    gaps = [g for g in stretches(~known) if g.stop - g.start >= SHORTEST_GAP]
+    for before, after in pairwise(gaps):
+        alone[before.stop : after.start] = after.start - before.stop == 1
+    return alone
+
+
+def _hidden(
+    y: Vector, k: NDArray[np.int_], crossing: float, Ts: float
+) -> tuple[float, float] | None:
+    """Return between which times the longest gap on the rise lies, in s; None without one."""
+    after = np.isnan(y[k >= 0])
+    gaps = [s for s in stretches(after) if s.start * Ts <= crossing + Ts]
+    longest = max(gaps, key=lambda s: s.stop - s.start, default=slice(0, 0))
+    begin, end = Ts * (longest.start - 1), Ts * longest.stop
+    few = longest.stop - longest.start < SHORTEST_GAP or end - begin < SMALL_GAP * crossing
+    return None if few else (begin, end)
+
+
+def _smoothed(y: Vector, k: NDArray[np.int_], gain: float) -> tuple[Vector, int]:
+    """Return the shortest moving average that is quiet enough, and its length."""
     longest = max(1, k[-1] // 20)
     tail = k >= (2 * k[-1]) // 3
     for window in range(1, longest + 2, 2):
         smooth = _moving_average(y, window)
-        noise = float(np.nanstd(smooth[tail]))
-        if noise <= SMOOTH * abs(gain):
+        if float(np.nanstd(smooth[tail])) <= SMOOTH * abs(gain):
             break
-    return smooth, window, noise
+    return smooth, window
 
 
 def _moving_average(y: Vector, window: int) -> Vector:
@@ -231,8 +311,8 @@ def _moving_average(y: Vector, window: int) -> Vector:
     return np.convolve(np.nan_to_num(y), box, "same") / np.where(enough, count, np.nan)
 
 
-def crossing_time(t: Vector, y: Vector, share: float) -> tuple[float, float]:
-    """Return when y first reaches `share` after the step, and its slope there in 1/s."""
+def crossing_time(t: Vector, y: Vector, share: float) -> float:
+    """Return when y first reaches `share` after the step, in s."""
     known = np.isfinite(y)
     t, y = t[known], y[known]
     reached = np.flatnonzero((y >= share) & (t > 0))
@@ -240,8 +320,9 @@ def crossing_time(t: Vector, y: Vector, share: float) -> tuple[float, float]:
         msg = f"the answer never reaches {100 * share:.0f} % of its final value; hold u longer"
         raise ValueError(msg)
     i = int(reached[0])
-    slope = (y[i] - y[i - 1]) / (t[i] - t[i - 1])
-    return float(t[i - 1] + (share - y[i - 1]) / slope), float(slope)
+    if i == 0:
+        return float(t[0] * share / y[0])
+    return float(t[i - 1] + (share - y[i - 1]) * (t[i] - t[i - 1]) / (y[i] - y[i - 1]))
 
 
 def dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
@@ -263,14 +344,23 @@ def dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tupl
     return (0.0 if interval[0] <= 0 else float(delays[best])), interval
 
 
-def _warnings(tail: Vector, crossing: float, Ts: float) -> Iterator[str]:
+def _warnings(
+    tail: Vector, rise: Rise, hidden: tuple[float, float] | None, data: Dataset
+) -> Iterator[str]:
+    if hidden:
+        low, high = (f"{1e3 * x:.3g}" for x in hidden)
+        yield (
+            f"{data.output} is missing from {low} to {high} ms after the step, on the rise: the "
+            f"63 % time is known to ± {1e3 * rise.crossing_std:.2g} ms only; record the step again "
+            "at another angle of the chassis (`armrig collect step --at SECONDS`)"
+        )
     half = tail.size // 2
     change = float(abs(np.mean(tail[half:]) - np.mean(tail[:half]))) if half else 0.0
     noise = float(np.std(np.diff(tail))) / np.sqrt(max(tail.size, 1))  # a slope does not count
     if change > 0.04 + 4 * noise:
         yield "the answer has not settled in the last third of the hold: hold u longer"
-    if crossing < 3 * Ts:
+    if rise.crossing < 3 * data.Ts:
         yield (
-            f"63 % is reached within {crossing / Ts:.1f} samples: the time constant is coarse, "
+            f"63 % is reached within {rise.crossing / data.Ts:.1f} samples, which is coarse: "
             "record with a shorter Ts"
         )

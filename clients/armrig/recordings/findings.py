@@ -11,6 +11,7 @@ from armrig_protocol.messages import Flag
 
 from armrig.numerics.quantities import error, microseconds, percent
 from armrig.numerics.stretches import longest
+from armrig.recordings.hidden_step import hidden_step
 from armrig.recordings.jitter import angle_of_jitter, sampling_statistics
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Finding:
     level: Literal["good", "warning", "unusable"]
     """Whether it stands in the way of identification."""
     about: str
-    """What was checked: run, input, angle, arm, signal, samples, timing or turns."""
+    """What was checked: run, input, angle, step, arm, signal, samples, timing or turns."""
     text: str
     """What was found and, where it is not good, what to do."""
 
@@ -56,12 +57,12 @@ def _unusable(about: str, text: str) -> Finding:
 def check_run(r: Recording) -> Iterator[Finding]:
     """Check how the run ended, and whether the file is whole."""
     if r.cut_off:
-        text = f"the file is cut off: it holds {r.N * r.Ts:g} s of {r.asked_s:g} s"
+        text = f"the file is cut off: it holds {r.N * r.Ts:g} of {r.asked_s:g} s"
         yield _warning("run", text)
     elif r.truncated:
         yield _warning("run", f"the file is not whole: {r.damage}")
     elif r.outcome is None or r.outcome.outcome != "complete":
-        why = r.outcome.outcome if r.outcome else "nobody wrote down why"
+        why = r.outcome.outcome if r.outcome else "the file does not say why"
         yield _warning("run", f"the run ended early: {why}")
 
 
@@ -69,7 +70,7 @@ def check_input(r: Recording) -> Iterator[Finding]:
     """Check whether the input moves at all."""
     u = r.u[np.isfinite(r.u)]
     if not u.size or np.ptp(u) == 0:
-        text = "the input never moves: it shows a gain at most; play one that switches"
+        text = "the input never changes, so no dynamics show; play one that switches"
         yield _unusable("input", text)
     else:
         yield _good("input", f"{u.min():.3g} to {u.max():.3g} V")
@@ -79,18 +80,35 @@ def check_angle(r: Recording) -> Iterator[Finding]:
     """Check how much of theta_1 is hidden, and for how long on end."""
     came = r.samples.size
     if not r.valid.any():
-        text = f"none of {came} samples shows theta_1: broken wire, or it stands in the dead band; "
+        text = (
+            f"no sample of {came} shows theta_1: a wire is broken, or it stands in the dead band; "
+        )
         yield _unusable("angle", text + "look at `armrig watch` while you turn the chassis by hand")
         return
     share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
-    text = f"{percent(100 * share)} of the samples have no theta_1 (dead band, and the one after)"
+    text = f"theta_1 is hidden in {percent(100 * share)} of the samples (dead band, and the one "
+    text += "after)"
     if unseen > LONGEST_UNSEEN_S:
-        text = f"theta_1 is at a rail for {unseen:.1f} s on end: the chassis stands in the dead "
+        text = f"theta_1 is hidden for {unseen:.1f} s at a stretch: the chassis stood in the dead "
         yield _warning("angle", text + "band, or a wire is loose")
     elif share > MOST_HIDDEN:
-        yield _warning("angle", f"{text}: more than a dead band makes; check the potentiometer")
+        yield _warning("angle", f"{text}: too many for a dead band; check the potentiometer")
     else:
         yield _good("angle", text)
+
+
+def check_step(r: Recording) -> Iterator[Finding]:
+    """Check whether the dead band hides the rise of a step."""
+    hidden = hidden_step(r) if r.manifest.experiment.partition("-")[0] == "step" else None
+    if hidden is None:
+        return
+    text = f"theta_1 is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} ms "
+    text += "after the step, on the rise: the 63 % time is poorly known. Repeat with "
+    if np.isfinite(hidden.at_s):
+        text += f"`--at {hidden.at_s:g} --seconds {hidden.seconds:g}`, which steps away from the "
+        yield _warning("step", f"{text}dead band")
+    else:
+        yield _warning("step", f"{text}the chassis turned by hand by a quarter turn")
 
 
 def check_arm(r: Recording) -> Iterator[Finding]:
@@ -100,8 +118,8 @@ def check_arm(r: Recording) -> Iterator[Finding]:
         return
     clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
     if clipped:
-        text = f"alpha is clipped at a rail in {clipped} of {r.samples.size} samples, which count "
-        yield _warning("arm", text + "as missing in alpha; theta_1 is not touched")
+        text = f"alpha was at the end of its track in {clipped} of {r.samples.size} samples, which "
+        yield _warning("arm", text + "count as missing in alpha; theta_1 is not affected")
 
 
 def alpha_moves(r: Recording) -> bool:
@@ -130,9 +148,9 @@ def _check_removed_arm(r: Recording) -> Iterator[Finding]:
 def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
     """Check what theta_1 does against its noise and the step of the converter, in rad."""
     ratio = signal / noise
-    text = f"theta_1 moves by {error(signal, 'rad')} rms within a second, its noise is "
-    text += f"{error(noise, 'rad')}, {noise / step:.2g} steps of the converter: "
-    text += f"{ratio:.2g} to 1"
+    text = f"signal to noise {ratio:.2g} to 1: theta_1 departs from steady turning by "
+    text += f"{error(signal, 'rad')} rms, and its noise is {error(noise, 'rad')} "
+    text += f"({noise / step:.2g} steps of the converter)"
     if ratio < NO_RATIO:
         yield _unusable("signal", f"{text}; nothing but noise: set the levels further apart")
     elif ratio < LEAST_RATIO:
@@ -147,7 +165,7 @@ def check_samples(r: Recording) -> Iterator[Finding]:
     if came < TOO_FEW:
         yield _unusable("samples", f"{came} samples are no data; record {TOO_FEW} or more")
     elif not r.missing:
-        yield _good("samples", f"all {r.N} came")
+        yield _good("samples", f"all {r.N} samples came")
     elif r.missing > MOST_MISSING * r.N:
         text = f"{r.missing} of {r.N} samples are missing: `armrig info` and `armrig doctor` "
         yield _warning("samples", f"{text}say why")
@@ -161,13 +179,12 @@ def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]
     if not np.isfinite(timing.std_us):
         return
     angle = angle_of_jitter(timing, data)
-    text = f"the sampling interval varies by {microseconds(timing.std_us)}, an angle of "
-    text += error(angle, "rad")
+    text = f"the sampling interval varies by {microseconds(timing.std_us)}"
     if angle > noise:
-        text += ", more than the noise: let the device pace it (--pacing scheduled)"
-        yield _warning("timing", text)
+        text += f", which moves theta_1 by {error(angle, 'rad')}, more than its noise: let the "
+        yield _warning("timing", f"{text}device pace the samples (--pacing scheduled)")
     else:
-        yield _good("timing", text)
+        yield _good("timing", f"{text}, too little to matter")
 
 
 def check_turns(r: Recording) -> Iterator[Finding]:
@@ -175,8 +192,9 @@ def check_turns(r: Recording) -> Iterator[Finding]:
     if r.turns_unknown:
         at = ", ".join(f"{r.t[i]:.2f}" for i in r.turns_unknown[:3])
         more = ", …" if len(r.turns_unknown) > 3 else ""
-        text = f"the turns are not known from {at}{more} s on, where samples were missing for too "
-        yield _warning("turns", f"{text}long (or Ts is): each time a new experiment begins")
+        text = f"the number of turns is lost at {at}{more} s, where too many samples in a row are "
+        text += "missing (or Ts is too long): the data are cut there"
+        yield _warning("turns", text)
 
 
 def _is_greybox(r: Recording) -> bool:

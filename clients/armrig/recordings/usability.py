@@ -18,6 +18,7 @@ from armrig.recordings.findings import (
     check_run,
     check_samples,
     check_signal,
+    check_step,
     check_timing,
     check_turns,
     converter_step,
@@ -71,7 +72,7 @@ class DataVerdict:
             return f"the data cannot be used: {self.warnings[0]}"
         if self.warnings:
             return f"the data can be used, with care: {'; '.join(self.warnings)}"
-        return "the data are good: " + "; ".join(f.text for f in self.findings)
+        return f"the data are good: signal to noise {self.signal_rad / self.noise_rad:.2g} to 1"
 
     def facts(self) -> dict[str, Any]:
         """Return all of it, for JSON."""
@@ -118,6 +119,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
         *check_samples(recording),
         *check_input(recording),
         *check_angle(recording),
+        *check_step(recording),
         *check_arm(recording),
         *(check_signal(signal, noise, step) if seen else ()),
         *(check_timing(recording, seen, noise) if seen else ()),

@@ -164,7 +164,7 @@ def _played(
         if rehearsal is not None:
             tell(sentence(rehearsal))
 
-    with timing_note(rig) as note, bar(plan.experiment, note=note) as progress:
+    with timing_note(rig, u.size) as note, bar(plan.experiment, note=note) as progress:
         path = rig.run(
             u,
             pacing=plan.pacing,

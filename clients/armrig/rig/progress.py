@@ -43,8 +43,9 @@ def bar(
 class TimingNote:
     """The timing of a run so far, from the rig's streams, in the words of `armrig info`."""
 
-    def __init__(self, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
-        """Take a function for each stream that returns what has arrived since its last call."""
+    def __init__(self, N: int, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
+        """Take the run's length, and a function for each stream that returns what has arrived."""
+        self._N = N
         self._samples, self._gaps, self._reports = samples, gaps, reports
         self._late: NDArray[np.int64] = np.zeros((0, 2), np.int64)
         self._k_first: int | None = None
@@ -61,8 +62,11 @@ class TimingNote:
         late = [(s.t_sched_ns, s.t_host_ns - s.t_sched_ns) for s in arrived]
         self._late = np.concatenate([self._late, np.array(late, np.int64).reshape(-1, 2)])
         self._late = self._late[self._late[:, 0] > self._late[-1, 0] - _WINDOW_NS]
-        # What was missing before the run is not missing from its recording.
-        self._missing += sum(g.count for g in self._gaps() if g.k_first >= self._k_first)
+        # As the recording counts them: what is missing before and after the run is none of its.
+        end = self._k_first + self._N
+        for gap in self._gaps():
+            first = max(gap.k_first, self._k_first)
+            self._missing += max(0, min(gap.k_first + gap.count, end) - first)
         for report in self._reports():
             queue = report.queue_depth
             self._queue = f", queue {queue.p50:.0f}" if queue.n else ""
@@ -71,11 +75,11 @@ class TimingNote:
 
 
 @contextmanager
-def timing_note(rig: Rig) -> Iterator[TimingNote]:
-    """Give the note of a rig for as long as it is listened to."""
+def timing_note(rig: Rig, N: int) -> Iterator[TimingNote]:
+    """Give the note of a run of N samples for as long as the rig is listened to."""
     with (
         rig.arrivals("sample") as samples,
         rig.arrivals("gap") as gaps,
         rig.arrivals("timing") as reports,
     ):
-        yield TimingNote(samples, gaps, reports)
+        yield TimingNote(N, samples, gaps, reports)

@@ -20,7 +20,7 @@ _NAMES = {
     "resonance": "resonance [rad/s]",
     "antiresonance": "anti-resonance [rad/s]",
     "bandwidth": "bandwidth [rad/s]",
-    "rise_time": "time to 63 % [s]",
+    "rise_time": "63 % time [s]",
     "overshoot": "overshoot [%]",
 }
 _BECAUSE = {

@@ -9,6 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.models.characteristics import SCALARS, model_characteristics
+from armrig.numerics.polynomial import filtered
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
@@ -158,3 +159,21 @@ def _any_fit() -> armrig.Fit:
         fit_percent=0.0,
         whiteness=0.5,
     )
+
+
+@pytest.mark.parametrize("Ts", [0.002, 0.01])
+def test_the_63_percent_time_is_that_of_the_step_analysis_whatever_Ts(Ts: float) -> None:
+    """Of a chassis with a time constant of 20 ms, whose rate is taken, and with a dead time."""
+    pole = np.exp(-Ts / 0.02)
+    # theta_1's answer to a held input: the integral of a first-order rate.
+    B = np.array([0.0, Ts - 0.02 * (1 - pole), 0.02 * (1 - pole) - Ts * pole])
+    F = np.convolve([1.0, -1.0], [1.0, -pole])
+    u = np.repeat([0.0, 1.0], 200)
+    data = armrig.Dataset(u=u, y=filtered(B, F, u), Ts=Ts, output="theta_1", unit="rad")
+    fit = armrig.oe(data, nb=2, nf=2, integrator=True)
+    B_late = np.array([0.0, 0.0, 0.0, 1 - pole])
+    late = replace(_any_fit(), B=B_late, nk=3, F=np.array([1.0, -pole]), Ts=Ts)
+
+    assert model_characteristics(fit).rise_time == pytest.approx(0.02, abs=0.1 * Ts + 2e-4)
+    assert armrig.step_analysis(data).tau == pytest.approx(0.02, abs=0.1 * Ts + 2e-4)
+    assert model_characteristics(late).rise_time == pytest.approx(0.02, abs=0.1 * Ts + 2e-4)

@@ -110,3 +110,29 @@ def test_what_has_no_step_is_refused() -> None:
         step_analysis(deaf, integrator=False)
     short = step_analysis(first_order()[:150], integrator=False)
     assert any("not settled" in w for w in short.warnings)
+
+
+@pytest.mark.parametrize("begins_ms", [6, 14, 18, 40])
+def test_a_gap_on_the_rise_enters_the_deviation_and_is_told(sampled: Any, begins_ms: int) -> None:
+    """The dead band hides 19 ms of the arm's rise, whose 63 % time is 20.6 ms."""
+    arm = sampled(0.002)
+    u = np.where(np.arange(2500) < 500, 0.5, 4.5)
+    data = arm.dataset(u, std=5e-4)
+    t = 2 * (np.arange(2500) - 500)
+    gap = (t > begins_ms) & (t < begins_ms + 19)
+    whole, cut = (
+        step_analysis(Dataset(u=u, y=data.y, Ts=0.002, valid=v, output="theta_1"))
+        for v in (np.ones(2500, bool), ~gap)
+    )
+
+    assert abs(cut.tau - 0.0206) < 3 * cut.tau_std
+    told = [w for w in cut.warnings if "on the rise" in w]
+    if begins_ms < 20:
+        assert cut.hidden == pytest.approx((begins_ms / 1e3, begins_ms / 1e3 + 0.02), abs=0.0021)
+        assert "armrig collect step --at" in told[0]
+    else:
+        assert cut.hidden is None
+        assert not told
+    if begins_ms == 14:
+        assert cut.tau_std > 1.3 * whole.tau_std
+    assert whole.hidden is None

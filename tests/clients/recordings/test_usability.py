@@ -10,6 +10,7 @@ import armrig
 import msgspec
 import numpy as np
 import pytest
+from armrig.recordings.hidden_step import hidden_step
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import DataVerdict, data_verdict
@@ -83,13 +84,36 @@ def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> No
 
     assert found.signal_rad == 0
     assert not found.usable
-    assert "the input never moves" in found.summary
+    assert "the input never changes" in found.summary
 
 
 def test_what_the_handout_asks_for_is_loud_enough(tmp_path: Path) -> None:
     """White noise, a step, and a staircase."""
     for u in (armrig.white_noise(3000), armrig.step(500, at=100), armrig.staircase(3000)):
         assert judged(tmp_path, u).warnings == ()
+
+
+def test_a_step_whose_rise_the_dead_band_hides_is_told_with_when_to_step(tmp_path: Path) -> None:
+    """A run from where that one ended, with the step when it says, shows all of the rise."""
+
+    def stepped(start: float, at: float, seconds: float) -> Recording:
+        u = np.where(np.arange(round(seconds / 0.01)) < round(at / 0.01), 0.5, 4.5)
+        whole = of_the_arm(u, experiment="step", start=start)
+        return load(written(tmp_path, whole))
+
+    told = 0
+    for start in np.arange(0, tau, 0.05):
+        first = stepped(start, 1.0, 2.0)
+        hidden = hidden_step(first)
+        if hidden is None:
+            continue
+        told += 1
+        found = data_verdict(first)
+        assert levels(found)["step"] == "warning"
+        assert f"--at {hidden.at_s:g} --seconds {hidden.seconds:g}" in found.summary
+        rest = first.theta_1[first.valid][-1] + 0.6  # the motor brakes it within a few 0.1 s
+        assert hidden_step(stepped(rest, hidden.at_s, hidden.seconds)) is None
+    assert 3 <= told <= 20
 
 
 def test_missing_samples_are_told_and_many_are_warned_of(tmp_path: Path) -> None:
@@ -109,7 +133,7 @@ def test_turns_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
     """With the time from which on: half a turn takes a quarter of a second."""
     found = judged(tmp_path, armrig.telegraph(1000, 0.05), missing=slice(500, 540))
 
-    assert "the turns are not known from 5.4" in found.summary
+    assert "the number of turns is lost at 5.4" in found.summary
 
 
 def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_path: Path) -> None:
@@ -136,7 +160,7 @@ def test_alpha_at_a_rail_is_told_as_clipped(tmp_path: Path) -> None:
 
     found = data_verdict(by_hand(tmp_path, made))
 
-    assert "alpha is clipped at a rail in 4 of 200 samples" in found.summary
+    assert "alpha was at the end of its track in 4 of 200 samples" in found.summary
     assert found.usable
 
 
@@ -145,12 +169,12 @@ def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
     found = data_verdict(by_hand(tmp_path, swinging(100, flags=int(Flag.ADC0_RAIL))))
 
     assert not found.usable
-    assert "none of 100 samples shows theta_1" in repr(found)
+    assert "no sample of 100 shows theta_1" in repr(found)
     assert np.isnan(found.signal_rad)
     assert b'"usable":false' in msgspec.json.encode(found.facts())
 
 
-@pytest.mark.parametrize(("hidden", "said"), [(150, "1.5 s on end"), (0, "")])
+@pytest.mark.parametrize(("hidden", "said"), [(150, "1.5 s at a stretch"), (0, "")])
 def test_a_chassis_that_stands_in_the_dead_band_is_warned_of(
     hidden: int, said: str, tmp_path: Path
 ) -> None:
@@ -183,7 +207,7 @@ def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
     cut = data_verdict(load(written(tmp_path, data[: len(data) - 400])))
 
     assert "the run ended early: stopped" in early.summary
-    assert "the file is cut off: it holds 3 s of 6 s" in cut.summary
+    assert "the file is cut off: it holds 3 of 6 s" in cut.summary
 
 
 @pytest.mark.parametrize(
