@@ -290,7 +290,7 @@ def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchRe
     from armrig.validation.model_search import FAMILIES, search
 
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
-    with estimating("--max-order"), pool as executor:
+    with estimating("--max-order") as progress, pool as executor:
         return search(
             data,
             other,
@@ -300,6 +300,7 @@ def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchRe
             # Without the option the search itself chooses.
             integrator=True if wanted.integrator else None,
             executor=executor,
+            progress=progress,
         )
 
 

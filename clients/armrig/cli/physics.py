@@ -131,8 +131,8 @@ def split(
     def estimate(part: Dataset) -> Any:
         return greybox(part, rig, tuple(free or ("J_1",)), fixed, signal)
 
-    with spinner("estimating"):
-        study = split_study(data, cuts, estimate)
+    with spinner("estimating") as progress:
+        study = split_study(data, cuts, estimate, progress=progress)
     write_plot(plot, lambda ax: study.plot(ax=ax), height=5.0)
     if json:
         print_json({"recording": data.source} | _split_facts(study))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -39,6 +39,7 @@ def search(
     integrator: bool | None = None,
     horizon: int | None = None,
     executor: Executor | None = None,
+    progress: Callable[[int, int, str], object] | None = None,
 ) -> SearchResult:
     """Estimate many structures, rank them on other data, choose the simplest as good as the best.
 
@@ -73,6 +74,9 @@ def search(
         `focus="simulation"`.
     executor : concurrent.futures.Executor, optional
         Where the candidates are estimated, such as a ``ProcessPoolExecutor``; here by default.
+    progress : callable, optional
+        Called with the number of candidates done, of all, and the name of the next one, "" after
+        the last.
 
     Returns
     -------
@@ -100,8 +104,24 @@ def search(
         _candidates([*families], [*orders], delays, integrator=known, simulated=simulated)
     )
     score = partial(_score, data=data, validation=validation, horizon=horizon)
-    scored = list((map if executor is None else executor.map)(score, candidates))
+    coming = (map if executor is None else executor.map)(score, candidates)
+    scored = _counted(coming, [c.name for c in candidates], progress)
     return _ranked(scored, validation, horizon)
+
+
+def _counted(
+    coming: Iterable[Scored],
+    names: list[str],
+    progress: Callable[[int, int, str], object] | None,
+) -> list[Scored]:
+    """Return all that come, each told before it is waited for."""
+    tell = progress or (lambda done, total, name: None)
+    scored, following = [], iter(coming)
+    for k, name in enumerate(names):
+        tell(k, len(names), name)
+        scored.append(next(following))
+    tell(len(names), len(names), "")
+    return scored
 
 
 def _candidates(

@@ -20,7 +20,7 @@ import pytest
 from armrig.cli import main
 from armrig.cli.figures import write_plot
 from armrig.cli.options import folded
-from armrig.cli.spinner import AFTER_S, estimating, spinner
+from armrig.cli.spinner import AFTER_S, estimating, remaining, spinner
 from armrig.rig.collection import MOST_SAMPLES
 from armrig.rig.realtime_status import scheduling_sentences
 from armrig_core import commands, telemetry
@@ -989,6 +989,35 @@ def test_a_long_estimation_shows_that_it_lives() -> None:
 
     assert quick == ""
     assert "estimating …" in out.getvalue()
+
+
+def test_a_wait_that_is_counted_tells_what_it_does_and_what_remains() -> None:
+    """A bar from the first count on, gone at the end; nothing where there is no terminal."""
+    out, nowhere = StringIO(), StringIO()
+
+    for console in (Console(file=out, force_terminal=True, width=100), Console(file=nowhere)):
+        with spinner("estimating", console, after_s=0.0) as count:
+            time.sleep(0.05)
+            count(10, 40, "OE[2 2 1]")
+            time.sleep(0.3)
+
+    assert "estimating OE[2 2 1] …" in out.getvalue()
+    assert "30 of 40 remain, about " in out.getvalue()
+    assert not nowhere.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("done", "elapsed_s", "told"),
+    [
+        (0, 0.0, "40 of 40 remain"),
+        (10, 6.0, "30 of 40 remain, about 18 s"),
+        (1, 10.0, "39 of 40 remain, about 6 min"),
+        (40, 9.0, "0 of 40 remain"),
+    ],
+)
+def test_the_time_left_is_that_of_what_was_done(done: int, elapsed_s: float, told: str) -> None:
+    """None before the first is done, nor after the last."""
+    assert remaining(done, 40, elapsed_s) == told
 
 
 def test_a_figure_that_takes_long_shows_that_it_is_drawn(

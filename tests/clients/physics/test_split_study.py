@@ -85,3 +85,19 @@ def test_the_words_tell_the_trend_and_its_reason(make: Make) -> None:
     assert "half the data, half the information, twice the variance" in text
     assert "Pooled" in text
     assert "4 parts agree" in text
+
+
+def test_progress_is_told_before_each_part_and_at_the_end() -> None:
+    """How many estimates are done, of all, and which is next."""
+    told: list[tuple[int, int, str]] = []
+    rng = np.random.default_rng(1)
+    data = Dataset(u=rng.standard_normal(200), y=rng.standard_normal(200), Ts=1.0)
+
+    armrig.split_study(
+        data,
+        (1, 2),
+        lambda part: armrig.arx(part, na=1, nb=1),
+        progress=lambda *count: told.append(count),
+    )
+
+    assert told == [(0, 3, "part 1 of 1"), (1, 3, "part 1 of 2"), (2, 3, "part 2 of 2"), (3, 3, "")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
@@ -193,3 +194,23 @@ def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
     assert y.min() == min(
         r for r, s in zip(found.rms, found.ranked, strict=True) if s.candidate.family == "oe"
     )
+
+
+@pytest.mark.parametrize("processes", [0, 2])
+def test_progress_is_told_before_each_candidate_and_at_the_end(processes: int) -> None:
+    """How many are done, of all, and which is next, wherever they are estimated."""
+    told: list[tuple[int, int, str]] = []
+    pool = ProcessPoolExecutor(2, get_context("spawn")) if processes else nullcontext()
+
+    with pool as executor:
+        search(
+            _data(1, [1.0], [1.0], N=400),
+            families=("arx", "oe"),
+            orders=(1, 2),
+            nk=1,
+            executor=executor,
+            progress=lambda *count: told.append(count),
+        )
+
+    names = ["ARX[1 1 1]", "ARX[2 2 1]", "OE[1 1 1]", "OE[2 2 1]", ""]
+    assert told == [(k, 4, name) for k, name in enumerate(names)]

@@ -155,6 +155,7 @@ def split_study(
     estimator: Callable[[Dataset], Any] | None = None,
     *,
     parameter: str | None = None,
+    progress: Callable[[int, int, str], object] | None = None,
 ) -> SplitStudy:
     """Estimate from the data cut into 1, 2, 4 … parts, and study the standard deviations.
 
@@ -169,6 +170,9 @@ def split_study(
         black-box models, whose standard deviations are then those of its noise.
     parameter : str, optional
         Name of the parameter to study; the first by default.
+    progress : callable, optional
+        Called with the number of estimates done, of all, and the name of the next one, "" after
+        the last.
 
     Raises
     ------
@@ -182,13 +186,15 @@ def split_study(
     for k in parts:
         require_integers(parts=(k, 1))
     estimator = greybox if estimator is None else estimator
-    splits = []
+    tell = progress or (lambda done, total, name: None)
+    splits, done, total = [], 0, sum(parts)
     for k in parts:
-        pieces = data.split(k)
-        fits = [
-            _estimated(estimator, piece, parameter, f"part {i} of {k}")
-            for i, piece in enumerate(pieces, 1)
-        ]
+        pieces, fits = data.split(k), []
+        for i, piece in enumerate(pieces, 1):
+            part = f"part {i} of {k}"
+            tell(done, total, part)
+            fits.append(_estimated(estimator, piece, parameter, part))
+            done += 1
         names, values, stds = zip(*fits, strict=True)
         splits.append(
             Split(
@@ -199,6 +205,7 @@ def split_study(
             )
         )
         parameter = names[0]
+    tell(done, total, "")
     return SplitStudy(parameter=str(parameter), splits=tuple(splits), source=data.source)
 
 
