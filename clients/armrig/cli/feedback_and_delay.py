@@ -14,6 +14,7 @@ from armrig.cli.options import (
     CalibrationFile,
     DataTs,
     Detrend,
+    Hampel,
     Input,
     Json,
     NoOutput,
@@ -39,6 +40,7 @@ def check(
     time: TimeColumn = None,
     Ts: DataTs = None,
     detrend: Detrend = False,
+    hampel: Hampel = False,
     output: NoOutput = None,
     level: Annotated[float, typer.Option("--level", help="Of the test for feedback.")] = 0.05,
     calibration: CalibrationFile = None,
@@ -56,6 +58,7 @@ def check(
         time=time,
         Ts=Ts,
         detrend=detrend,
+        hampel=hampel,
         calibration=calibration,
     )
     data = signals.of(file)

@@ -34,6 +34,7 @@ from armrig.cli.options import (
     CalibrationFile,
     DataTs,
     Detrend,
+    Hampel,
     Input,
     Json,
     NoOutput,
@@ -114,6 +115,7 @@ def identify(
     time: TimeColumn = None,
     Ts: DataTs = None,
     detrend: Detrend = False,
+    hampel: Hampel = False,
     output: NoOutput = None,
     calibration: CalibrationFile = None,
     save: Save = None,
@@ -145,6 +147,7 @@ def identify(
         time=time,
         Ts=Ts,
         detrend=detrend,
+        hampel=hampel,
         calibration=calibration,
     )
     data = signals.of(file)

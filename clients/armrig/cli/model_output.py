@@ -66,6 +66,7 @@ _OURS = {
     "stable=True": "--stable",
     "integrator=True": "--integrator",
     "armrig.detrend(data)": "--detrend",
+    "estimate from armrig.hampel(data), which marks": "--hampel marks",
 }
 
 

@@ -62,6 +62,9 @@ DataTs = Annotated[
 Detrend = Annotated[
     bool, typer.Option("--detrend", help="Take the means off first, off each file its own.")
 ]
+Hampel = Annotated[
+    bool, typer.Option("--hampel", help="Mark single wrong samples of the output missing first.")
+]
 
 
 def _refuse_output(given: str | None) -> None:

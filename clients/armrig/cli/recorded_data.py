@@ -53,16 +53,21 @@ class Signals:
     """Sampling time, in s."""
     detrend: bool = False
     """Take the means off each file."""
+    hampel: bool = False
+    """Mark single wrong samples of the output missing, before the means are taken off."""
     calibration: Path | None = None
     """To read recordings with."""
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
         """Return the data of a file, and tell what it lacks; of a model's output by default."""
-        from armrig.data.treatment import detrend
+        from armrig.data.treatment import detrend, hampel
 
         data = self._other(file, model) if self._is_other(file) else self._recorded(file, model)
         if _without_means(model) and not self.detrend:
             tell("the model is of data without their means: validate it with --detrend")
+        if self.hampel:
+            data = hampel(data)
+            tell(f"{file}: {data.history[-1]}")
         return detrend(data) if self.detrend else data
 
     def _other(self, file: Path, model: Model | None) -> Dataset:

@@ -18,6 +18,7 @@ from armrig.cli.options import (
     CalibrationFile,
     DataTs,
     Detrend,
+    Hampel,
     Input,
     Json,
     NoOutput,
@@ -62,6 +63,7 @@ def validate(
     time: TimeColumn = None,
     Ts: DataTs = None,
     detrend: Detrend = False,
+    hampel: Hampel = False,
     output: NoOutput = None,
     horizon: Horizons = None,
     lags: Lags = None,
@@ -83,6 +85,7 @@ def validate(
         time=time,
         Ts=Ts,
         detrend=detrend,
+        hampel=hampel,
         calibration=calibration,
     )
     data = signals.of(file, fit)

@@ -463,3 +463,35 @@ def test_an_option_of_one_estimate_is_refused_where_it_does_nothing(
 
     assert (code, out) == (2, "")
     assert said in err
+
+
+def test_wrong_samples_are_marked_where_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The warning names the option, and the option mends it."""
+    data = made()
+    y = data.y.copy()
+    y[[90, 200, 310]] += 1e4
+    write(tmp_path / "data.csv", armrig.Dataset(u=data.u, y=y, Ts=TS))
+    command = "identify data.csv --structure arx --na 2 --nb 2"
+
+    _, spoilt, _ = run(command, tmp_path, capsys)
+    code, mended, said = run(f"{command} --hampel", tmp_path, capsys)
+
+    assert "--hampel marks them missing" in spoilt
+    assert "armrig.hampel" not in spoilt
+    assert code == 0
+    assert "look wrong" not in mended
+    assert "marked 3 of 400 samples of y missing as outliers (samples 90, 200, 310)" in said
+
+
+def test_a_check_of_own_data_speaks_of_their_output(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """There need be no arm in them, nor a rig."""
+    code, out, _ = run("check data.csv", folder, capsys)
+
+    assert code == 0
+    assert "before y has moved it is small" in out
+    assert "arm" not in out
+    assert "rig" not in out

@@ -27,6 +27,11 @@ class ArrayTable:
     Ts: float | None
     """Sampling time in s, of a number named Ts."""
 
+    @property
+    def notes(self) -> Sequence[str]:
+        """Return nothing: all that there is holds values, or is refused."""
+        return ()
+
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, from 0; NaN where one is missing."""
         with np.errstate(invalid="ignore"):  # NaN of another kind than ours is NaN, too

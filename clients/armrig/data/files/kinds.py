@@ -11,6 +11,7 @@ from armrig.data.files.table import DataFileError, Table
 
 _READ = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
 _AGAIN = "save it there with save('data.mat', 'u', 'y', '-v7')"
+_UTF_16 = "is saved as UTF-16, as Excel's \"Unicode text\" is; save it as \"CSV UTF-8\""
 _OTHERS = (
     (b"\x89MCAP0\r\n", "is a recording and no table; armrig.load(path).dataset() reads it"),
     (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_AGAIN}"),
@@ -20,8 +21,9 @@ _OTHERS = (
     (b"\x93NUMPY", "is an .npy, an array without a name; save it with numpy.savez(…, u=u, y=y)"),
     (b"PAR1", "is Parquet, which armrig does not read; save it as CSV"),
     (b"\x1f\x8b", "is packed with gzip; unpack it first (gunzip)"),
+    (codecs.BOM_UTF16_LE, _UTF_16),
+    (codecs.BOM_UTF16_BE, _UTF_16),
 )
-_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def table_of(data: bytes, suffix: str) -> Table:
@@ -39,7 +41,7 @@ def table_of(data: bytes, suffix: str) -> Table:
         return npz.read(data)
     if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):
         return matlab.read(data)
-    if b"\0" in data and not data.startswith(_UTF_16):
+    if b"\0" in data:
         msg = f"is no text, and no other kind of file that is known; {_READ}"
         raise DataFileError(msg)
     try:

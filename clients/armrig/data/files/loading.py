@@ -114,7 +114,7 @@ def _dataset(
         unit=of_y.unit,
         input_unit=of_u.unit,
         source=source,
-        history=[step] if left_out else [],
+        history=[*table.notes, step] if left_out else table.notes,
     )
 
 

@@ -47,6 +47,10 @@ class Table(Protocol):
     def Ts(self) -> float | None:
         """Sampling time in s, where the file says it beside the columns."""
 
+    @property
+    def notes(self) -> Sequence[str]:
+        """What was made of what holds no values."""
+
     def numbers(self, i: int) -> Vector:
         """Return the values of column i, from 0; NaN where one is missing.
 

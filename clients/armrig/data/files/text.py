@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from armrig.data.files.table import Column, DataFileError, Vector, shown, titled
 _REMARKS = ("#", "%")
 _MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
 _SEPARATORS = (";", "\t", ",")
+_LONGEST_UNIT = 16  # characters
 _PROBED = 20  # lines that show which separator it is
 
 
@@ -28,6 +29,8 @@ class TextTable:
     """The number from 1 of each row's line."""
     separator: str
     """Between the cells; "" are blanks."""
+    notes: tuple[str, ...] = ()
+    """What was made of lines that hold no values."""
 
     @property
     def refused(self) -> Mapping[str, str]:
@@ -72,7 +75,8 @@ def table_of(text: str) -> TextTable:
 
     The separator is the semicolon, where one is in the first lines, else tab, else comma, else
     blanks. Lines that are empty, or begin with # or %, are remarks. The first other line is one
-    of names where none of its cells is a number. With a semicolon the decimals may have a comma.
+    of names where none of its cells is a number, and the one below it then one of units where it
+    has none either. With a semicolon the decimals may have a comma.
 
     Raises
     ------
@@ -90,6 +94,10 @@ def table_of(text: str) -> TextTable:
     if probed and _are_names(first := _cells(probed[0], separator)):
         header = [cell.strip() for cell in first]
         del numbered[0]
+    units, notes = [""] * len(header), []
+    if header and numbered and _are_units(second := _cells(numbered[0][1], separator), header):
+        units = [cell.strip().strip("[]()") for cell in second]
+        notes = [f"read line {numbered.pop(0)[0]} as units"]
     if not numbered:
         names = f" below its names, {shown(', '.join(header))}" if header else ""
         msg = f"there is no row of numbers{names}; a row for each sample is needed"
@@ -104,8 +112,11 @@ def table_of(text: str) -> TextTable:
         cells = len(_cells(row, separator))
         if cells != width:
             raise DataFileError(_ragged(lines[k], cells, width, separator, names=bool(header)))
-    columns = [titled(name) for name in header] or [Column(name="")] * width
-    return TextTable(columns=tuple(columns), rows=rows, lines=lines, separator=separator)
+    columns = [_column(*named) for named in zip(header, units, strict=False)]
+    columns = columns or [Column(name="")] * width
+    return TextTable(
+        columns=tuple(columns), rows=rows, lines=lines, separator=separator, notes=tuple(notes)
+    )
 
 
 def number(cell: str, separator: str) -> float | None:
@@ -136,6 +147,18 @@ def _cells(line: str, separator: str) -> list[str]:
 def _are_names(cells: Sequence[str]) -> bool:
     """Return whether none of the cells is a number; a row of values may hold a word or two."""
     return all(number(cell, ";") is None for cell in cells if cell.strip())
+
+
+def _are_units(cells: Sequence[str], header: Sequence[str]) -> bool:
+    """Return whether the cells may be units: words, as many as there are names, none long."""
+    fits = len(cells) == len(header) and all(len(cell.strip()) <= _LONGEST_UNIT for cell in cells)
+    return fits and any(cell.strip() for cell in cells) and _are_names(cells)
+
+
+def _column(heading: str, unit: str) -> Column:
+    """Return a column, of the unit below its name where that has none."""
+    column = titled(heading)
+    return column if column.unit else replace(column, unit=unit)
 
 
 def _each_ends(rows: Sequence[str], separator: str, *, width: int) -> bool:

@@ -85,8 +85,8 @@ class Delay:
         """Say what decides, what stands beside it, and what quantisation has to do with it."""
         g, std = self.response.decaying
         lines = [
-            "Asked: at which lag does u act first? A rig without delay acts at lag 1 under a "
-            "zero-order hold: what is applied from one instant on shows at the next. Each test "
+            "Asked: at which lag does u act first? Without a delay that is lag 1, under a zero-order "
+            "hold: what is applied from one instant on shows at the next. Each test "
             f"has a level of {100 * self.level:g} %.",
             *(f"  {line}" for line in self._tests()),
             f"So {self._answer()}.",
@@ -97,8 +97,8 @@ class Delay:
             + ", ".join(
                 f"{k} {g[k] / std[k]:+.1f}σ" for k in range(min(self.nk + 3, g.size)) if std[k] > 0
             )
-            + ". A coefficient within its band is not shown to be zero: before the arm has moved "
-            "it is small, not absent.",
+            + ". A coefficient within its band is not shown to be zero: before "
+            f"{self.output} has moved it is small, not absent.",
         ]
         if self.t_q is not None:
             lines.append(

@@ -185,7 +185,11 @@ def test_what_is_no_table_is_told_with_its_line_and_the_way_out(
     ("data", "said"),
     [
         (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8"),
-        ("u,y\n1,2\n".encode("utf-16"), "it is saved as UTF-16: save it as UTF-8"),
+        (
+            "u,y\n1,2\n".encode("utf-16"),
+            'is saved as UTF-16, as Excel\'s "Unicode text" is; save it as "CSV UTF-8"',
+        ),
+        (b"u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is no number"),
         (b"\x89HDF\r\n\x1a\n", "is HDF5"),
         (b"PAR1", "is Parquet"),
         (b"\x1f\x8b\x08", "is packed with gzip; unpack it first"),
@@ -319,3 +323,25 @@ def test_an_input_without_a_unit_says_so_on_its_axis(tmp_path: Path) -> None:
     data.plot(ax=shown)
 
     assert [ax.get_ylabel() for ax in shown.figure.axes] == ["y [–]", "$u$ [–]"]
+
+
+@pytest.mark.parametrize("units", ["s;V;°C", "[s];[V];[°C]", "(s);(V);(°C)", ";V;°C"])
+def test_a_line_of_units_below_the_names_is_read_as_such(units: str, tmp_path: Path) -> None:
+    """As data loggers write them; the data say so, and rows keep their numbers of lines."""
+    path = written(tmp_path, f"t;u;y\n{units}\n0;1;2\n0.5;3;4\n1.0;5;x\n")
+    good = written(tmp_path, path.read_text().replace("x", "6"), "good.csv")
+
+    data = load_data(good)
+
+    assert (data.input_unit, data.unit, data.Ts) == ("V", "°C", 0.5)
+    assert data.y.tolist() == [2.0, 4.0, 6.0]
+    assert data.history == ("read line 2 as units",)
+    with pytest.raises(DataFileError, match="line 5, column y: 'x' is no number"):
+        load_data(path)
+
+
+def test_a_unit_beside_the_name_holds_against_one_below(tmp_path: Path) -> None:
+    """Only a name without one takes it from there."""
+    data = load_data(written(tmp_path, "t;u [mV];y\ns;V;K\n0;1;2\n1;3;4\n"))
+
+    assert (data.input_unit, data.unit) == ("mV", "K")
