@@ -35,10 +35,11 @@ mutants: .venv/dev
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py
 
-# SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story.
+# SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story. With
+# STALLS=tolerated or suffered the emulator is stalled besides, and its clock stops or does not.
 SEEDS ?= 1000
 simulate: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS))
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS))
 
 # 10^8 bytes of frames, 10^6 commands, 10^5 files, 1 MiB cut at every byte: half an hour.
 fuzz: .venv/dev

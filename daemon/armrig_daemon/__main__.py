@@ -8,13 +8,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, NoReturn
 
 import msgspec
 import typer
 from armrig_core.endpoint import distrust, endpoint, socket_directory
+from armrig_core.held_up import held_up
 from armrig_core.printable import printable
 from armrig_core.recording_directory import installed
 from armrig_core.volts import U_MAX_V
@@ -22,9 +24,12 @@ from armrig_protocol.messages import WATCHDOG_MAX_MS
 
 from armrig_daemon.config import Config, Device
 
-_START_S = 5.0
+_START_S = 15.0  # on a busy machine a program takes seconds to load
 # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
-_FOR_EMULATED: dict[str, dict[str, Any]] = {"device": {"watchdog_ms": WATCHDOG_MAX_MS}}
+_FOR_EMULATED: dict[str, dict[str, Any]] = {
+    "device": {"watchdog_ms": WATCHDOG_MAX_MS},
+    "emulator": {"tolerates_stalls": True},
+}
 
 app = typer.Typer(
     help="Drive a control laboratory's rig at a fixed sampling time.",
@@ -64,8 +69,8 @@ def run(
     os.umask(0o027)  # the group may read a recording, and nobody but us change it
     if not emulate:
         raise typer.Exit(Service(loaded, where, directory).run())
-    with _emulated(loaded) as device:
-        raise typer.Exit(Service(device, where, directory).run())
+    with _emulated(loaded) as (device, stalls_fd):
+        raise typer.Exit(Service(device, where, directory, stalls_fd).run())
 
 
 @app.command()
@@ -78,6 +83,7 @@ def emulate(
     seed: Annotated[int | None, typer.Option(help="Seed of all noise and of the boot ids.")] = None,
     baud: Annotated[int | None, typer.Option(help="Speed of the emulated wire.")] = None,
     settings: Annotated[str | None, typer.Option(hidden=True)] = None,
+    stalls_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Emulate a rig behind a pseudo-terminal until SIGTERM or Ctrl-C."""
     from armrig_daemon.emulator.line import PortError
@@ -96,7 +102,8 @@ def emulate(
         given = {key: value for key, value in given.items() if value is not None}
         chosen = msgspec.structs.replace(chosen, **given)
         started = "" if settings is not None else _started(port, chosen.baud)
-        code = run_emulator(port, chosen, trace=trace, started=started)
+        tell = _say_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
+        code = run_emulator(port, chosen, trace=trace, started=started, held_up=tell)
     except (ValueError, PortError) as err:
         _refuse(str(err))
     raise typer.Exit(code)
@@ -157,6 +164,18 @@ def _started(port: Path, baud: int) -> str:
     )
 
 
+def _say_stall(ns: int) -> None:
+    """Tell a person how long the emulator was held up."""
+    with suppress(OSError):  # nobody reads it any more
+        print(f"armrigd: {held_up(ns)}", file=sys.stderr, flush=True)
+
+
+def _write_stall(fd: int, ns: int) -> None:
+    """Tell the daemon, which may be stalled itself: it is not waited for."""
+    with suppress(OSError):
+        os.write(fd, b"%d\n" % ns)
+
+
 def _socket_directory() -> Path:
     """Return the directory of the sockets, made for this user and group alone."""
     path = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
@@ -172,13 +191,21 @@ def _socket_directory() -> Path:
 
 
 @contextmanager
-def _emulated(config: Config) -> Iterator[Config]:
-    """Start an emulator with these settings; give the configuration that drives it."""
+def _emulated(config: Config) -> Iterator[tuple[Config, int]]:
+    """Start an emulator with these settings; give the configuration that drives it.
+
+    And a descriptor of lines: for how many ns its device's clock stood still.
+    """
     link = _socket_directory() / f"{config.rig.id}-{os.getpid()}.tty"
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
     program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", str(link)]
     program += ["--settings", msgspec.json.encode(settings).decode()]
-    child = subprocess.Popen(program)
+    stalls_out, stalls_in = os.pipe()
+    os.set_blocking(stalls_in, False)
+    try:
+        child = subprocess.Popen([*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,))
+    finally:
+        os.close(stalls_in)
     try:
         until = time.monotonic() + _START_S
         while not link.exists():
@@ -186,10 +213,11 @@ def _emulated(config: Config) -> Iterator[Config]:
                 _refuse(f"the emulator did not start behind {link}")
             time.sleep(0.01)
         device = msgspec.structs.replace(config.device, port=str(link))
-        yield msgspec.structs.replace(config, device=device)
+        yield msgspec.structs.replace(config, device=device), stalls_out
     finally:
         child.terminate()
         child.wait()
+        os.close(stalls_out)
 
 
 def _refuse(message: str) -> NoReturn:

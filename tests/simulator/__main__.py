@@ -7,9 +7,10 @@ import sys
 from pathlib import Path
 
 from simulator import campaign, story
-from simulator.options import draw
+from simulator.options import Options, draw
 
 _MOST_STORIES = 10
+_STALLS = {"tolerated": True, "suffered": False}
 
 
 def main() -> int:
@@ -18,17 +19,24 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1000, help="how many schedules")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--seed", type=int, help="run this one again, and write its story")
+    parser.add_argument(
+        *("--stalls",), choices=list(_STALLS), help="stall the emulator's process besides"
+    )
     parser.add_argument("--workers", type=int, help="processes; one for each core unless given")
     parser.add_argument("--stories", type=Path, default=Path("simulator-stories"))
     asked = parser.parse_args()
     if asked.seed is not None:
-        return _again(asked.seed, asked.stories)
+        return _again(draw(asked.seed, stalls=_STALLS.get(asked.stalls)), asked.stories)
     seeds = range(asked.first, asked.first + asked.seeds)
-    done = campaign.run(seeds, workers=asked.workers)
+    stalls = _STALLS.get(asked.stalls)
+    done = campaign.run(seeds, stalls=stalls, workers=asked.workers)
     print("\n".join(done.lines()))
     for seed, invariant, t_ns, text in done.violations[:_MOST_STORIES]:
-        print(f"{invariant} at {t_ns / 1e6:.3f} ms: {text}\n  make simulate SEED={seed}")
-        print(f"  its story: {_write(seed, asked.stories)}")
+        again = f"make simulate SEED={seed}" + (f" STALLS={asked.stalls}" if asked.stalls else "")
+        print(f"{invariant} at {t_ns / 1e6:.3f} ms: {text}\n  {again}")
+        path = _path(seed, asked.stories)
+        story.write(draw(seed, stalls=stalls), path)
+        print(f"  its story: {path}")
     if len(done.violations) > _MOST_STORIES:
         print(f"and the seeds {', '.join(str(v[0]) for v in done.violations[_MOST_STORIES:])}")
     empty = done.emptiness()
@@ -40,22 +48,17 @@ def main() -> int:
     return 1 if done.violations or empty or late else 0
 
 
-def _again(seed: int, folder: Path) -> int:
-    options = draw(seed)
+def _again(options: Options, folder: Path) -> int:
     print("\n".join(options.lines()))
-    outcome = story.write(options, _path(seed, folder))
-    print(f"bytes on the line: {outcome.digest}\nits story: {_path(seed, folder)}")
+    path = _path(options.seed, folder)
+    outcome = story.write(options, path)
+    print(f"bytes on the line: {outcome.digest}\nits story: {path}")
     if outcome.violation is None:
         print("no violation")
         return 0
     invariant, t_ns, text = outcome.violation
     print(f"{invariant} at {t_ns / 1e6:.3f} ms: {text}")
     return 1
-
-
-def _write(seed: int, folder: Path) -> Path:
-    story.write(draw(seed), _path(seed, folder))
-    return _path(seed, folder)
 
 
 def _path(seed: int, folder: Path) -> Path:

@@ -130,7 +130,7 @@ class Campaign:
         rest = {k: n for k, n in self.seen.items() if not k.startswith(("trip: ", "to 0 V"))}
         shown += [f"  {n:8}  {kind}" for kind, n in sorted(rest.items(), key=_most)]
         shown.append("faults:")
-        shown += [f"  {self.faults[kind]:8}  {kind}" for kind in KINDS]
+        shown += [f"  {self.faults[kind]:8}  {kind}" for kind in (*KINDS, "stall")]
         shown.append(f"violations: {len(self.violations)}")
         return shown
 
@@ -147,6 +147,7 @@ def run(
     seeds: Iterable[int],
     *,
     only: Sequence[str] = KINDS,
+    stalls: bool | None = None,
     workers: int | None = None,
     enough: Callable[[Campaign], bool] = lambda _: False,
 ) -> Campaign:
@@ -156,6 +157,8 @@ def run(
     ----------
     only : sequence of str
         Faults that are drawn from.
+    stalls : bool, optional
+        The emulator is stalled besides, and tolerates it or does not.
     workers : int, optional
         Processes; one for each core unless given; 0 runs all in this one.
     enough : callable
@@ -163,7 +166,7 @@ def run(
     """
     campaign = Campaign()
     began = perf_counter()
-    one = partial(_one, only)
+    one = partial(_one, only, stalls)
     if workers == 0:
         results = map(one, seeds)
         _gather(campaign, results, enough)
@@ -187,9 +190,9 @@ def _gather(
             return
 
 
-def _one(only: Sequence[str], seed: int) -> tuple[Outcome, float]:
+def _one(only: Sequence[str], stalls: bool | None, seed: int) -> tuple[Outcome, float]:
     began = process_time()
     gc.disable()  # values without cycles: the collector would only look
-    outcome = simulate(draw(seed, only=only))
+    outcome = simulate(draw(seed, only=only, stalls=stalls))
     gc.enable()
     return outcome, process_time() - began

@@ -3,6 +3,9 @@
 Judged is what the emulated motor gets, at each latch, each frame and each change of the device.
 The reference is kept here, apart from core and firmware: which frames the host sent and when,
 which of them the device may take in, and which commands the holder of the lease gave.
+
+Times are those that the device is given, which is the host's time but for stalls of an emulator
+that tolerates them; only the age of the round trip (S4) is by the host's clock.
 """
 
 from __future__ import annotations
@@ -230,8 +233,8 @@ class Checks:
                 age_ms = (now_ns - self.fresh_ns) / MS
                 raise Violation("S4", now_ns, f"the round trip is {age_ms:.1f} ms old, and no STOP")
 
-    def sent(self, now_ns: int, data: bytes) -> None:
-        """Note a frame of the host."""
+    def sent(self, now_ns: int, data: bytes, host_ns: int) -> None:
+        """Note a frame of the host, sent at `host_ns` of its own clock."""
         text = data[1:] if data[0] == 0 else data
         kind = text[1] if text[0] > 1 else 0
         if kind == STOP:
@@ -247,6 +250,7 @@ class Checks:
             self.step_ns - self.fresh_ns > self._age_ns,
             not self.latched,
             text,
+            host_ns,
         )
         self._own[self._seq] = self._frames[text]
         if self._seq == self._old_echo:
@@ -262,7 +266,7 @@ class Checks:
         if not scheduled and not ask_the_same(old, own):
             return
         self.seen[f"{PLAYED}echo not to be told from the host's own"] += 1
-        self.newest_ns = max(self.newest_ns, own.t_ns)
+        self.newest_ns = max(self.newest_ns, own.host_ns)
 
     def came_back(self, heard_ns: int) -> None:
         """Note an answer that came whole, made when the device had heard what was sent then."""
@@ -339,7 +343,7 @@ class Checks:
         if ours:
             self._heard_ns = t_ns
             if frame.type == STOP:  # it is carried out however old its seq looks
-                self.newest_ns = max(self.newest_ns, frame.t_ns)
+                self.newest_ns = max(self.newest_ns, frame.host_ns)
         fresh = self._newest < 0 or 1 <= (frame.seq - self._newest) & 0xFFFF < 0x8000
         if fresh or (frame.type == HELLO and not bound):
             self._newest = frame.seq
@@ -352,7 +356,7 @@ class Checks:
                 self._k = -1  # the next may be any
             self._old_echo = -1
             if ours:
-                self.newest_ns = max(self.newest_ns, frame.t_ns)
+                self.newest_ns = max(self.newest_ns, frame.host_ns)
             else:
                 self._old_ns, self._old_echo = t_ns, frame.seq
                 if frame.seq in self._own:

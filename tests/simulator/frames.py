@@ -26,6 +26,8 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     reset: bool
     """A person had asked for a reset since the last trip."""
     data: bytes
+    host_ns: int
+    """When it was sent, by the host's clock; `t_ns` and `command_ns` are given times."""
 
 
 def ask_the_same(a: Frame, b: Frame) -> bool:

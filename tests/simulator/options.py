@@ -102,24 +102,31 @@ class Options:
     real_outbox: bool
     """The pipe to the service is the real one; else only its reader's part of it."""
     episodes: tuple[Episode, ...]
+    stalls: tuple[Episode, ...] = ()
+    """Of the process that emulates the device; from a size of 0.5 on of the whole machine."""
+    tolerates_stalls: bool = False
+    """The device's clock stops meanwhile."""
 
     def lines(self) -> list[str]:
         """Return all of it, one option a line."""
-        plain = [f for f in fields(self) if f.name != "episodes"]
+        plain = [f for f in fields(self) if f.name not in ("episodes", "stalls")]
         shown = [f"{f.name} = {getattr(self, f.name)!r}" for f in plain]
-        for e in self.episodes:
+        for e in (*self.episodes, *self.stalls):
             times = f"{e.t_ns / MS:8.1f} ms for {e.for_ns / MS:6.1f} ms"
             shown.append(f"fault {e.kind:22} from {times}, size {e.size:.3f}")
         return shown
 
 
-def draw(seed: int, *, only: Sequence[str] = KINDS) -> Options:
+def draw(seed: int, *, only: Sequence[str] = KINDS, stalls: bool | None = None) -> Options:
     """Return the schedule of a seed.
 
     Parameters
     ----------
     only : sequence of str
         Faults that are drawn from.
+    stalls : bool, optional
+        The emulator is stalled besides, by 20 to 500 ms, and tolerates it or does not; no other
+        option hangs on it. Left out, it is not.
     """
     rng = Random(seed)
     ts_us = rng.choice([5_000] * 7 + [2_000, 10_000, 20_000])
@@ -154,7 +161,19 @@ def draw(seed: int, *, only: Sequence[str] = KINDS) -> Options:
         goes_on=rng.random() < 0.4,
         real_outbox=any(e.kind == "full_pipe" for e in kept),
         episodes=tuple(kept),
+        stalls=() if stalls is None else _stalls(Random(seed ^ 0x57A11)),
+        tolerates_stalls=bool(stalls),
     )
+
+
+def _stalls(rng: Random) -> tuple[Episode, ...]:
+    """Return 4 to 12 stalls, which may meet the other faults."""
+    drawn = []
+    for _ in range(rng.randint(4, 12)):
+        t_ns = round(rng.uniform(_FIRST_NS, CLEAR_NS - 700 * MS))
+        for_ns = round(20 * MS * 25 ** rng.random())
+        drawn.append(Episode("stall", t_ns, for_ns, rng.random()))
+    return tuple(sorted(drawn, key=lambda e: e.t_ns))
 
 
 def _episode(rng: Random, only: Sequence[str]) -> Episode:

@@ -137,6 +137,11 @@ class Rig:
         self.loop: WatchedLoop | None = None
         self._start(None)
 
+    @property
+    def given_ns(self) -> int:
+        """The device's share of the time that has passed."""
+        return self.device.given_ns(self.now)
+
     # -- the ports of the loop -------------------------------------------------------------------
 
     def now_ns(self) -> int:
@@ -190,7 +195,7 @@ class Rig:
         if self._write_pauses and self._write_pauses[0][0] <= self.now:
             self._pause(self._write_pauses.pop(0), "pause_in_write")
         now = self.now
-        self.checks.sent(now, data)
+        self.checks.sent(self.given_ns, data, now)
         self._log += _MARK.pack(now, b">") + data
         if self.story:
             self.story(now, "host sends", data)
@@ -297,7 +302,9 @@ class Rig:
 
     def delivered(self, now_ns: int, order: Order) -> None:
         """Tell the checks of an order that the core is about to take."""
-        self.checks.ordered(now_ns, self._orders.pop(id(order), now_ns), order)
+        given = self.device.given_ns
+        at_ns = self._orders.pop(id(order), now_ns)
+        self.checks.ordered(given(now_ns), given(at_ns), order)
 
     def order(self, order: Order) -> None:
         """Put an order into the pipe, as soon as the service does it."""
@@ -363,7 +370,7 @@ class Rig:
             if loop.ended:
                 self.loop = None
                 self.at(self.now + 300 * MS, self._start)
-        self.checks.zero_in_time(self.now)
+        self.checks.zero_in_time(self.given_ns)
         if self.checks.taken is not None:
             raise self.checks.taken
 
@@ -385,11 +392,27 @@ class Rig:
                 self._late.append(e)
             elif " " not in e.kind:
                 self.at(e.t_ns, getattr(self, f"_{e.kind}"), e)
+        for e in options.stalls:
+            self.at(e.t_ns, self._stall, e)
+            if e.size >= 0.5:  # the whole machine, whose programs go on at times of their own
+                self._pauses.append((e.t_ns, round(e.for_ns * (0.9 + 0.2 * (e.size - 0.5)))))
+        self._pauses.sort()
 
     def _told(self, kind: str, e: Episode) -> None:
         self.faults[kind] += 1
         if self.story:
             self.story(self.now, kind, f"for {e.for_ns / MS:.1f} ms, size {e.size:.2f}")
+
+    def _stall(self, e: Episode) -> None:
+        """Let the emulator's process stand still."""
+        if self.device.is_stalled:
+            return
+        self._told("stall", e)
+        self.device.stall(self.now, e.end_ns)
+        self.at(e.end_ns, self._go_on)
+
+    def _go_on(self, _: None) -> None:
+        self._left(self.device.go_on(self.now))
 
     def _kill(self, e: Episode) -> None:
         """End the process as kill -9 does."""
@@ -469,7 +492,8 @@ class Rig:
 
     def _stuck(self, e: Episode) -> None:
         self._told("stuck", e)
-        value = self._read_theta(self.now) if e.size < 0.5 else self._read_alpha(self.now)
+        read = self._read_theta if e.size < 0.5 else self._read_alpha
+        value = read(self.device.acted_ns(self.now))
         self._fix(e, value)
 
     def _rail(self, e: Episode) -> None:
@@ -534,7 +558,7 @@ class Rig:
         # Disarmed, but for who has armed since the last stop and trip.
         if checks.lease is not None or checks.is_arming():
             return
-        if checks.ended_ns is not None and self.now - checks.ended_ns < recent_ns:
+        if checks.ended_ns is not None and self.given_ns - checks.ended_ns < recent_ns:
             return  # who held it has just let go: the way to rest takes some frames
         checks.seen["T1: disarmed"] += 1
         if checks.phase not in ("safe", "fault"):
@@ -577,6 +601,7 @@ def _settings(options: Options) -> EmulatorSettings:
         pwm_bits=options.pwm_bits,
         adc_noise_v=options.adc_noise_v,
         clock_ppm=options.clock_ppm,
+        tolerates_stalls=options.tolerates_stalls,
     )
 
 

@@ -35,7 +35,7 @@ class Teller:
 
     def put(self, record: Record) -> None:
         """Hand over a record."""
-        self._rig.checks.told(self._rig.now, record)
+        self._rig.checks.told(self._rig.given_ns, record)
         self._rig.heard(record)
 
     def put_sample(self, sample: Sample) -> None:
@@ -62,7 +62,7 @@ class FullPipe(Teller):
 
     def put(self, record: Record) -> None:
         """Hand over a record; what the core decided is judged before it waits."""
-        self._rig.checks.told(self._rig.now, record)
+        self._rig.checks.told(self._rig.given_ns, record)
         self._outbox.put(record)
 
     def put_sample(self, sample: Sample) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,24 @@ def test_every_invariant_holds_under_faults() -> None:
     assert not done.violations, [f"make simulate SEED={v[0]}: {v[1:]}" for v in done.violations]
     assert not done.emptiness()
     assert not done.lateness()
+
+
+@pytest.mark.parametrize("tolerates", [True, False])
+def test_every_invariant_holds_while_the_emulator_is_stalled(tolerates: bool) -> None:
+    """Alone and with its machine, for 20 to 500 ms; its clock stops meanwhile, or does not.
+
+    Times to 0 V are by the device's clock: no watchdog and no lease is longer by it.
+    """
+    done = campaign.run(range(SEEDS // 5), stalls=tolerates)
+
+    assert not done.violations, [(seed, invariant) for seed, invariant, *_ in done.violations]
+    assert not done.lateness()
+    assert done.faults["stall"] > SEEDS // 2
+
+
+def test_stalls_change_nothing_else_of_a_schedule() -> None:
+    """The same faults come at the same times."""
+    assert replace(draw(7, stalls=True), stalls=(), tolerates_stalls=False) == draw(7)
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:

@@ -1,4 +1,8 @@
-"""The emulated device with somebody who looks at each frame, latch and transition."""
+"""The emulated device with somebody who looks at each frame, latch and transition.
+
+And with the process that emulates it, which may be stalled: the device is called with the host's
+time, and given its own. Of what it does `Checks` are told in given time.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN
+from armrig_daemon.emulator.host_time import STALL_NS, HostTime
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import Cause, State
 
@@ -21,10 +26,82 @@ class Watched(Device):
         """Switch it on at time 0, its clock showing `clock_start_us`."""
         self.checks = checks
         self._clock_start_ns = clock_start_us * 1000
+        self._time = HostTime(0, tolerates_stalls=settings.tolerates_stalls)
+        self._tolerates = settings.tolerates_stalls
+        self._standstills: list[tuple[int, int]] = []
+        """When the device's clock stood still: host times, the last one's end perhaps to come."""
+        self.is_stalled = False
+        self._due_ns = self._acted_ns = 0
+        self._waiting: list[bytes] = []
+        self._is_opened = False
         super().__init__(settings, 0, self._changed)
         self._really_latch = self._board.latch
         # The board is the device's own; its latch is where a code becomes a voltage.
         self._board.latch = self._latch  # type: ignore[method-assign]
+
+    # -- the process that emulates it ------------------------------------------------------------
+
+    def given_ns(self, host_ns: int) -> int:
+        """Return the device's share of the host's time, at any time that has been."""
+        if not self._standstills:
+            return host_ns
+        return host_ns - sum(min(max(host_ns - a, 0), b - a) for a, b in self._standstills)
+
+    def acted_ns(self, host_ns: int) -> int:
+        """Return up to which given time it has acted, at a host time that is now."""
+        return self._acted_ns if self.is_stalled else self.given_ns(host_ns)
+
+    def stall(self, now_ns: int, end_ns: int) -> None:
+        """Let the process stand still from now on, while it waits."""
+        self._acted_ns = self.given_ns(now_ns)
+        self._time.given_ns(now_ns, self._acted_ns)  # it has been on time until now
+        self._due_ns = self._time.look_ns(self.visible_ns())
+        self.is_stalled = True
+        if self._tolerates:
+            stops_ns = max(now_ns, self._time.monotonic_ns(self._due_ns)) + STALL_NS
+            if stops_ns < end_ns:
+                self._standstills.append((stops_ns, end_ns))
+
+    def go_on(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Let the process go on as `emulator.pty` does; return what it sends at once."""
+        given_ns = self._time.given_ns(now_ns, self._due_ns)
+        assert given_ns == self.given_ns(now_ns)
+        self.is_stalled = False
+        sent = [(now_ns, data) for _, data in super().advance(given_ns)]
+        waiting, self._waiting = self._waiting, []
+        if self._is_opened:  # what waits is thrown away, either way
+            self._is_opened = False
+            super().reset(given_ns)
+            return []
+        for piece in waiting:
+            super().receive(given_ns, piece)
+        return sent
+
+    def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Do as `Device` does, in the host's time."""
+        if self.is_stalled:
+            return []
+        if not self._standstills:
+            return super().advance_to_frame(now_ns)
+        held_ns = self._time.held_up_ns
+        frames = super().advance_to_frame(now_ns - held_ns)
+        return [(t_ns + held_ns, data) for t_ns, data in frames]
+
+    def receive(self, now_ns: int, data: bytes) -> None:
+        """Take bytes; those that come in a stall wait in the terminal."""
+        if self.is_stalled:
+            self._waiting.append(data)
+        else:
+            super().receive(now_ns - self._time.held_up_ns, data)
+
+    def reset(self, now_ns: int) -> None:
+        """Reset the device, or have it reset when the process goes on."""
+        if self.is_stalled:
+            self._is_opened = True
+        else:
+            super().reset(now_ns - self._time.held_up_ns)
+
+    # -- what it does ----------------------------------------------------------------------------
 
     def _changed(self, change: Change) -> None:
         self.checks.gets(change.t_ns, change.volts, change.state, change.cause)

@@ -24,7 +24,7 @@ MOST_ENDED = 3
 LATEST_S = 150.0
 """When it does so at the latest, in s, where the experiments take `_USUAL_S`."""
 _USUAL_S = 63.0
-_START_S, _STOP_S = 15.0, 5.0
+_START_S, _STOP_S = 30.0, 5.0
 
 
 class TooBusyError(RigError):

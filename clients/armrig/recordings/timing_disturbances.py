@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from math import isnan, nan
 from typing import TYPE_CHECKING
 
+from armrig_core.held_up import held_up_ms
+
 from armrig.numerics.quantities import NBSP, fixed
 from armrig.recordings.daemon_reports import DeviceClock, Timing
 
@@ -34,6 +36,8 @@ class Disturbances:
     """Standard deviation of the drift, in parts per million."""
     offset_std_us: float
     """Standard deviation of the offset between the clocks at the end, in µs."""
+    held_up_ms: int = 0
+    """How long the clock of an emulated rig stood still as its machine stalled, in ms."""
 
     def texts(self) -> dict[str, str]:
         """Return in words what was reported, by its name; nothing where nothing was."""
@@ -51,6 +55,8 @@ class Disturbances:
             drift = f"{fixed(self.drift_ppm, 1)} ± {self.drift_std_ppm:.1f}{NBSP}ppm"
             found["device's clock slow by"] = drift
             found["device's clock known to"] = f"± {self.offset_std_us:.1f}{NBSP}µs"
+        if self.held_up_ms:
+            found["emulator held up"] = f"{self.held_up_ms}{NBSP}ms"
         return found
 
 
@@ -67,6 +73,7 @@ def disturbances(recording: Recording) -> Disturbances:
         drift_ppm=last.drift_ppm,
         drift_std_ppm=last.drift_std_ppm,
         offset_std_us=last.offset_std_ns / 1e3,
+        held_up_ms=sum(held_up_ms(event.message) for event in recording.events),
     )
 
 

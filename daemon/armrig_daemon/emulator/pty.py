@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from time import monotonic_ns
@@ -22,6 +22,7 @@ from armrig_core.waiting import Waiter
 
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.host_time import HostTime
 from armrig_daemon.emulator.line import READ_BYTES, Line, PortError
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import wire_ns
@@ -29,10 +30,17 @@ from armrig_daemon.emulator.uart import wire_ns
 PRIORITY = 20  # below the loop's: the device is fast enough, and must not starve who drives it
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
+_TELL_NS = 1_000_000_000
+"""How often it is told at most that the machine stalls, in ns."""
 
 
 def emulate(
-    port: Path, settings: EmulatorSettings, *, trace: Path | None = None, started: str = ""
+    port: Path,
+    settings: EmulatorSettings,
+    *,
+    trace: Path | None = None,
+    started: str = "",
+    held_up: Callable[[int], None] = lambda ns: None,
 ) -> int:
     """Run a rig behind `port` until SIGTERM or SIGINT; return the exit code.
 
@@ -45,6 +53,9 @@ def emulate(
         terminal voltage, the first for the start.
     started : str, default ""
         What to say once the port is there.
+    held_up : callable, optional
+        Is told how long the device's clock stood still, in ns, where the settings tolerate stalls
+        of this process; it must not wait.
 
     Raises
     ------
@@ -61,11 +72,13 @@ def emulate(
 
         def witness(change: Change) -> None:
             if out is not None:
-                fields = (change.t_ns, repr(change.volts), change.state.name, change.cause.name)
+                t_ns = time.monotonic_ns(change.t_ns)
+                fields = (t_ns, repr(change.volts), change.state.name, change.cause.name)
                 out.write(",".join(map(str, fields)) + "\n")
 
         _be_punctual(stack)
         now_ns = monotonic_ns()
+        time = HostTime(now_ns, tolerates_stalls=settings.tolerates_stalls)
         device = Device(settings, now_ns, witness)
         witness(Change(now_ns, device.board.volts, device.state, device.cause))
         # Last, so that who finds the link finds the device awake.
@@ -73,7 +86,7 @@ def emulate(
             _link(port, line.slave, stack)
         if started:
             print(started, file=sys.stderr, flush=True)
-        _run(line, device, settings, wake)
+        _run(line, device, time, settings, wake, held_up)
         lost = line.backlog
         if lost.dropped_frames:
             said = f"{lost.dropped_frames} frames ({lost.dropped_bytes} bytes) dropped"
@@ -81,18 +94,29 @@ def emulate(
     return 0
 
 
-def _run(line: Line, device: Device, settings: EmulatorSettings, wake: int) -> None:
-    """Carry bytes between line and device until `wake` becomes readable."""
+def _run(
+    line: Line,
+    device: Device,
+    time: HostTime,
+    settings: EmulatorSettings,
+    wake: int,
+    held_up: Callable[[int], None],
+) -> None:
+    """Carry bytes between line and device until `wake` becomes readable; times are given ones."""
     full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
     replies: deque[tuple[int, bytes]] = deque()
     opened, master = line.opened.fileno(), line.master
     waits_for_room = False
+    due_ns = told_ns = tell_ns = 0
     with closing(Waiter()) as waiter:
         waiter.watch(wake)
         waiter.watch(opened)
         waiter.watch_terminal(master)
         while True:
-            now_ns = monotonic_ns()
+            now_ns = time.given_ns(monotonic_ns(), due_ns)
+            if time.held_up_ns > told_ns and now_ns >= tell_ns:
+                held_up(time.held_up_ns - told_ns)
+                told_ns, tell_ns = time.held_up_ns, now_ns + _TELL_NS
             replies.extend(device.advance(now_ns))
             while replies and replies[0][0] <= now_ns:
                 line.write(replies.popleft()[1])
@@ -105,20 +129,22 @@ def _run(line: Line, device: Device, settings: EmulatorSettings, wake: int) -> N
             if bool(line.backlog.waiting_bytes) != waits_for_room:
                 waits_for_room = not waits_for_room
                 waiter.watch_room(master, wanted=waits_for_room)
-            ready = dict(waiter.wait_until(due_ns) if due_ns > now_ns else waiter.ready())
+            due_ns = time.look_ns(due_ns)
+            waits = due_ns > now_ns
+            ready = dict(waiter.wait_until(time.monotonic_ns(due_ns)) if waits else waiter.ready())
             if wake in ready:
                 return
             if opened in ready and line.was_opened():
                 line.flush()
-                device.reset(monotonic_ns())
+                device.reset(time.given_ns(monotonic_ns(), due_ns))
                 replies.clear()
             elif master in ready:
                 line.note_ready(ready[master])
-            now_ns = monotonic_ns()
+            now_ns = time.given_ns(monotonic_ns(), due_ns)
             if line.connected and line.has_input and device.rx_backlog_ns(now_ns) <= full_ns:
                 data = line.read()
                 if data:
-                    device.receive(monotonic_ns(), data)
+                    device.receive(time.given_ns(monotonic_ns(), due_ns), data)
 
 
 @contextmanager

@@ -63,6 +63,11 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     So does whatever it times by itself: Ts, conversions, the watchdog; not the bits on the wire.
     """
+    tolerates_stalls: bool = False
+    """The device's clock stops while its process is stalled by more than 10 ms.
+
+    Where nobody says it, that of `run --emulate` does so. A real device cannot.
+    """
     pwm_bits: int = 10
     """Resolution of the duty; 0 is none."""
     adc_bits: int = 10

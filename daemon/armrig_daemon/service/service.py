@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import zenoh
+from armrig_core.held_up import held_up
 from armrig_core.telemetry import Sample, decode_sample
 from msgspec.structs import replace
 
@@ -61,9 +62,18 @@ _SWITCH_S = 0.0005  # zenoh's threads hold the interpreter for at most so long a
 class Service:
     """One rig's service; `run` returns the exit code."""
 
-    def __init__(self, config: Config, endpoint: str, directory: Path) -> None:
-        """Take the signals; nothing is started yet."""
+    def __init__(
+        self, config: Config, endpoint: str, directory: Path, stalls_fd: int | None = None
+    ) -> None:
+        """Take the signals; nothing is started yet.
+
+        Parameters
+        ----------
+        stalls_fd : int, optional
+            Where an emulator tells for how many ns the clock of its device stood still.
+        """
         self._config = config
+        self._stalls_fd = stalls_fd
         self._endpoint = endpoint
         self._directory = directory
         self._rig = RigView(config, endpoint, directory)
@@ -128,6 +138,7 @@ class Service:
             if self._session.is_asked:
                 timeout = min(timeout, _BREATH_S if self._commands.room == 0 else 0.0)
             sources = [self._loop.records_fd, self._wake_fd]
+            sources += [] if self._stalls_fd is None else [self._stalls_fd]
             sinks = [self._loop.orders_fd] if self._loop.is_behind else []
             ready, writable, _ = select.select(sources, sinks, [], timeout)
             if self._loop.records_fd in ready:  # first of all: who listens waits for the sample
@@ -138,6 +149,8 @@ class Service:
                 self._handle(records)
             if writable:
                 self._loop.flush()
+            if self._stalls_fd in ready:
+                self._hear_of_stalls(self._stalls_fd)
             if self._wake_fd in ready:
                 self._woken()
             # Behind the signs that have come: one that waited for us is a sign, of when it came.
@@ -210,6 +223,17 @@ class Service:
 
     def _say(self, level: str, message: str) -> None:
         self._handle([Log(t_host_ns=realtime.now_ns(), level=level, message=message)])
+
+    def _hear_of_stalls(self, fd: int) -> None:
+        """Tell how long an emulator was held up, which tells of it once a second at most."""
+        told = os.read(fd, _READ)
+        if not told:
+            self._stalls_fd = None  # the emulator has ended; the loop says so
+            return
+        now_ns = realtime.now_ns()
+        lines = [held_up(int(ns)) for ns in told.split()]
+        logs = [Log(t_host_ns=now_ns, level="warning", message=line) for line in lines]
+        self._runs.add(self._published(logs))
 
     def _begin_run(self, started: RunStarted) -> None:
         self._anchor_clock()

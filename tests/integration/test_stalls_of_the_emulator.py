@@ -1,0 +1,99 @@
+"""An emulated rig whose process is stopped: told, and in the recording."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.recordings.timing_disturbances import disturbances
+from armrig.rig.client import RigError, RunEndedError
+from processes import Bench, Process, wait_for
+
+TRIES = 5
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    """Give a rig in a folder of its own."""
+    bench = Bench(tmp_path)
+    yield bench
+    bench.end()
+
+
+def _emulated(bench: Bench) -> tuple[Process, int]:
+    """Start the daemon with an emulator of its own; return that one's process id, too."""
+    bench.config.write_text(f'[recording]\ndirectory = "{bench.recordings}"\n')
+    daemon = bench.start("armrig_daemon", "run", "--emulate", "--config", str(bench.config))
+    wait_for(lambda: bench.phase() == "safe", 30.0)
+    children = Path(f"/proc/{daemon.popen.pid}/task/{daemon.popen.pid}/children")
+    words = {int(p): Path(f"/proc/{p}/cmdline").read_bytes() for p in children.read_text().split()}
+    (pid,) = [pid for pid, text in words.items() if b"\0emulate\0" in text]
+    return daemon, pid
+
+
+def _stop(pid: int, seconds: float) -> None:
+    os.kill(pid, signal.SIGSTOP)
+    time.sleep(seconds)
+    os.kill(pid, signal.SIGCONT)
+
+
+def _held_up_ms(said: str) -> list[int]:
+    return [int(ms) for ms in re.findall(r"emulator held up (\d+) ms", said)]
+
+
+def test_the_daemon_tells_for_how_long(bench: Bench) -> None:
+    """All of it but 20 ms, which may pass for a wait and for being late."""
+    daemon, pid = _emulated(bench)
+
+    _stop(pid, 0.4)
+
+    wait_for(lambda: max(_held_up_ms(daemon.said), default=0) >= 380)
+    assert daemon.popen.poll() is None
+
+
+def test_it_stands_in_the_recording(bench: Bench) -> None:
+    """Of a run that bore it; a busy machine may end one before it is told, and it is tried anew."""
+    _, pid = _emulated(bench)
+
+    held = 0
+    for _ in range(TRIES):
+        stopper = threading.Timer(0.8, _stop, (pid, 0.1))
+        try:
+            with bench.rig() as rig:
+                rig.reset()
+                rig.arm("a test")
+                stopper.start()
+                path = rig.run(np.full(250, 1.5))
+        except RunEndedError as err:
+            path = err.recording
+        except RigError:
+            continue
+        finally:
+            stopper.join()
+        found = disturbances(armrig.load(path))
+        held = found.held_up_ms
+        if held:
+            break
+
+    assert held >= 80
+    assert found.texts()["emulator held up"].startswith(f"{held}")
+
+
+def test_an_emulator_that_tolerates_nothing_says_nothing(bench: Bench) -> None:
+    """As `armrigd emulate` is, for the bench and the tests: a stall is the rig's."""
+    emulator = bench.emulate()
+    daemon = bench.serve()
+
+    _stop(emulator.popen.pid, 0.4)
+    time.sleep(0.2)
+    wait_for(lambda: bench.phase() != "")
+
+    assert not _held_up_ms(daemon.said + emulator.said)
