@@ -116,8 +116,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SIGTERM and SIGHUP (a closed terminal) end it as Ctrl-C does, which stops a rig that is running
     for us; the exit code is then 128 and the signal's number.
     """
-    # Before numpy comes: OpenBLAS's threads wait for each other by spinning, which made a figure take
-    # minutes instead of seconds beside other programs, and our matrices are too small to gain by them.
+    # Before numpy comes. The threads of OpenBLAS wait for each other by spinning, and cost more
+    # than they gain: our matrices are small, and the machine has a loop and an emulator to run.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with _signals() as received:
         code = _run(arguments)

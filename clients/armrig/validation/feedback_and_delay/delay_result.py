@@ -85,8 +85,8 @@ class Delay:
         """Say what decides, what stands beside it, and what quantisation has to do with it."""
         g, std = self.response.decaying
         lines = [
-            "Asked: at which lag does u act first? Without a delay that is lag 1, under a zero-order "
-            "hold: what is applied from one instant on shows at the next. Each test "
+            "Asked: at which lag does u act first? Without a delay that is lag 1, under a "
+            "zero-order hold: what is applied from one instant on shows at the next. Each test "
             f"has a level of {100 * self.level:g} %.",
             *(f"  {line}" for line in self._tests()),
             f"So {self._answer()}.",
