@@ -11,7 +11,7 @@ from armrig.data.files.table import DataFileError, Table
 
 _READ = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
 _AGAIN = "save it there with save('data.mat', 'u', 'y', '-v7')"
-_UTF_16 = "is saved as UTF-16, as Excel's \"Unicode text\" is; save it as \"CSV UTF-8\""
+_UTF_16 = 'is saved as UTF-16, as Excel\'s "Unicode text" is; save it as "CSV UTF-8"'
 _OTHERS = (
     (b"\x89MCAP0\r\n", "is a recording and no table; armrig.load(path).dataset() reads it"),
     (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_AGAIN}"),
