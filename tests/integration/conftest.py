@@ -20,12 +20,14 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
 @pytest.fixture(scope="module")
 def _serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     bench = Bench(tmp_path_factory.mktemp("served"))
-    # The longest watchdog: under a flood a pseudo-terminal may hold bytes back for long.
-    bench.configure(watchdog_ms=250)
-    bench.emulate()
-    bench.serve()
-    yield bench
-    bench.end()
+    try:
+        # The longest watchdog: under a flood a pseudo-terminal may hold bytes back for long.
+        bench.configure(watchdog_ms=250)
+        bench.emulate()
+        bench.serve()
+        yield bench
+    finally:
+        bench.end()
 
 
 @pytest.fixture
