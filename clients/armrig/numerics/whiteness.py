@@ -235,7 +235,7 @@ def _autocorrelation(Q: Array, lags: int) -> Array:
     return np.sum(sums, axis=0) if sums else none
 
 
-def portmanteau_p_value(Q: float, m: float, N: int) -> float:
+def portmanteau_p_value(Q: float, m: float, N: float) -> float:
     """Return P(Q' >= Q) for a portmanteau statistic Q' of m degrees and N white residuals.
 
     Its mean is m but its variance is not 2 m: each r(k)² is divided by the same R(0)² and shares

@@ -21,12 +21,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.numerics.whiteness import autocovariance, default_lags, joined
+from armrig.numerics.whiteness import autocovariance, default_lags, joined, portmanteau_p_value
 
 Vector = NDArray[np.float64]
 
 _ENOUGH = 0.5  # share of the values that have a partner at a lag
-_SEEN = 0.03  # share of the largest deviation below which a direction is left out
+# Share of the largest deviation below which a direction is left out: in those the next term of the
+# expansion that Bartlett's formula begins is as large, and raises 1 % to 2.5.
+_SEEN = 0.2
 
 SMOOTHED_NOISE = "test of smoothed noise"
 
@@ -35,9 +37,11 @@ def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> fl
     """Return the p value of residuals (NaN where there are none) that are such noise.
 
     Lags at which fewer than half of the values have a partner are left out; NaN if all are.
-    """
-    from scipy.special import chdtrc
 
+    The statistic has the mean of chi-squared, but a larger variance, since all r_j are divided by
+    the same R(0). It is taken as `portmanteau_p_value` takes one of so many white values as have
+    an R(0) as uncertain: n / sum of rho(j)² over all j.
+    """
     L = default_lags(sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals))
     R, pairs = autocovariance(joined(residuals, L), L)
     # Bartlett's formula is for values in a row: where many lags meet gaps it does not hold.
@@ -57,4 +61,5 @@ def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> fl
     off = np.sqrt(pairs[1:]) * (R[1:] / R[0] - rho[at + 1 : at + L + 1])
     seen = deviation > _SEEN * deviation[0]
     z = (U.T @ off)[seen] / deviation[seen]
-    return float(chdtrc(np.count_nonzero(seen), z @ z))
+    as_white = pairs[0] / (2 * float(half @ half) - 1)
+    return portmanteau_p_value(float(z @ z), int(np.count_nonzero(seen)), as_white)
