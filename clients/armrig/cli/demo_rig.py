@@ -94,7 +94,8 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
             if has_ended:
                 patience.run_ended()
             if patience.is_over:
-                raise TooBusyError(str(err)) from err
+                why, _, _ = str(err).partition("; recorded in ")
+                raise TooBusyError(why) from err
             console.print(f"  {err}; once more", highlight=False, markup=False, soft_wrap=True)
             if has_tripped:
                 rig.reset()
