@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.canvas import BLUE, INK, MISSING, NAMES, VERMILION, axes, finish, sign
+from armrig.canvas import BLUE, INK, MISSING, NAMES, VERMILION, finish, panels, sign
 from armrig.numerics.stretches import stretches
 
 if TYPE_CHECKING:
@@ -20,16 +20,12 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
 
     Shaded is where a sample is missing or shows no angle; outliers are ringed.
     """
-    from mpl_toolkits.axes_grid1 import (  # type: ignore[import-untyped]
-        make_axes_locatable,
-    )
-
     rec = found.recording
-    ax = axes(ax)
-    divider = make_axes_locatable(ax)
-    below = [divider.append_axes("bottom", size="100%", pad=0.1, sharex=ax) for _ in range(3)]
+    ax, below = panels(ax, 0.75)
+    below, third = panels(below, 2 / 3)
+    third, fourth = panels(third, 1 / 2)
+    every = [ax, below, third, fourth]
     rate = np.diff(rec.theta_1, prepend=np.nan) / rec.Ts
-    every = [ax, *below]
     ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
     signals = (
         ("theta_1", rec.theta_1, rec.valid, f"{NAMES['theta_1']} [rad]"),
@@ -37,16 +33,14 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
         ("alpha", rec.alpha, rec.valid_alpha, f"{NAMES['alpha']} [rad]"),
     )
     ax.set_ylabel("$u$ [V]")
-    for panel, (name, y, valid, label) in zip(below, signals, strict=True):
+    for panel, (name, y, valid, label) in zip(every[1:], signals, strict=True):
         panel.plot(rec.t, y, color=BLUE, lw=0.7)
         panel.set_ylabel(label)
         for gap in stretches(~valid):
             begin, end = (gap.start - 0.5) * rec.Ts, (gap.stop - 0.5) * rec.Ts
             panel.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
         _ring(panel, found, name, y)
-    for panel in every[:-1]:
-        panel.tick_params(labelbottom=False)
-    below[-1].set_xlabel("$t$ [s]")
+    fourth.set_xlabel("$t$ [s]")
     finish(*every, xlim=(0.0, float(rec.t[-1]) or 1.0))
     return sign(ax, rec.sha256)
 
