@@ -84,10 +84,12 @@ class Renew(Leased, frozen=True, kw_only=True):
     name: ClassVar[str] = "renew"
 
 
-class Stop(Request, frozen=True, kw_only=True):
+class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
     """Go to 0 V. Taken from anybody who may command, lease or not."""
 
     name: ClassVar[str] = "stop"
+    by: str = ""
+    """Who stops it, for the recording; of any length, as a stop is not refused for a name."""
 
 
 class Reset(Request, frozen=True, kw_only=True):

@@ -13,6 +13,13 @@ import typer
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table
 
+By = Annotated[
+    str,
+    typer.Option(
+        "--owner", help="Who stops it, for the recording to say.", show_default="this user"
+    ),
+]
+
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Say how the daemon and its rig are."""
@@ -79,10 +86,10 @@ def watch(
                 _watch_in_lines(samples)
 
 
-def stop(rig: RigId = "1", connect: Connect = None) -> None:
+def stop(rig: RigId = "1", connect: Connect = None, by: By = "") -> None:
     """Bring the rig to 0 V, whoever has it."""
     with _opened(rig, connect) as opened:
-        opened.stop()
+        opened.stop(by)
     echo(f"rig {rig} was told to stop")
     say_next("stop", rig=_given(rig, connect))
 

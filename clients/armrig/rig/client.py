@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
@@ -74,6 +75,7 @@ class Rig:
         self._connect = connect
         self._session: zenoh.Session | None = None
         self._lease = ""
+        self._owner = ""
         self._n = 0
         self._limits_v = (0.0, U_MAX_V)
 
@@ -123,7 +125,7 @@ class Rig:
             The daemon does not answer.
         """
         granted = self._ask_again(commands.Arm(owner=owner, Ts=Ts), commands.LeaseGranted)
-        self._lease, self._n = granted.lease, 0
+        self._lease, self._n, self._owner = granted.lease, 0, owner
         self._limits_v = (granted.u_min, granted.u_max)
         return granted
 
@@ -247,15 +249,26 @@ class Rig:
         (volts,) = self._allowed([u])
         self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
 
-    def stop(self) -> None:
+    def stop(self, by: str = "") -> None:
         """Go to 0 V; needs no lease, and ends whatever runs.
+
+        Parameters
+        ----------
+        by : str, optional
+            Who stops it, as the recording will say; by default the owner whom the rig was armed
+            for, or this user.
 
         Raises
         ------
         NoReplyError
             The daemon does not answer; the device itself stops soon after a daemon that is gone.
         """
-        self._ask(commands.Stop(), commands.Done)
+        who = by or self._owner or _this_user()
+        try:
+            self._ask(commands.Stop(by=who), commands.Done)
+        except RefusedError:
+            # A daemon of an earlier version takes a stop of nobody only.
+            self._ask(commands.Stop(), commands.Done)
 
     def reset(self) -> bool:
         """Leave a latched fault, disarmed; return whether there was one."""
@@ -340,6 +353,14 @@ def _complete_recording(last: commands.LastRun, asked: int) -> Path:
             msg += f"; recorded in {recording}"
         raise RunEndedError(msg, recording)
     return recording
+
+
+def _this_user() -> str:
+    """Return the login name; "" where there is none."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # the latter before Python 3.13
+        return ""
 
 
 def _refused(error: str) -> RefusedError:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, assert_never
 
 from armrig_core import commands
+from armrig_core.printable import printable
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
@@ -39,6 +40,7 @@ ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
 _MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
 _MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
+_LONGEST_NAME = 80  # of who stops a run, in its recording
 _MOST_UNANSWERED = 64  # and nobody's: what the service has to say itself must not wait behind more
 
 
@@ -162,7 +164,8 @@ class Commands:
                 self._runs.renew(request, command.came_s)
                 command.answer(commands.Done())
             case commands.Stop():
-                self._order(command, Halt())
+                who = printable(request.by).strip()[:_LONGEST_NAME]
+                self._order(command, Halt(reason=f"stopped by {who}") if who else Halt())
             case commands.Reset():
                 self._order(command, Reset())
             case _:

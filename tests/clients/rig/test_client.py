@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import signal
 import subprocess
 import sys
@@ -147,6 +148,37 @@ def test_stop_and_reset_need_no_lease(daemon: FakeDaemon, where: str) -> None:
         rig.reset()
 
     assert daemon.names() == ["stop", "reset"]
+
+
+def test_who_stops_a_rig_is_named(daemon: FakeDaemon, where: str) -> None:
+    """The owner, or who is said to, or this user: the recording will say it."""
+    with Rig("1", connect=where) as rig:
+        rig.stop()
+        rig.arm("a student")
+        rig.stop()
+        rig.stop("the teacher")
+
+    stops = [r.by for r in daemon.asked if isinstance(r, commands.Stop)]
+    assert stops == [getpass.getuser(), "a student", "the teacher"]
+
+
+def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of an earlier version refuses the field: the stop is repeated without it."""
+    carry_out = daemon._carry_out
+
+    def earlier(request: commands.Request) -> Any:
+        if isinstance(request, commands.Stop) and request.by:
+            msg = "stop: Object contains unknown field `by`"
+            raise ValueError(msg)
+        return carry_out(request)
+
+    monkeypatch.setattr(daemon, "_carry_out", earlier)
+    with Rig("1", connect=where) as rig:
+        rig.stop()
+
+    assert [r.by for r in daemon.asked if isinstance(r, commands.Stop)] == [""]
 
 
 def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:

@@ -398,6 +398,9 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
         (Disarm(lease=LEASE, n=4), Release(order=1, lease=LEASE, n=4)),
         (Set(lease=LEASE, n=4, u=5.0), SetVoltage(order=1, lease=LEASE, n=4, code=65535)),
         (Stop(), Halt(order=1)),
+        (Stop(by="anna"), Halt(order=1, reason="stopped by anna")),
+        (Stop(by="\x1b[2J" + 90 * "x"), Halt(order=1, reason=f"stopped by \\x1b[2J{73 * 'x'}")),
+        (Stop(by="  "), Halt(order=1)),
         (AskedReset(), Reset(order=1)),
     ],
 )
