@@ -34,6 +34,7 @@ from armrig.cli import (
 )
 from armrig.cli.options import tell
 
+_HELP = {"help_option_names": ["-h", "--help"]}
 _ORDER: list[str] = []
 
 
@@ -47,45 +48,53 @@ class _InOrder(typer.core.TyperGroup):
 
 app = typer.Typer(
     cls=_InOrder,
-    add_completion=False,
+    context_settings=_HELP,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 # In the order in which `armrig --help` lists them: a rig, its data, and the path of the handout.
-for _command in (
-    lab.lab,
-    rig.status,
-    rig.watch,
-    rig.stop,
-    rig.reset,
-    calibrate.calibrate,
-    collect.app,
-    listing.ls,
-    files.info,
-    physical_step.model,
-    first_look.plot,
-    first_look.sampling,
-    first_look.hints,
-    identification.identify,
-    validation.validate,
-    comparison.compare,
-    physics.simulate,
-    feedback_and_delay.check,
-    physics.greybox,
-    physics.split,
-    integrators.integrate,
-    files.report,
-    files.replay,
-    host.demo,
-    host.bench,
-    host.doctor,
+# Each has an example of its arguments.
+for _command, _example in (
+    (lab.lab, ""),
+    (rig.status, ""),
+    (rig.watch, ""),
+    (rig.stop, ""),
+    (rig.reset, ""),
+    (calibrate.calibrate, ""),
+    (collect.app, ""),
+    (listing.ls, ""),
+    (files.info, "@last"),
+    (physical_step.model, "--set J_2=0.005 -o step.png"),
+    (first_look.plot, "@last -o data.png"),
+    (first_look.sampling, "@step"),
+    (first_look.hints, "@blackbox -o hints.png"),
+    (
+        identification.identify,
+        "@blackbox --structure oe --integrator --validate @blackbox/validation",
+    ),
+    (validation.validate, "@blackbox/validation --model model.json"),
+    (comparison.compare, "@blackbox @blackbox/validation"),
+    (physics.simulate, "@last --model model.json"),
+    (feedback_and_delay.check, "@blackbox"),
+    (physics.greybox, "@greybox"),
+    (physics.split, "@greybox --parts 1,2,4"),
+    (integrators.integrate, "--method heun --h 0.01"),
+    (files.report, "@blackbox @blackbox/validation -o report.pdf"),
+    (files.replay, "@last"),
+    (host.demo, "--directory demo"),
+    (host.bench, ""),
+    (host.doctor, ""),
 ):
     if isinstance(_command, typer.Typer):
-        app.add_typer(_command, name="collect")
+        app.add_typer(_command, name="collect", context_settings=_HELP)
+        _ORDER.append("collect")
     else:
-        app.command()(_command)
-    _ORDER.append("collect" if isinstance(_command, typer.Typer) else _command.__name__)
+        _line = f"Example: armrig {_command.__name__} {_example}".rstrip()
+        app.command(epilog=_line, context_settings=_HELP)(_command)
+        _ORDER.append(_command.__name__)
 
+_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab"})
+"""Commands that nobody is led to by a typing error."""
 _SIGPIPE = 13  # Windows has no such signal, and its name is not there
 
 # Newer versions of typer bring a click of their own, older ones use the click installed.
@@ -158,6 +167,8 @@ def _signals() -> Iterator[list[signal.Signals]]:
 def _run(arguments: Sequence[str] | None) -> int:
     command = typer.main.get_command(app)
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if "_ARMRIG_COMPLETE" in os.environ:  # the shell asks, by the script of --show-completion
+        command.main([], prog_name="armrig")
     try:
         # Not command.main(): that has exit codes of its own for Ctrl-C and for a broken pipe.
         with command.make_context("armrig", [*given] or ["--help"]) as context:
@@ -200,9 +211,16 @@ def _missing(err: Any) -> str:
     return f"{name} is missing" + (f": {what[:1].lower()}{what[1:]}" if what else "")
 
 
+def _harmless(message: str) -> str:
+    """Return the message without suggestions that would act on the rig."""
+    said, asked, near = message.partition(". Did you mean ")
+    names = [name for name in re.findall(r"'([^']+)'", near) if name not in _ACTING]
+    return f"{said}: did you mean {' or '.join(names)}?" if asked and names else said
+
+
 def _plainly(message: str) -> str:
     """Return a message of typer and its checks in our words: the option, and what is allowed."""
-    message = message.strip().rstrip(".")
+    message = _harmless(message.strip().rstrip("."))
     for theirs, ours in (
         (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),
         (r"^Invalid value: ", ""),

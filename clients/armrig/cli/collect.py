@@ -67,7 +67,7 @@ DEAD_MAN_S = 1.0
 """Whoever closes the terminal, or loses the connection, expects the motor to stop."""
 
 
-@app.command()
+@app.command(epilog="Example: armrig collect blackbox --seconds 30 --validation")
 def blackbox(
     seconds: InputSeconds = None,
     input: Input = None,
@@ -105,7 +105,7 @@ def blackbox(
     )
 
 
-@app.command()
+@app.command(epilog="Example: armrig collect greybox --seconds 30")
 def greybox(
     seconds: InputSeconds = None,
     input: Input = None,
@@ -144,7 +144,7 @@ def greybox(
     collect_each(plan, run, without_arm=True)
 
 
-@app.command()
+@app.command(epilog="Example: armrig collect step --Ts 0.002")
 def step(
     seconds: Seconds = 5.0,
     at: Annotated[float, typer.Option("--at", help="When it steps, in s.")] = 1.0,
@@ -177,7 +177,7 @@ def step(
     collect_each([Played("step", make, details, seconds)], run)
 
 
-@app.command()
+@app.command(epilog="Example: armrig collect staircase --levels 6")
 def staircase(
     seconds: Seconds = SECONDS,
     levels: Annotated[int, typer.Option("--levels", min=2, help="How many levels.")] = 6,
@@ -208,7 +208,7 @@ def staircase(
     )
 
 
-@app.command()
+@app.command(epilog="Example: armrig collect bla --realisations 4")
 def bla(
     seconds: Annotated[
         float | None,

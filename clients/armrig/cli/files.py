@@ -22,7 +22,6 @@ from armrig.cli.options import (
     print_json,
     print_table,
     tell,
-    warned,
 )
 
 if TYPE_CHECKING:
@@ -168,6 +167,7 @@ def report(
     nf: Nf = 4,
     nk: Nk = 1,
     calibration: CalibrationFile = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a PDF that is there.")] = False,
     json: Json = False,
 ) -> None:
     """Typeset a report.
@@ -175,12 +175,16 @@ def report(
     The first recording that is no step estimates, the next validates.
     """
     check_output(output, files, suffix=".pdf")
+    if output.exists() and not force:
+        msg = f"-o {output}: is there already; --force overwrites it, or give another name"
+        raise ValueError(msg)
+    from armrig.cli.recorded_data import loaded
     from armrig.cli.spinner import estimating, spinner
-    from armrig.recordings.loading import load
     from armrig.report.document import report as typeset
     from armrig.report.study import Orders, study
 
-    recordings = [warned(load(f, calibration)) for f in files]
+    recordings = loaded(files, calibration)
+    _tell_of_ignored(recordings)
     with estimating("na, nb and nf"):
         done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
     remarks = []
@@ -193,6 +197,19 @@ def report(
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
         echo(str(output))
+
+
+def _tell_of_ignored(recordings: Sequence[Recording]) -> None:
+    """Tell which recordings no model of the report is estimated from or judged by."""
+    from armrig.recordings.doubts import NO_MODEL
+
+    kinds = [r.manifest.experiment.partition("-")[0] for r in recordings]
+    excited = [r for r, kind in zip(recordings, kinds, strict=True) if kind not in NO_MODEL]
+    for r in excited[2:]:
+        tell(
+            f"{r.path.name} is listed in the report, and no model is estimated from it or judged "
+            f"by it: {excited[0].path.name} estimates, {excited[1].path.name} validates"
+        )
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:

@@ -60,6 +60,7 @@ def in_symbols(text: str) -> str:
 
 
 _OURS = {
+    "integrator=True": "--integrator",
     "std_robust": "σ robust",
     "trust std": "trust σ",
     "offset=True": "--offset",
@@ -115,6 +116,7 @@ def residual_lines(tests: ResidualTest) -> list[str]:
         f"  residuals {tests.white}{look}",
         f"  no dynamics missing: {_p(tests.missing_dynamics, 'look at the orders or the delay')}",
         f"  no feedback: {_p(tests.feedback, 'look at the experiment, or the delay is too large')}",
+        *([f"  no power: {in_symbols(tests.powerless)}"] if tests.powerless else []),
     ]
 
 
@@ -160,6 +162,7 @@ def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[
         "whiteness_test": tests.whiteness_test,
         "p_no_dynamics_missing": tests.missing_dynamics,
         "p_no_feedback": tests.feedback,
+        "no_power": tests.powerless,
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -27,10 +27,13 @@ _ENOUGH = 20
 def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
     """Return the recordings, and tell their damage."""
     from armrig.cli.spinner import spinner
+    from armrig.recordings.doubts import all_doubts
     from armrig.recordings.loading import load
 
     with spinner("reading"):
         recordings = [load(file, calibration) for file in files]
+    for text in all_doubts(recordings):
+        tell(text)
     return [warned(recording) for recording in recordings]
 
 
@@ -57,6 +60,8 @@ class Signals:
     """Mark single wrong samples of the output missing, before the means are taken off."""
     calibration: Path | None = None
     """To read recordings with."""
+    read: list[Recording] = field(default_factory=list)
+    """Recordings so far, the one that estimates first."""
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
         """Return the data of a file, and tell what it lacks; of a model's output by default."""
@@ -106,6 +111,7 @@ class Signals:
                 msg += f"recording {file} says it itself"
                 raise typer.BadParameter(msg)
         recording = loaded([file], self.calibration)[0]
+        self._tell_of_pair(recording)
         if self.signal is None and model is not None and model.output not in _UNNAMED:
             return dataset_of(recording, model)
         if self.signal is None:
@@ -115,6 +121,13 @@ class Signals:
                 return recording.dataset(output)
         msg = f"--signal {self.signal}: a recording has {', '.join(get_args(OutputName))}"
         raise typer.BadParameter(msg)
+
+    def _tell_of_pair(self, recording: Recording) -> None:
+        from armrig.recordings.doubts import doubts_of_pair
+
+        for text in doubts_of_pair(self.read[0], recording) if self.read else ():
+            tell(text)
+        self.read.append(recording)
 
 
 def from_recording(data: Dataset) -> bool:

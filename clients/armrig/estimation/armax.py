@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.estimation.prediction_error_fit import Initial, searched
 from armrig.models.fit import Fit
@@ -9,6 +10,7 @@ from armrig.models.structure import Structure
 from armrig.numerics.checks import require_integers
 
 
+@takes_recordings
 def armax(
     data: Dataset,
     *,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.orders import require_samples
@@ -15,6 +16,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import arx_rows
 
 
+@takes_recordings
 def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
 

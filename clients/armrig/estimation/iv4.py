@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.orders import require_samples
@@ -24,6 +25,7 @@ from armrig.numerics.whiteness import autoregression, joined
 _LONGEST = 40  # holes between experiments, at least the order of the autoregression
 
 
+@takes_recordings
 def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + v(t), v of any colour, by instruments.
 

@@ -7,6 +7,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
@@ -40,6 +41,7 @@ _NOT_LEAST = (
 )
 
 
+@takes_recordings
 def n4sid(
     data: Dataset,
     order: int | None = None,

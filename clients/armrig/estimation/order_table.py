@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dtrtrs
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
 from armrig.numerics.checks import require_integers
@@ -251,6 +252,7 @@ class OrderTable:
         return "\n".join(lines)
 
 
+@takes_recordings
 def select_orders(
     data: Dataset,
     na: Iterable[int] = range(1, 11),

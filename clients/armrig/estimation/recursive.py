@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import orthonormal
@@ -177,6 +178,7 @@ class RecursiveEstimate:
     """After the last sample."""
 
 
+@takes_recordings
 def rarx(
     data: Dataset, *, na: int, nb: int, nk: int = 1, forgetting: float = 1.0
 ) -> RecursiveEstimate:

@@ -13,7 +13,7 @@ Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Roots:
     """Poles or zeros with their covariance; numpy sees the complex values."""
 
@@ -42,6 +42,20 @@ class Roots:
     def __getitem__(self, i: int) -> complex:
         """Return number i."""
         return complex(self.values[i])
+
+    def __repr__(self) -> str:
+        """Give a table: each root with the deviation of its parts, its modulus and its angle."""
+        if not len(self):
+            return "no roots"
+        lines = [f"{'real':>10} {'±':>8}  {'imaginary':>10} {'±':>8}  {'modulus':>8} {'angle':>7}"]
+        with np.errstate(invalid="ignore"):
+            parts = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        for z, (re, im) in zip(self, parts, strict=True):
+            lines.append(
+                f"{z.real:10.5f} {re:8.2g}  {z.imag:10.5f} {im:8.2g}  {abs(z):8.5f} "
+                f"{np.angle(z):7.3f}"
+            )
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

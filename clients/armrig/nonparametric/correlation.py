@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.nonparametric.integrator import integration
@@ -82,6 +83,7 @@ class Correlation:
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
 
 
+@takes_recordings
 def correlation(
     data: Dataset, lags: int = 20, order: int | None = None, *, integrator: bool | None = None
 ) -> Correlation:

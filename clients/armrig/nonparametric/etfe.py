@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
@@ -15,6 +16,7 @@ from armrig.numerics.polynomial import summation
 Vector = NDArray[np.float64]
 
 
+@takes_recordings
 def etfe(
     data: Dataset, *, period_length: int | None = None, integrator: bool | None = None
 ) -> SpectralEstimate:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
@@ -193,6 +194,7 @@ class ImpulseResponse:
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
+@takes_recordings
 def impulse_response(
     data: Dataset,
     n: int | None = None,

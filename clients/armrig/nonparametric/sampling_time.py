@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
@@ -114,6 +115,7 @@ class SamplingTime:
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
 
+@takes_recordings
 def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingTime:
     """Recommend a sampling time from a first recording, by the handout's rules.
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
@@ -23,6 +24,7 @@ Vector = NDArray[np.float64]
 LOGARITHMIC_RESOLUTION = 0.5  # width of the window at omega, as a share of omega
 
 
+@takes_recordings
 def spa(
     data: Dataset,
     window: int | Literal["log"] | None = None,

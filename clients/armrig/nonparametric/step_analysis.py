@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
@@ -109,6 +110,7 @@ class StepAnalysis:
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
 
+@takes_recordings
 def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnalysis:
     """Return the 63 % time, the dead time and the gain of the answer to a step.
 

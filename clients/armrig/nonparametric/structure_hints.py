@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.spectral_estimate import SpectralEstimate
@@ -92,6 +93,7 @@ class StructureHints:
         )
 
 
+@takes_recordings
 def structure_hints(
     data: Dataset,
     *,

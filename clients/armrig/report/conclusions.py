@@ -112,6 +112,8 @@ def _residual_verdict(model: AssessedFit) -> str:
     if np.isnan([tests.whiteness, tests.missing_dynamics]).any():
         return f"{model.name}: too few residuals to test."
     white, free = not tests.white.coloured, tests.missing_dynamics >= WHITE_LEVEL
+    if tests.powerless and white and free:
+        return f"The residual tests of {model.name} have no power: {tests.powerless}."
     said = f"{tests.white} and "
     said += (
         f"{'free of' if free else 'tied to'} past input (p {p_relation(tests.missing_dynamics)})"

@@ -9,6 +9,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
@@ -94,6 +95,7 @@ class ComparisonTable:
         return "\n".join(lines)
 
 
+@takes_recordings
 def compare(
     data: Dataset,
     *models: Model,

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.arx import arx
@@ -29,6 +30,7 @@ _LONG, _SURELY = 10, 4.0  # order of the ARX model that a direct term is sought 
 _UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
 
 
+@takes_recordings
 def search(
     data: Dataset,
     validation: Dataset | None = None,

@@ -8,6 +8,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.models.estimate import Estimate
 from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
@@ -28,6 +29,8 @@ from armrig.numerics.whiteness import (
 
 Vector = NDArray[np.float64]
 
+MOST_ALLOWED = 10.0
+"""Widening of the bands by the parameters' deviations beyond which a test has no power."""
 BAND_99_PERCENT = 2.58  # two-sided quantile of the normal distribution
 _COLUMNS = 8  # of the lagged inputs that are worked on at once
 
@@ -70,8 +73,33 @@ class ResidualTest:
         """The test of white residuals; its str says what came out."""
         return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
 
+    @property
+    def allowance(self) -> float:
+        """How many times the parameters' deviations widen the band of the cross-correlation."""
+        known = self.cross_band / BAND_99_PERCENT
+        return float(np.median(self.cross_std)) / known if known > 0 else float("nan")
+
+    @property
+    def powerless(self) -> str:
+        """Why nothing could be found, and what would help; "" where the tests have power.
+
+        A test on other data allows for the parameters' deviations. Where those are huge, as of a
+        pole that was estimated within rounding of 1, any residuals pass.
+        """
+        if self.on_estimation_data or not self.allowance > MOST_ALLOWED:
+            return ""
+        return (
+            f"the model's own deviations allow correlations {self.allowance:.0f} times as large as "
+            "a known model's, so these tests find nothing. Estimate with integrator=True if a pole "
+            "is near 1, or with lower orders, or from more data"
+        )
+
     def __repr__(self) -> str:
         """Say it in a few lines."""
+        if self.powerless:
+            p_values = (self.whiteness, self.missing_dynamics, self.feedback)
+            if not any(p < WHITE_LEVEL for p in p_values):
+                return f"residuals on validation data: no test has power: {self.powerless}"
         where = "estimation" if self.on_estimation_data else "validation"
         look = ": look at the noise model or order" if self.white.coloured else ""
         verdicts = (
@@ -90,7 +118,7 @@ class ResidualTest:
         return "\n".join(lines)
 
 
-def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> ResidualTest:
+def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None) -> ResidualTest:
     """Test whether the one-step residuals are white and free of the input.
 
     Whiteness: the portmanteau test that allows for the estimated parameters, or Ljung-Box's where
@@ -115,7 +143,7 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
     fit : Fit
         Estimated, of the output that the data show.
     data : Dataset
-        N samples.
+        N samples; or a recording.
     lags : int, optional
         L, from 1 to half of the residuals; 25 by default, fewer for short data.
 
@@ -134,6 +162,7 @@ def residuals(fit: Estimate, data: Dataset, lags: int | None = None) -> Residual
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
     """
+    data = as_dataset(data)
     require_same_signals(fit, data)
     known = [prediction_errors(fit, part) for part in data.experiments()]
     N = sum(int(np.count_nonzero(np.isfinite(r.e))) for r in known)

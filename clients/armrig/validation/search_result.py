@@ -214,6 +214,8 @@ def _about_families(found: SearchResult) -> Iterator[str]:
 
 
 def _about_tests(tests: ResidualTest) -> Iterator[str]:
+    if tests.powerless:
+        yield f"the tests of its residuals have no power: {tests.powerless}"
     for p, said in (
         (tests.missing_dynamics, "the input still explains its residuals: dynamics are missing"),
         (tests.feedback, "its residuals run ahead of the input: feedback, or nk is too large"),

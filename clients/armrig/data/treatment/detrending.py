@@ -8,6 +8,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
 from armrig.data.trend import Trend
@@ -16,6 +17,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.stretches import Mask
 
 
+@takes_recordings
 def detrend(data: Dataset, order: int = 0) -> Dataset:
     """Return the data with mean (order 0) or straight line (order 1) removed from u and y.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.integrating import integrating
 from armrig.data.treatment.whitening import whitening
@@ -41,6 +42,7 @@ class Drift:
         )
 
 
+@takes_recordings
 def drift(data: Dataset, order: int = _ORDER) -> tuple[Drift, ...]:
     """Estimate the drift of the output of each experiment, with the input's answer set apart.
 

@@ -9,6 +9,7 @@ from math import isclose
 import numpy as np
 from numpy.typing import ArrayLike
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
 from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
@@ -20,6 +21,7 @@ _SIDE = 8  # half length of the anti-alias filter, in samples of the slower rate
 _KAISER = 5.0
 
 
+@takes_recordings
 def prefilter(
     data: Dataset,
     numerator: ArrayLike | None = None,
@@ -86,6 +88,7 @@ def prefilter(
     return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
 
 
+@takes_recordings
 def resample(data: Dataset, Ts: float) -> Dataset:
     """Return the data at a slower rate, u and y both through one anti-alias filter.
 

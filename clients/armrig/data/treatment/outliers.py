@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment.wrong_samples import wrong_samples
 from armrig.numerics.checks import require_integers, require_numbers
@@ -13,6 +14,7 @@ _MOST = 0.1  # share of the samples beyond which they are no outliers
 _LISTED = 10
 
 
+@takes_recordings
 def hampel(data: Dataset, *, threshold: float | None = None, order: int | None = None) -> Dataset:
     """Return the data with outliers of y marked missing.
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.trend import Trend
 
 
+@takes_recordings
 def difference(data: Dataset) -> Dataset:
     """Return the velocity (y(t) - y(t-1)) / Ts as output, u unchanged.
 

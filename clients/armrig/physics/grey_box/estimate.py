@@ -8,6 +8,7 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.numerics.inference import infer
@@ -39,6 +40,7 @@ ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
 _UNSEEN = 1e-7  # share of a derivative below which the free response explains all of it
 
 
+@takes_recordings
 def greybox(
     data: Dataset,
     model: Model = chassis,

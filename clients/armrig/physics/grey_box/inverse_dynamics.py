@@ -19,6 +19,7 @@ import numpy as np
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.numerics.inference import Inference, infer
@@ -53,6 +54,7 @@ _COLOURED = (
 _SLOW = 0.5  # rad/s, below which the sign of the speed is not trusted
 
 
+@takes_recordings
 def inverse_dynamics(
     data: Dataset,
     fixed: ArmParameters | None = None,

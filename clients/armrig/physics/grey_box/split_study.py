@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.numerics.checks import require_integers
 from armrig.numerics.quantities import p_relation, plural
@@ -149,6 +150,7 @@ class SplitStudy:
         return "\n".join(lines)
 
 
+@takes_recordings
 def split_study(
     data: Dataset,
     parts: Sequence[int] = (1, 2, 4),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.models.fit import Fit
 from armrig.recordings.usability import Finding
@@ -40,7 +41,7 @@ class Advice:
         return f"advice on {self.of}: {said}\n{self.explain()}"
 
 
-def advice(data_or_fit: Dataset | Fit) -> Advice:
+def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Look at data, or at a model, as a colleague would before trusting them.
 
     Data: excitation, integrator, missing samples, outliers, drift, feedback, and whether ARX and
@@ -50,7 +51,7 @@ def advice(data_or_fit: Dataset | Fit) -> Advice:
 
     Parameters
     ----------
-    data_or_fit : Dataset or Fit
+    data_or_fit : Dataset, Recording or Fit
         What to judge.
 
     Returns
@@ -67,12 +68,8 @@ def advice(data_or_fit: Dataset | Fit) -> Advice:
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, chapters 14 and 16.
     """
-    if isinstance(data_or_fit, Dataset):
-        data = data_or_fit
+    if not isinstance(data_or_fit, Fit):
+        data = as_dataset(data_or_fit)
         return Advice(of=f"{data.N} samples of {data.output}", findings=tuple(examine_data(data)))
-    fit: object = data_or_fit
-    if not isinstance(fit, Fit):
-        msg = f"advice takes a Dataset or a Fit, got {type(fit).__name__}; of a recording give "
-        msg += "recording.dataset()"
-        raise TypeError(msg)
+    fit = data_or_fit
     return Advice(of=f"{fit.label} of {fit.output}", findings=tuple(examine_model(fit)))

@@ -8,6 +8,7 @@ from math import ceil, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
@@ -32,6 +33,7 @@ _FAR = 3  # lags past nk to which losses are kept
 _FEW_CHANGES = 10  # of u, up to which an error of quantisation does not average out
 
 
+@takes_recordings
 def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     """Find the first lag at which u acts: the first that a model cannot do without.
 

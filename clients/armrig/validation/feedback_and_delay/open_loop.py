@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.numerics.quantities import p_relation
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
@@ -95,6 +96,7 @@ class OpenLoop:
         return "\n".join([f"{self.verdict}{how}", *(f"  note: {r}" for r in self.remarks)])
 
 
+@takes_recordings
 def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     """Test whether the rig ran in open loop (`sims`): nothing in u from t on knows of y(t).
 

@@ -1,0 +1,73 @@
+"""What functions of data take: a Dataset, or whatever can give one, such as a Recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, signature
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+
+from armrig.data.dataset import Dataset
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class HasDataset(Protocol):
+    """What gives a Dataset: a recording does, of theta_1."""
+
+    def dataset(self) -> Dataset:
+        """Return u and y."""
+
+
+def as_dataset(data: Dataset | HasDataset) -> Dataset:
+    """Return the data, of a recording its `dataset()`.
+
+    Raises
+    ------
+    TypeError
+        It is neither.
+    """
+    if isinstance(data, Dataset):
+        return data
+    if not callable(getattr(data, "dataset", None)):
+        msg = f"data is a {type(data).__name__}: give a Dataset, armrig.Dataset(u=u, y=y, Ts=Ts), "
+        msg += 'or a recording, armrig.load("F.mcap")'
+        raise TypeError(msg)
+    return data.dataset()
+
+
+def takes_recordings(
+    f: Callable[Concatenate[Dataset, P], R],
+) -> Callable[Concatenate[Dataset | HasDataset, P], R]:
+    """Let a function whose first argument is a Dataset take a recording for it.
+
+    Orders that are given by position, as in MATLAB, are answered with how to name them.
+    """
+    parameters = list(signature(f).parameters.values())
+    positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
+    variadic = any(p.kind is Parameter.VAR_POSITIONAL for p in parameters)
+    first = parameters[0].name
+
+    @wraps(f)
+    def taking(*args: Any, **options: Any) -> R:
+        if len(args) > positional and not variadic:
+            raise TypeError(_by_name(f.__name__, parameters, args[positional:]))
+        if not args and first in options:
+            args = (options.pop(first),)
+        call: Callable[..., R] = f
+        return call(*(as_dataset(a) for a in args[:1]), *args[1:], **options)
+
+    return taking
+
+
+def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> str:
+    """Return how a call with positional orders is to be written."""
+    listed = given[0] if len(given) == 1 and isinstance(given[0], list | tuple) else given
+    orders = [p for p in parameters if p.kind is Parameter.KEYWORD_ONLY]
+    needed = [p.name for p in orders if p.default is Parameter.empty]
+    names = needed + [p.name for p in orders if p.name == "nk" and p.name not in needed]
+    values = [*map(repr, listed), *("…" for _ in names)]
+    call = ", ".join(f"{n}={v}" for n, v in zip(names or ["option"], values, strict=False))
+    first = parameters[0].name
+    return f"{name} takes what stands after {first} by name: {name}({first}, {call})"

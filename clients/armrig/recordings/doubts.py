@@ -1,0 +1,92 @@
+"""What speaks against using recordings as they are meant to be: told before any number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from armrig.recordings.recording import Recording
+
+FEW = 300
+"""Samples below which the deviations of a model of the rig say little."""
+_TURNED = 0.5  # rad by which a chassis must have turned before its direction is judged
+NO_MODEL = ("step", "staircase")
+"""Kinds of experiment that hardly excite: shown, and not identified from."""
+
+
+def doubts(recording: Recording) -> list[str]:
+    """Return what speaks against a recording, one sentence each; none is best."""
+    name = recording.path.name
+    found = []
+    if recording.samples.size < FEW:
+        found.append(
+            f"{name} has {recording.samples.size} samples: models of so few are poor; record "
+            f"{FEW} or more"
+        )
+    if _reversed(recording):
+        found.append(
+            f"{name}: theta_1 falls although the voltage is positive, so its potentiometer is "
+            "reversed, or the motor's wires are; run `armrig calibrate`"
+        )
+    return found
+
+
+def doubts_of_pair(first: Recording, other: Recording) -> list[str]:
+    """Return what speaks against judging models of `first` by `other`, one sentence each."""
+    a, b = first.manifest, other.manifest
+    name = other.path.name
+    found = []
+    kind = b.experiment.partition("-")[0]
+    if kind in NO_MODEL:
+        found.append(
+            f"{name} is a {kind}, which excites few frequencies: a fit on it says little; validate "
+            "on another telegraph (`armrig collect blackbox --validation`)"
+        )
+    if a.rig != b.rig or a.device.get("uid") != b.device.get("uid"):
+        found.append(
+            f"{first.path.name} is of {_rig(first)}, {name} of {_rig(other)}: a model of one rig "
+            "is none of another"
+        )
+    elif _values(first) != _values(other):
+        found.append(
+            f"{first.path.name} and {name} were made with different calibrations: read both with "
+            "one (--calibration TOML)"
+        )
+    if _experiment(first) != _experiment(other):
+        found.append(
+            f"{first.path.name} is of {_experiment(first)}, {name} of {_experiment(other)}: the "
+            "chassis alone and the whole rig are two plants"
+        )
+    return found
+
+
+def all_doubts(recordings: Sequence[Recording]) -> list[str]:
+    """Return what speaks against each, and against each with the first that excites."""
+    found = [text for r in recordings for text in doubts(r)]
+    excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
+    for other in excited[1:]:
+        found += doubts_of_pair(excited[0], other)
+    return found
+
+
+def _reversed(r: Recording) -> bool:
+    """Tell whether the angle falls: the voltage is never negative, so the chassis turns one way."""
+    angle = r.theta_1[np.isfinite(r.theta_1)]
+    return angle.size > 1 and float(angle[-1] - angle[0]) < -_TURNED
+
+
+def _rig(r: Recording) -> str:
+    uid = r.manifest.device.get("uid")
+    return f"rig {r.manifest.rig}" + (f" (device {uid})" if uid else "")
+
+
+def _experiment(r: Recording) -> str:
+    return "the chassis alone" if r.manifest.experiment.startswith("greybox") else "the whole rig"
+
+
+def _values(r: Recording) -> tuple[object, ...] | None:
+    c = r.calibration
+    return None if c is None else (c.theta_1, c.alpha, c.driver)

@@ -1,0 +1,63 @@
+"""What a person finds who asks for help, or mistypes."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from armrig.cli import main
+
+COMMANDS = [
+    "demo",
+    "status",
+    "watch",
+    "stop",
+    "reset",
+    "calibrate",
+    "bench",
+    "doctor",
+    "info",
+    "replay",
+    "identify",
+    "validate",
+    "compare",
+    "check",
+    "greybox",
+    "split",
+    "simulate",
+    "integrate",
+    "report",
+]
+COLLECTS = [f"collect {kind}" for kind in ("blackbox", "greybox", "step", "staircase", "bla")]
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, *COLLECTS])
+def test_every_command_has_h_and_an_example(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The example is of that command."""
+    assert main([*command.split(), "-h"]) == 0
+
+    assert f"Example: armrig {command}" in re.sub(r"\s+", " ", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    "typed", ["stpo", "sto", "resett", "colect", "callibrate", "demoo", "benhc", "stpp"]
+)
+def test_a_mistyped_command_is_never_answered_with_one_that_acts(
+    typed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither stop nor any other that moves a motor or stops it."""
+    assert main([typed]) == 2
+
+    said = capsys.readouterr().err.replace(f"'{typed}'", "")
+    assert not re.search(r"stop|reset|collect|calibrate|demo|bench", said)
+
+
+def test_a_mistyped_command_is_answered_with_one_that_reads(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without those that act."""
+    assert main(["stats"]) == 2
+
+    assert "did you mean status?" in capsys.readouterr().err

@@ -1,0 +1,63 @@
+"""What speaks against using recordings as they are meant to be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import armrig
+import msgspec
+import pytest
+from armrig.recordings.doubts import all_doubts
+from armrig.recordings.recording import Recording
+from armrig_core.calibration import Calibration, Driver
+from made_recordings import of_the_arm, written
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Return a recording with nothing against it."""
+    return armrig.load(
+        written(tmp_path_factory.mktemp("sound"), of_the_arm(armrig.telegraph(600, 0.05)))
+    )
+
+
+def changed(recording: Recording, **fields: Any) -> Recording:
+    """Return the recording with another manifest."""
+    return replace(recording, manifest=msgspec.structs.replace(recording.manifest, **fields))
+
+
+def test_two_sound_recordings_of_one_rig_have_nothing_against_them(sound: Recording) -> None:
+    """Nor has one with a step beside them."""
+    step = changed(sound, experiment="step")
+
+    assert all_doubts([step, sound, sound]) == []
+
+
+def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
+    """Another rig, another calibration, a step to validate on, the chassis against the rig."""
+    other_rig = changed(sound, rig="2")
+    other_device = changed(sound, device=sound.manifest.device | {"uid": "9999"})
+    calibration = msgspec.structs.replace(sound.calibration or Calibration(), driver=Driver(gain=2))
+    chassis = changed(sound, experiment="greybox-monday")
+
+    for other, said in (
+        (other_rig, "of rig 1 (device 0001)"),
+        (other_device, "a model of one rig is none of another"),
+        (replace(sound, calibration=calibration), "different calibrations"),
+        (chassis, "are two plants"),
+    ):
+        [text] = all_doubts([sound, other])
+        assert said in text
+        assert sound.path.name in text
+
+
+def test_a_reversed_sensor_and_too_few_samples_are_told(sound: Recording, tmp_path: Path) -> None:
+    """The voltage is never negative: a chassis whose angle falls is read the wrong way round."""
+    [reversed_] = all_doubts([replace(sound, theta_1=-sound.theta_1)])
+    short = armrig.load(written(tmp_path, of_the_arm(armrig.telegraph(50, 0.2))))
+    [few] = [t for t in all_doubts([short]) if "record 300" in t]
+
+    assert "reversed" in reversed_
+    assert "50 samples" in few
