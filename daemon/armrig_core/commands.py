@@ -181,7 +181,7 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     device: dict[str, Fact]
     """What the device said of itself."""
     line: str = ""
-    """What came of a device that does not answer, and what to try; empty where it answers."""
+    """Why no device answers, and what to try; empty where one does."""
     host: dict[str, Fact]
     """What the host allows: scheduling, locked memory."""
     last_run: LastRun | None

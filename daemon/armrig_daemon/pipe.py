@@ -99,7 +99,7 @@ class State(Tagged, frozen=True, kw_only=True):
     remedy: str = ""
     """What to do about the fault."""
     line: str = ""
-    """What came of a device that does not answer, and what to try; empty where it answers."""
+    """Why no device answers, and what to try; empty where one does."""
 
 
 class Trace(Tagged, frozen=True, kw_only=True):

@@ -170,12 +170,22 @@ def test_a_directory_of_sockets_that_others_can_write_to_is_refused(bench: Bench
     assert daemon.said.count("\n") == 1
 
 
-def test_a_port_that_is_not_there_is_said(bench: Bench) -> None:
-    """One line, exit code not 0."""
+def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
+    """What it waits for is said once, status says it too; the rig is ready when it is there."""
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+    wait_for(lambda: bench.phase() == "init")
+    with bench.rig() as rig:
+        wait_for(lambda: rig.status().line)
+        assert rig.status().line.startswith(
+            f"{bench.port}: there is no link to it, and it is waited for"
+        )
+        with pytest.raises(RefusedError, match="there is no link to it, and it is waited for"):
+            rig.arm("a test")
 
-    assert daemon.popen.wait(WITHIN_S) == 1
-    assert f"{bench.port} cannot be opened: it is not there" in daemon.said
+    bench.emulate()
+    wait_for(lambda: bench.phase() == "safe")
+
+    assert daemon.said.count(f"{bench.port} cannot be opened: it is not there") == 1
     assert "Traceback" not in daemon.said
 
 

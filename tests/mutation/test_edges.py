@@ -45,7 +45,7 @@ def _plant_from_now_on(monkeypatch: pytest.MonkeyPatch, site: Site) -> None:
 
 def _exit_code_without_a_port() -> int:
     settings = Settings(
-        rules=Config().rules(), port="/nowhere", baud=500_000, priority=0, cpu=None, spin_ns=0
+        rules=Config().rules(), port="/dev/null", baud=500_000, priority=0, cpu=None, spin_ns=0
     )
     loop = child.start(settings)
     while loop.records() is not None:

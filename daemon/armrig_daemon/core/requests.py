@@ -93,7 +93,9 @@ def motor(state: State) -> str:
 
 
 def unanswered(state: State) -> str:
-    """Return what came of a device that does not say who it is, and what to try, or nothing."""
+    """Return why there is no device that says who it is, and what to try, or nothing."""
+    if not state.link_up:
+        return "there is no link to it, and it is waited for; see that the rig is plugged in there"
     asked, came, baud = state.asked, state.came, state.rules.baud
     if asked is None or asked.want is not Want.HELLO or asked.tries < MANY_TRIES:
         return ""

@@ -18,6 +18,10 @@ class LinkError(OSError):
     """The port cannot be opened or is gone; says which and why."""
 
 
+class NoPortError(LinkError):
+    """There is no such port: the rig may not be plugged in yet."""
+
+
 class Link:
     """An open port. Each failure of it is a `LinkError`.
 
@@ -34,7 +38,7 @@ class Link:
             _tell_nothing_from_the_end(self._serial.fileno())
         except (OSError, ValueError, termios.error) as err:
             msg = f"{port} cannot be opened: {_reason(port, err)}"
-            raise LinkError(msg) from err
+            raise (LinkError if Path(port).exists() else NoPortError)(msg) from err
         self.port = port
         self.fd = self._serial.fileno()
         self._rest = b""

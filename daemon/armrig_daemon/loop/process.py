@@ -20,7 +20,7 @@ from armrig_protocol.messages import Estop
 
 from armrig_daemon.core.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
 from armrig_daemon.loop import realtime
-from armrig_daemon.loop.link import Link, LinkError, latency_timer_ms
+from armrig_daemon.loop.link import Link, LinkError, NoPortError, latency_timer_ms
 from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Host, Log, Quit, record_bytes, take_orders
 
@@ -48,25 +48,29 @@ class ProcessPorts:
     """The ports of the product: the monotonic clock, the serial line, the service's pipes."""
 
     def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
-        """Take the pipes and open the line; later losses of it are events, this one is not.
+        """Take the pipes and open the line; one that is not there is waited for, as a lost one is.
 
         Raises
         ------
         LinkError
-            The port is not there, taken, or not permitted.
+            The port is taken, not permitted, or no serial port.
         """
         self._settings = settings
         self._orders_fd = orders_fd
         self._records_fd = records_fd
         self._orders = bytearray()
-        self._link: Link | None = Link(settings.port, settings.baud)
-        self._waiter = Waiter()
-        self._waiter.watch(orders_fd)
-        self._waiter.watch_terminal(self._link.fd)
-        self._is_hung_up = False
-        self._first = True
+        self._link: Link | None = None
         self._reopen_ns = 0
         self._reopen_error = ""
+        self._waiter = Waiter()
+        self._waiter.watch(orders_fd)
+        try:
+            self._link = Link(settings.port, settings.baud)
+            self._waiter.watch_terminal(self._link.fd)
+        except NoPortError as err:
+            self._reopen_error = str(err)
+        self._is_hung_up = False
+        self._first = True
         self._has_no_reader = False
         self.quit_reason = ""
         self.spin_ns = 0
@@ -93,7 +97,7 @@ class ProcessPorts:
         """Wait for the line, the service or a signal."""
         if self._first:
             self._first = False
-            return [LinkUp()]
+            return [LinkUp() if self._link is not None else LinkDown(self._reopen_error)]
         events = self._open_again() if self._link is None else self._read_again()
         waiter = self._waiter
         for fd, flags in waiter.ready() if events else waiter.wait_until(until_ns):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 from armrig_core.volts import code_of
+from armrig_daemon.config import Config
 from armrig_daemon.core import step as core_step
 from armrig_daemon.core import trace
 from armrig_daemon.core.faults import Fault, Id
@@ -12,6 +13,7 @@ from armrig_daemon.core.gaps import MOST_ABSENT, note, tell_missing
 from armrig_daemon.core.requests import motor
 from armrig_daemon.core.state import (
     Absent,
+    LinkDown,
     LinkUp,
     Phase,
     Received,
@@ -26,6 +28,7 @@ from armrig_daemon.core.state import (
 )
 from armrig_daemon.core.stopping import end_run
 from armrig_daemon.pipe import Gap, Log, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
@@ -151,6 +154,23 @@ def test_what_is_known_of_the_motor_is_said_as_it_is(change: dict[str, object], 
     if not change:
         assert motor(awaiting(state, Want.STOP)) == "told to stop, not confirmed yet"
         assert motor(awaiting(state, Want.START)) == "driven"
+
+
+def test_a_port_that_cannot_be_opened_is_told_to_whoever_asks() -> None:
+    """Whether it was lost or never there; not to open it is no fault where nothing turned."""
+    state = core_step.start(Config().rules())
+
+    decided = Decided(state, 0, LinkDown("/dev/ttyACM0 cannot be opened: it is not there"))
+
+    [said] = decided.told(StateRecord)
+    assert said.phase == "init"
+    assert said.line.startswith("there is no link to it, and it is waited for")
+    [log] = decided.told(Log)
+    assert (log.level, log.message) == (
+        "warning",
+        "no link: /dev/ttyACM0 cannot be opened: it is not there",
+    )
+    assert decided.sent == []
 
 
 # -- a tick --------------------------------------------------------------------------------------
