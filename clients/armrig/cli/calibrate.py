@@ -12,6 +12,7 @@ import typer
 
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
 from armrig.cli.chosen_recording import recording_path
+from armrig.cli.next_step import say_next
 from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
 from armrig.numerics.quantities import with_std
 
@@ -106,6 +107,8 @@ def calibrate(
     found = _estimated(measured, meter_std, base)
     _write(path, found, base, measured.recordings())
     _print(path, found, json=json)
+    if not json:
+        say_next("calibrate")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,7 +145,7 @@ class _Measured:
 def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
     """Lead the person and the rig through what was not measured before."""
     rest, turns = _loaded(wanted.rest_file), _loaded(wanted.turns_file)
-    deflected = None
+    deflected, readings = None, wanted.readings
     if rest is None:
         ask.ready("Turn the chassis to its mark for theta_1 = 0 and let the arm hang still.")
         rest = play.rest("calibrate-rest", wanted.rest_seconds)
@@ -155,11 +158,11 @@ def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
     elif turns is None:
         text = ", ".join(f"{v:g} V" for v in wanted.levels)
         seconds = wanted.level_seconds
+        with_meter = not readings and ask.has_meter()
         ask.ready(f"The chassis will turn at {text}, {seconds:g} s each: keep clear of it.")
         turns = play.turns(wanted.levels, seconds)
-    readings = wanted.readings
-    if not wanted.by_hand and wanted.turns_file is None and not readings:
-        readings = ask.meter(wanted.levels)
+        if with_meter:
+            readings = ask.meter(wanted.levels)
     return _Measured(rest=rest, turns=turns, deflected=deflected, readings=readings)
 
 

@@ -29,13 +29,18 @@ class Dialogue:
         if not self._quiet:
             typer.prompt(f"{text} Then press Enter", default="", show_default=False, err=True)
 
+    def has_meter(self) -> bool:
+        """Return whether a meter is at the motor's terminals; asked before the motor turns."""
+        text = "Is a meter at the motor's terminals? Then note what it shows at each voltage"
+        return not self._quiet and typer.confirm(text, default=False, err=True)
+
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
         """Return what a meter showed at the motor's terminals."""
         from armrig_core.volts import code_of
 
         readings: list[tuple[int, float]] = []
-        for u in [] if self._quiet else levels:
-            text = f"What a meter showed at the motor for {u:g} V, in V (Enter: nothing)"
+        for u in levels:
+            text = f"What did the meter show for {u:g} V, in V (Enter: nothing)"
             shown = typer.prompt(text, default="", show_default=False, err=True)
             if shown:
                 readings.append(meter_reading(f"{code_of(u)}={shown}"))

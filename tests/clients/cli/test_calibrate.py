@@ -83,7 +83,7 @@ def test_the_person_is_led_through_it(
         return Collected(path, 0, 0.01, None, "", None)
 
     monkeypatch.setattr(collection, "collect", collect)
-    monkeypatch.setattr(sys, "stdin", _Terminal("\n\n0.97\n\n"))
+    monkeypatch.setattr(sys, "stdin", _Terminal("\ny\n\n0.97\n\n"))
     output = tmp_path / "c.toml"
 
     code = main(["calibrate", "--volts", "1", "--volts", "2", "-o", str(output)])
@@ -96,9 +96,30 @@ def test_the_person_is_led_through_it(
     u = plans[1].make(2450, 0.01)
     assert u.tolist() == [0.0] * 50 + [1.0] * 1200 + [2.0] * 1200
     assert not plans[0].make(300, 0.01).any()
-    for text in ("let the arm hang still", "turn at 1 V, 2 V, 12 s each", "meter showed"):
+    for text in (
+        "let the arm hang still",
+        "turn at 1 V, 2 V, 12 s each",
+        "did the meter show for 2 V",
+    ):
         assert text in said
+    assert said.index("Is a meter at the motor's terminals?") < said.index("will turn at")
     assert read_calibration(output).driver.gain == pytest.approx(0.97, rel=2e-3)
+
+
+def test_without_a_meter_none_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Enter is no, and the driver's gain is left as it was."""
+    files = _files(tmp_path)
+    played = Collected(Path(files[3]), 0, 0.01, None, "", None)
+    monkeypatch.setattr(collection, "collect", lambda *_, **__: played)
+    monkeypatch.setattr(sys, "stdin", _Terminal("\n\n"))
+    output = tmp_path / "c.toml"
+
+    assert main(["calibrate", *files[:2], "-o", str(output)]) == 0
+
+    assert "did the meter show" not in capsys.readouterr().err
+    assert read_calibration(output).driver.gain == 1.0
 
 
 class _Terminal(io.StringIO):
