@@ -168,3 +168,11 @@ def test_what_is_no_record_with_outliers_is_refused() -> None:
         hampel(Dataset(u=telegraph(400, 0.2), y=wild, Ts=1), threshold=2.0)
     with pytest.raises(ValueError, match="threshold=-1 must be > 0"):
         hampel(clean(0), threshold=-1)
+
+
+def test_very_few_samples_are_refused_by_their_number() -> None:
+    """Without an order that nobody gave."""
+    data = Dataset(u=[1.0, 2.0], y=[1.0, 2.0], Ts=1.0)
+
+    with pytest.raises(ValueError, match="2 samples are too few to find outliers with order=1"):
+        hampel(data)

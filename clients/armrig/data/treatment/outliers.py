@@ -56,7 +56,7 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
     from scipy.special import ndtri
 
     count = data.N - data.missing
-    n = min(20, count // 10) if order is None else order
+    n = max(min(20, count // 10), 1) if order is None else order
     require_integers(order=(n, 1))
     if count < 5 * n + 10:
         msg = f"{count} samples are too few to find outliers with order={n}; "
