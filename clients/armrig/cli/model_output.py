@@ -65,11 +65,9 @@ _OURS = {
     "trust std": "trust σ",
     "offset=True": "--offset",
     "stable=True": "--stable",
-    "integrator=True": "--integrator",
     "armrig.detrend(data)": "--detrend",
     "estimate from armrig.hampel(data), which marks": "--hampel marks",
 }
-
 
 _UNFINISHED = " (NOT CONVERGED)"
 
