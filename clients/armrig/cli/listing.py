@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from armrig.cli.chosen_recording import recording_folder, short_name
+from armrig.cli.chosen_recording import matching, recording_folder, short_name
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Json, echo, print_json, tell
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 Count = Annotated[int, typer.Option("--count", min=1, help="How many of the newest.")]
 All = Annotated[bool, typer.Option("--all", help="All of them.")]
 _COUNT = 20
-_HEADINGS = ("recording", "experiment", "length", "Ts", "missing", "started", "")
+_HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "validates")
 
 
 def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
@@ -44,8 +44,8 @@ def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
 
 def _row(summary: RecordingSummary, paths: list[Path]) -> tuple[str, ...]:
     manifest = summary.manifest
-    remark = f"validation of @{summary.validation_of}" if summary.validation_of else "validation"
     ended = summary.outcome.outcome
+    how = "" if ended == "complete" else f"({ended.split(':')[0]})"
     return (
         short_name(summary, paths),
         summary.kind,
@@ -53,8 +53,16 @@ def _row(summary: RecordingSummary, paths: list[Path]) -> tuple[str, ...]:
         f"{manifest.Ts:g} s",
         str(summary.outcome.missing),
         manifest.started[5:16].replace("T", " "),
-        "; ".join([remark] * summary.is_validation + [ended.split(":")[0]] * (ended != "complete")),
+        f"{_validated_by(summary, paths)} {how}".strip(),
     )
+
+
+def _validated_by(summary: RecordingSummary, paths: list[Path]) -> str:
+    """Return which recording one validates, by its short name; "" where none."""
+    if not summary.is_validation:
+        return ""
+    estimations = matching(f"@{summary.validation_of}", paths) if summary.validation_of else []
+    return short_name(estimations[0], paths) if estimations else "not said"
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:
