@@ -101,8 +101,8 @@ def rehearse(
 def sentence(rehearsal: Rehearsal) -> str:
     """Return what was found, in a line for a person."""
     return (
-        f"rehearsed on the model: the chassis gets {rehearsal.revolutions:.1f} turns far and ends "
-        f"{degrees(rehearsal.turned_rad):.0f}° from its start, "
+        f"rehearsed on the model: the chassis turns {rehearsal.revolutions:.1f} times and ends "
+        f"{degrees(rehearsal.turned_rad):.0f}° from its start; "
         f"the arm deflects by up to {degrees(rehearsal.alpha_rad):.1f}°"
     )
 

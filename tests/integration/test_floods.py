@@ -170,5 +170,7 @@ def test_a_rig_that_somebody_holds_is_not_looked_at_for_another(served: Bench) -
     """The refusal names the holder, as the core's does."""
     with served.rig() as rig, served.rig() as other:
         rig.arm("a student")
-        with pytest.raises(RefusedError, match="held by a student: wait, or stop it"):
+        with pytest.raises(
+            RefusedError, match="a student has the rig: wait until it is free, or stop it"
+        ):
             other.arm("another")

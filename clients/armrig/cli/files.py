@@ -18,6 +18,7 @@ from armrig.cli.options import (
     Nb,
     Nf,
     Nk,
+    Verbose,
     echo,
     print_json,
     print_table,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from armrig.cli.replay import Replay
     from armrig.recordings.recording import Recording
 
+_GAPS = 3  # lines of them without --verbose
 _MCAP = b"\x89MCAP0\r\n"
 
 
@@ -35,6 +37,7 @@ def info(
     file: File,
     calibration: CalibrationFile = None,
     json: Json = False,
+    verbose: Verbose = False,
     plot: Annotated[
         Path | None, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure of the timing.")
     ] = None,
@@ -50,7 +53,7 @@ def info(
     if json:
         print_json(_recording_facts(recording))
     else:
-        print_table(*_recording_rows(recording))
+        print_table(*_recording_rows(recording, verbose=verbose))
         say_next("info", file=typed(file))
 
 
@@ -80,7 +83,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
     }
 
 
-def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
+def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
     """Give what a recording holds, for a person: names and values."""
     from armrig.recordings.calibration.staleness import calibrated, remarks
     from armrig.recordings.gap_summary import gap_lines
@@ -104,11 +107,17 @@ def _recording_rows(rec: Recording) -> Iterator[tuple[str, str]]:
     yield "lateness", _lateness(timing.lateness, manifest.pacing)
     if found := disturbances(rec).texts():
         yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
-    for text in gap_lines(rec.gaps):
+    gaps = gap_lines(rec.gaps)
+    for text in gaps if verbose else gaps[:_GAPS]:
         yield "gap", text
+    if len(gaps) > _GAPS and not verbose:
+        yield "gap", f"{len(gaps) - _GAPS} more lines; --verbose shows them"
     if rec.truncated:
         yield "damage", rec.damage
-    yield "verdict", data_verdict(rec).summary
+    verdict = data_verdict(rec)
+    for finding in verdict.findings if verbose else ():
+        yield finding.about, finding.text
+    yield "verdict", verdict.summary
 
 
 def _sample_count(rec: Recording) -> str:

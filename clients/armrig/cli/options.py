@@ -17,7 +17,7 @@ Connect = Annotated[
     str | None, typer.Option("--connect", metavar="ENDPOINT", help="zenoh endpoint of the daemon.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Verbose = Annotated[bool, typer.Option("--verbose", help="Say where each figure comes from.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say all that there is to say.")]
 CalibrationFile = Annotated[
     Path | None,
     typer.Option(

@@ -266,6 +266,7 @@ def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[str]:
     pulses = [Q.shape[1] for past in unknown for _, Q in past.noise][1:]
     if sum(pulses) > MANY_PULSES * N:
         yield (
-            f"the noise's past is unknown anew in {len(pulses)} places: A, C and D may be off by "
-            "up to half a standard deviation, and the test of whiteness alarms too often"
+            f"the data have {len(pulses)} gaps, after each of which the noise model starts anew: "
+            "A, C and D may be off by up to half a standard deviation, and the test of whiteness "
+            "rejects too often"
         )

@@ -68,7 +68,7 @@ def from_csv(
     if outside.any():
         k = int(np.argmax(outside))
         msg = f"{path}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
-        msg += f"the first of {np.count_nonzero(outside)} of {u.size} values"
+        msg += f"as are {np.count_nonzero(outside)} of {u.size} values; scale or shift the signal"
         raise ValueError(msg)
     return u
 

@@ -26,7 +26,7 @@ def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> V
     outside = ~((taken >= low) & (taken <= high))  # also finds NaN
     if outside.any():
         first = int(np.argmax(outside))
-        msg = f"u[{first}]={taken[first]:g} V is outside {low:g} to {high:g} V, the first of "
+        msg = f"u[{first}]={taken[first]:g} V is outside {low:g} to {high:g} V, as are "
         msg += f"{np.count_nonzero(outside)} of {taken.size} values; scale or shift the signal"
         raise ValueError(msg)
     return taken

@@ -202,7 +202,7 @@ class Model:
         nyquist = np.pi / self.Ts
         if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
             msg = f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
-            msg += f"{nyquist:g} rad/s (pi/Ts); a sampled model answers nothing beyond"
+            msg += f"{nyquist:g} rad/s (pi/Ts); a sampled model has no response beyond"
             raise ValueError(msg)
         return omega_
 

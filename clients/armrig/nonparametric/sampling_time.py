@@ -314,7 +314,7 @@ def _notes(
 ) -> Iterator[str]:
     names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
     least, most = int(np.argmin(rules)), int(np.argmax(rules))
-    yield f"the shortest comes from {names[least]}, and is taken: a longer one loses dynamics"
+    yield f"the shortest is taken, that of {names[least]}: a longer one loses dynamics"
     if rules[most] > 4 * rules[least]:
         yield (
             f"the rules differ {rules[most] / rules[least]:.2g} times: the response is fast first "
@@ -331,4 +331,4 @@ def _notes(
             "compare with a faster recording before trusting it"
         )
     if Ts < now:
-        yield "shorter than these data's own: what lies above their Nyquist has not been seen"
+        yield "it is shorter than these data's, which show nothing above their Nyquist frequency"

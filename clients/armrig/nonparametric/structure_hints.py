@@ -330,5 +330,5 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         hidden = f"before it {100 * h.blind:.0f} % of the largest coefficient could hide: no delay"
         yield f"delay: {known}; {hidden} is shown"
     else:
-        delay = "none beyond the hold's own" if h.nk <= 1 else f"{h.nk - 1} beyond the hold's own"
-        yield f"delay: {known}, samples of delay: {delay}"
+        delay = "no input delay" if h.nk <= 1 else f"an input delay of {h.nk - 1} samples"
+        yield f"delay: {known}: {delay} (nk = {max(h.nk, 1)})"

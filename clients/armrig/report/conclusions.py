@@ -72,8 +72,8 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
         if m.fit.structure == "arx" and m.comparison.rms_error > farthest:
             yield (
                 f"{m.name} and {best.name} disagree. ARX assumes noise that passes through 1/A, "
-                "and here it is added to the angle: the least-squares estimate then buys one-step "
-                "prediction with a wrong transfer function. For simulation and for control use "
+                "and here it is added to the angle, so its transfer function is biased, although "
+                "it predicts one step ahead well. For simulation and for control use "
                 f"the {best.name} model."
             )
 
@@ -102,8 +102,8 @@ def _jitter_verdict(study: Study) -> str:
     return (
         "The sampling interval of the validation data has a standard deviation of "
         f"{microseconds(timing.std_us)}; at {number(fastest_rate(data))} {data.unit}/s, hardly "
-        f"ever exceeded, that is an angle of {error(angle_of_jitter(timing, data), data.unit)}, in "
-        "the measurement and in what the input has done by then."
+        f"ever exceeded, that moves θ₁ by {error(angle_of_jitter(timing, data), data.unit)}, "
+        "in the measurement and in what the input has done by then."
     )
 
 
@@ -122,7 +122,7 @@ def _residual_verdict(model: AssessedFit) -> str:
     if not (white and free):
         ending = f"look at its {'noise model' if free else 'orders and its delay'}"
     if min(tests.whiteness, tests.missing_dynamics) >= 0.001 and not (white and free):
-        ending += ", but one true model in a hundred is told the same"
+        ending += ", though one correct model in a hundred fails this test by chance"
     return f"On validation data the residuals of {model.name} are {said}: {ending}."
 
 

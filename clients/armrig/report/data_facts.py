@@ -33,7 +33,7 @@ def _units(study: Study) -> str:
     made = [c.made for c in calibrations.values() if c and c.made]
     if len(made) < len(calibrations):
         return (
-            "The rad and the volt rest on configured values that nobody has measured: what is in "
+            "Angles and voltages rest on configured values that were never measured: what is in "
             "these units, the gain of a model too, is as good as they are."
         )
     scales = [m.figures[_SCALE] for m in made if _SCALE in m.figures]

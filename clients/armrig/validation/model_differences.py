@@ -145,11 +145,11 @@ def _best(rows: Sequence[Row]) -> str:
 
 def _hopeless(row: Row, reference: Row) -> str:
     """Say why the figures of a model that simulates so badly say nothing of the rig."""
-    said = f"{row.name} is off {row.rms_error / reference.rms_error:.3g} times as far as "
-    said += f"{reference.name}: what sets its figures apart is the model's fault, not the rig's"
+    said = f"{row.name} has {row.rms_error / reference.rms_error:.3g} times the error of "
+    said += f"{reference.name}: its figures differ because the model is poor, not the rig"
     if isinstance(row.model, Estimate) and row.model.structure == "arx":
-        said += ". ARX takes the noise to pass through 1/A; where it is added to the output, as a "
-        said += "potentiometer's is, least squares buys one-step prediction with a wrong model: "
+        said += ". ARX assumes noise that passes through 1/A; a potentiometer adds it to the "
+        said += "output, which biases the ARX model: "
         return said + "take OE."
     return f"{said}. Look at its orders and its delay."
 

@@ -93,7 +93,7 @@ def test_orders_too_high_for_the_data_are_told_in_a_line(
 
     assert main(["identify", str(path), "--structure", "arx", "--na", "9", "--nb", "9"]) == 1
 
-    assert told(capsys).startswith(f"armrig: {said}")
+    assert f"armrig: {said}" in told(capsys)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_info_says_what_a_recording_holds(
     facts = json.loads(capsys.readouterr().out)
 
     assert "1195 at 0.01 s, 5 missing" in text
-    assert "rad rms within a second" in text
+    assert "signal to noise" in text
     assert "\\x" not in text  # a blank between number and unit is no stranger's character
     assert facts["samples"] == 1195
     assert facts["missing"] == 5
@@ -500,7 +500,7 @@ def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
 
     said = capsys.readouterr()
     assert said.out == f"{daemon.recording}\n"
-    assert "the data cannot be used: the input never moves" in said.err
+    assert "the data cannot be used: the input never changes" in said.err
     assert daemon.names().count("run") == 1
 
 
@@ -514,7 +514,7 @@ def test_the_bar_says_how_the_timing_is(
     late = {"t_host_ns": sample(2).t_sched_ns + 456_000}
     messages = [
         ("sample", telemetry.encode_sample(sample(0, flags=0, t_host_ns=sample(9).t_host_ns))),
-        ("gap", gap(1, 50, 0.0).SerializeToString()),
+        ("gap", gap(1, 1, 0.0).SerializeToString()),
         ("sample", telemetry.encode_sample(sample(2, **late))),
         ("gap", gap(3, 2, 1.0).SerializeToString()),
         ("timing", report.SerializeToString()),
@@ -560,7 +560,7 @@ def test_collect_says_what_the_rehearsal_was(
     told = json.loads(capsys.readouterr().out)
 
     assert said.out == "/nowhere/run.mcap\n"
-    assert "the chassis gets 3.5 turns far and ends 1203° from its start" in said.err
+    assert "the chassis turns 3.5 times and ends 1203° from its start" in said.err
     assert "the arm deflects by up to 11.5°" in said.err
     assert told["rehearsal"]["revolutions"] == 3.5
 

@@ -146,7 +146,7 @@ def test_a_machine_that_refuses_for_good_is_given_up_in_time(
 
 def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
     """Once more would not help."""
-    out, held = StringIO(), "held by a student: wait, or stop it"
+    out, held = StringIO(), "a student has the rig: wait until it is free, or stop it"
     daemon = StallingDaemon(where, refusals=[held], ends=[])
 
     with (

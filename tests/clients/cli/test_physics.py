@@ -37,7 +37,7 @@ def test_check_finds_no_feedback_and_no_delay(
     assert (found["delay"]["nk"], found["delay"]["delay"]) == (1, 0)
     assert found["delay"]["integrator"] is True
     assert "nothing speaks against open loop" in text
-    assert "no delay beyond the hold's own sample" in text
+    assert "no input delay" in text
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 

@@ -208,7 +208,7 @@ def test_realisations_with_the_same_effective_value_differ_in_their_phases_only(
 
 def test_a_value_outside_is_named_by_its_index() -> None:
     """The first one, with its value and the way out."""
-    with pytest.raises(ValueError, match=r"u\[1\]=6 V is outside 0 to 5 V, the first of 2 of 3"):
+    with pytest.raises(ValueError, match=r"u\[1\]=6 V is outside 0 to 5 V, as are 2 of 3"):
         within([1.0, 6.0, float("nan")])
     with pytest.raises(ValueError, match=r"u\[2\]=4.6 V is outside 0.5 to 4.5 V"):
         staircase(9, [1.0, 2.0, 4.6])

@@ -114,8 +114,8 @@ def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
         with pytest.raises(BusyError, match="too many commands"):
             rig.arm("a test")
         daemon.busy, tries = {}, daemon.refused["arm"]
-        daemon.refusals["arm"] = "held by a student: wait, or stop it"
-        with pytest.raises(RefusedError, match="held by a student"):
+        daemon.refusals["arm"] = "a student has the rig: wait until it is free, or stop it"
+        with pytest.raises(RefusedError, match="a student has the rig"):
             rig.arm("a test")
 
     assert tries > 5

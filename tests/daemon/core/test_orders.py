@@ -107,7 +107,7 @@ def test_a_rig_that_is_held_is_not_taken() -> None:
     bench = armed()
     fault = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
 
-    assert _refusal(bench, ACQUIRE) == "held by a student: wait, or stop it"
+    assert _refusal(bench, ACQUIRE) == "a student has the rig: wait until it is free, or stop it"
     assert _refusal(bench, ACQUIRE, fault) == "in fault (it ran out): mend it, then reset"
 
 

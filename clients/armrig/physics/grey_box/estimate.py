@@ -233,5 +233,5 @@ def _fit(
 def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:
     lost = [name for name, there in zip(names, seen, strict=True) if not there]
     if lost:
-        msg = f"the data say nothing of {', '.join(lost)}: hold it fixed, or excite the rig more"
+        msg = f"the data do not show {', '.join(lost)}: hold it fixed, or excite the rig more"
         raise ValueError(msg)

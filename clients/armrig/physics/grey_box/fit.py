@@ -183,7 +183,7 @@ class GreyFit:
                 parts.append(f"It moves with what was held fixed, for 1 % each: {shares}.")
         if any(self.fixed_std.values()):
             noise = ", ".join(f"{k} {v:.2g}" for k, v in self.std_noise.items())
-            parts.append(f"Of the standard deviations the noise alone makes: {noise}.")
+            parts.append(f"Standard deviations by the noise alone: {noise}.")
         return "\n".join([*parts, *(f"Note: {w}." for w in self.warnings)])
 
     def __repr__(self) -> str:

@@ -28,8 +28,8 @@ def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
     made = calibration.made
     if made is None:
         return [
-            "The rig was not calibrated: its angles rest on configured values that nobody has "
-            "measured (see `armrig calibrate`)."
+            "The rig was not calibrated: its angles rest on configured values that were "
+            "never measured (see `armrig calibrate`)."
         ]
     found = []
     uid = str(manifest.device.get("uid", ""))

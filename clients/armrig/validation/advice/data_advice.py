@@ -127,5 +127,5 @@ def _about_structures(data: Dataset, *, integrator: bool) -> Iterator[Finding]:
     if apart < _AGREE:
         yield finding("ARX and OE", text, good=True)
         return
-    text += ": the noise is on the output and not ARX's 1/A, and ARX buys one-step prediction "
-    yield finding("ARX and OE", text + "with a wrong model; take OE", good=False)
+    text += ": the noise is added to the output, which ARX does not assume, so its transfer "
+    yield finding("ARX and OE", text + "function is biased; take OE", good=False)

@@ -176,7 +176,7 @@ def _delay_sentence(samples: int, Ts: float) -> str:
     if samples < 0:
         return "a direct term, u acts within its own sample"
     if samples == 0:
-        return "no delay beyond the hold's own sample"
+        return "no input delay"
     return f"{plural(samples, 'sample')} ({1e3 * samples * Ts:.3g} ms) beyond the hold's"
 
 

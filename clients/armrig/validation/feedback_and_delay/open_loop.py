@@ -55,7 +55,7 @@ class OpenLoop:
         s, y = self.sims, self.output
         lines = [
             f"Asked: does the input from t on know of {y}(t) what the past does not? In open loop "
-            f"it does not: nobody who chose u looked at {y}.",
+            f"it does not: u was chosen without looking at {y}.",
             f"Found: it explains {100 * max(s.explained, 0.0):.2g} % of what the past leaves of "
             f"{y}; F = {s.F:.3g} with {s.q} and {s.degrees} degrees of freedom, p "
             f"{p_relation(self.p_value)}.",
@@ -69,7 +69,7 @@ class OpenLoop:
             )
             if self.p_value >= _SURE:
                 lines.append(
-                    f"But one open-loop experiment in {1 / self.level:.0f} is told the same, and p "
+                    f"But one open-loop experiment in {1 / self.level:.0f} fails by chance, and p "
                     "is not far below the level: record another one, and see whether it says so "
                     "again."
                 )
