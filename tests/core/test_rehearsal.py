@@ -79,7 +79,7 @@ def test_where_the_chassis_ends_is_counted_from_where_it_was() -> None:
     assert from_2.theta_1_rad == pytest.approx(2.0 + from_2.turned_rad)
     assert rehearse(u, 0.01).theta_1_rad is None
     words = sentence(from_2)
-    assert f"{from_2.revolutions:.1f} turns" in words
+    assert f"{from_2.revolutions:.1f} times" in words
     assert f"up to {degrees(from_2.alpha_rad):.1f}°" in words
 
 
