@@ -105,5 +105,5 @@ def test_a_first_coefficient_that_is_nothing_points_to_a_delay(plant: HandoutPla
 
 def test_what_is_neither_data_nor_a_model_is_refused() -> None:
     """With the way out."""
-    with pytest.raises(TypeError, match=r"takes a Dataset or a Fit, got str"):
+    with pytest.raises(TypeError, match=r"data is a str: give a Dataset"):
         armrig.advice("run.mcap")  # type: ignore[arg-type]
