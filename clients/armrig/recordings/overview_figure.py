@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, INK, MISSING, NAMES, VERMILION, finish, panels, sign
 from armrig.numerics.stretches import stretches
@@ -12,7 +14,19 @@ from armrig.numerics.stretches import stretches
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.recordings.overview import Overview
+    from armrig.recordings.recording import Recording
+
+
+class Overview(Protocol):
+    """What is drawn: see `armrig.recordings.overview`, whose fields say more."""
+
+    @property
+    def recording(self) -> Recording:
+        """Its signals."""
+
+    @property
+    def outliers(self) -> Mapping[str, NDArray[np.float64]]:
+        """Times in s, by output."""
 
 
 def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:

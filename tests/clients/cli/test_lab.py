@@ -48,8 +48,8 @@ def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
                 time.sleep(0.1)
             yield process
         finally:
-            process.kill()
-            process.wait()
+            process.terminate()  # killed, it would leave its daemon behind
+            process.wait(_PATIENCE_S)
 
 
 def of_this_test() -> list[str]:
