@@ -33,6 +33,10 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     """Length of the input."""
     k_first: int = -1
     """Index of the first sample; -1 where the recording does not say."""
+    part: int = 0
+    """Number of the file among those of a long run, from 1; 0 where one file holds all of it."""
+    part_k_first: int = -1
+    """Index of the first sample that was due in this part; -1 for a run in one file."""
     pacing: str = "exchange"
     """Who made the samples: `scheduled`, the device's timer, or `exchange`, the host."""
     started: str
@@ -61,11 +65,11 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """How a run ended."""
 
     outcome: str
-    """`complete`, or why it ended early."""
+    """`complete`, or why it ended early; `continued` in a part that another one follows."""
     samples: int
-    """Samples recorded."""
+    """Samples recorded, in this file."""
     missing: int
-    """Samples that the gaps are short of."""
+    """Samples that the gaps are short of, in this file."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""

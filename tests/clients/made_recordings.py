@@ -13,7 +13,7 @@ import numpy as np
 from armrig_core import protobuf, telemetry
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Potentiometer
-from armrig_core.manifest import CALIBRATION, OUTCOME, RUN, Manifest, Outcome
+from armrig_core.manifest import CALIBRATION, INPUT, OUTCOME, RUN, Manifest, Outcome
 from armrig_core.topics import topic
 from armrig_protocol.messages import Flag
 from mcap.writer import CompressionType, Writer
@@ -99,6 +99,7 @@ def recorded(
     compression: CompressionType = CompressionType.ZSTD,
     flush_every: int = 0,
     outcome_first: bool = False,
+    u: Iterable[float] | None = None,
 ) -> bytes:
     """Return a recording of these messages: samples, protobuf messages, or bytes as samples.
 
@@ -112,6 +113,9 @@ def recorded(
     if calibration:
         text = msgspec.json.encode(calibration)
         writer.add_attachment(0, 0, CALIBRATION, "application/json", text)
+    if u is not None:
+        lines = "".join(["u_v\n", *(f"{volts!r}\n" for volts in u)])
+        writer.add_attachment(0, 0, INPUT, "text/csv", lines.encode())
     channels = {}
     kinds = {"sample": protobuf.SAMPLE, "gap": protobuf.GAP, "event": protobuf.LOG}
     for stream, name in {
@@ -124,6 +128,7 @@ def recorded(
         channels[name] = writer.register_channel(topic(manifest.rig, stream), "protobuf", schema)
     if outcome and outcome_first:
         writer.add_metadata(OUTCOME, outcome.metadata())
+    log_time = publish_time = OFFSET_NS + sample(0).t_sched_ns  # they never go back in a file
     for i, message in enumerate(messages):
         if isinstance(message, telemetry.Sample):
             log_time = message.t_host_ns + OFFSET_NS
@@ -134,9 +139,9 @@ def recorded(
                 message.k,
             )
         elif isinstance(message, bytes):
-            data, channel, k, log_time, publish_time = message, channels[protobuf.SAMPLE], 0, 0, 0
+            data, channel, k = message, channels[protobuf.SAMPLE], 0
         else:
-            channel, k, log_time, publish_time = channels[message.DESCRIPTOR.full_name], 0, 0, 0
+            channel, k = channels[message.DESCRIPTOR.full_name], 0
             data = message.SerializeToString()
         writer.add_message(channel, log_time, data, publish_time, k & 0xFFFFFFFF)
         if flush_every and (i + 1) % flush_every == 0:

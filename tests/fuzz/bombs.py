@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import zstandard
-from armrig.recordings import container
+from armrig.recordings import budget, container
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME
 from mcap.opcode import Opcode
@@ -102,7 +102,7 @@ def _timing() -> dict[str, object]:
 
 def _attachments() -> bytes:
     """Return attachments of 8 MB under a name that is kept."""
-    body = bytes(16) + _text(b"input.csv") + _text(b"text/csv")
+    body = bytes(16) + _text(b"config.json") + _text(b"application/json")
     body += struct.pack("<Q", 8_000_000) + bytes(8_000_000) + bytes(4)
     return _record(0x09, body) * 5
 
@@ -143,6 +143,6 @@ def fuzz(_most: int, _seed: int) -> Counter[str]:
             cost = cost_mib(bomb, Path(directory))
             costs[f"MiB for {name} ({len(bomb) / 1e6:.3g} MB)"] = round(cost)
             # A long recording may cost more: so much for each of its bytes.
-            most = MOST_MIB + container.MESSAGES_PER_BYTE * len(bomb) / (1 << 20)
+            most = MOST_MIB + budget.MESSAGES_PER_BYTE * len(bomb) / (1 << 20)
             assert cost <= most, f"{name}: {cost:.0f} MiB"
     return costs

@@ -17,11 +17,13 @@ from random import Random
 
 import numpy as np
 from armrig.recordings import container
+from armrig.recordings.budget import DamageError
 from armrig.recordings.byte_source import ByteSource
+from armrig.recordings.file_records import Wanted, file_records
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
-from armrig.recordings.sample_rows import DamageError
 from armrig_core import telemetry
+from armrig_core.manifest import INPUT
 from mcap.opcode import Opcode
 
 from fuzz.files import in_memory, in_one_line, recording
@@ -80,13 +82,16 @@ def _by_record(data: bytes) -> Counter[str]:
             assert _taken(reader) == before, f"cut at {cut} B: a part of a record was taken"
             found["cuts"] += 1
         _said(reader, data[begin:end])
-        reader.spent = dict.fromkeys(reader.spent, 0)
+        for what in reader.budget.spent:
+            reader.budget.regain(what)
     return found
 
 
 def _said(reader: container._Reader, rest: bytes) -> str:
     try:
-        container._read_records(ByteSource(BytesIO(rest), len(rest)), reader)
+        source = ByteSource(BytesIO(rest), len(rest))
+        for record in file_records(source, Wanted(left=INPUT), reader.spend_work):
+            reader.add(record)
     except DamageError as damage:
         return str(damage)
     return ""
@@ -95,7 +100,7 @@ def _said(reader: container._Reader, rest: bytes) -> str:
 def _taken(reader: container._Reader) -> tuple[int, ...]:
     rows, content = reader.rows, reader.content
     kept = (content.messages, content.metadata, content.attachments)
-    return rows._size, rows._pending_size, *map(len, kept)
+    return rows.size, rows._pending_size, *map(len, kept)
 
 
 def _check_load(path: Path, last: int | None) -> int | None:

@@ -60,8 +60,8 @@ def next_line(after: str, **values: str | float) -> str:
 def typed(path: Path) -> str:
     """Return a recording as a person would type it: its @name where it has one, or its path."""
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder, short_name
+    from armrig.recordings.budget import DamageError
     from armrig.recordings.folder import newest_first, summary_of
-    from armrig.recordings.sample_rows import DamageError
 
     try:
         folder = recording_folder()
@@ -85,8 +85,8 @@ def estimation_of(path: Path) -> str:
 
 def kind_of(path: Path) -> str:
     """Return the kind of experiment of a recording; "" where it does not say."""
+    from armrig.recordings.budget import DamageError
     from armrig.recordings.folder import summary_of
-    from armrig.recordings.sample_rows import DamageError
 
     try:
         return summary_of(path).kind

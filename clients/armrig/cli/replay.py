@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig_core.manifest import INPUT, RUN, manifest_of
+from armrig_core.manifest import RUN, Manifest, manifest_of
+from armrig_core.telemetry import Sample
 from armrig_core.volts import code_of
 from armrig_daemon.core import step as core_step
 from armrig_daemon.core import trace
 from armrig_daemon.core.state import Action, Emit, Publish, Send
 from armrig_daemon.pipe import Log
 from armrig_protocol.frame import Spoilt, Unknown, decode
+from numpy.typing import NDArray
 
-from armrig.recordings.container import READ, Content, read
+from armrig.recordings.budget import DamageError
+from armrig.recordings.container import Content, read, streamed
+from armrig.recordings.recorded_input import recorded_input
 from armrig.recordings.recording import RecordingError
-from armrig.recordings.sample_rows import SAMPLE_DTYPE, DamageError
+from armrig.recordings.sample_rows import SAMPLE_DTYPE
 
 MOST_CHUNK = 4096
 """Bytes of steps in one chunk; with so few there cannot be many."""
-MOST = 1 << 28
-"""Bytes of messages that are read; a run of ten minutes at 1 kHz has a quarter of it."""
+_COMPARED = 4096  # samples that are compared at once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,36 +73,39 @@ def replay(path: str | Path) -> Replay:
     """
     path = Path(path)
     try:
-        content = read(path, streams=(*READ, "trace"), most=MOST)
+        content = read(path)
     except (OSError, DamageError) as err:
         msg = f"{path}: {getattr(err, 'strerror', None) or err}"
         raise RecordingError(msg) from err
     if content is None:
         msg = f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)"
         raise RecordingError(msg)
-    chunks = content.messages.get("trace", [])
-    if not chunks or not chunks[0].state:
+    first = next(streamed(path, "trace"), None)
+    if first is None or not first.state:
         why = "recorded before replay was built?"
         if content.damage:
             why = f"{content.damage}, and they would stand behind it"
         msg = f"{path}: holds no steps of the daemon's core: {why}"
         raise RecordingError(msg)
     try:
-        return _replayed(content, chunks)
+        return _replayed(path, content, first.state)
     except Exception as err:  # the core runs on what somebody wrote there: anything may be raised
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         msg = f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
         raise RecordingError(msg) from err
 
 
-def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
-    state = trace.restored(chunks[0].state, _codes(content.attachments[INPUT]))
-    told = state.told
+def _replayed(path: Path, content: Content, begin: bytes) -> Replay:
     manifest = manifest_of(content.metadata[RUN])
-    difference, frames, published, said = "", 0, [], []
+    state = trace.restored(begin, _codes(path, content, manifest))
+    # Samples read together with the answer to START belong to the step before the first.
+    k = content.samples["k"]
+    compared = _Compared(content.samples[k > state.told], manifest)
+    chunks = _Chunks(streamed(path, "trace"))
+    difference, frames, said = "", 0, []
     first = now_ns = None
     n = 0
-    for n, step in enumerate(_steps(chunks), 1):
+    for n, step in enumerate(chunks.steps(), 1):
         now_ns = step.now_ns
         first = now_ns if first is None else first
         state, actions = core_step.step(state, now_ns, step.events)
@@ -109,25 +115,20 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
             difference += f"sent {_names(step.sent)}, now decides {_names(sent)}"
             break
         frames += len(sent)
-        published += [a.sample for a in actions if isinstance(a, Publish)]
+        compared.add(a.sample for a in actions if isinstance(a, Publish))
         said += list(_messages(actions, first))
-    ours = np.array([tuple(s) for s in published], dtype=SAMPLE_DTYPE)
-    end = manifest.k_first + manifest.samples
-    ours = ours[(ours["k"] >= manifest.k_first) & (ours["k"] < end)]
-    # Samples read together with the answer to START belong to the step before the first.
-    theirs = content.samples[content.samples["k"] > told]
-    same = _same_rows(ours, theirs)
+    compared.settle()
     # In a file that is cut off, the samples may reach further than the steps, or less far.
-    reached = same == (min if content.cut_off else max)(ours.size, theirs.size)
-    if not difference and not reached:
-        difference = f"the file has {theirs.size} samples, the replay {ours.size}; "
-        difference += f"{same} are the same"
-    if not difference and _holes(chunks):
-        difference = f"{_holes(chunks)} chunks of steps are missing from the file"
+    reach = (min if content.cut_off else max)(compared.ours, compared.theirs.size)
+    if not difference and compared.same != reach:
+        difference = f"the file has {compared.theirs.size} samples, the replay {compared.ours}; "
+        difference += f"{compared.same} are the same"
+    if not difference and (holes := chunks.holes()):
+        difference = f"{holes} chunks of steps are missing from the file"
     return Replay(
         steps=n,
         frames=frames,
-        samples=same,
+        samples=compared.same,
         seconds=0.0 if first is None or now_ns is None else (now_ns - first) / 1e9,
         difference=difference,
         until=content.damage,
@@ -135,21 +136,62 @@ def _replayed(content: Content, chunks: Sequence[Any]) -> Replay:
     )
 
 
-def _steps(chunks: Sequence[Any]) -> Iterator[trace.Step]:
-    """Return the steps up to the first hole."""
-    for number, chunk in enumerate(chunks):
-        if chunk.number != number:
-            return
-        if len(chunk.steps) > MOST_CHUNK:
-            msg = (
-                f"a chunk of steps has {len(chunk.steps)} B; the daemon writes {MOST_CHUNK} at most"
-            )
-            raise ValueError(msg)
-        yield from trace.steps_of(chunk.steps)
+class _Compared:
+    """The samples of a replay against those of the file, as they come: an hour has 3.6 million."""
+
+    def __init__(self, theirs: NDArray[np.void], manifest: Manifest) -> None:
+        """Compare with the file's, (n,) of `SAMPLE_DTYPE`."""
+        self.theirs = theirs
+        self.ours = 0
+        """Samples of the replay that belong to the run."""
+        self.same = 0
+        """Samples from the first on that are the same to the last bit."""
+        self._first, self._end = manifest.k_first, manifest.k_first + manifest.samples
+        self._pending: list[tuple[Any, ...]] = []
+
+    def add(self, samples: Iterable[Sample]) -> None:
+        """Compare more of them."""
+        self._pending += [tuple(s) for s in samples if self._first <= s.k < self._end]
+        if len(self._pending) >= _COMPARED:
+            self.settle()
+
+    def settle(self) -> None:
+        """Compare what has come up to now."""
+        ours = np.array(self._pending, dtype=SAMPLE_DTYPE)
+        self._pending = []
+        if self.same == self.ours:
+            self.same += _same_rows(ours, self.theirs[self.ours : self.ours + ours.size])
+        self.ours += ours.size
 
 
-def _holes(chunks: Sequence[Any]) -> int:
-    return int(chunks[-1].number) + 1 - len(chunks)
+class _Chunks:
+    """The chunks of steps in a file, one after the other."""
+
+    def __init__(self, chunks: Iterator[Any]) -> None:
+        self._chunks = chunks
+        self._count, self._last = 0, -1
+
+    def steps(self) -> Iterator[trace.Step]:
+        """Give the steps up to the first hole."""
+        for chunk in self._next():
+            if chunk.number != self._count - 1:
+                return
+            if len(chunk.steps) > MOST_CHUNK:
+                msg = f"a chunk of steps has {len(chunk.steps)} B; "
+                msg += f"the daemon writes {MOST_CHUNK} at most"
+                raise ValueError(msg)
+            yield from trace.steps_of(chunk.steps)
+
+    def holes(self) -> int:
+        """Return how many chunks are missing, up to the last one that is there."""
+        for _ in self._next():
+            pass
+        return self._last + 1 - self._count
+
+    def _next(self) -> Iterator[Any]:
+        for chunk in self._chunks:
+            self._count, self._last = self._count + 1, int(chunk.number)
+            yield chunk
 
 
 def _same_rows(ours: Any, theirs: Any) -> int:
@@ -162,10 +204,13 @@ def _same_rows(ours: Any, theirs: Any) -> int:
     return int(different[0]) if different.size else n
 
 
-def _codes(csv: bytes) -> bytes:
-    """Return the codes of an attached input, as the daemon made them of it."""
-    codes = [code_of(float(line)) for line in csv.decode().splitlines()[1:]]
-    return np.asarray(codes, dtype="<u2").tobytes()
+def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
+    """Return the codes of the attached input, as the daemon made them of it."""
+    if content.input is None:
+        msg = "no input is attached"
+        raise ValueError(msg)
+    u = recorded_input(path, content.input, manifest.samples)
+    return np.asarray([code_of(volts) for volts in u.tolist()], dtype="<u2").tobytes()
 
 
 def _names(frames: Sequence[bytes]) -> str:

@@ -16,6 +16,8 @@ class ByteSource:
         self.at = 0
         self.whole = 0
         """End of the last whole record."""
+        self.passed = False
+        """Chunks were passed over, unread."""
 
     def read(self, n: int) -> bytes:
         """Return the next n bytes, fewer at the end of the file."""

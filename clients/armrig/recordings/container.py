@@ -1,8 +1,7 @@
 """What is in an MCAP file, read from front to back for as far as it is whole.
 
-One way of reading for whole, cut and hostile files: record after record, nothing believed that a
-file says of its own sizes, and at the first damage it stops and says where. What it has by then is
-a prefix without holes.
+One way of reading for whole, cut and hostile files: record after record, and at the first damage it
+stops and says where. What it has by then is a prefix without holes.
 """
 
 from __future__ import annotations
@@ -12,7 +11,8 @@ import re
 import stat
 import struct
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -28,61 +28,39 @@ from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, DataEnd, Metadata
+from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
+from armrig.recordings.budget import KEPT, UNPACKED, WORK, Budget, DamageError
 from armrig.recordings.byte_source import ByteSource
+from armrig.recordings.file_records import (
+    CHUNK_LIMIT,
+    MAGIC,
+    CutOffError,
+    Place,
+    Record,
+    Wanted,
+    file_records,
+)
 from armrig.recordings.sample_rows import (
-    CHANNEL,
+    MESSAGE_HEAD,
     RECORD_HEAD,
+    ROW_LENGTH,
     SAMPLE_DTYPE,
-    DamageError,
     SampleRows,
 )
 
-MAGIC = b"\x89MCAP0\r\n"
-CHUNK_LIMIT = 8 << 20
-"""Largest chunk that is unpacked, in B."""
-MESSAGES_LIMIT, MESSAGES_PER_BYTE = 40 << 20, 16
-"""Of messages other than samples a file of n B may cost the first plus the second times n, in B."""
-RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
-"""Longest record that is read, in B; a longer attachment is passed over."""
-UNPACKED_LIMIT, UNPACKED_PER_BYTE, UNPACKED_MORE = 64 << 20, 64, 1 << 30
-"""A file of n B may unpack to the first plus 64 n, but no more than n and the third, in B."""
-WORK_LIMIT = 3_000_000
-"""Most work with records, in messages passed over, which take about 1 µs each."""
-
 _IDS = Struct("<HH")  # a channel and its schema, or a schema
 _CHUNK_HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of a name
-_PASSED_OVER = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
-_INDEX_HEAD = Struct("<HI")  # of a message index: channel, length of what follows
-# What may stand before the end of the data; a changed opcode must not make a chunk disappear.
-_DATA = (
-    Opcode.HEADER,
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.MESSAGE,
-    Opcode.CHUNK,
-    Opcode.MESSAGE_INDEX,
-    Opcode.ATTACHMENT,
-    Opcode.METADATA,
-    Opcode.DATA_END,
-)
-_NAME_LIMIT, _MESSAGE_HEAD = 100, 2 + 4 + 8 + 8  # B; channel, sequence, log and publish time
-_WORK, _KEPT = "units of work with records", "B of messages other than samples"
-_UNPACKED = "B in its chunks, unpacked"
-_RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 1, 10  # measured, roughly
+_MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if it is a message
+_NAME_LIMIT = 100  # B
+_RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, roughly
 # Bytes that a message costs us beyond its payload once it is parsed; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 READ = STREAMS
 """What most readers want; the core's steps are for who decides a run once more."""
-
-
-class CutOffError(DamageError):
-    """The file ends too early; says how."""
-
-    def __init__(self, how: str) -> None:
-        super().__init__(f"the file is cut off: it ends {how}")
+# The libraries raise these on damaged bytes. The CRCs make it rare.
+_UNREADABLE = (McapError, struct.error, DecodeError, ValueError, OverflowError)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -106,18 +84,36 @@ class Content:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Metadata records by name."""
     attachments: dict[str, bytes] = field(default_factory=dict)
-    """Attachments that a reader needs, by name."""
+    """Attachments that a reader needs, by name; not the input, which may be long."""
+    input: Place | None = None
+    """Where the input's attachment stands in the file."""
 
 
-def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """The part of a file that is wanted; chunks without any of it are passed over, unread."""
+
+    from_ns: int
+    """Log time from which on messages are wanted."""
+    to_ns: int
+    """Log time up to which they are wanted."""
+    k_end: int
+    """The first sample behind the part: one before it may have come later than it was due."""
+
+
+def read(
+    path: Path, streams: Collection[str] = READ, *, part: Part | None = None, digest: bool = True
+) -> Content | None:
     """Return what is in the file at `path`, or None where it is no MCAP.
 
     Parameters
     ----------
     streams : collection of str
         Of which streams the messages are kept.
-    most : int
-        What messages other than samples may cost, in B, 0 for `MESSAGES_LIMIT`; more is damage.
+    part : Part, optional
+        What to read; the first chunk with a sample is read in any case. Left out, all.
+    digest : bool
+        Whether the file is hashed, all of it.
 
     Raises
     ------
@@ -126,108 +122,120 @@ def read(path: Path, streams: Collection[str] = READ, most: int = 0) -> Content 
     DamageError
         It is no regular file: a pipe or a device would keep us waiting, or never end.
     """
+    with _source(path) as source:
+        if source is None:
+            return None
+        reader = _Reader(Content(size=source.at + source.left), streams)
+        for _ in _walked(source, reader, part):
+            pass
+        if digest:
+            reader.content.sha256 = source.sha256()
+    return reader.content
+
+
+def streamed(path: Path, stream: str) -> Iterator[Any]:
+    """Give the protobuf messages of one stream, as far as the file is whole, without keeping them.
+
+    Raises as `read`.
+    """
+    with _source(path) as source:
+        if source is None:
+            return
+        reader = _Reader(Content(size=source.at + source.left), (stream,))
+        for _ in _walked(source, reader, None):
+            yield from reader.content.messages.pop(stream, ())
+            reader.budget.regain(KEPT)
+
+
+@contextmanager
+def _source(path: Path) -> Iterator[ByteSource | None]:
+    """Give the file behind its magic; None where it has none."""
     with open(path, "rb", opener=opened) as stream:
         found = os.fstat(stream.fileno())
         if not stat.S_ISREG(found.st_mode):
             msg = "not a regular file"
             raise DamageError(msg)
-        content = Content(size=found.st_size)
-        source = ByteSource(stream, content.size)
-        if source.read(len(MAGIC)) != MAGIC:
-            return None
-        most = most or MESSAGES_LIMIT + MESSAGES_PER_BYTE * content.size
-        reader = _Reader(content, streams, most)
-        try:
-            _read_records(source, reader)
-        except DamageError as damage:
-            content.damage, content.cut_off = str(damage), isinstance(damage, CutOffError)
-        # The libraries raise these on damaged bytes. The CRCs make it rare.
-        except (McapError, struct.error, DecodeError, ValueError, OverflowError) as err:
-            content.damage = f"a record cannot be read ({err or type(err).__name__})"
-        content.read = source.whole
-        left = reader.rows.finish()
-        content.damage = content.damage or left
-        content.samples = reader.rows.samples()
-        content.sha256 = source.sha256()
-    return content
+        source = ByteSource(stream, found.st_size)
+        yield source if source.read(len(MAGIC)) == MAGIC else None
 
 
 def opened(path: str, flags: int) -> int:
     """Open a file that may be anything, as the opener of `open`."""
-    # Do not wait until somebody writes to a pipe. Windows has neither of the two flags.
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))
+    # Do not wait until somebody writes to a pipe. Windows has neither of the two flags, but another
+    # one without which it would change bytes.
+    more = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY")
+    return os.open(path, flags | sum(getattr(os, name, 0) for name in more))
 
 
-def _read_records(source: ByteSource, reader: _Reader) -> None:
-    """Read until the closing magic; raises DamageError where the file ends or breaks before."""
-    ended = False
-    while True:
-        source.whole = source.at
-        head = source.read(RECORD_HEAD.size)
-        if len(head) < RECORD_HEAD.size:
-            raise CutOffError("without its footer")
-        opcode, length = RECORD_HEAD.unpack(head)
-        if not ended and opcode not in _DATA:
-            msg = f"a record of opcode {opcode} stands among the data"
-            raise DamageError(msg)
-        if length > source.left:
-            raise CutOffError(f"{length - source.left} B before the end of its last record")
-        reader.spend(_WORK, 1)
-        if opcode == Opcode.MESSAGE_INDEX:
-            _pass_index(source, length)
-            continue
-        if opcode in _PASSED_OVER or (opcode == Opcode.ATTACHMENT and length > RECORD_LIMIT):
-            source.skip(length)
-            continue
-        if length > RECORD_LIMIT:
-            msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
-            raise DamageError(msg)
-        body = source.read(length)
-        if opcode == Opcode.FOOTER:
-            if source.read(len(MAGIC)) != MAGIC:
-                raise CutOffError("without its closing magic")
-            source.whole = source.at
-            return
-        if opcode == Opcode.DATA_END:
-            expected = DataEnd.read(_stream(body)).data_section_crc
-            # Check it once: each check reads the whole file again.
-            if expected and (ended or expected != source.crc(source.whole)):
-                msg = "the checksum over all data is wrong: something in the file was changed"
-                raise DamageError(msg)
-            ended = True
-        else:
-            reader.add_record(opcode, body)
+def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[None]:
+    """Read to the end or the first damage, and note it; stop shortly after each record."""
+    content = reader.content
+    wanted = Wanted(left=INPUT)
+    if part is not None:
+        wanted = Wanted(left=INPUT, chunk=lambda start, end: reader.wants(part, start, end))
+    try:
+        for record in file_records(source, wanted, reader.spend_work):
+            reader.add(record)
+            yield
+    except DamageError as damage:
+        content.damage, content.cut_off = str(damage), isinstance(damage, CutOffError)
+    except _UNREADABLE as err:
+        content.damage = _unreadable(err)
+    content.read = source.whole
+    try:
+        reader.rows.pack()
+    except DamageError as damage:
+        content.damage = content.damage or str(damage)
+    except _UNREADABLE as err:
+        content.damage = content.damage or _unreadable(err)
+    content.samples = reader.rows.finish()
+    yield
 
 
-def _pass_index(source: ByteSource, length: int) -> None:
-    """Pass over an index of messages, which must have the form of one: a chunk has not."""
-    head = source.read(min(_INDEX_HEAD.size, length))
-    if len(head) < _INDEX_HEAD.size or _INDEX_HEAD.unpack(head)[1] != length - len(head):
-        msg = "an index of messages has not the form of one"
-        raise DamageError(msg)
-    source.skip(length - len(head))
+def _unreadable(err: Exception) -> str:
+    return f"a record cannot be read ({err or type(err).__name__})"
 
 
 class _Reader:
     """Collects what the records hold."""
 
-    def __init__(self, content: Content, streams: Collection[str], most: int) -> None:
+    def __init__(self, content: Content, streams: Collection[str], messages: int = 0) -> None:
         self.content = content
         self.kept = streams
         self.schemas: dict[int, str] = {}
         self.streams: dict[int, str] = {}
-        more = min(UNPACKED_PER_BYTE * content.size, content.size + UNPACKED_MORE)
-        self.limits = {_WORK: WORK_LIMIT, _KEPT: most, _UNPACKED: UNPACKED_LIMIT + more}
-        self.spent = dict.fromkeys(self.limits, 0)
-        self.rows = SampleRows()
+        self.budget = Budget(content.size, messages)
+        self.rows = SampleRows(lambda: self.budget.spend(WORK, _SAMPLE_WORK))
         self.zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
+
+    def spend_work(self, cost: int) -> None:
+        """Count work with records."""
+        self.budget.spend(WORK, cost)
+
+    def wants(self, part: Part, start: int, end: int) -> bool:
+        """Return whether a chunk with these log times may hold some of a part."""
+        if self.rows.is_empty:
+            return True  # the first sample says how the clocks go together
+        if end < part.from_ns:
+            return False
+        if start <= part.to_ns:
+            return True
+        self.rows.pack()  # a sample of the part may have come late: until one behind it is seen
+        return self.rows.last_k < part.k_end - 1
+
+    def add(self, record: Record) -> None:
+        """Add one record of the file."""
+        if record.opcode == Opcode.ATTACHMENT and not record.body:
+            self.content.input = self.content.input or record.place
+            return
+        self.add_record(record.opcode, record.body)
 
     def add_record(self, opcode: int, body: bytes) -> None:
         """Add one record of the file, or of a chunk."""
-        self.spend(_WORK, 1 if opcode == Opcode.MESSAGE else _RECORD_WORK)
+        self.budget.spend(WORK, 1 if opcode == Opcode.MESSAGE else _RECORD_WORK)
         match opcode:
             case Opcode.CHUNK:
-                self._chunk(body)
+                self._walk(self._chunk(body))
             case Opcode.MESSAGE:
                 self._message(body)
             case Opcode.SCHEMA:
@@ -253,84 +261,85 @@ class _Reader:
             msg = "the checksum of an attachment is wrong"
             raise DamageError(msg)
         attachment = Attachment.read(_stream(body))
-        if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT):
+        if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
-    def _chunk(self, body: bytes) -> None:
+    def _chunk(self, body: bytes) -> bytes:
+        """Return the records of a chunk, unpacked and checked."""
         _, _, size, crc, n = _CHUNK_HEAD.unpack_from(body)
         at = _CHUNK_HEAD.size
         compression, at = body[at : at + n].decode(), at + n
-        packed = body[at + 8 :]
+        packed = memoryview(body)[at + 8 :]
         if size > CHUNK_LIMIT:
             msg = f"a chunk of {size} B is larger than the {CHUNK_LIMIT} B allowed"
             raise DamageError(msg)
-        self.spend(_UNPACKED, size)
-        data = packed
+        self.budget.spend(UNPACKED, size)
         if compression == "zstd":
-            data = self._unpack(packed)
+            data = self._unpack(packed, size)
         elif compression:
             msg = f"compression {compression!r} is not known; known are zstd and none"
             raise DamageError(msg)
+        else:
+            data = bytes(packed)
         if len(data) != size or (crc and zlib.crc32(data) != crc):
             msg = "the checksum or the size of a chunk is wrong"
             raise DamageError(msg)
-        self._walk(data)
+        return data
 
-    def _unpack(self, packed: bytes) -> bytes:
-        # decompress(max_output_size=…) would believe the size that the frame declares.
+    def _unpack(self, packed: memoryview, size: int) -> bytes:
         try:
+            # A frame says how long it is, and no more comes out; where it says nothing, so much is
+            # taken. decompress(max_output_size=…) would believe whatever a frame says.
+            if zstandard.frame_content_size(packed) == size:
+                return self.zstd.decompress(packed)
             with self.zstd.stream_reader(packed) as stream:
-                return stream.read(CHUNK_LIMIT + 1)
+                return stream.read(size + 1)
         except zstandard.ZstdError as err:
             msg = f"a chunk cannot be unpacked ({err})"
             raise DamageError(msg) from err
 
     def _walk(self, data: bytes) -> None:
         """Take the records of a chunk: runs of samples of constant layout at once."""
-        at, end = 0, len(data)
+        at, end, work = 0, len(data), 0
         while at < end:
-            if end - at < RECORD_HEAD.size:
+            if end - at < _MESSAGE.size:
                 msg = "a chunk ends within a record"
                 raise DamageError(msg)
-            opcode, length = RECORD_HEAD.unpack_from(data, at)
-            if at + RECORD_HEAD.size + length > end:
+            opcode, length, channel = _MESSAGE.unpack_from(data, at)
+            begin, after = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
+            if after > end:
                 msg = "a record runs over the end of its chunk"
                 raise DamageError(msg)
-            run = self.rows.add_run(data, at) if self._begins_samples(opcode, data, at) else 0
-            if run:
-                self.spend(_WORK, _RUN_WORK)
-            else:
-                if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-                    msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
-                    raise DamageError(msg)
-                run = RECORD_HEAD.size + length
-                self.add_record(opcode, data[at + RECORD_HEAD.size : at + run])
-            at += run
-
-    def _begins_samples(self, opcode: int, data: bytes, at: int) -> bool:
-        channel = int.from_bytes(data[at + CHANNEL.start : at + CHANNEL.stop], "little")
-        return opcode == Opcode.MESSAGE and self.streams.get(channel) == "sample"
+            if opcode == Opcode.MESSAGE:
+                stream = self.streams.get(channel)
+                if length == ROW_LENGTH and stream == "sample":
+                    work += _RUN_WORK
+                    at += self.rows.add_run(data, at)
+                    continue
+                if not stream:
+                    work += 1
+                    at = after
+                    continue
+            elif opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+                msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
+                raise DamageError(msg)
+            self.add_record(opcode, data[begin:after])
+            at = after
+        self.budget.spend(WORK, work)
+        self.rows.settle()
 
     def _message(self, body: bytes) -> None:
         stream = self.streams.get(int.from_bytes(body[:2], "little"))
         if stream is None:
             return
-        data = body[_MESSAGE_HEAD:]
-        parsed = protobuf.message_class(protobuf.OF_STREAM[stream]).FromString(data)
+        data = body[MESSAGE_HEAD.size :]
         if stream == "sample":
-            self.spend(_WORK, _SAMPLE_WORK)
-            self.rows.add(parsed)
+            self.rows.add(data)
             return
-        self.spend(_WORK, _RECORD_WORK)
-        self.spend(_KEPT, len(data) + _OVERHEADS[stream])
+        parsed = protobuf.message_class(protobuf.OF_STREAM[stream]).FromString(data)
+        self.budget.spend(WORK, _RECORD_WORK)
+        self.budget.spend(KEPT, len(data) + _OVERHEADS[stream])
         self.content.messages.setdefault(stream, []).append(parsed)
-
-    def spend(self, what: str, cost: int) -> None:
-        """Count what a record costs: a small file must not cost hours, or all memory."""
-        self.spent[what] += cost
-        if self.spent[what] > self.limits[what]:
-            msg = f"more than {self.limits[what]} {what}"
-            raise DamageError(msg)
 
 
 def stream_of(topic: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from math import nan
+from operator import attrgetter
 from typing import Any
 
 from armrig_core.manifest import Manifest, Outcome
@@ -59,6 +60,10 @@ class Distribution:
     """How many there were."""
     missed: int
     """How many were not in time at all."""
+
+
+_DISTRIBUTION = tuple(f.name for f in fields(Distribution))
+_distribution_values = attrgetter(*_DISTRIBUTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,7 +179,7 @@ def timing_of(message: Any, clock: Clock) -> Timing:
 
 
 def _distribution(message: Any) -> Distribution:
-    return Distribution(**{f.name: getattr(message, f.name) for f in fields(Distribution)})
+    return Distribution(**dict(zip(_DISTRIBUTION, _distribution_values(message), strict=True)))
 
 
 def _field_or(message: Any, name: str, otherwise: float) -> Any:

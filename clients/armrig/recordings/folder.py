@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome, manifest_of, outcome_of
 
+from armrig.recordings.budget import DamageError
 from armrig.recordings.metadata import read_metadata
-from armrig.recordings.sample_rows import DamageError
 
 VALIDATION_OF = "validation_of"
 """Key of a run's details: the id of the run that it was recorded to validate."""

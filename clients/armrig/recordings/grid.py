@@ -10,10 +10,10 @@ import numpy as np
 from armrig_core.manifest import Manifest, Outcome
 from numpy.typing import NDArray
 
+from armrig.recordings.budget import SAMPLES_LIMIT
+
 # The grid has rows for missing samples: a file of two samples must not ask for 10^18 rows.
 _MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
-ROWS_LIMIT = 1_100_000
-"""Most rows of a grid; a run has 1 000 000 at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +26,8 @@ class Grid:
     """Rows."""
     rows: NDArray[np.intp]
     """Row of each sample that came, rising."""
+    taken: slice
+    """Which of the samples given those are."""
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -73,6 +75,7 @@ def grid(
     manifest: Manifest,
     outcome: Outcome | None,
     gaps: Iterable[tuple[int, int]],
+    between: tuple[int, int] = (0, 1 << 63),
 ) -> Grid:
     """Return the grid of the samples `k` (n,), which rise strictly.
 
@@ -85,6 +88,8 @@ def grid(
     ----------
     gaps : iterable of (int, int)
         First index and number of the missing samples that were recorded.
+    between : (int, int)
+        First row wanted, and the one behind the last; the grid has no others.
 
     Raises
     ------
@@ -93,7 +98,7 @@ def grid(
     """
     begin, end = (int(k[0]), int(k[-1]) + 1) if k.size else (0, 0)
     if manifest.k_first >= 0:
-        first, last = manifest.k_first, manifest.k_first + max(manifest.samples, 0)
+        first, last = first_of(manifest), manifest.k_first + max(manifest.samples, 0)
         if k.size and not (first <= begin and end <= last):
             msg = f"its samples run from k={begin} to {end - 1}, those of the run from {first} to "
             msg += f"{last - 1}"
@@ -103,10 +108,19 @@ def grid(
             whole = outcome.outcome == "complete"
             ends.append(last if whole else first + outcome.samples + outcome.missing)
         begin, end = first, min(max(ends), last)
+    begin = max(begin, between[0])
+    end = max(min(end, between[1]), begin)
+    taken = slice(*np.searchsorted(k, np.array([begin, end], np.uint64)).tolist())
+    k = k[taken]
     missing_limit = _MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
-    if end - begin - k.size > missing_limit or end - begin > ROWS_LIMIT:
+    if end - begin - k.size > missing_limit or end - begin > SAMPLES_LIMIT:
         msg = f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
         msg += "many for a recording"
         raise ValueError(msg)
     rows = (k - np.uint64(begin)).astype(np.intp) if k.size else np.zeros(0, np.intp)
-    return Grid(k_first=begin, N=end - begin, rows=rows)
+    return Grid(k_first=begin, N=end - begin, rows=rows, taken=taken)
+
+
+def first_of(manifest: Manifest) -> int:
+    """Return the index of the first sample that was due in a file; -1 where it does not say."""
+    return manifest.part_k_first if manifest.part > 1 else manifest.k_first

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from math import ceil, inf
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,8 @@ from armrig_core.manifest import Manifest, Outcome
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
-from armrig.recordings.container import Content, read
+from armrig.recordings.budget import DamageError
+from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import (
     Clock,
     Gap,
@@ -25,26 +28,41 @@ from armrig.recordings.daemon_reports import (
     timing_of,
 )
 from armrig.recordings.grid import Grid, grid
+from armrig.recordings.parts import joined, part_paths
 from armrig.recordings.recording import Recording, RecordingError, Vector
-from armrig.recordings.sample_rows import DamageError
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
 _LONGEST_TS_S = 86_400.0
+_EVERYTHING = (0, 1 << 63)
+_BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
+_LATE_NS = 1_000_000_000  # by how much reports may be written before or after the samples they tell
+_LATEST = 1e15  # s, and samples: later than any, and still whole numbers
+_ROUNDING = 1e-6  # of a sample: 0.3 / 0.1 is not 3
 _ARRAYS = ("t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present")
 
 
-def load(path: str | Path, calibration: Calibration | str | Path | None = None) -> Recording:
-    """Return the recording in a file.
+def load(
+    path: str | Path | Sequence[str | Path],
+    calibration: Calibration | str | Path | None = None,
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+) -> Recording:
+    """Return the recording in a file, or in the parts of one run.
 
     A file that was cut off or damaged gives what is whole at its beginning, with `truncated`.
 
     Parameters
     ----------
-    path : str or Path
-        An MCAP file of armrigd's, also an unfinished one (*.mcap.active).
+    path : str or Path, or a sequence of them
+        An MCAP file of armrigd's, also an unfinished one (*.mcap.active). Of a run recorded in
+        parts: the name of the run for all of them, that of a part, or those of consecutive parts.
     calibration : Calibration, str or Path, optional
         What to read the counts and codes with, or the TOML of `armrig calibrate` that says it; left
         out, the calibration that the daemon attached.
+    start, stop : float, optional
+        Only the samples due in start <= t < stop, in s from the first sample of the run, as `t`
+        counts; the rest is not unpacked. `theta_1` counts its turns from the first of them.
 
     Returns
     -------
@@ -54,19 +72,49 @@ def load(path: str | Path, calibration: Calibration | str | Path | None = None) 
     Raises
     ------
     RecordingError
-        The file is no MCAP, no recording, or damaged before its first sample; or the calibration
-        cannot be read.
+        The file is no MCAP, no recording, or damaged before its first sample; the calibration
+        cannot be read; the parts are not of one run; or nothing lies between start and stop.
     OSError
         The file cannot be opened or read.
     """
-    path = Path(path)
+    given = [path] if isinstance(path, str | Path) else list(path)
+    paths = [part for one in given for part in part_paths(Path(one))]
+    if not paths:
+        msg = "no file to load"
+        raise RecordingError(msg)
+    name = Path(given[0]) if len(given) == 1 else paths[0]
     try:
         if isinstance(calibration, (str, Path)):
             calibration = read_calibration(Path(calibration))
     except CalibrationFileError as err:
         raise RecordingError(str(err)) from err
+    between, part = _EVERYTHING, None
+    if start is not None or stop is not None:
+        between, part = _part(paths[0], start or 0.0, inf if stop is None else stop)
+    files = [_read(one, part) for one in paths]
+    content, manifest, ended, attached = files[0]
+    if len(files) > 1:
+        try:
+            content = joined([f[0] for f in files], [f[1] for f in files])
+        except ValueError as err:
+            msg = f"{paths[0]}: {err}"
+            raise RecordingError(msg) from err
+        ended = files[-1][2]
+    del files
+    recording = _assembled(name, content, manifest, ended, calibration or attached, between)
+    if part is not None and not recording.N:
+        msg = f"{name}: nothing of it lies from {start or 0:g} s"
+        raise RecordingError(msg + (f" to {stop:g} s" if stop is not None else " on"))
+    return recording
+
+
+_File = tuple[Content, Manifest, Outcome | None, Calibration | None]
+
+
+def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
+    """Return what is in a file, its manifest, outcome and calibration; raises as `load`."""
     try:
-        content = read(path)
+        content = read(path, part=part, digest=digest)
     except DamageError as err:
         msg = f"{path}: {err}; armrig reads what armrigd has recorded (*.mcap); "
         msg += "identify, validate and check read other data, too (.csv, .dat, .mat, .npz)"
@@ -94,7 +142,35 @@ def load(path: str | Path, calibration: Calibration | str | Path | None = None) 
     if not 0 < manifest.Ts < _LONGEST_TS_S:
         msg = f"{path}: its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
         raise RecordingError(msg)
-    return _assembled(path, content, manifest, ended, calibration or attached)
+    return content, manifest, ended, attached
+
+
+def beginning(path: Path) -> tuple[Path, Content]:
+    """Return the first file that a path stands for, and what it holds before its samples."""
+    first = part_paths(path)[0]
+    return first, _read(first, _BEGINNING, digest=False)[0]
+
+
+def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]:
+    """Return the indices of the samples in a range of time, and what to read for them."""
+    if not 0 <= start < stop:
+        msg = f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed"
+        raise RecordingError(msg)
+    content, manifest, _, _ = _read(path, _BEGINNING, digest=False)
+    k_first = _origin(content, manifest)
+    first, end = (k_first + ceil(min(t / manifest.Ts, _LATEST) - _ROUNDING) for t in (start, stop))
+    clock = _clock(content, manifest, k_first)
+    zero_ns = clock.zero_ns + clock.offset_ns - _LATE_NS
+    from_ns = zero_ns + round(min(start, _LATEST) * 1e9)
+    to_ns = zero_ns + round(min(stop, _LATEST) * 1e9) + 2 * _LATE_NS
+    return (first, end), Part(from_ns=from_ns, to_ns=to_ns, k_end=end)
+
+
+def _origin(content: Content, manifest: Manifest) -> int:
+    """Return the index of the sample at which t is 0."""
+    if manifest.k_first >= 0 or not content.samples.size:
+        return manifest.k_first
+    return int(content.samples["k"][0])
 
 
 def _first_line(err: Exception) -> str:
@@ -112,19 +188,34 @@ def _assembled(
     manifest: Manifest,
     outcome: Outcome | None,
     calibration: Calibration | None,
+    between: tuple[int, int],
 ) -> Recording:
-    samples, messages = content.samples, content.messages
+    messages = content.messages
     try:
         spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
         # The rest of a damaged file is not missing: its samples may have come, but are not here.
-        rows = grid(samples["k"], manifest, None if content.damage else outcome, spots)
+        ended = None if content.damage else outcome
+        rows = grid(content.samples["k"], manifest, ended, spots, between)
     except ValueError as err:
         msg = f"{path}: {err}"
         raise RecordingError(msg) from err
-    clock = _clock(content, manifest, rows.k_first)
+    origin = _origin(content, manifest)
+    origin = rows.k_first if origin < 0 else origin
+    clock = _clock(content, manifest, origin)
+    samples, before = content.samples[rows.taken], content.samples[: rows.taken.start]
     gaps = tuple(gap_of(message, clock) for message in messages.get("gap", []))
     saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B, "
     saved += f"{rows.N * manifest.Ts:g} s of {max(manifest.samples, 0) * manifest.Ts:g} s"
+    t = np.arange(rows.k_first - origin, rows.k_first - origin + rows.N, dtype=np.float64)
+    t *= manifest.Ts
+    reports: dict[str, Any] = {
+        "gaps": gaps,
+        "events": tuple(event_of(message, clock) for message in messages.get("event", [])),
+        "timing": tuple(timing_of(message, clock) for message in messages.get("timing", [])),
+        "clock": tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
+    }
+    if between != _EVERYTHING:
+        reports = {name: _within(found, t, manifest.Ts) for name, found in reports.items()}
     recording = Recording(
         path=path,
         sha256=content.sha256,
@@ -132,22 +223,27 @@ def _assembled(
         outcome=outcome,
         calibration=calibration,
         k_first=rows.k_first,
-        t=np.arange(rows.N, dtype=np.float64) * np.float64(manifest.Ts),
+        t=t,
         u=_terminal(_input(samples, rows, gaps), calibration.driver if calibration else Driver()),
-        **_angles(samples, rows, calibration, manifest.Ts),
+        **_angles(samples, rows, calibration, manifest.Ts, before),
         present=rows.present,
         samples=samples,
-        gaps=gaps,
-        events=tuple(event_of(message, clock) for message in messages.get("event", [])),
-        timing=tuple(timing_of(message, clock) for message in messages.get("timing", [])),
-        clock=tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
         truncated=bool(content.damage),
         cut_off=content.cut_off,
         damage=content.damage + saved if content.damage else "",
+        **reports,
     )
     for array in (*(getattr(recording, name) for name in _ARRAYS), samples):
         array.flags.writeable = False
     return recording
+
+
+def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
+    """Return the reports of the time of these rows; a gap counts with all its samples."""
+    if not t.size:
+        return ()
+    begin, end = float(t[0]), float(t[-1]) + Ts
+    return tuple(f for f in found if f.t < end and f.t + getattr(f, "count", 0) * Ts >= begin)
 
 
 def _clock(content: Content, manifest: Manifest, k_first: int) -> Clock:
@@ -176,14 +272,20 @@ def _terminal(u: Vector, driver: Driver) -> Vector:
 
 
 def _angles(
-    samples: NDArray[np.void], rows: Grid, calibration: Calibration | None, Ts: float
+    samples: NDArray[np.void],
+    rows: Grid,
+    calibration: Calibration | None,
+    Ts: float,
+    before: NDArray[np.void],
 ) -> dict[str, Any]:
     """Return theta_1, alpha, where they are valid, and where the turns are not known."""
     theta_1, alpha = np.full(rows.N, np.nan), np.full(rows.N, np.nan)
     present = rows.present
     valid, valid_alpha = present.copy(), present.copy()
     rails = samples["flags"]
-    valid[rows.rows] = outside_dead_band((rails & Flag.ADC0_RAIL) != 0)
+    # The sample before the first decides whether that one shows an angle.
+    near = np.concatenate([before["flags"][-1:], rails])
+    valid[rows.rows] = outside_dead_band((near & Flag.ADC0_RAIL) != 0)[near.size - rails.size :]
     valid_alpha[rows.rows] = (rails & Flag.ADC1_RAIL) == 0
     pots = (calibration.theta_1, calibration.alpha) if calibration else (None, None)
     theta_1[rows.rows] = _angle(samples, "theta_1", pots[0])

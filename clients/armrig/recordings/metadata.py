@@ -16,8 +16,10 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata, MetadataIndex
 
-from armrig.recordings.container import MAGIC, RECORD_LIMIT, CutOffError, opened
-from armrig.recordings.sample_rows import RECORD_HEAD, DamageError
+from armrig.recordings.budget import DamageError
+from armrig.recordings.container import opened
+from armrig.recordings.file_records import MAGIC, RECORD_LIMIT, CutOffError
+from armrig.recordings.sample_rows import RECORD_HEAD
 
 _FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, CRC
 _FOOTER_BODY = 8 + 8 + 4

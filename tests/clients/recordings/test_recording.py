@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import zstandard
 from armrig.numerics.quantities import NBSP
-from armrig.recordings import container, grid, sample_rows
+from armrig.recordings import budget, container, grid, sample_rows
 from armrig.recordings.byte_source import ByteSource
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.loading import load
@@ -561,8 +561,8 @@ def test_a_flood_of_messages_ends_the_reading(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A few kB of file must not become objects without end."""
-    monkeypatch.setattr(container, "MESSAGES_LIMIT", 10_000)
-    monkeypatch.setattr(container, "MESSAGES_PER_BYTE", 0)
+    monkeypatch.setattr(budget, "MESSAGES_LIMIT", 10_000)
+    monkeypatch.setattr(budget, "MESSAGES_PER_BYTE", 0)
     messages = [sample(0), *(event(0, "x") for _ in range(100)), sample(1)]
 
     rec = load(written(tmp_path, recorded(messages)))
@@ -575,7 +575,7 @@ def test_a_small_file_cannot_cost_hours(tmp_path: Path, monkeypatch: pytest.Monk
     """Chunks of messages that nobody asked for: 260 000 in each, hardly any bytes in the file."""
     message = _record(0x05, struct.pack("<HIQQ", 999, 0, 0, 0))
     chunk = _chunk(message * (container.CHUNK_LIMIT // len(message)))
-    monkeypatch.setattr(container, "UNPACKED_LIMIT", 2 * container.CHUNK_LIMIT)
+    monkeypatch.setattr(budget, "UNPACKED_LIMIT", 2 * container.CHUNK_LIMIT)
 
     rec = load(written(tmp_path, _broken_off(chunk * 20)))
 
@@ -596,8 +596,8 @@ def test_every_record_in_a_chunk_counts_by_its_length(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, records: bytes
 ) -> None:
     """Whatever it is: a file of its size unpacks to so much and no more."""
-    monkeypatch.setattr(container, "UNPACKED_LIMIT", 3 * len(records))
-    monkeypatch.setattr(container, "UNPACKED_PER_BYTE", 0)
+    monkeypatch.setattr(budget, "UNPACKED_LIMIT", 3 * len(records))
+    monkeypatch.setattr(budget, "UNPACKED_PER_BYTE", 0)
 
     rec = load(written(tmp_path, _broken_off(_chunk(records) * 10)))
 
@@ -618,7 +618,8 @@ def test_every_record_is_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record: bytes, within_a_chunk: bool
 ) -> None:
     """However short: a file has so many and no more."""
-    monkeypatch.setattr(container, "WORK_LIMIT", 900)
+    monkeypatch.setattr(budget, "WORK_LIMIT", 900)
+    monkeypatch.setattr(budget, "BYTES_PER_WORK", 1 << 30)
     chunk = _chunk(record * 1000) if within_a_chunk else record * 1000
 
     rec = load(written(tmp_path, _broken_off(chunk)))
@@ -630,7 +631,8 @@ def test_samples_of_another_layout_and_their_runs_are_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Made to change with each sample, so that none can be read many at once."""
-    monkeypatch.setattr(container, "WORK_LIMIT", 900)
+    monkeypatch.setattr(budget, "WORK_LIMIT", 900)
+    monkeypatch.setattr(budget, "BYTES_PER_WORK", 1 << 30)
     messages = [as_protobuf(sample(k)) if k % 2 else sample(k) for k in range(1000)]
 
     rec = load(written(tmp_path, recorded(messages)))
@@ -645,7 +647,7 @@ def test_only_our_names_are_kept(tmp_path: Path) -> None:
     schema = _record(0x03, struct.pack("<HI", 77, len(foreign)) + foreign + bytes(8))
     metadata = _record(0x0C, struct.pack("<I", len(foreign)) + foreign + bytes(4))
     content = container.Content()
-    reader = container._Reader(content, container.READ, container.MESSAGES_LIMIT)
+    reader = container._Reader(content, container.READ)
     for record in (schema, metadata):
         reader.add_record(record[0], record[9:])
 
@@ -683,7 +685,7 @@ def test_a_grid_has_no_more_rows_than_a_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Those that are missing count, too."""
-    monkeypatch.setattr(grid, "ROWS_LIMIT", 250)
+    monkeypatch.setattr(grid, "SAMPLES_LIMIT", 250)
 
     with pytest.raises(RecordingError, match="too many for a recording"):
         load(written(tmp_path, recorded([sample(k) for k in (0, 1, 299)])))
@@ -695,7 +697,7 @@ def test_a_grid_has_no_more_rows_than_a_run(
 )
 def test_gaps_fill_rows_as_if_one_after_the_other(gaps: list[tuple[int, int, float]]) -> None:
     """Of those that overlap the last counts."""
-    rows = grid.Grid(k_first=10, N=40, rows=np.zeros(0, np.intp))
+    rows = grid.Grid(k_first=10, N=40, rows=np.zeros(0, np.intp), taken=slice(0))
     expected = np.full(40, nan)
     for k_first, count, value in gaps:
         expected[max(k_first - 10, 0) : max(k_first + count - 10, 0)] = value
@@ -716,7 +718,9 @@ def test_gaps_without_end_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -
     full = np.full
     monkeypatch.setattr(np, "full", lambda *args: full(*args).view(Counting))
 
-    grid.Grid(k_first=0, N=500, rows=np.zeros(0, np.intp)).filled([(0, 10**9, 1.0)] * 300)
+    grid.Grid(k_first=0, N=500, rows=np.zeros(0, np.intp), taken=slice(0)).filled(
+        [(0, 10**9, 1.0)] * 300
+    )
 
     assert written_rows == 500
 

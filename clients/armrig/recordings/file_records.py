@@ -1,0 +1,170 @@
+"""The records of an MCAP file, one after the other, for as far as it is whole.
+
+Nothing is believed that a file says of its own sizes, and at the first damage reading stops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from struct import Struct
+from typing import NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import DataEnd
+
+from armrig.recordings.budget import DamageError
+from armrig.recordings.byte_source import ByteSource
+from armrig.recordings.sample_rows import RECORD_HEAD
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK_LIMIT = 8 << 20
+"""Largest chunk that is unpacked, in B."""
+RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
+"""Longest record that is read, in B; a longer attachment is passed over."""
+
+_PASSED_OVER = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
+_INDEX_HEAD = Struct("<HI")  # of a message index: channel, length of what follows
+_CHUNK_TIMES = Struct("<QQ")
+# What may stand before the end of the data; a changed opcode must not make a chunk disappear.
+_DATA = (
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.MESSAGE,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+    Opcode.ATTACHMENT,
+    Opcode.METADATA,
+    Opcode.DATA_END,
+)
+_ATTACHMENT_HEAD = 8 + 8 + 4  # B: two times, the length of a name
+_NAME_LIMIT = 100  # B
+
+
+class CutOffError(DamageError):
+    """The file ends too early; says how."""
+
+    def __init__(self, how: str) -> None:
+        super().__init__(f"the file is cut off: it ends {how}")
+
+
+class Place(NamedTuple):
+    """Where the content of a record stands in its file."""
+
+    at: int
+    length: int
+
+
+class Record(NamedTuple):
+    """A record of the file that is of interest."""
+
+    opcode: int
+    body: bytes
+    """Its content; empty for an attachment that stays in the file."""
+    place: Place
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """What a reader wants of a file; the rest is passed over, unread."""
+
+    chunk: Callable[[int, int], bool] = lambda _start, _end: True
+    """Whether it wants the chunk with messages of these log times, in ns."""
+    left: str = ""
+    """Name of the attachment that stays in the file, to be read from its place."""
+
+
+def file_records(
+    source: ByteSource, wanted: Wanted, spend: Callable[[int], None]
+) -> Iterator[Record]:
+    """Give the records up to the closing magic.
+
+    Parameters
+    ----------
+    source : ByteSource
+        The file, behind its magic.
+    spend : callable
+        Called with the work of each record.
+
+    Raises
+    ------
+    DamageError
+        The file ends or breaks before.
+    """
+    ended = False
+    while True:
+        source.whole = source.at
+        head = source.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
+            raise CutOffError("without its footer")
+        opcode, length = RECORD_HEAD.unpack(head)
+        if not ended and opcode not in _DATA:
+            msg = f"a record of opcode {opcode} stands among the data"
+            raise DamageError(msg)
+        if length > source.left:
+            raise CutOffError(f"{length - source.left} B before the end of its last record")
+        spend(1)
+        place = Place(source.at, length)
+        if opcode == Opcode.MESSAGE_INDEX:
+            _pass_index(source, length)
+            continue
+        if opcode in _PASSED_OVER:
+            source.skip(length)
+            continue
+        begin = b""
+        if opcode == Opcode.ATTACHMENT:
+            begin = source.read(min(length, _ATTACHMENT_HEAD + _NAME_LIMIT))
+            if _stays(begin, wanted.left):
+                yield Record(opcode, b"", place)
+                source.skip(length - len(begin))
+                continue
+            if length > RECORD_LIMIT:
+                source.skip(length - len(begin))
+                continue
+        if length > RECORD_LIMIT:
+            msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
+            raise DamageError(msg)
+        if opcode == Opcode.CHUNK:
+            begin = source.read(min(length, _CHUNK_TIMES.size))
+            if len(begin) == _CHUNK_TIMES.size and not wanted.chunk(*_CHUNK_TIMES.unpack(begin)):
+                source.skip(length - len(begin))
+                source.passed = True
+                continue
+        body = begin + source.read(length - len(begin))
+        if opcode == Opcode.FOOTER:
+            if source.read(len(MAGIC)) != MAGIC:
+                raise CutOffError("without its closing magic")
+            source.whole = source.at
+            return
+        if opcode == Opcode.DATA_END:
+            # Check it once: each check reads the whole file again.
+            _check_data(source, body, again=ended)
+            ended = True
+        else:
+            yield Record(opcode, body, place)
+
+
+def _stays(begin: bytes, name: str) -> bool:
+    told = len(name).to_bytes(4, "little") + name.encode()
+    at = _ATTACHMENT_HEAD - 4
+    return name != "" and begin[at : at + len(told)] == told
+
+
+def _check_data(source: ByteSource, body: bytes, *, again: bool) -> None:
+    """Check all data before its end; what was passed over has not been read, nor is it checked."""
+    expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
+    if expected and not source.passed and (again or expected != source.crc(source.whole)):
+        msg = "the checksum over all data is wrong: something in the file was changed"
+        raise DamageError(msg)
+
+
+def _pass_index(source: ByteSource, length: int) -> None:
+    """Pass over an index of messages, which must have the form of one: a chunk has not."""
+    head = source.read(min(_INDEX_HEAD.size, length))
+    if len(head) < _INDEX_HEAD.size or _INDEX_HEAD.unpack(head)[1] != length - len(head):
+        msg = "an index of messages has not the form of one"
+        raise DamageError(msg)
+    source.skip(length - len(head))

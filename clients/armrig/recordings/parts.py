@@ -1,0 +1,78 @@
+"""The files of one run: a long run may be recorded in parts, which are read as one."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from armrig_core.manifest import OUTCOME, RUN, Manifest
+
+from armrig.recordings.container import Content
+
+PART = ".part-"
+"""Between a run's name and a part's number: NAME.part-0001.mcap."""
+
+
+def part_paths(path: Path) -> list[Path]:
+    """Return the files that a path stands for.
+
+    The name of a run stands for its parts, in their order, where there is no file of that name;
+    the name of a part for that part.
+    """
+    if path.exists() or path.suffix != ".mcap":
+        return [path]
+    begin = path.stem + PART
+    found = path.parent.glob("*.mcap*") if path.parent.is_dir() else ()
+    parts = [p for p in found if p.name.startswith(begin) and _number(p.name[len(begin) :])]
+    return sorted(parts) or [path]
+
+
+def _number(rest: str) -> bool:
+    return rest.partition(".")[0].isdigit() and rest.partition(".")[2] in ("mcap", "mcap.active")
+
+
+def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:
+    """Return what consecutive parts of one run hold together.
+
+    Raises
+    ------
+    ValueError
+        They are of different runs, or one is missing.
+    """
+    for before, after in pairwise(manifests):
+        if (before.rig, before.run_id) != (after.rig, after.run_id):
+            msg = f"run {after.run_id} of rig {after.rig} is not run {before.run_id} of rig "
+            msg += f"{before.rig}: only the parts of one run are joined"
+            raise ValueError(msg)
+        if after.part != before.part + 1:
+            msg = f"part {after.part} does not follow part {before.part}: give the parts of a run "
+            msg += "in their order, with none left out"
+            raise ValueError(msg)
+    whole = Content(
+        sha256=hashlib.sha256("".join(c.sha256 for c in contents).encode()).hexdigest(),
+        size=sum(c.size for c in contents),
+        damage="; ".join(
+            f"part {m.part}: {c.damage}"
+            for c, m in zip(contents, manifests, strict=True)
+            if c.damage
+        ),
+        cut_off=any(c.cut_off for c in contents),
+        read=sum(c.read for c in contents),
+        samples=np.concatenate([c.samples for c in contents]),
+        metadata={RUN: contents[0].metadata[RUN]},
+        attachments=contents[0].attachments,
+        input=contents[0].input,
+    )
+    for content in contents:
+        for stream, messages in content.messages.items():
+            whole.messages.setdefault(stream, []).extend(messages)
+    if OUTCOME in contents[-1].metadata:
+        whole.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
+    k = whole.samples["k"]
+    if k.size and not (k[1:] > k[:-1]).all():
+        msg = "the samples of one part do not stand behind those of the part before"
+        raise ValueError(msg)
+    return whole

@@ -1,0 +1,168 @@
+"""A part of a recording without the rest, and the parts of one run as one recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.recordings import container
+from armrig.recordings.loading import load
+from armrig.recordings.recording import RecordingError
+from armrig_core.manifest import Outcome
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_recordings import (
+    TS,
+    event,
+    gap,
+    manifest,
+    recorded,
+    sample,
+    timing,
+    turning,
+    written,
+)
+
+N = 2000
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a run of 20 s with a gap at its beginning, one in it, and reports each second."""
+    readings = [30_000 + 100 * (k % 300) if k % 97 else 0 for k in range(N)]
+    messages: list[object] = [gap(0, 50, 2.0)]
+    for one in turning(readings)[50:]:
+        k = one.k
+        if k == 900:
+            messages.append(gap(900, 30, 3.0))
+        if not 900 <= k < 930:
+            messages.append(one._replace(t_sched_ns=sample(k).t_sched_ns, u_applied_v=k / N))
+        if k % 100 == 0:
+            messages += [timing(k), event(k, f"at {k}")]
+    about = manifest(k_first=0, samples=N)
+    ended = Outcome(outcome="complete", samples=N - 80, missing=80)
+    data = recorded(messages, manifest=about, outcome=ended, flush_every=20)
+    return written(tmp_path_factory.mktemp("long"), data)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, N - 2), st.integers(1, N))
+def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n: int) -> None:
+    """Every array but the count of turns, which begins anew; reports of its time alone."""
+    whole, end = load(long), min(first + n, N)
+
+    part = load(long, start=first * TS, stop=(first + n) * TS)
+
+    assert (part.k_first, part.N, part.sha256) == (first, end - first, whole.sha256)
+    for name in ("t", "u", "alpha", "valid", "valid_alpha", "present"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:end])
+    turns = (part.theta_1 - whole.theta_1[first:end])[part.valid] / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
+    assert {e.message for e in part.events} == {
+        e.message for e in whole.events if first * TS <= e.t < end * TS
+    }
+    assert len(part.gaps) == (first < 50) + (first < 930 and end > 900)
+
+
+def test_what_lies_outside_the_part_is_not_unpacked(
+    long: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But for the first chunk, which says how the clocks go together."""
+    unpacked = []
+    chunk = container._Reader._chunk
+
+    def counted(self: container._Reader, body: bytes) -> bytes:
+        unpacked.append(len(body))
+        return chunk(self, body)
+
+    monkeypatch.setattr(container._Reader, "_chunk", counted)
+    load(long)
+    of_the_whole = len(unpacked)
+    load(long, start=10.0, stop=10.5)
+
+    assert of_the_whole > 90
+    assert len(unpacked) - of_the_whole < 20
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "why"),
+    [
+        (-1.0, 2.0, "0 <= start < stop"),
+        (2.0, 2.0, "0 <= start < stop"),
+        (float("nan"), None, "0 <= start < stop"),
+        (100.0, None, "nothing of it lies from 100 s on"),
+        (1e300, 1e301, "nothing of it lies"),
+    ],
+)
+def test_a_range_without_samples_is_refused(
+    long: Path, start: float, stop: float | None, why: str
+) -> None:
+    """In one line, with what is allowed."""
+    with pytest.raises(RecordingError, match=why):
+        load(long, start=start, stop=stop)
+
+
+def _parts(directory: Path) -> list[Path]:
+    """Write a run of 300 samples in three parts, a gap over the second boundary."""
+    spans = [(0, 100), (100, 195), (205, 300)]
+    paths = []
+    for i, (first, end) in enumerate(spans, 1):
+        about = manifest(k_first=0, samples=300, part=i, part_k_first=max(first - 5 * (i == 3), 0))
+        messages = [sample(k, u_applied_v=k / 100) for k in range(first, end)]
+        before = [gap(195, 10, 4.0)] if i == 3 else []
+        ended = Outcome(
+            outcome="complete" if i == 3 else "continued",
+            samples=len(messages),
+            missing=5 if i > 1 else 0,
+        )
+        data = recorded([*before, *messages], manifest=about, outcome=ended)
+        paths.append(written(directory, data, f"run.part-{i:04}.mcap"))
+    return paths
+
+
+def test_the_parts_of_a_run_are_read_as_one(tmp_path: Path) -> None:
+    """By the name of the run, or one by one in their order; and each by itself."""
+    paths = _parts(tmp_path)
+
+    whole = load(tmp_path / "run.mcap")
+    again = load(paths)
+    middle = load(paths[1])
+
+    assert (whole.N, whole.missing, whole.damage) == (300, 10, "")
+    np.testing.assert_array_equal(whole.u[[0, 99, 100, 194, 200, 205]], [0, 0.99, 1, 1.94, 4, 2.05])
+    assert whole.outcome is not None
+    assert whole.outcome.outcome == "complete"
+    assert whole.sha256 == again.sha256 != middle.sha256
+    assert (middle.k_first, middle.N, middle.missing) == (100, 100, 5)
+    assert middle.t[0] == pytest.approx(1.0)
+    np.testing.assert_array_equal(load(paths, start=1.5, stop=2.5).t, whole.t[150:250])
+
+
+def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None:
+    """One left out, the wrong order, or another run's."""
+    one, two, three = _parts(tmp_path)
+    other = written(
+        tmp_path, recorded([sample(0)], manifest=manifest(run_id="x", part=2)), "o.mcap"
+    )
+
+    for given_paths, why in (
+        ([one, three], "part 3 does not follow part 1"),
+        ([two, one], "part 1 does not follow part 2"),
+        ([one, other], "only the parts of one run are joined"),
+        ([], "no file"),
+    ):
+        with pytest.raises(RecordingError, match=why):
+            load(given_paths)
+
+
+def test_a_part_that_was_cut_off_is_told(tmp_path: Path) -> None:
+    """Which one, and what is missing is missing."""
+    paths = _parts(tmp_path)
+    paths[0].write_bytes(paths[0].read_bytes()[:-20])
+
+    rec = load(tmp_path / "run.mcap")
+
+    assert rec.cut_off
+    assert "part 1: the file is cut off" in rec.damage
+    assert rec.N == 300
