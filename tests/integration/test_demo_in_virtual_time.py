@@ -10,13 +10,17 @@ from pathlib import Path
 import armrig
 from armrig.cli.replay import replay
 
-# Found by every Python below, that of `armrigd virtual` too: a system without POSIX's terminals.
+# Found by every Python below, that of `armrigd virtual` too: a system without POSIX's terminals,
+# and without those modules of ours that call Linux.
 ELSEWHERE = """
 import os, signal, sys
 
+THEIRS = "fcntl", "pty", "termios", "tty", "resource", "grp", "zenoh", "serial"
+OURS = "armrig_core.waiting", "armrig_daemon.loop.realtime", "armrig_daemon.loop.process"
+
 class Nowhere:
     def find_spec(self, name, path=None, target=None):
-        if name in ("fcntl", "pty", "termios", "tty", "resource", "grp", "zenoh", "serial"):
+        if name in THEIRS + OURS:
             raise ImportError(f"{name} is not there")
 
 for name in ("fcntl", "pty", "termios", "tty"):
@@ -51,7 +55,7 @@ def test_the_same_seed_gives_the_same_bytes_anywhere(tmp_path: Path) -> None:
 
     here = _demo(tmp_path / "one", 7)
     elsewhere = _demo(
-        *(tmp_path / "another folder", 7),
+        *(tmp_path / "anöther folder", 7),
         **{"PYTHONPATH": path, "TZ": "Asia/Tokyo", "PYTHONHASHSEED": "3"},
     )
 

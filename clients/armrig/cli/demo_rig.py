@@ -78,7 +78,7 @@ def record_in_real_time(
 def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patience) -> Path:
     """Arm and run; where a busy machine has held up the emulator, say so and run once more."""
     while True:
-        wait_for_phase(rig, "safe")
+        wait_until_safe(rig)
         try:
             rig.arm("armrig demo", Ts)
             with (
@@ -97,22 +97,21 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
                 why, _, _ = str(err).partition("; recorded in ")
                 raise TooBusyError(why) from err
             console.print(f"  {err}; once more", highlight=False, markup=False, soft_wrap=True)
-            if has_tripped:
-                rig.reset()
-            else:
+            if not has_tripped:
                 rig.stop()  # gives back a rig that is still armed
 
 
-def wait_for_phase(rig: Rig, phase: str) -> StatusReport:
-    """Return the status once the daemon is in `phase`."""
+def wait_until_safe(rig: Rig) -> None:
+    """Wait until the rig can be armed; leave a fault, which may come behind a refusal, too."""
     until = time.monotonic() + _START_S
-    while (status := rig.status()).phase != phase:
+    while (status := rig.status()).phase != "safe":
         if time.monotonic() > until:
-            msg = f"rig {rig.rig} is {status.phase} {status.reason}, not {phase}, after "
+            msg = f"rig {rig.rig} is {status.phase} {status.reason}, not safe, after "
             msg += f"{_START_S:g} s; look at the daemon's log"
             raise RigError(msg)
+        if status.phase == "fault":
+            rig.reset()
         time.sleep(0.05)
-    return status
 
 
 @contextmanager

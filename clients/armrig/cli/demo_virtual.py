@@ -40,7 +40,8 @@ def record_in_virtual_time(
     VirtualTimeError
         They could not be recorded.
     """
-    program = [sys.executable, "-m", "armrig_daemon", "virtual"]
+    # Where a pipe is not of UTF-8 by itself, the name of a folder would not come through.
+    program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     # In a file: a pipe would have to be fed while we do something else.
     with tempfile.TemporaryFile() as asked:

@@ -172,6 +172,29 @@ def test_a_rig_that_tripped_before_its_run_is_armed_once_more(where: str) -> Non
     assert "once more" in out.getvalue()
 
 
+def test_a_rig_that_trips_behind_a_refusal_is_reset(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was safe when the refusal was looked at, and would be in its fault for ever."""
+    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
+    daemon = LateTrippingDaemon(where, refusals=[LATE], ends=[])
+
+    with daemon, Rig(demo_plan.RIG, connect=where) as rig:
+        path = _recorded(rig, StringIO())
+
+    assert str(path) == daemon.recording
+    assert daemon.fault == ""
+
+
+class LateTrippingDaemon(StallingDaemon):
+    """Trips while the rig is given back."""
+
+    def _carry_out(self, request: commands.Request) -> Any:
+        if isinstance(request, commands.Stop):
+            self.fault = "no answer from the device for 70 ms"
+        return super()._carry_out(request)
+
+
 class TrippingDaemon(FakeDaemon):
     """Trips between the first arming and its run."""
 
