@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import cycle
 from math import tau
 from textwrap import fill
@@ -34,6 +35,8 @@ DASHES: tuple[Any, ...] = (
 WIDTHS = (3.6, 2.0, 0.8, 1.2, 1.2, 0.8)
 NAMES = {"theta_1": r"$\theta_1$", "alpha": r"$\alpha$", "velocity": r"$\dot\theta_1$"}
 MISSING = "#BBBBBB"
+_FROM_RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_WIDE = 2.0  # width over height, from which on two panels stand side by side
 
 
 class Sampled(Protocol):
@@ -58,7 +61,10 @@ def axes(ax: Axes | None) -> Axes:
 
 
 def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
-    """Return `ax`, shortened, and a panel below it that takes `share` of the height of both."""
+    """Return `ax`, shortened, and a panel below it that takes `share` of the height of both.
+
+    Panels that share no axis stand side by side where `ax` is much wider than high.
+    """
     ax = axes(ax)
     place = ax.get_subplotspec()
     if place is None:
@@ -67,7 +73,11 @@ def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes,
         place = ax.figure.add_gridspec(1, 1, left=x0, right=x1, bottom=y0, top=y1)[0]
     # A layout engine makes room for labels itself.
     room = 0.02 if ax.figure.get_layout_engine() is not None else 0.08 if sharex else 0.5
-    grid = place.subgridspec(2, 1, height_ratios=(1 - share, share), hspace=room)
+    shares = (1 - share, share)
+    if not sharex and ax.bbox.width > _WIDE * ax.bbox.height:
+        grid = place.subgridspec(1, 2, width_ratios=shares, wspace=room)
+    else:
+        grid = place.subgridspec(2, 1, height_ratios=shares, hspace=room)
     ax.set_subplotspec(grid[0])
     below = ax.figure.add_subplot(grid[1], sharex=ax if sharex else None)
     if sharex:
@@ -143,6 +153,7 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
     def folded(text: str, room: float) -> str:
         return fill(text, max(12, int(len(text) * room / max(width(text), 1.0))))
 
+    names = [in_mathtext(n) for n in names]
     names = [folded(n, room - 3 * size) if width(n) > room - 3 * size else n for n in names]
     widths = [width(n) + 3 * size for n in names]
     columns = next((k for k in range(len(names), 1, -1) if _fits(widths, k, room, size)), 1)
@@ -171,6 +182,15 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
         columnspacing=1.2,
     )
     return float(lift + height + 0.3 * mpl.rcParams["font.size"])
+
+
+def in_mathtext(text: str) -> str:
+    """Return powers of ten in raised digits, 10⁻³, as mathematics, which every font has."""
+
+    def power(found: re.Match[str]) -> str:
+        return f"$10^{{{found[1].translate(_FROM_RAISED)}}}$"
+
+    return re.sub("10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", power, text)
 
 
 def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:

@@ -163,11 +163,11 @@ def _replay_verdict(found: Replay) -> str:
 
 def report(
     files: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             metavar="F…", parser=recording_path, help="Recordings (*.mcap), or their @names."
         ),
-    ],
+    ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="PDF to write.")] = Path(
         "report.pdf"
     ),
@@ -177,16 +177,30 @@ def report(
     nk: Nk = 1,
     calibration: CalibrationFile = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite a PDF that is there.")] = False,
+    handout: Annotated[
+        bool,
+        typer.Option(
+            "--handout", help="A section for each assignment, at most ten pages; F… as there are."
+        ),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Typeset a report.
 
     The first recording that is no step estimates, the next validates.
     """
+    files = files or []
+    if not (files or handout):
+        msg = "give recordings to report on, such as those of `armrig collect blackbox "
+        msg += "--validation`; --handout needs none"
+        raise typer.BadParameter(msg)
     check_output(output, files, suffix=".pdf")
     if output.exists() and not force:
         msg = f"-o {output}: is there already; --force overwrites it, or give another name"
         raise ValueError(msg)
+    if handout:
+        _report_handout(files, output, calibration, na=na, nb=nb, nf=nf, nk=nk, json=json)
+        return
     from armrig.cli.recorded_data import loaded
     from armrig.cli.spinner import estimating, spinner
     from armrig.report.document import report as typeset
@@ -219,6 +233,39 @@ def _tell_of_ignored(recordings: Sequence[Recording]) -> None:
             f"{r.path.name} is listed in the report, and no model is estimated from it or judged "
             f"by it: {excited[0].path.name} estimates, {excited[1].path.name} validates"
         )
+
+
+def _report_handout(
+    files: Sequence[Path],
+    output: Path,
+    calibration: Path | None,
+    *,
+    na: int,
+    nb: int,
+    nf: int,
+    nk: int,
+    json: bool,
+) -> None:
+    """Typeset the handout's report from whatever there is."""
+    from armrig.cli.recorded_data import loaded
+    from armrig.cli.spinner import estimating, spinner
+    from armrig.report.handout import handout_report
+    from armrig.report.handout_study import handout_study
+    from armrig.report.study import Orders
+    from armrig.report.typesetting import ReportError
+
+    recordings = loaded(files, calibration)
+    with estimating("na, nb and nf"):
+        done = handout_study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
+    try:
+        with spinner("typesetting"):
+            path = handout_report(done, output)
+    except ReportError as err:
+        raise ValueError(str(err)) from err
+    if json:
+        print_json({"report": str(path), "recordings": [r.sha256 for r in recordings]})
+    else:
+        echo(str(path))
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:

@@ -46,7 +46,8 @@ def plot_rig(*, ax: Axes | None = None) -> Axes:
     The electrical half above, the mechanical half below it, from right to left.
     """
     ax = axes(ax)
-    size = min(9.0, 72 * ax.bbox.width / ax.figure.dpi / 36)  # points: a box takes 9 of its height
+    points = 72 / ax.figure.dpi
+    size = min(9.0, points * ax.bbox.width / 36, points * ax.bbox.height / 14)
     for text, (x, y), colour in _PARTS:
         box = {"boxstyle": "round,pad=0.4", "fc": "white", "ec": colour}
         ax.text(x, y, text, ha="center", va="center", fontsize=size, bbox=box)

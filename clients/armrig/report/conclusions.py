@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from armrig.numerics.quantities import (
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.jitter import angle_of_jitter, fastest_rate
+from armrig.recordings.recording import Recording
 from armrig.report.study import AssessedFit, Study
 
 _FAR = 3.0  # times the best model's rms error, from which on an ARX model is another one
@@ -32,7 +33,7 @@ def conclusions(study: Study) -> list[str]:
         _physics_verdict(study),
         *_structure_verdicts(study),
     ]
-    points += calibration_remarks(study)
+    points += calibration_sentences(study.recordings)
     points.append(_jitter_verdict(study))
     missing = sum(r.missing for r in study.recordings)
     if missing:
@@ -78,18 +79,18 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
             )
 
 
-def calibration_remarks(study: Study) -> list[str]:
+def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
     """Return what speaks against the calibration of any recording, each sentence once.
 
     What is not said of all names the files that it is said of.
     """
     of: dict[str, list[str]] = {}
-    for r in study.recordings:
+    for r in recordings:
         for sentence in remarks(r.calibration, r.manifest):
             of.setdefault(sentence, []).append(r.path.name)
     return [
         sentence
-        if len(names) == len(study.recordings)
+        if len(names) == len(recordings)
         else f"{', '.join(names)}: {sentence[0].lower()}{sentence[1:]}"
         for sentence, names in of.items()
     ]

@@ -57,7 +57,8 @@ def report(
     with tempfile.TemporaryDirectory(prefix="armrig-report-") as directory:
         root = Path(directory)
         drawn = write_figures(study, root)
-        pdf = typeset(root, "report.typ", content(study, remarks), recorded(study.recordings))
+        made = recorded(study.recordings)
+        pdf, _ = typeset(root, "report.typ", content(study, remarks), made, "place")
         if figures is not None:
             for path in drawn:
                 shutil.copyfile(path, figures / path.name)

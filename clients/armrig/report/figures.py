@@ -15,9 +15,9 @@ from armrig.canvas import legend, pens, save
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.report.study import STEP, Study, kind_of
 
-_STYLE: Any = {
+STYLE: Any = {
     "svg.fonttype": "none",
-    "font.family": "STIXGeneral",
+    "font.family": ["STIXGeneral", "DejaVu Sans"],  # the second where the first has no glyph
     "mathtext.fontset": "stix",
     "font.size": 8.5,
     "axes.linewidth": 0.6,
@@ -26,7 +26,7 @@ _STYLE: Any = {
     "ytick.labelsize": 7.5,
     "axes.unicode_minus": True,
 }
-_WIDTH = 6.4
+WIDTH = 6.4
 _RESIDUALS = 3.2  # height of one row of residual tests
 DETAIL_S = 4.0
 
@@ -34,7 +34,7 @@ DETAIL_S = 4.0
 def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
     """Write the figures of a study as SVG into `directory` and return their paths."""
     paths = []
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         for name, draw in _FIGURES.items():
             figure = draw(study)
             if figure is not None:
@@ -45,7 +45,7 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
 
 def _canvas(height: float, columns: int = 1, rows: int = 1) -> tuple[Figure, list[Any]]:
     """Return a figure as wide as the text and `height` inches high, and its axes."""
-    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False).ravel().tolist()
 
 

@@ -38,15 +38,21 @@ def _started(recording: Recording) -> datetime:
     return started.replace(tzinfo=started.tzinfo or UTC).astimezone(UTC)
 
 
-def typeset(root: Path, template: str, values: Mapping[str, Any], made: datetime) -> bytes:
-    """Return the PDF of a template of this package; its figures lie in `root`.
+def typeset(
+    root: Path, template: str, values: Mapping[str, Any], made: datetime, label: str
+) -> tuple[bytes, list[tuple[str, float]]]:
+    """Return the PDF of a template of this package, and where its sections begin.
 
     Parameters
     ----------
+    root : Path
+        Where the figures lie.
     values : mapping of str to anything
         What the template reads from data.json.
     made : datetime
         The document's date.
+    label : str
+        Of the template's metadata that say where sections begin: pairs of name and page.
 
     Raises
     ------
@@ -60,12 +66,17 @@ def typeset(root: Path, template: str, values: Mapping[str, Any], made: datetime
     (root / template).write_text(text, encoding="utf-8")
     fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
     try:
-        return typst.compile(
+        compiler = typst.Compiler(
             str(root / template),
             root=str(root),
             font_paths=[str(fonts)],
             ignore_system_fonts=True,
         )
+        pdf = compiler.compile()
+        if not isinstance(pdf, bytes):  # never: a list is of pictures, None of a file
+            raise ReportError(template)
+        places = json.loads(compiler.query(f"<{label}>", field="value"))
     except RuntimeError as err:
         msg = f"the report cannot be typeset: {err}"
         raise ReportError(msg) from err
+    return pdf, [(str(name), float(page)) for name, page in places]

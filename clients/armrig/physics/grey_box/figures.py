@@ -15,6 +15,7 @@ from armrig.canvas import (
     VERMILION,
     axes,
     finish,
+    in_mathtext,
     legend,
     logarithmic,
     panels,
@@ -147,7 +148,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
         ticks.append((float(place.mean()), plural(s.k, "part")))
         x += s.k + 1
     ax.set_xticks([t for t, _ in ticks], [name for _, name in ticks])
-    ax.set_ylabel(f"{symbol(study.parameter)} [{_power(size)}{unit}]")
+    ax.set_ylabel(in_mathtext(f"{symbol(study.parameter)} [{_power(size)}{unit}]"))
     N = np.concatenate([s.N for s in study.splits])
     reported = np.concatenate([s.std for s in study.splits]) / of_std
     line = np.geomspace(N.min() / 1.2, N.max() * 1.2, 20)
@@ -172,7 +173,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     below.minorticks_off()
     logarithmic(below.yaxis, *_with_ticks(*below.get_ylim()))
     below.set_xlabel("samples $N$")
-    below.set_ylabel(f"σ [{_power(of_std)}{unit}]")
+    below.set_ylabel(in_mathtext(f"σ [{_power(of_std)}{unit}]"))
     finish(ax)
     finish(below)
     legend(below)

@@ -1,0 +1,120 @@
+"""What the handout's assignments come to, from whatever recordings there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from armrig_core.arm import ArmParameters, arm_matrices
+
+from armrig.data.dataset import Dataset
+from armrig.nonparametric.sampling_time import SamplingTime, sampling_time
+from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
+from armrig.nonparametric.structure_hints import StructureHints, structure_hints
+from armrig.physics.grey_box.estimate import greybox
+from armrig.physics.grey_box.fit import GreyFit
+from armrig.physics.grey_box.split_study import SplitStudy, split_study
+from armrig.physics.integrators.accuracy import Sinusoid, sinusoid
+from armrig.physics.integrators.step_choice import Recommendation, recommend_step
+from armrig.physics.systems import chassis
+from armrig.recordings.recording import Recording
+from armrig.report.study import STAIRCASE, STEP, Orders, Study, kind_of, study
+from armrig.validation.feedback_and_delay.delay import delay
+from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
+
+T = TypeVar("T")
+
+GREYBOX, CALIBRATION, BLA = "greybox", "calibration", "bla"
+OTHERS = (STEP, STAIRCASE, GREYBOX, CALIBRATION, BLA)
+"""Kinds of experiments that no black-box model is estimated from."""
+METHODS = {"4.1": "forward_euler", "4.2": "ab2", "4.3": "trapezoidal", "4.4": "heun"}
+"""The method of each assignment."""
+AMPLITUDE_V, OMEGA, TOLERANCE = 2.5, 10.0, 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HandoutStudy:
+    """Everything that the handout's report tells; None for what the recordings cannot say."""
+
+    recordings: tuple[Recording, ...]
+    """All that were given, in their order."""
+    parameters: ArmParameters
+    """The handout's own."""
+    problem: Sinusoid
+    """The arm with a sinusoid, for the numerical integration."""
+    steps: Recommendation
+    """A step for each method."""
+    step: StepAnalysis | None = None
+    sampling: SamplingTime | None = None
+    hints: StructureHints | None = None
+    black: Study | None = None
+    """Models of the whole rig."""
+    chassis: Dataset | None = None
+    """The data without the rotating part."""
+    grey: GreyFit | None = None
+    split: SplitStudy | None = None
+    loop: OpenLoop | None = None
+    delay: Delay | None = None
+    refused: dict[str, str]
+    """Why there is no result though there are data, by the result's name."""
+
+
+def handout_study(
+    recordings: Sequence[Recording] = (), *, orders: Orders | None = None
+) -> HandoutStudy:
+    """Answer what the recordings can answer; the physics and the integrators need none.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of any kind: the first step, the first two that are made for black-box models, and the
+        first of the chassis alone are used.
+    orders : Orders, optional
+        Of the black-box models.
+    """
+    p = ArmParameters()
+    A, B, _ = arm_matrices(p)
+    refused: dict[str, str] = {}
+
+    def tried(name: str, result: Callable[[], T]) -> T | None:
+        try:
+            return result()
+        except ValueError as err:
+            refused[name] = str(err)
+            return None
+
+    excited = [r for r in recordings if kind_of(r) not in OTHERS]
+    stepped, alone = _first(recordings, STEP), _first(recordings, GREYBOX)
+    black = tried("black", lambda: study(excited, orders=orders)) if excited else None
+    first = stepped or (excited[0].dataset() if excited else None)
+    data = black.estimation if black else excited[0].dataset() if excited else None
+    return HandoutStudy(
+        recordings=tuple(recordings),
+        parameters=p,
+        problem=sinusoid(A, B, amplitude=AMPLITUDE_V, omega=OMEGA),
+        steps=recommend_step(
+            A,
+            B,
+            omega=OMEGA,
+            amplitude=AMPLITUDE_V,
+            tolerance=TOLERANCE,
+            methods=tuple(METHODS.values()),
+        ),
+        step=tried("step", lambda: step_analysis(stepped)) if stepped else None,
+        sampling=tried("sampling", lambda: sampling_time(first)) if first else None,
+        hints=tried("hints", lambda: structure_hints(data)) if data else None,
+        black=black,
+        chassis=alone,
+        grey=tried("grey", lambda: greybox(alone, model=chassis, free=("J_1",))) if alone else None,
+        split=tried("split", lambda: split_study(alone)) if alone else None,
+        loop=tried("loop", lambda: open_loop(data)) if data else None,
+        delay=tried("delay", lambda: delay(data)) if data else None,
+        refused=refused,
+    )
+
+
+def _first(recordings: Sequence[Recording], kind: str) -> Dataset | None:
+    """Return the data of the first recording of a kind."""
+    return next((r.dataset() for r in recordings if kind_of(r) == kind), None)

@@ -1,0 +1,318 @@
+"""The handout's section 3: what the recordings say."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+from armrig.models.markup import typst_form
+from armrig.numerics.quantities import (
+    error,
+    fixed,
+    listed,
+    milliseconds,
+    minus,
+    number,
+    p_relation,
+    p_value,
+    percent,
+    places,
+    plural,
+    scaled,
+    with_std,
+)
+from armrig.report.handout_study import HandoutStudy
+from armrig.report.section import Section, Table
+from armrig.report.study import Study
+
+_STEP = "armrig collect step"
+_BLACKBOX = "armrig collect blackbox --validation"
+_GREYBOX = "armrig collect greybox"
+
+
+def identification_sections(study: HandoutStudy) -> list[Section]:
+    """Return 3.1 to 3.8; those without a result say what is missing."""
+    return [
+        _sampling(study),
+        _hints(study),
+        _black_box(study),
+        _comparison(study),
+        _grey_box(study),
+        _split(study),
+        _loop(study),
+        _delay(study),
+    ]
+
+
+def _lacking(study: HandoutStudy, number_: str, title: str, name: str, command: str) -> Section:
+    """Return a section without a result."""
+    refused = study.refused.get(name, "")
+    lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
+    return Section(number=number_, title=title, lack=lack, fill=command)
+
+
+def _sampling(study: HandoutStudy) -> Section:
+    found, title = study.sampling, "Sampling time"
+    if found is None:
+        return _lacking(study, "3.1", title, "sampling", _STEP)
+    low, high = found.Ts_transient
+    measured = f"the time to 63 % is {milliseconds(round(found.tau, 5))}"
+    if study.step is not None:
+        tau, std = 1e3 * study.step.tau, 1e3 * study.step.tau_std
+        measured = f"the time to 63 % is {with_std(tau, std)} ms (one standard deviation)"
+    how = "a step response" if found.from_step else "an impulse response, no step being recorded"
+    return Section(
+        number="3.1",
+        title=title,
+        answer=(
+            f"A sampling time of {milliseconds(found.Ts)}. From {how}, {measured}: ω_s = 20/τ "
+            f"gives {number(1e3 * found.Ts_step)} ms. By the spectrum, −3 dB at "
+            f"{number(found.omega_spectrum)} rad/s, it is {number(1e3 * found.Ts_spectrum)} ms; 7 "
+            f"to 10 samples in the transient of {number(1e3 * found.settling)} ms would be "
+            f"{number(1e3 * low)} to {number(1e3 * high)} ms.",
+        ),
+        figure="sampling",
+        caption="Left: rate of θ₁ after a step, over its final value, at the recommended instants. "
+        "Right: frequency response and the power of the output.",
+        reasons="the method that you chose, and the sampling time that you used",
+    )
+
+
+def _hints(study: HandoutStudy) -> Section:
+    found, title = study.hints, "Choice of parametrisation"
+    if found is None:
+        return _lacking(study, "3.2", title, "hints", _BLACKBOX)
+    integrator = "one of them an integrator, " if found.integrator else ""
+    shown = ", ".join(f"{v:.2g}" for v in found.singular_values[:5])
+    peaks, dips = (
+        ", ".join(number(w) for w in marks) or "none"
+        for marks in (found.resonances, found.antiresonances)
+    )
+    return Section(
+        number="3.2",
+        title=title,
+        answer=(
+            f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}; output "
+            "error, because the noise is the potentiometer's.",
+            f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} ± "
+            f"{found.low_slope_std:.1f} dB a decade, by 20 with an integrator. Resonance at "
+            f"{peaks}, antiresonance at {dips} rad/s: two poles and two zeros. Of the Hankel "
+            f"singular values {shown} … uncertainty makes {found.threshold:.2g}: "
+            f"{found.order - found.integrator} stand out.",
+        ),
+        figure="structure",
+        caption="Spectral analysis with slopes, resonances and the Hankel singular values.",
+        reasons="the structure and orders that you take, and what speaks for them",
+    )
+
+
+def _black_box(study: HandoutStudy) -> Section:
+    black, title = study.black, "Black box"
+    if black is None:
+        return _lacking(study, "3.3", title, "black", _BLACKBOX)
+    best, rows = black.best, []
+    for m in black.estimated:
+        fit = m.fit
+        decimals = [places(float(s)) for s in fit.std]
+        theta = listed(
+            [
+                f"{n} = {fixed(float(v), d)} ± {fixed(float(s), d)}"
+                for n, v, s, d in zip(fit.names, fit.theta, fit.std, decimals, strict=True)
+            ]
+        )
+        tests = m.tests
+        rows.append(
+            (
+                m.name,
+                theta,
+                error(m.comparison.rms_error, black.validation.unit),
+                p_value(tests.whiteness),
+                p_value(tests.missing_dynamics),
+            )
+        )
+    halves = " (the second half of the one recording)" if black.halves else ""
+    return Section(
+        number="3.3",
+        title=title,
+        answer=(
+            f"The {best.name} model: simulated on data that it has not seen{halves} it is off by "
+            f"{error(best.comparison.rms_error, black.validation.unit)} rms. It is estimated from "
+            f"{black.estimation.N} samples at {milliseconds(black.estimation.Ts)}; ± is one "
+            "standard deviation.",
+        ),
+        formula=typst_form(best.fit),
+        table=Table(
+            header=("model", "coefficients", "rms error", "p white", "p dynamics"), rows=tuple(rows)
+        ),
+        figure="residuals",
+        caption=f"Residuals of the {best.name} model on validation data, with 99 % bands: "
+        "correlation with themselves (left) and with the input.",
+        reasons="the model that you choose, and those that you tried (`armrig identify --search`)",
+    )
+
+
+def _comparison(study: HandoutStudy) -> Section:
+    black, title = study.black, "Against the physics"
+    if black is None:
+        return _lacking(study, "3.4", title, "black", _BLACKBOX)
+    rows = []
+    for m in black.models:
+        c, found = m.comparison, m.comparison.characteristics
+        named = (
+            ("gain", found.gain, 1.0),
+            ("antiresonance", found.antiresonance, 1.0),
+            ("rise_time", found.rise_time, 1e3),
+            ("overshoot", found.overshoot, 1.0),
+        )
+        velocity = c.velocity_fit_percent
+        rows.append(
+            (
+                m.name,
+                error(c.rms_error, black.validation.unit),
+                "–" if velocity is None else percent(velocity),
+                *(_figure(x, found.std.get(name, float("nan")), k) for name, x, k in named),
+            )
+        )
+    best = min(black.models, key=lambda m: m.comparison.rms_error)
+    return Section(
+        number="3.4",
+        title=title,
+        answer=(
+            f"On the validation data {best.name} is closest, with an rms error of "
+            f"{error(best.comparison.rms_error, black.validation.unit)}. {_difference(black)}",
+        ),
+        table=Table(
+            header=(
+                "model",
+                "rms error",
+                "fit of the rate",
+                "gain [rad/(s V)]",
+                "antires. [rad/s]",
+                "63 % [ms]",
+                "overshoot [%]",
+            ),
+            rows=tuple(rows),
+        ),
+        figure="compare",
+        caption="Validation data and models, less the ramp of the mean speed; below, less the "
+        "best model.",
+        reasons="which model is best, for what; differences and similarities",
+    )
+
+
+def _figure(x: float, std: float, scale: float) -> str:
+    if not isfinite(x):
+        return "–"
+    return minus(with_std(scale * x, scale * std if isfinite(std) else 0.0))
+
+
+def _difference(black: Study) -> str:
+    """Return how far the best estimated model is from the physics."""
+    import numpy as np
+
+    median = percent(100 * float(np.median(black.best.deviation)))
+    return (
+        f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
+        f"{black.best.name} differs from the physics, nothing of which was fitted, by a median of "
+        f"{median}."
+    )
+
+
+def _grey_box(study: HandoutStudy) -> Section:
+    found, title = study.grey, "Grey box: the inertia J"
+    if found is None:
+        return _lacking(study, "3.5", title, "grey", _GREYBOX)
+    J, std = found.values["J_1"], found.std["J_1"]
+    handout = study.parameters.J_1
+    influence = found.influence.get("J_1", {})
+    moved = ", ".join(f"{n} {minus(f'{x:+.2f}')} %" for n, x in influence.items())
+    fixed_ones = f" It moves with what was held fixed, for 1 % each: {moved}." if moved else ""
+    return Section(
+        number="3.5",
+        title=title,
+        answer=(
+            f"J = {scaled(J, std, 'kg m²')} (one standard deviation), "
+            f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's J₁.",
+            "The chassis alone obeys J θ₁″ = N K_m (u − N K_m θ₁′)/R_m, without friction; J is "
+            f"what makes the simulated angle fit {found.N} samples best.{fixed_ones}",
+        ),
+        figure="greybox",
+        caption="Measured and simulated angle of the chassis alone, less the ramp of its mean "
+        "speed, and the error.",
+        reasons="what you held fixed, and whether friction may be neglected",
+    )
+
+
+def _split(study: HandoutStudy) -> Section:
+    found, title = study.split, "Covariance and the length of the data"
+    if found is None:
+        return _lacking(study, "3.6", title, "split", _GREYBOX)
+    rows = tuple(
+        (
+            plural(s.k, "part"),
+            f"{s.N.mean():.0f}",
+            "; ".join(scaled(float(v), float(e), "") for v, e in zip(s.values, s.std, strict=True)),
+        )
+        for s in found.splits
+    )
+    first, last = found.splits[0], found.splits[-1]
+    ratio = float((last.std**2).mean() / (first.std**2).mean())
+    return Section(
+        number="3.6",
+        title=title,
+        answer=(
+            f"From the whole to {plural(last.k, 'part')} the variance of J grows by a factor of "
+            f"{ratio:.2f}; with 1/N it would grow by {first.N.mean() / last.N.mean():.2f}. "
+            "Each sample adds its share to the information, Σ ψψᵀ/λ, and the covariance is its "
+            "inverse.",
+        ),
+        table=Table(header=("", "samples each", "J [kg m²]"), rows=rows),
+        figure="split",
+        caption="Left: each estimate with ±2 σ; band: all of them together. Right: σ against N.",
+        reasons="the trend, and how you explain it",
+    )
+
+
+def _loop(study: HandoutStudy) -> Section:
+    found, title = study.loop, "Open loop"
+    if found is None:
+        return _lacking(study, "3.7", title, "loop", _BLACKBOX)
+    if found.sims is None:
+        return Section(number="3.7", title=title, lack=found.explain(), fill=_BLACKBOX)
+    s = found.sims
+    verdict = "the data show FEEDBACK" if found.feedback else "nothing speaks against open loop"
+    return Section(
+        number="3.7",
+        title=title,
+        answer=(
+            f"p {p_relation(found.p_value)} in Sims' F-test (F = {s.F:.3g} with {s.q} and "
+            f"{s.degrees} degrees of freedom): {verdict}.",
+            "θ₁(t) is regressed on its own past, past u, and u(t) … u(t + 4). θ₁ is read before u "
+            "is applied: in open loop no u from t on knows of θ₁(t) what its past does not.",
+        ),
+        figure="loop",
+        caption="Coefficients of u in the regression of θ₁(t), with the 99 % band.",
+        reasons="what in the input and output data you infer it from",
+    )
+
+
+def _delay(study: HandoutStudy) -> Section:
+    found, title = study.delay, "No input delay"
+    if found is None:
+        return _lacking(study, "3.8", title, "delay", _BLACKBOX)
+    samples = "no delay" if found.delay <= 0 else f"a delay of {plural(found.delay, 'sample')}"
+    g, std = found.response.decaying
+    lags = range(min(found.nk + 2, g.size))
+    sizes = ", ".join(f"{minus(f'{g[k] / std[k]:+.1f}')} σ at lag {k}" for k in lags if std[k] > 0)
+    ps = listed([f"p {p_relation(p)} up to lag {k}" for k, p in found.p_values.items()])
+    return Section(
+        number="3.8",
+        title=title,
+        answer=(
+            f"{found.nk_range}, {samples}: u acts one sample later, as behind a zero-order hold.",
+            f"The first coefficients of u in an ARX model, tested together: {ps}. The impulse "
+            f"response of θ₁'s rate is {sizes}.",
+        ),
+        figure="delay",
+        caption="Impulse response (left) and the loss by nk.",
+        reasons="what in the input and output data you infer it from",
+    )

@@ -1,0 +1,177 @@
+"""The handout's sections 2 and 4: what follows from the equations alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from armrig_core.arm import ArmParameters, arm_matrices
+from numpy.typing import NDArray
+
+from armrig.numerics.quantities import minus, number, power
+from armrig.physics.integrators.methods import METHODS as INTEGRATORS
+from armrig.physics.integrators.stability import stability_limit
+from armrig.physics.step_response import Characteristics, characteristics, step_response
+from armrig.report.handout_study import AMPLITUDE_V, METHODS, OMEGA, HandoutStudy
+from armrig.report.section import Section, Table
+
+_FACTOR = 2.0  # by which assignment 2.3 changes two parameters
+
+
+def changed(p: ArmParameters) -> dict[str, ArmParameters]:
+    """Return the parameters of assignments 2.2 and 2.3: the handout's, and two changed."""
+    return {
+        "handout": p,
+        "J₁ doubled": replace(p, J_1=_FACTOR * p.J_1),
+        "K_lin doubled": replace(p, K_lin=_FACTOR * p.K_lin),
+    }
+
+
+def physical_sections(study: HandoutStudy) -> list[Section]:
+    """Return 2.1 to 2.3."""
+    p = study.parameters
+    found = characteristics(p)
+    return [_model(p), _step(found), _other_parameters(p)]
+
+
+def _model(p: ArmParameters) -> Section:
+    A, B, _ = arm_matrices(p)
+    return Section(
+        number="2.1",
+        title="Mathematical model",
+        answer=(
+            "With the states x = (θ₁, α, θ₁′, α′) and the motor's voltage u the rig is linear, "
+            "x′ = A x + B u. With k = N K_m and the handout's values:",
+            "Structure: circuit, motor, gear, chassis, spring and arm. Equations: R_m i = u − u_m, "
+            "u_m = k θ₁′, Q_E = k i, Q_s = K_lin α, J₁ θ₁″ = Q_E + Q_s, J₂ (θ₁″ + α″) = −Q_s. "
+            "State space: two inertias and a spring store energy, θ₁ itself is the fourth state; "
+            "i and the torques follow from the states and u. Left out are the inductance, friction "
+            "(b₁ = 0), play and elasticity of the gear, bending of the arm and the springs' mass.",
+        ),
+        formula=(
+            'x\' = mat(0, 0, 1, 0; 0, 0, 0, 1; 0, K_"lin"/J_1, -k^2/(R_m J_1), 0; '
+            '0, -K_"lin" (1/J_1 + 1/J_2), k^2/(R_m J_1), 0) x + vec(0, 0, k/(R_m J_1), '
+            f"-k/(R_m J_1)) u quad A = {_matrix(A)} quad B = {_matrix(B)}"
+        ),
+        figure="rig",
+        caption="Parts of the rig, and the quantities between them.",
+        reasons="the three phases in your own words; why the simplifications are allowed",
+    )
+
+
+def _matrix(M: NDArray[Any]) -> str:
+    rows = "; ".join(", ".join(f"{x + 0.0:.4g}" for x in row) for row in M.tolist())
+    return f"mat({rows})"
+
+
+def _step(found: Characteristics) -> Section:
+    w = max(found.poles, key=lambda z: z.imag)
+    settled = float(step_response(found.parameters, np.linspace(0.0, 2.0, 2001))[-1])
+    return Section(
+        number="2.2",
+        title="Step response",
+        answer=(
+            f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s; the model "
+            f"says 1/(N K_m) = {found.steady_speed:.4f} rad/(s V). The slope at t = 0 is "
+            f"{found.initial_slope:.2f} rad/s² = N K_m/(R_m J₁).",
+            "Steady state: nothing accelerates, so there is no torque and no current: u = u_m. "
+            "The slope: at t = 0 the chassis stands, so there is no back-EMF, and the spring is "
+            "not wound, so that the torque turns J₁ alone; with the arm screwed on it would be "
+            f"{found.rigid_slope:.2f} rad/s². Then the arm swings: poles at {_pole(w)} 1/s.",
+        ),
+        figure="step",
+        caption="Speed of the chassis after a step of 1 V: the handout's parameters, and two of "
+        "them changed (2.3). Grey: steady speed and slope at 0.",
+        reasons="the slope at time 0, in your own words; your Simulink model",
+    )
+
+
+def _pole(z: complex) -> str:
+    return minus(f"{z.real:.2f}") + f" ± {abs(z.imag):.2f}i"
+
+
+def _other_parameters(p: ArmParameters) -> Section:
+    rows = []
+    for name, q in changed(p).items():
+        found = characteristics(q)
+        pole = max(found.poles, key=lambda z: z.imag)
+        steady, slope = f"{found.steady_speed:.4f}", f"{found.initial_slope:.2f}"
+        rows.append((name, steady, slope, _pole(pole)))
+    return Section(
+        number="2.3",
+        title="Two parameters changed",
+        answer=(
+            "J₁ doubled halves the slope and leaves the steady speed; K_lin doubled leaves both "
+            "and makes the arm swing faster.",
+            "The steady speed 1/(N K_m) has neither inertia nor spring in it. The slope has J₁, "
+            "and not K_lin, which acts only once the spring is wound. With a stiffer spring the "
+            "swing dies out sooner, with a heavier chassis later: see the poles' real parts.",
+        ),
+        table=Table(
+            header=("parameters", "steady speed [rad/(s V)]", "slope [rad/(s² V)]", "poles [1/s]"),
+            rows=tuple(rows),
+        ),
+        reasons="why these two parameters; what else you tried (`armrig simulate --set J_1=…`)",
+    )
+
+
+_WORDS = {
+    "forward_euler": "Each step is x(t+h) = x(t) + h f(t), of order 1; stable inside |1 + hλ| ≤ 1. "
+    "The handout asks for a minimum step: it is a maximum, beyond which hλ leaves the region for "
+    "one of the poles.",
+    "ab2": "Each step is x(t+h) = x(t) + h (3 f(t) − f(t−h))/2, of order 2, with one f a step; the "
+    "first step is one of Heun's.",
+    "trapezoidal": "Each step is x(t+h) = x(t) + h (f(t) + f(t+h))/2, of order 2, implicit: a "
+    "linear system is solved in each. Its region is the whole left half-plane, so that accuracy "
+    "alone decides.",
+    "heun": "Two stages: an Euler step, then x(t+h) = x(t) + h (f(t) + f*(t+h))/2, of order 2, "
+    "with two f a step.",
+}
+
+
+def numerical_sections(study: HandoutStudy) -> list[Section]:
+    """Return 4.1 to 4.4."""
+    return [_integrator(study, number, name) for number, name in METHODS.items()]
+
+
+def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
+    problem = study.problem
+    limit = stability_limit(problem.A, name)
+    (advice,) = (row for row in study.steps.rows if row.method == name)
+    bounded = isfinite(limit)
+    edge = f"The largest stable step is {1e3 * limit:.3f} ms" if bounded else "Every step is stable"
+    first = number_ == "4.1"
+    return Section(
+        number=number_,
+        title=INTEGRATORS[name].name[0].upper() + INTEGRATORS[name].name[1:],
+        answer=(
+            f"{edge}; {number(1e3 * advice.h)} ms keeps the error below "
+            f"{100 * study.steps.tolerance:g} % ({advice.steps} steps over {problem.span:.3g} s, "
+            f"u = {AMPLITUDE_V:g} sin({OMEGA:g} t) V, against the exact solution).",
+            _WORDS[name],
+        ),
+        table=_errors(study, name, _steps(advice.h, limit)),
+        figure="integrators" if first else "solution" if number_ == "4.4" else "",
+        caption="Left: regions of stability, and the arm's hλ at forward Euler's limit. Right: "
+        "error against step, with the observed orders."
+        if first
+        else "The speed by each method at h = 20 ms, and the errors.",
+        reasons="your choice of the step, and what varying it shows",
+    )
+
+
+def _steps(h: float, limit: float) -> Sequence[float]:
+    edges = (0.98 * limit, 1.1 * limit) if isfinite(limit) else ()
+    return sorted({h, 2 * h, 4 * h, *edges})
+
+
+def _errors(study: HandoutStudy, name: str, steps: Sequence[float]) -> Table:
+    """Return the largest errors at some steps, a column each."""
+    errors = [study.problem.error(h, name) for h in steps]
+    return Table(
+        header=("h [ms]", *(number(1e3 * h) for h in steps)),
+        rows=(("largest error", *(power(e) if isfinite(e) else "overflow" for e in errors)),),
+    )

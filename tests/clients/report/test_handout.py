@@ -1,0 +1,168 @@
+"""The handout's report: each assignment, in its order, in ten pages, with whatever there is."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.excitation import telegraph
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
+from armrig.report.handout import MOST_PAGES, TooLongError, check_length, handout_report
+from armrig.report.handout_study import HandoutStudy, handout_study
+from armrig.report.identification_sections import identification_sections
+from armrig.report.physical_sections import numerical_sections, physical_sections
+from armrig.report.section import Section
+from made_recordings import of_the_arm, written
+from pages import script
+
+ASSIGNMENTS = [
+    *("2.1", "2.2", "2.3"),
+    *(f"3.{i}" for i in range(1, 9)),
+    *(f"4.{i}" for i in range(1, 5)),
+]
+
+
+def sections(study: HandoutStudy) -> dict[str, Section]:
+    """Return the sections by number, in their order."""
+    every = (
+        *physical_sections(study),
+        *identification_sections(study),
+        *numerical_sections(study),
+    )
+    return {s.number: s for s in every}
+
+
+def pages(path: Path) -> int:
+    """Return the number of pages of a PDF."""
+    found = re.search(rb"/Type/Pages/Count (\d+)", path.read_bytes())
+    assert found is not None
+    return int(found[1])
+
+
+@pytest.fixture(scope="module")
+def three(three_recordings: tuple[Path, Path, Path]) -> list[Recording]:
+    """Give a step and two telegraphs."""
+    return [load(path) for path in three_recordings]
+
+
+@pytest.fixture(scope="module")
+def without() -> HandoutStudy:
+    """Give the study of no recording."""
+    return handout_study()
+
+
+@pytest.fixture(scope="module")
+def done(three: list[Recording]) -> HandoutStudy:
+    """Give the study of a step and two telegraphs."""
+    return handout_study(three)
+
+
+def test_every_assignment_has_its_section_in_order(
+    without: HandoutStudy, done: HandoutStudy
+) -> None:
+    """2.1 to 4.4, with recordings and without, each with an answer or what it lacks."""
+    for study in (without, done):
+        found = sections(study)
+        assert list(found) == ASSIGNMENTS
+        assert all(bool(s.answer) != bool(s.lack) for s in found.values())
+        assert all(bool(s.answer) == bool(s.reasons) for s in found.values())
+
+
+def test_physics_and_integrators_need_no_recording(without: HandoutStudy) -> None:
+    """Their numbers are those of the handout's parameters, and the answer begins with them."""
+    found = sections(without)
+
+    assert "1.8623 rad/s" in found["2.2"].answer[0]
+    assert "98.40 rad/s²" in found["2.2"].answer[0]
+    assert found["4.1"].answer[0].startswith("The largest stable step is 45.147 ms")
+    assert found["4.3"].answer[0].startswith("Every step is stable")
+
+
+def test_what_lacks_a_recording_names_the_command(without: HandoutStudy) -> None:
+    """Ready to copy."""
+    fill = {number: s.fill for number, s in sections(without).items() if s.lack}
+
+    blackbox, greybox = "armrig collect blackbox --validation", "armrig collect greybox"
+    assert fill == {
+        "3.1": "armrig collect step",
+        **dict.fromkeys(("3.2", "3.3", "3.4", "3.7", "3.8"), blackbox),
+        **dict.fromkeys(("3.5", "3.6"), greybox),
+    }
+
+
+def test_recordings_fill_what_they_can(done: HandoutStudy) -> None:
+    """A step and telegraphs fill all but the chassis' sections."""
+    lacking = [number for number, s in sections(done).items() if s.lack]
+
+    assert lacking == ["3.5", "3.6"]
+    assert done.refused == {}
+
+
+def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
+    """J with its deviation and unit; no black-box model is estimated from it."""
+    u = telegraph(1500, 0.05, seed=3)
+    path = tmp_path / "chassis.mcap"
+    script("experiments.py").record(path, u, 0.01, "greybox", 3, arm_removed=True)
+
+    study = handout_study([load(path)])
+
+    found = sections(study)
+
+    assert study.black is None
+    assert study.grey is not None
+    value, std = 1e3 * study.grey.values["J_1"], 1e3 * study.grey.std["J_1"]
+    said = re.search(r"J = \(([\d.]+) ± ([\d.]+)\)·10⁻³\skg m²", found["3.5"].answer[0])
+    assert said is not None
+    assert float(said[1]) == pytest.approx(value, abs=std)
+    assert float(said[2]) == pytest.approx(std, rel=0.06)
+    assert found["3.6"].table is not None
+    assert [row[0] for row in found["3.6"].table.rows] == ["1 part", "2 parts", "4 parts"]
+
+
+def test_data_that_say_nothing_are_told_in_their_section(tmp_path: Path) -> None:
+    """The report is made all the same, and gives the reason."""
+    short = written(tmp_path, of_the_arm(np.full(60, 2.0)), "short.mcap")
+
+    study = handout_study([load(short)])
+
+    found = sections(study)
+    assert study.black is None
+    assert found["3.3"].lack == f"No result: {study.refused['black']}."
+
+
+def test_the_report_has_at_most_ten_pages(
+    without: HandoutStudy, done: HandoutStudy, tmp_path: Path
+) -> None:
+    """Its cover included, and the same bytes for the same recordings."""
+    counts = [
+        pages(handout_report(study, tmp_path / f"{i}.pdf"))
+        for i, study in enumerate((without, done))
+    ]
+    again = handout_report(without, tmp_path / "again.pdf")
+
+    assert 3 <= counts[0] <= counts[1] <= MOST_PAGES
+    assert again.read_bytes() == (tmp_path / "0.pdf").read_bytes()
+
+
+def test_more_than_ten_pages_are_refused_with_the_longest_sections() -> None:
+    """Nothing is cut off in silence."""
+    fits = [("cover", 1.0), ("2.1", 2.0), ("3.3", 5.0), ("end", 10.9)]
+    check_length(fits)
+
+    with pytest.raises(TooLongError, match=r"11 pages.*allows 10.*3\.3 \(6\.2\), 2\.1 \(3\.0\)"):
+        check_length([*fits[:-1], ("end", 11.2)])
+
+
+def test_the_cover_asks_for_no_registration_number() -> None:
+    """Names, and approval; the handout's line for the civic registration number is left out."""
+    template = Path(armrig.__file__ or "").parent / "report" / "handout.typ"
+
+    text = template.read_text(encoding="utf-8")
+
+    for field in ("Name (student 1):", "Name (student 2):", "Approved (date, sign):"):
+        assert field in text
+    assert "registration" not in text.lower()
