@@ -8,6 +8,7 @@ from pathlib import Path
 
 import armrig
 import matplotlib as mpl
+from armrig.canvas import save
 from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
 from armrig.physics.integrators.figures import (
     plot_convergence,
@@ -27,11 +28,13 @@ def draw(name: str, size: tuple[float, float], *plots: Callable[[Axes], Axes]) -
     """Write one figure with a panel for each plot."""
     from matplotlib import pyplot as plt
 
-    with mpl.rc_context({"svg.hashsalt": name, "font.size": 9}):
-        figure, every = plt.subplots(1, len(plots), figsize=size, squeeze=False)
+    with mpl.rc_context({"font.size": 9}):
+        figure, every = plt.subplots(
+            1, len(plots), figsize=size, squeeze=False, layout="constrained"
+        )
         for plot, ax in zip(plots, every[0], strict=True):
             plot(ax)
-        figure.savefig(FOLDER / name, bbox_inches="tight", metadata={"Date": None})
+        save(figure, FOLDER / name)
         plt.close(figure)
 
 
@@ -45,7 +48,7 @@ def main() -> None:
         "$J_1$ doubled": replace(p, J_1=2 * p.J_1),
         "$K_{lin}$ doubled": replace(p, K_lin=2 * p.K_lin),
     }
-    draw("physics-structure.svg", (11, 2.4), lambda ax: plot_rig(ax=ax))
+    draw("physics-structure.svg", (6.3, 3.0), lambda ax: plot_rig(ax=ax))
     draw(
         "physics-step.svg",
         (11, 3.6),

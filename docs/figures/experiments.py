@@ -13,6 +13,7 @@ import armrig
 import matplotlib as mpl
 import msgspec
 import numpy as np
+from armrig.canvas import save
 from armrig.excitation.named_signals import realisations
 from armrig_core.manifest import CALIBRATION, Manifest
 from armrig_core.telemetry import decode_sample
@@ -93,12 +94,13 @@ def draw(name: str, size: tuple[float, float], *plots: Callable[[Axes], Any]) ->
     """Write one figure with a panel for each plot."""
     from matplotlib import pyplot as plt
 
-    with mpl.rc_context({"svg.hashsalt": name, "font.size": 9}):
-        figure, every = plt.subplots(1, len(plots), figsize=size, squeeze=False)
-        figure.subplots_adjust(wspace=0.3)
+    with mpl.rc_context({"font.size": 9}):
+        figure, every = plt.subplots(
+            1, len(plots), figsize=size, squeeze=False, layout="constrained"
+        )
         for plot, ax in zip(plots, every[0], strict=True):
             plot(ax)
-        figure.savefig(FOLDER / name, bbox_inches="tight", metadata={"Date": None})
+        save(figure, FOLDER / name)
         plt.close(figure)
 
 

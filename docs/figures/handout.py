@@ -48,7 +48,7 @@ def main() -> None:
         "$K_{lin}$ doubled": replace(p, K_lin=2 * p.K_lin),
     }
     draw = experiments().draw
-    draw("handout-structure.svg", (11, 2.4), lambda ax: plot_rig(ax=ax))
+    draw("handout-structure.svg", (6.3, 3.0), lambda ax: plot_rig(ax=ax))
     draw(
         "handout-step.svg",
         (11, 3.6),
