@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Mask, Vector, merge
 from armrig.data.treatment import hampel
+from armrig.data.treatment.wrong_samples import _gross
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
@@ -176,3 +177,12 @@ def test_very_few_samples_are_refused_by_their_number() -> None:
 
     with pytest.raises(ValueError, match="2 samples are too few to find outliers with order=1"):
         hampel(data)
+
+
+def test_a_reading_that_rests_and_moves_by_steps_of_its_converter_has_no_gross_samples() -> None:
+    """Most samples are their neighbours' median; the others are a step of it off."""
+    rng = np.random.default_rng(5)
+    y = np.round(rng.normal(0.0, 0.4, 2000)) * 0.006
+    y[700] = 50.0
+
+    assert np.flatnonzero(_gross(y)).tolist() == [700]

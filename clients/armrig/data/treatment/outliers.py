@@ -6,11 +6,10 @@ import numpy as np
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.treatment.wrong_samples import wrong_samples
+from armrig.data.treatment.wrong_samples import MOST, wrong_samples
 from armrig.numerics.checks import require_integers, require_numbers
 
 _FALSE_ALARM = 0.05  # chance of one or more in a clean record
-_MOST = 0.1  # share of the samples beyond which they are no outliers
 _LISTED = 10
 
 
@@ -69,7 +68,7 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
         raise ValueError(msg)
     wrong = np.concatenate(wrong_samples([(d.u, d.y) for d in data.experiments()], n, limit))
     found = np.flatnonzero(wrong)
-    if found.size > _MOST * count:
+    if found.size > MOST * count:
         msg = f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}: that "
         msg += "is another process, not outliers; plot the data, or raise the threshold"
         raise ValueError(msg)

@@ -19,6 +19,8 @@ _MAD_TO_STD = 1.4826  # of a normal distribution
 _NEIGHBOURS = 11  # samples, whose median up to five wrong ones in a row do not move
 _GROSS = 1e3  # median deviations from it, beyond which a sample is of another order of magnitude
 _ROUNDS = 25
+MOST = 0.1
+"""Share of the samples beyond which they are no outliers; twice as many end the search."""
 _SHOWN = 1e-3  # share of its own trace that a sample must leave beside those marked already
 
 
@@ -31,10 +33,11 @@ def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) 
     """
     gross = [_gross(y) for _, y in parts]
     none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
+    most = int(MOST * sum(y.size for _, y in parts))
     if not any(marked.any() for marked in gross):
-        return _searched(parts, n, limit, none)
-    found = _searched(parts, n, limit, gross)
-    without = _searched(parts, n, limit, none, most=_count(found))
+        return _searched(parts, n, limit, none, most)
+    found = _searched(parts, n, limit, gross, most)
+    without = _searched(parts, n, limit, none, min(most, _count(found)))
     return min(found, without, key=_count)
 
 
@@ -50,9 +53,10 @@ def _gross(y: Vector) -> Mask:
     wrong = np.zeros(y.size, dtype=np.bool_)
     if known.size > _NEIGHBOURS:
         off = np.abs(y[known] - median_filter(y[known], _NEIGHBOURS, mode="nearest"))
-        wrong[known] = off > _GROSS * max(
-            float(np.median(off)), 1e-9 * float(np.max(np.abs(y[known])))
-        )
+        # A reading that mostly rests is its neighbours' median, and a step of its converter is not
+        # gross: the median is that of those that are off it.
+        typical = float(np.median(off[off > 0])) if off.any() else 0.0
+        wrong[known] = off > _GROSS * max(typical, 1e-9 * float(np.max(np.abs(y[known]))))
     return wrong
 
 
@@ -61,7 +65,7 @@ def _searched(
     n: int,
     limit: float,
     wrong: list[Mask],
-    most: int | None = None,
+    most: int,
 ) -> list[Mask]:
     """Return the wrong samples, found from those that are marked to begin with.
 
@@ -78,7 +82,7 @@ def _searched(
         s = _robust_std(np.concatenate(sizes), parts)
         for x, marked in zip(sizes, wrong, strict=True):
             marked[_peaks(np.where(np.isnan(x), 0.0, np.abs(x) / s), limit, n)] = True
-        if most is not None and _count(wrong) > 2 * most + n:
+        if _count(wrong) > 2 * most + n:
             break
         for (u, y), (_, y_expected), marked in zip(parts, expected, wrong, strict=True):
             y_expected[:] = _expect(model, u, y, marked, s * limit)
