@@ -19,6 +19,7 @@ from armrig.cli import (
     calibrate,
     collect,
     comparison,
+    evidence,
     feedback_and_delay,
     files,
     first_look,
@@ -80,6 +81,8 @@ for _command, _example in (
     (physics.split, "@greybox --parts 1,2,4"),
     (integrators.integrate, "--method heun --h 0.01"),
     (files.report, "@blackbox @blackbox/validation -o report.pdf"),
+    (evidence.verify, "@last"),
+    (evidence.export, "@last data.mat"),
     (files.replay, "@last"),
     (host.demo, "--directory demo"),
     (host.bench, ""),
@@ -95,6 +98,8 @@ for _command, _example in (
 
 _ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab"})
 """Commands that nobody is led to by a typing error."""
+# What talks to a rig, or measures the host of one; Windows has none of it.
+_WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
 _SIGPIPE = 13  # Windows has no such signal, and its name is not there
 
 # Newer versions of typer bring a click of their own, older ones use the click installed.
@@ -191,6 +196,11 @@ def _run(arguments: Sequence[str] | None) -> int:
         return _failed(named, 1)
     except (ValueError, RuntimeError) as err:
         return _failed(str(err), 1)
+    except ModuleNotFoundError as err:
+        if err.name not in _WITH_A_RIG:
+            raise
+        what = f"armrig {' '.join(given[:1])}"
+        return _failed(f"{what} needs Linux, where the rig is driven: no {err.name} here", 1)
     return 0
 
 

@@ -14,12 +14,14 @@ from armrig.cli.options import (
     CalibrationFile,
     DataTs,
     Detrend,
+    From,
     Hampel,
     Input,
     Json,
     NoOutput,
     Signal,
     TimeColumn,
+    To,
     print_json,
     say,
 )
@@ -44,6 +46,8 @@ def check(
     output: NoOutput = None,
     level: Annotated[float, typer.Option("--level", help="Of the test for feedback.")] = 0.05,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     json: Json = False,
     plot: Plot = None,
 ) -> None:
@@ -60,6 +64,8 @@ def check(
         detrend=detrend,
         hampel=hampel,
         calibration=calibration,
+        start=start,
+        stop=stop,
     )
     data = signals.of(file)
     with spinner("testing"):

@@ -13,11 +13,13 @@ from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
+    From,
     Json,
     Na,
     Nb,
     Nf,
     Nk,
+    To,
     Verbose,
     echo,
     print_json,
@@ -36,6 +38,8 @@ _MCAP = b"\x89MCAP0\r\n"
 def info(
     file: File,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     json: Json = False,
     verbose: Verbose = False,
     plot: Annotated[
@@ -47,7 +51,7 @@ def info(
 
     if plot is not None:
         check_output(plot, [file])
-    recording = load(file, calibration)
+    recording = load(file, calibration, start=start, stop=stop)
     if plot is not None:
         _plot_timing(recording, plot)
     if json:

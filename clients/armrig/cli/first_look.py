@@ -14,10 +14,12 @@ from armrig.cli.options import (
     CalibrationFile,
     DataTs,
     Detrend,
+    From,
     Input,
     Json,
     Signal,
     TimeColumn,
+    To,
     print_json,
     print_table,
     say,
@@ -36,6 +38,8 @@ Drawing = Annotated[Path, typer.Option("-o", "--plot", metavar="FIGURE", help="F
 def plot(
     file: File,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     figure: Drawing = Path("plot.png"),
     json: Json = False,
 ) -> None:
@@ -48,7 +52,7 @@ def plot(
     from armrig.recordings.overview import overview
 
     check_plot(figure, [file])
-    [recording] = loaded([file], calibration)
+    [recording] = loaded([file], calibration, start, stop)
     with spinner("looking for outliers and drift"):
         found = overview(recording)
     write_plot(figure, lambda ax: found.plot(ax=ax), height=7.0)
@@ -68,6 +72,8 @@ def sampling(
     Ts: DataTs = None,
     detrend: Detrend = False,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
@@ -81,7 +87,14 @@ def sampling(
 
     check_plot(plot, [file])
     data = Signals(
-        signal=signal, input=input, time=time, Ts=Ts, detrend=detrend, calibration=calibration
+        signal=signal,
+        input=input,
+        time=time,
+        Ts=Ts,
+        detrend=detrend,
+        calibration=calibration,
+        start=start,
+        stop=stop,
     ).of(file)
     with spinner("estimating the response"):
         choice = sampling_time(data)
@@ -135,6 +148,8 @@ def hints(
     Ts: DataTs = None,
     detrend: Detrend = False,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
@@ -148,7 +163,14 @@ def hints(
 
     check_plot(plot, [file])
     data = Signals(
-        signal=signal, input=input, time=time, Ts=Ts, detrend=detrend, calibration=calibration
+        signal=signal,
+        input=input,
+        time=time,
+        Ts=Ts,
+        detrend=detrend,
+        calibration=calibration,
+        start=start,
+        stop=stop,
     ).of(file)
     with spinner("estimating without a structure"):
         found = structure_hints(data)

@@ -34,12 +34,14 @@ from armrig.cli.options import (
     CalibrationFile,
     DataTs,
     Detrend,
+    From,
     Hampel,
     Input,
     Json,
     NoOutput,
     Signal,
     TimeColumn,
+    To,
     print_json,
     say,
     tell,
@@ -118,6 +120,8 @@ def identify(
     hampel: Hampel = False,
     output: NoOutput = None,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     save: Save = None,
     plot: Plot = None,
     json: Json = False,
@@ -149,6 +153,8 @@ def identify(
         detrend=detrend,
         hampel=hampel,
         calibration=calibration,
+        start=start,
+        stop=stop,
     )
     data = signals.of(file)
     # Before the minutes that an estimation may take.

@@ -26,6 +26,21 @@ CalibrationFile = Annotated[
         help="Read the recordings with this calibration instead of the one attached.",
     ),
 ]
+From = Annotated[
+    float | None,
+    typer.Option(
+        "--from",
+        metavar="S",
+        help="Take samples from this time on, in s, of each file.",
+        show_default="its start",
+    ),
+]
+To = Annotated[
+    float | None,
+    typer.Option(
+        "--to", metavar="S", help="Take samples before this time.", show_default="its end"
+    ),
+]
 OutputName = Literal["theta_1", "alpha", "velocity"]
 Signal = Annotated[
     str | None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -24,14 +25,19 @@ _ENOUGH = 20
 """Samples that a mean says something of."""
 
 
-def loaded(files: Sequence[Path], calibration: Path | None) -> list[Recording]:
+def loaded(
+    files: Sequence[Path],
+    calibration: Path | None,
+    start: float | None = None,
+    stop: float | None = None,
+) -> list[Recording]:
     """Return the recordings, and tell their damage."""
     from armrig.cli.spinner import spinner
     from armrig.recordings.doubts import all_doubts
     from armrig.recordings.loading import load
 
     with spinner("reading"):
-        recordings = [load(file, calibration) for file in files]
+        recordings = [load(file, calibration, start=start, stop=stop) for file in files]
     for text in all_doubts(recordings):
         tell(text)
     return [warned(recording) for recording in recordings]
@@ -60,6 +66,10 @@ class Signals:
     """Mark single wrong samples of the output missing, before the means are taken off."""
     calibration: Path | None = None
     """To read recordings with."""
+    start: float | None = None
+    """Only what is due from this time on, in s from the first sample."""
+    stop: float | None = None
+    """Only what is due before this time."""
     read: list[Recording] = field(default_factory=list)
     """Recordings so far, the one that estimates first."""
 
@@ -67,7 +77,10 @@ class Signals:
         """Return the data of a file, and tell what it lacks; of a model's output by default."""
         from armrig.data.treatment import detrend, hampel
 
-        data = self._other(file, model) if self._is_other(file) else self._recorded(file, model)
+        if self._is_other(file):
+            data = between(self._other(file, model), self.start, self.stop)
+        else:
+            data = self._recorded(file, model)
         if _without_means(model) and not self.detrend:
             tell("the model is of data without their means: validate it with --detrend")
         if self.hampel:
@@ -110,7 +123,7 @@ class Signals:
                 msg = f"{name} {value} goes with other data (.csv, .dat, .mat, .npz); the "
                 msg += f"recording {file} says it itself"
                 raise typer.BadParameter(msg)
-        recording = loaded([file], self.calibration)[0]
+        recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)
         if self.signal is None and model is not None and model.output not in _UNNAMED:
             return dataset_of(recording, model)
@@ -128,6 +141,20 @@ class Signals:
         for text in doubts_of_pair(self.read[0], recording) if self.read else ():
             tell(text)
         self.read.append(recording)
+
+
+def between(data: Dataset, start: float | None, stop: float | None) -> Dataset:
+    """Return the samples at start <= t < stop, in s from the first."""
+    if start is None and stop is None:
+        return data
+    first, end = (
+        None if t is None else ceil(min(t / data.Ts, data.N) - 1e-6) for t in (start, stop)
+    )
+    if (start or 0) < 0 or (first or 0) >= (data.N if end is None else min(end, data.N)):
+        msg = f"no samples from --from {start or 0:g} s on"
+        msg += f" to --to {stop:g} s" if stop is not None else ""
+        raise ValueError(f"{msg}: the data last {data.N * data.Ts:g} s")
+    return data[first:end]
 
 
 def from_recording(data: Dataset) -> bool:

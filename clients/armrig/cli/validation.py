@@ -18,12 +18,14 @@ from armrig.cli.options import (
     CalibrationFile,
     DataTs,
     Detrend,
+    From,
     Hampel,
     Input,
     Json,
     NoOutput,
     Signal,
     TimeColumn,
+    To,
     echo,
     print_json,
 )
@@ -68,6 +70,8 @@ def validate(
     horizon: Horizons = None,
     lags: Lags = None,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     plot: Plot = None,
     json: Json = False,
 ) -> None:
@@ -87,6 +91,8 @@ def validate(
         detrend=detrend,
         hampel=hampel,
         calibration=calibration,
+        start=start,
+        stop=stop,
     )
     data = signals.of(file, fit)
     validated = _validated(fit, data, horizon or _HORIZONS, lags)

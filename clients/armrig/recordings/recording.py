@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from pandas import DataFrame
+    from xarray import Dataset as XarrayDataset
 
 Vector = NDArray[np.float64]
 
@@ -164,6 +166,24 @@ class Recording:
             source=self.sha256,
         )
         return difference(data) if output == "velocity" else data
+
+    def to_pandas(self) -> DataFrame:
+        """Return u, theta_1, alpha and where they are valid, a row for each sample, by time in s.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed.
+        """
+        from armrig.recordings.export import to_pandas
+
+        return to_pandas(self)
+
+    def to_xarray(self) -> XarrayDataset:
+        """Return the same as an xarray.Dataset over t, with units; raises as `to_pandas`."""
+        from armrig.recordings.export import to_xarray
+
+        return to_xarray(self)
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show theta_1 and u against time: see `armrig.plots.plot_data`."""

@@ -1,0 +1,108 @@
+"""The commands verify and export: is a recording what its run was, and its data for others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from armrig.cli.chosen_recording import File
+from armrig.cli.options import (
+    CalibrationFile,
+    From,
+    Json,
+    To,
+    echo,
+    print_json,
+    print_table,
+    tell,
+    warned,
+)
+
+Out = Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")]
+Csv = Annotated[bool, typer.Option("--csv", help="Text, for any program.")]
+Mat = Annotated[
+    bool, typer.Option("--mat", help="For MATLAB and Octave: u, y, Ts and all columns.")
+]
+Parquet = Annotated[bool, typer.Option("--parquet", help="For pandas, polars and others.")]
+Raw = Annotated[bool, typer.Option("--raw", help="The readings and times as recorded, too.")]
+OutputOfMat = Annotated[
+    Literal["theta_1", "alpha"], typer.Option("--signal", help="What is y in the MAT-file.")
+]
+
+
+def verify(file: File, json: Json = False) -> None:
+    """Check that a recording is what its run was.
+
+    Samples or their gap records, voltages, input, times, hashes, clocks. Exit code 1 where one
+    fails; the data can be loaded and exported all the same.
+    """
+    from armrig.cli.spinner import spinner
+    from armrig.recordings.verification import rows
+    from armrig.recordings.verification import verify as verified
+
+    with spinner("checking"):
+        found = verified(file)
+    if json:
+        checks = [{"about": c.about, "result": c.result, "text": c.text} for c in found.checks]
+        facts = {"recording": str(found.path), "sha256": found.sha256}
+        print_json(facts | {"passed": found.passed, "checks": checks})
+    else:
+        print_table(*rows(found))
+    if not found.passed:
+        failed = ", ".join(c.about for c in found.checks if c.result == "failed")
+        tell(f"{found.path}: failed: {failed}; its data can be used all the same, with care")
+        raise typer.Exit(1)
+
+
+def export(
+    file: File,
+    out: Out,
+    csv: Csv = False,
+    mat: Mat = False,
+    parquet: Parquet = False,
+    raw: Raw = False,
+    signal: OutputOfMat = "theta_1",
+    start: From = None,
+    stop: To = None,
+    calibration: CalibrationFile = None,
+    json: Json = False,
+) -> None:
+    """Write a recording's data for another program.
+
+    Which kind the ending of OUT says (.csv, .mat, .parquet), or the option.
+    """
+    from armrig.cli.files import check_output
+    from armrig.cli.spinner import spinner
+    from armrig.recordings.export import write_csv, write_mat, write_parquet
+    from armrig.recordings.loading import load
+
+    kind = _kind(out, {"csv": csv, "mat": mat, "parquet": parquet})
+    check_output(out, [file])
+    with spinner("reading"):
+        recording = load(file, calibration, start=start, stop=stop)
+    warned(recording)
+    with spinner("writing"):
+        if kind == "csv":
+            write_csv(recording, out, raw=raw)
+        elif kind == "mat":
+            write_mat(recording, out, output=signal, raw=raw)
+        else:
+            write_parquet(recording, out, raw=raw)
+    if json:
+        print_json({"file": str(out), "samples": recording.N, "recording": recording.sha256})
+    else:
+        echo(f"{out}: {recording.N} samples, {recording.missing} of them missing")
+
+
+def _kind(out: Path, asked: dict[str, bool]) -> str:
+    kinds = [kind for kind, wanted in asked.items() if wanted]
+    if len(kinds) > 1:
+        msg = f"--{kinds[0]} and --{kinds[1]}: one file has one kind"
+        raise typer.BadParameter(msg)
+    ending = out.suffix.lower().removeprefix(".")
+    if kinds or ending in asked:
+        return kinds[0] if kinds else ending
+    msg = f"{out}: give --csv, --mat or --parquet, or a name that ends so"
+    raise typer.BadParameter(msg)

@@ -1,0 +1,190 @@
+"""A recording for other programs: CSV, MATLAB, Parquet, pandas, xarray; the same columns for all.
+
+A row is a sample that was due. Where one is missing, or shows no angle, its angle is NaN.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from armrig_core.manifest import Manifest
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset as XarrayDataset
+
+Vector = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Exported(Protocol):
+    """What is taken from a `Recording`, whose own methods call this module."""
+
+    @property
+    def sha256(self) -> str: ...  # noqa: D102
+    @property
+    def manifest(self) -> Manifest: ...  # noqa: D102
+    @property
+    def k_first(self) -> int: ...  # noqa: D102
+    @property
+    def N(self) -> int: ...  # noqa: D102
+    @property
+    def Ts(self) -> float: ...  # noqa: D102
+    @property
+    def t(self) -> Vector: ...  # noqa: D102
+    @property
+    def u(self) -> Vector: ...  # noqa: D102
+    @property
+    def theta_1(self) -> Vector: ...  # noqa: D102
+    @property
+    def alpha(self) -> Vector: ...  # noqa: D102
+    @property
+    def valid(self) -> Mask: ...  # noqa: D102
+    @property
+    def valid_alpha(self) -> Mask: ...  # noqa: D102
+    @property
+    def present(self) -> Mask: ...  # noqa: D102
+    @property
+    def samples(self) -> NDArray[np.void]: ...  # noqa: D102
+
+
+UNITS = {"t": "s", "u": "V", "theta_1": "rad", "alpha": "rad"}
+_AT_ONCE = 65_536  # rows of a CSV file that are made into text at once
+
+
+def columns(recording: Exported, *, raw: bool = False) -> dict[str, NDArray[Any]]:
+    """Return the columns, each (N,): k, t, u, theta_1, alpha, valid, valid_alpha and present.
+
+    Parameters
+    ----------
+    raw : bool
+        Whether the readings and times as recorded follow, 0 where a sample is missing.
+    """
+    found: dict[str, NDArray[Any]] = {
+        "k": recording.k_first + np.arange(recording.N),
+        "t": recording.t,
+        "u": recording.u,
+        "theta_1": recording.theta_1,
+        "alpha": recording.alpha,
+        "valid": recording.valid,
+        "valid_alpha": recording.valid_alpha,
+        "present": recording.present,
+    }
+    names = ("theta_1_counts", "alpha_counts", "flags", "t_device_us", "t_host_ns", "t_sched_ns")
+    for name in names if raw else ():
+        column = np.zeros(recording.N, recording.samples.dtype[name])
+        column[recording.present] = recording.samples[name]
+        found[name] = column
+    return found
+
+
+def write_csv(recording: Exported, path: Path, *, raw: bool = False) -> None:
+    """Write the columns as text, with their names in the first line; nan where there is no value.
+
+    Floats are written so that they come back to the last bit; `armrig identify` reads the file.
+    """
+    found = columns(recording, raw=raw)
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(found) + "\n")
+        for begin in range(0, recording.N, _AT_ONCE):
+            some = [_texts(column[begin : begin + _AT_ONCE]) for column in found.values()]
+            file.writelines(",".join(row) + "\n" for row in zip(*some, strict=True))
+
+
+def _texts(column: NDArray[Any]) -> list[str]:
+    values = column.astype(np.uint8) if column.dtype == np.bool_ else column
+    return [repr(value) for value in values.tolist()]
+
+
+def write_mat(
+    recording: Exported,
+    path: Path,
+    *,
+    output: Literal["theta_1", "alpha"] = "theta_1",
+    raw: bool = False,
+) -> None:
+    """Write a MAT-file of version 5: u, y and Ts as iddata takes them, and all columns.
+
+    In MATLAB `load run.mat; z = iddata(y, u, Ts);`. Each column is (N, 1); y is the output, NaN
+    where it is not known; the hash of the recording is `sha256`.
+    """
+    from scipy.io import savemat
+
+    found = columns(recording, raw=raw)
+    variables = {name: column.astype(_mat_type(column)) for name, column in found.items()}
+    variables |= {"y": variables[output], "Ts": recording.Ts}  # type: ignore[dict-item]
+    about = {"sha256": recording.sha256, "output": output, "run_id": recording.manifest.run_id}
+    with path.open("wb") as file:
+        savemat(file, {**variables, **about}, oned_as="column", do_compression=True)
+
+
+def _mat_type(column: NDArray[Any]) -> Any:
+    # Octave and MATLAB compute with doubles alone; truth values they take as such.
+    return np.bool_ if column.dtype == np.bool_ else np.float64
+
+
+def write_parquet(recording: Exported, path: Path, *, raw: bool = False) -> None:
+    """Write the columns as a Parquet file, whose metadata hold units, Ts, hash and run.
+
+    Raises
+    ------
+    ImportError
+        pyarrow is not installed.
+    """
+    pyarrow = _imported("pyarrow", "parquet")
+    parquet = _imported("pyarrow.parquet", "parquet")
+    table = pyarrow.table(columns(recording, raw=raw))
+    parquet.write_table(table.replace_schema_metadata(_about(recording)), str(path))
+
+
+def to_pandas(recording: Exported) -> DataFrame:
+    """Return the columns as a DataFrame by t; `attrs` hold units, Ts, hash and run."""
+    pandas = _imported("pandas", "pandas")
+    frame: DataFrame = pandas.DataFrame(columns(recording)).set_index("t")
+    frame.attrs.update(_about(recording))
+    return frame
+
+
+def to_xarray(recording: Exported) -> XarrayDataset:
+    """Return the columns as an xarray.Dataset over t, each with its unit."""
+    xarray = _imported("xarray", "xarray")
+    found = columns(recording)
+    about = {name: {"units": unit} for name, unit in UNITS.items()}
+    t = found.pop("t")
+    made: XarrayDataset = xarray.Dataset(
+        {name: ("t", column, about.get(name, {})) for name, column in found.items()},
+        coords={"t": ("t", t, about["t"])},
+        attrs=_about(recording),
+    )
+    return made
+
+
+def _about(recording: Exported) -> dict[str, str]:
+    units = {f"unit_{name}": unit for name, unit in UNITS.items()}
+    return {
+        **units,
+        "Ts": repr(recording.Ts),
+        "sha256": recording.sha256,
+        "run_id": recording.manifest.run_id,
+        "rig": recording.manifest.rig,
+    }
+
+
+def _imported(module: str, extra: str) -> Any:
+    try:
+        return import_module(module)
+    except ImportError as err:
+        name = module.partition(".")[0]
+        msg = f"{name} is not installed: pip install {name}, or pip install 'armrig[{extra}]'"
+        raise MissingPackageError(msg, name=name) from err
+
+
+class MissingPackageError(ImportError, ValueError):
+    """A package that is not needed otherwise is not installed; says how to install it."""
+
+    def __init__(self, msg: str, name: str) -> None:
+        ImportError.__init__(self, msg, name=name)

@@ -1,0 +1,280 @@
+"""Whether a recording is what its run was: nothing missing unseen, no voltage that was not asked.
+
+What fails here can be loaded and exported all the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from armrig_core.manifest import CONFIG
+from armrig_core.volts import U_MAX_V
+from armrig_protocol.messages import CODE_FULL_SCALE
+from numpy.typing import NDArray
+
+from armrig.numerics.quantities import NBSP, plural
+from armrig.recordings.budget import DamageError
+from armrig.recordings.jitter import sampling_statistics
+from armrig.recordings.loading import beginning, load
+from armrig.recordings.recorded_input import recorded_input
+from armrig.recordings.recording import Recording
+
+Vector = NDArray[np.float64]
+
+_CODE_V = U_MAX_V / CODE_FULL_SCALE
+"""One step of the code on the wire, in V: what a voltage asked for is rounded to."""
+_MOST_DRIFT_PPM = 6_000.0
+"""A ceramic resonator is good to 5 000 ppm, a crystal to 100; with more the times are wrong."""
+_SIGMAS = 6.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One thing that was checked."""
+
+    about: str
+    """file, samples, envelope, input, timing, configuration or clock."""
+    result: Literal["passed", "failed", "not checked"]
+    """`not checked` where the recording does not hold what is needed."""
+    text: str
+    """What was found."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Verification:
+    """What `verify` found; its repr is a table."""
+
+    path: Path
+    """The recording."""
+    sha256: str
+    """Its hash, as `sha256sum` prints it."""
+    checks: tuple[Check, ...]
+    """In the order in which they were made."""
+
+    @property
+    def passed(self) -> bool:
+        """No check failed."""
+        return all(check.result != "failed" for check in self.checks)
+
+    def __repr__(self) -> str:
+        """Return a row for each check."""
+        width = max(len(check.about) for check in self.checks)
+        return "\n".join(f"{c.about:{width}}  {c.result:11}  {c.text}" for c in self.checks)
+
+
+def verify(path: str | Path) -> Verification:
+    """Check a recording against what it says of its run.
+
+    Parameters
+    ----------
+    path : str or Path
+        As for `load`.
+
+    Returns
+    -------
+    Verification
+        `passed`, and the checks as rows.
+
+    Raises
+    ------
+    RecordingError, OSError
+        It cannot be loaded at all.
+    """
+    recording = load(path)
+    checks = (
+        check_file(recording),
+        check_samples(recording),
+        check_envelope(recording),
+        _check_attached_input(recording),
+        check_timing(recording),
+        _check_configuration(recording),
+        check_clock(recording),
+    )
+    return Verification(path=recording.path, sha256=recording.sha256, checks=checks)
+
+
+def check_file(r: Recording) -> Check:
+    """Check that the file is whole, with all its checksums, and holds as much as it says."""
+    if r.truncated:
+        return _failed("file", r.damage)
+    if r.outcome is None:
+        return _failed("file", "it does not say how the run ended")
+    came, missing = r.samples.size, r.missing
+    if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):
+        text = f"it says {r.outcome.samples} samples and {r.outcome.missing} missing, and holds "
+        return _failed("file", f"{text}{came} and {missing}")
+    return _passed("file", f"whole, all checksums right; the run: {r.outcome.outcome}")
+
+
+def check_samples(r: Recording) -> Check:
+    """Check that k has no break but those that gap records tell."""
+    told = np.zeros(r.N, np.bool_)
+    for gap in r.gaps:
+        begin = max(gap.k_first - r.k_first, 0)
+        told[begin : max(gap.k_first + gap.count - r.k_first, 0)] = True
+    untold = ~r.present & ~told
+    if untold.any():
+        k = r.k_first + int(untold.argmax())
+        count = int(np.count_nonzero(untold))
+        verb = "is" if count == 1 else "are"
+        text = f"{plural(count, 'sample')} {verb} missing without a gap record, from k={k} on"
+        return _failed("samples", text)
+    if r.missing:
+        text = f"{r.samples.size} of {r.N}; each of the {r.missing} missing is in a gap record"
+        return _passed("samples", text)
+    return _passed("samples", f"all {r.N} from k={r.k_first} on")
+
+
+def check_envelope(r: Recording) -> Check:
+    """Check that no voltage asked for, applied, or held in a gap was outside 0 to 5 V."""
+    volts = {
+        "asked for": r.samples["u_cmd_v"],
+        "applied": r.samples["u_applied_v"],
+        "held in a gap": np.array([gap.u_held_v for gap in r.gaps]),
+    }
+    for name, u in volts.items():
+        outside = ~((u >= 0.0) & (u <= U_MAX_V))  # NaN is outside, too
+        if outside.any():
+            i = int(outside.argmax())
+            text = f"{u[i]:.6g} V was {name}, outside 0 to {U_MAX_V:g} V"
+            if u.size == r.samples.size and name != "held in a gap":
+                text += f", at k={r.samples['k'][i]}"
+            return _failed("envelope", text)
+    u = volts["applied"]
+    seen = f"{u.min():.4g} to {u.max():.4g} V applied" if u.size else "no sample"
+    return _passed("envelope", f"{seen}, inside 0 to {U_MAX_V:g} V")
+
+
+def check_input(r: Recording, u: Vector) -> Check:
+    """Check that each sample has the voltage of its index in the input `u` (N,), in V."""
+    at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
+    if u.size != r.manifest.samples or (at.size and (at[0] < 0 or at[-1] >= u.size)):
+        text = f"{u.size} voltages are attached, the run has {r.manifest.samples} samples"
+        return _failed("input", text)
+    # A device with n bits applies the nearest of its 2^n steps.
+    bits = r.manifest.device.get("pwm_bits")
+    step = U_MAX_V / (1 << bits) if isinstance(bits, int) and 0 < bits <= 16 else _CODE_V
+    for name, field, most in (
+        ("asked for", "u_cmd_v", 0.5 * _CODE_V),
+        ("applied", "u_applied_v", 0.5 * step + _CODE_V),
+    ):
+        wrong = ~(np.abs(r.samples[field] - u[at]) <= most * (1 + 1e-9))
+        if wrong.any():
+            i = int(wrong.argmax())
+            text = f"{plural(int(np.count_nonzero(wrong)), 'sample')} with another voltage {name}, "
+            text += f"the first at k={r.samples['k'][i]}: {r.samples[field][i]:.6g} V for "
+            return _failed("input", f"{text}{u[at[i]]:.6g} V")
+    text = f"u is the experiment's at each sample, applied in steps of {step * 1e3:.3g}{NBSP}mV"
+    return _passed("input", text)
+
+
+def check_timing(r: Recording) -> Check:
+    """Check that both clocks go forward; say how regular the samples were."""
+    for name, field in (("device", "t_device_us"), ("host", "t_sched_ns")):
+        t = r.samples[field].astype(np.int64)
+        back = np.flatnonzero(t[1:] <= t[:-1])
+        if back.size:
+            k = r.samples["k"][back[0] + 1]
+            return _failed("timing", f"the {name}'s time does not go forward at k={k}")
+    s = sampling_statistics(r)
+    if not s.jitter.n:
+        return Check(about="timing", result="not checked", text="too few samples")
+    text = ", ".join(
+        f"{name} {p.p50:.3g}, {p.p99:.3g}, {p.p999:.3g}, {p.max:.3g}"
+        for name, p in (("jitter", s.jitter), ("lateness", s.lateness))
+    )
+    return _passed("timing", f"{text} (p50, p99, p99.9, max in µs)")
+
+
+def check_clock(r: Recording) -> Check:
+    """Check that the device's clock ran as the comparisons of the clocks say."""
+    if r.samples.size < 2:
+        return Check(about="clock", result="not checked", text="too few samples")
+    # Over all of the run, in ns; what one stamp is off by counts for little.
+    host = int(r.samples["t_sched_ns"][-1]) - int(r.samples["t_sched_ns"][0])
+    device = 1000 * (int(r.samples["t_device_us"][-1]) - int(r.samples["t_device_us"][0]))
+    ppm = (device / host - 1) * 1e6
+    allowed = _MOST_DRIFT_PPM + 2e12 * r.Ts / host  # either end may be up to a sample off
+    if abs(ppm) > allowed:
+        text = f"the device's clock is {ppm:.0f} ppm off the host's over the run, more than "
+        return _failed("clock", f"{text}{allowed:.0f}")
+    for before, after in pairwise(r.clock):
+        change = after.offset_ns - before.offset_ns
+        expected = before.drift_ppm * 1e3 * (after.t - before.t)
+        spread = np.hypot(before.offset_std_ns, after.offset_std_ns)
+        spread = np.hypot(spread, before.drift_std_ppm * 1e3 * (after.t - before.t))
+        if not abs(change - expected) <= _SIGMAS * spread + before.bound_ns + after.bound_ns:
+            text = f"the offset of the clocks jumps by {(change - expected) / 1e3:.0f} µs at "
+            return _failed("clock", f"{text}{after.t:.1f} s, against ± {spread / 1e3:.0f} µs")
+    if not r.clock:
+        return _passed(
+            "clock", f"the device's clock is {ppm:+.1f} ppm off; no comparisons recorded"
+        )
+    last = r.clock[-1]
+    text = f"{plural(len(r.clock), 'comparison')} without a jump; offset known to "
+    text += f"± {last.offset_std_ns / 1e3:.1f} µs, drift {last.drift_ppm:+.1f} ± "
+    return _passed("clock", f"{text}{last.drift_std_ppm:.1f} ppm")
+
+
+def _check_attached_input(r: Recording) -> Check:
+    path, content = beginning(r.path)
+    if content.input is None:
+        return Check(about="input", result="not checked", text="no input is attached")
+    try:
+        u = recorded_input(path, content.input, r.manifest.samples)
+    except DamageError as err:
+        return _failed("input", str(err))
+    return check_input(r, u)
+
+
+def _check_configuration(r: Recording) -> Check:
+    """Check the hash of the attached configuration, and that its limits were kept."""
+    _, content = beginning(r.path)
+    text = content.attachments.get(CONFIG)
+    if text is None or not r.manifest.config_sha256:
+        why = "no configuration is attached, or its hash is not told"
+        return Check(about="configuration", result="not checked", text=why)
+    if hashlib.sha256(text).hexdigest() != r.manifest.config_sha256:
+        return _failed("configuration", "its hash is not the one in the manifest")
+    try:
+        limits = msgspec.json.decode(text, type=_Config).limits
+    except msgspec.DecodeError as err:
+        return _failed("configuration", f"it cannot be read ({err})")
+    u = r.samples["u_cmd_v"]
+    low, high = limits.u_min_v - 0.5 * _CODE_V, limits.u_max_v + 0.5 * _CODE_V
+    if u.size and not (low <= u.min() and u.max() <= high):
+        found = f"{u.min():.4g} to {u.max():.4g} V were asked for, outside its limits "
+        return _failed("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
+    return _passed("configuration", "its hash is right, and its limits were kept")
+
+
+class _Limits(msgspec.Struct, frozen=True):
+    u_min_v: float = 0.0
+    u_max_v: float = U_MAX_V
+
+
+class _Config(msgspec.Struct, frozen=True):
+    limits: _Limits = _Limits()
+
+
+def _passed(about: str, text: str) -> Check:
+    return Check(about=about, result="passed", text=text)
+
+
+def _failed(about: str, text: str) -> Check:
+    return Check(about=about, result="failed", text=text)
+
+
+def rows(found: Verification) -> Iterator[tuple[str, str]]:
+    """Give what was checked, for a person: names and values."""
+    yield "recording", str(found.path)
+    yield "sha256", found.sha256
+    for check in found.checks:
+        yield check.about, f"{check.result}: {check.text}"

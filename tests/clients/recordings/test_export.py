@@ -1,0 +1,178 @@
+"""A recording given to other programs: what they read is what was recorded."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pyarrow.parquet
+import pytest
+from armrig.cli import main
+from armrig.recordings.export import write_csv, write_mat, write_parquet
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
+from made_recordings import TS, gap, manifest, recorded, turning, written
+
+N = 300
+NAMES = ["k", "t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present"]
+
+
+@pytest.fixture
+def rec(tmp_path: Path) -> Recording:
+    """Return a run with dead band and a gap, in a path with blanks and letters of all kinds."""
+    folder = tmp_path / "Übung 3 – réglage"
+    folder.mkdir()
+    readings = [30_000 + 100 * (k % 300) if k % 50 else 0 for k in range(N)]
+    samples = [s._replace(u_applied_v=0.1 + s.k / N) for s in turning(readings)]
+    messages = [*samples[:100], gap(100, 5, 2.5), *samples[105:]]
+    return load(written(folder, recorded(messages, manifest=manifest(k_first=0, samples=N))))
+
+
+def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording) -> None:
+    """Also where a spreadsheet has put `;` and CRLF."""
+    path = rec.path.with_name("daten für alle.csv")
+    write_csv(rec, path, raw=True)
+
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    for name in ("t", "u", "theta_1", "alpha"):
+        np.testing.assert_array_equal(table[name], getattr(rec, name))
+    np.testing.assert_array_equal(table["valid"], rec.valid)
+    np.testing.assert_array_equal(table["flags"][rec.present], rec.samples["flags"])
+    data = armrig.load_data(path, signal="theta_1")
+    other = path.with_name("excel.csv")
+    text = path.read_text(encoding="utf-8").replace(",", ";").replace("\n", "\r\n")
+    other.write_bytes(text.encode())
+    for found in (data, armrig.load_data(other, signal="theta_1")):
+        assert pytest.approx(TS) == found.Ts
+        np.testing.assert_array_equal(found.y, rec.theta_1)
+        np.testing.assert_array_equal(found.u, rec.u)
+
+
+def test_octave_reads_the_mat_file(rec: Recording) -> None:
+    """U, y and Ts as iddata wants them: columns of doubles, NaN where there is no angle."""
+    octave = shutil.which("octave-cli") or shutil.which("octave")
+    if octave is None:
+        pytest.skip("octave is not installed")
+    path = rec.path.with_name("run.mat")
+    write_mat(rec, path)
+    program = f"""
+        load("{path}");
+        assert(isa(y, "double") && isa(u, "double") && islogical(valid));
+        assert(size(u), [{N}, 1]); assert(size(y), [{N}, 1]);
+        assert(isequaln(y, theta_1));
+        printf("%.17g %.17g %d %.17g %s\\n", Ts, sum(u), sum(isnan(y)), y(7), sha256);
+    """
+
+    told = subprocess.run(
+        [octave, "--no-gui", "--quiet", "--norc", "--eval", program],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    assert told.returncode == 0, told.stderr
+    Ts, total, unknown, seventh, digest = told.stdout.split()
+    assert float(Ts) == TS
+    assert float(total) == pytest.approx(rec.u.sum(), rel=1e-14)
+    assert int(unknown) == np.count_nonzero(np.isnan(rec.theta_1))
+    assert float(seventh) == rec.theta_1[6]
+    assert digest == rec.sha256
+
+
+def test_our_own_reader_takes_the_mat_file(rec: Recording) -> None:
+    """What is exported can be identified from again."""
+    path = rec.path.with_name("run.mat")
+    write_mat(rec, path, output="alpha")
+
+    data = armrig.load_data(path)
+
+    assert pytest.approx(TS) == data.Ts
+    np.testing.assert_array_equal(data.y, rec.alpha)
+    np.testing.assert_array_equal(data.u, rec.u)
+
+
+def test_parquet_keeps_types_units_and_the_hash(rec: Recording) -> None:
+    """Truth values stay such, and the metadata say where it is from."""
+    path = rec.path.with_name("run.parquet")
+    write_parquet(rec, path)
+
+    table = pyarrow.parquet.read_table(path)
+
+    assert table.column_names == NAMES
+    np.testing.assert_array_equal(table["theta_1"].to_numpy(), rec.theta_1)
+    np.testing.assert_array_equal(table["valid"].to_numpy(), rec.valid)
+    assert table.schema.metadata[b"sha256"].decode() == rec.sha256
+    assert table.schema.metadata[b"unit_theta_1"] == b"rad"
+
+
+def test_pandas_and_xarray_have_the_same_columns(rec: Recording) -> None:
+    """Over t."""
+    frame, data = rec.to_pandas(), rec.to_xarray()
+
+    assert list(frame.columns) == [n for n in NAMES if n != "t"]
+    np.testing.assert_array_equal(frame.index, rec.t)
+    np.testing.assert_array_equal(frame["alpha"], rec.alpha)
+    assert data["theta_1"].attrs["units"] == "rad"
+    np.testing.assert_array_equal(data["u"], rec.u)
+    assert frame.attrs["sha256"] == data.attrs["sha256"] == rec.sha256
+
+
+@pytest.mark.parametrize(
+    ("package", "export"),
+    [
+        ("pandas", Recording.to_pandas),
+        ("xarray", Recording.to_xarray),
+        ("pyarrow", lambda rec: write_parquet(rec, rec.path.with_name("x.parquet"))),
+    ],
+)
+def test_a_package_that_is_missing_is_told_with_its_remedy(
+    rec: Recording,
+    package: str,
+    export: Callable[[Recording], object],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In a line, which the command line prints as such."""
+
+    def without(name: str) -> Any:
+        if name.partition(".")[0] == package:
+            raise ModuleNotFoundError(name)
+        return import_module(name)
+
+    monkeypatch.setattr("armrig.recordings.export.import_module", without)
+    for kind in (ImportError, ValueError):
+        with pytest.raises(kind, match=f"pip install {package}"):
+            export(rec)
+
+
+def test_the_command_exports_a_part_by_the_ending(
+    rec: Recording, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--from and --to as load has them; a recording is never written over."""
+    out = rec.path.with_name("part.csv")
+
+    assert main(["export", str(rec.path), str(out), "--from", "1", "--to", "2"]) == 0
+    assert len(out.read_text().splitlines()) == 101
+    assert "100 samples, 5 of them missing" in capsys.readouterr().out
+    assert main(["export", str(rec.path), str(rec.path), "--csv"]) == 1
+    assert "would be lost" in capsys.readouterr().err
+    assert main(["export", str(rec.path), str(out.with_suffix(".txt"))]) == 2
+    assert "give --csv, --mat or --parquet" in capsys.readouterr().err.replace("\n", " ")
+    assert load(rec.path).N == N
+
+
+def test_the_command_verify_tells_by_its_exit_code(
+    rec: Recording, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """0 where all passes, 1 where one check fails; the rows either way."""
+    assert main(["verify", str(rec.path), "--json"]) == 1  # the outcome's counts are made up
+    found = json.loads(capsys.readouterr().out)
+    assert [c["about"] for c in found["checks"] if c["result"] == "failed"] == ["file"]
+    assert found["sha256"] == rec.sha256
+    assert bool(found["passed"]) is False

@@ -1,0 +1,168 @@
+"""`armrig verify`: what a recording must be, and each way in which one is not."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.recordings.loading import load
+from armrig.recordings.verification import Verification, check_input, verify
+from armrig_core import protobuf
+from armrig_core.manifest import Outcome
+from armrig_core.telemetry import Sample
+from armrig_core.volts import applied_code, code_of, volts_of
+from made_recordings import gap, manifest, recorded, sample, written
+
+N = 400
+U = np.round(np.random.default_rng(1).uniform(0.5, 4.5, N), 3)
+
+
+def run(**changes: Any) -> list[Sample]:
+    """Return the samples of a run that applied U, each as a device of 10 bits does."""
+    codes = [code_of(volts) for volts in U.tolist()]
+    return [
+        sample(
+            k,
+            u_cmd_v=volts_of(code),
+            u_applied_v=volts_of(applied_code(code, 10)),
+            **changes,
+        )
+        for k, code in enumerate(codes)
+    ]
+
+
+def clock(k: int, offset_ns: int) -> Any:
+    """Return a comparison of the clocks at sample k, certain to 1 µs."""
+    return protobuf.message_class(protobuf.CLOCK)(
+        t_host_ns=sample(k).t_host_ns, offset_ns=offset_ns, offset_std_ns=1e3, drift_std_ppm=0.1
+    )
+
+
+def verified(
+    directory: Path,
+    messages: Sequence[Any],
+    *,
+    came: int = N,
+    missing: int = 0,
+    u: Sequence[float] | None = U.tolist(),
+    cut: int = 0,
+) -> Verification:
+    """Return what is found in a recording of these messages."""
+    ended = Outcome(outcome="complete", samples=came, missing=missing)
+    data = recorded(messages, manifest=manifest(k_first=0, samples=N), outcome=ended, u=u)
+    return verify(written(directory, data[: len(data) - cut]))
+
+
+def failed(found: Verification) -> dict[str, str]:
+    """Return what failed, by its name."""
+    return {c.about: c.text for c in found.checks if c.result == "failed"}
+
+
+def test_a_run_as_it_was_asked_for_passes(tmp_path: Path) -> None:
+    """Every check, with a row; its hash is that of the file."""
+    found = verified(tmp_path, [*run(), clock(100, 50), clock(200, 70)])
+
+    assert found.passed
+    assert failed(found) == {}
+    assert [c.about for c in found.checks if c.result == "not checked"] == ["configuration"]
+    assert found.sha256 == hashlib.sha256((tmp_path / "run.mcap").read_bytes()).hexdigest()
+    assert len(repr(found).splitlines()) == len(found.checks)
+
+
+def test_missing_samples_must_be_told(tmp_path: Path) -> None:
+    """With their gap record they pass, without it they do not."""
+    messages: list[Any] = run()
+    del messages[100:110]
+    told = [*messages[:100], gap(100, 10, 1.0), *messages[100:]]
+
+    assert verified(tmp_path, told, came=N - 10, missing=10).passed
+    found = verified(tmp_path, messages, came=N - 10, missing=10)
+    assert failed(found) == {
+        "samples": "10 samples are missing without a gap record, from k=100 on"
+    }
+
+
+@pytest.mark.parametrize("field", ["u_cmd_v", "u_applied_v"])
+@pytest.mark.parametrize("volts", [5.001, -0.001, float("nan")])
+def test_a_voltage_outside_the_envelope_is_told(tmp_path: Path, field: str, volts: float) -> None:
+    """Whether it was asked for or applied, with the sample."""
+    messages = run()
+    messages[7] = messages[7]._replace(**{field: volts})
+
+    assert "at k=7" in failed(verified(tmp_path, messages))["envelope"]
+
+
+def test_a_voltage_held_in_a_gap_is_in_the_envelope_too(tmp_path: Path) -> None:
+    """It was at the motor."""
+    messages: list[Any] = run()
+    messages[100:110] = [gap(100, 10, 6.0)]
+
+    found = verified(tmp_path, messages, came=N - 10, missing=10)
+
+    assert "6 V was held in a gap" in failed(found)["envelope"]
+
+
+def test_another_voltage_than_the_experiments_is_told(tmp_path: Path) -> None:
+    """By two steps of the wire's code, or one of the device's; and the first sample with it."""
+    for field, off in (("u_cmd_v", 2 * 5 / 65535), ("u_applied_v", 5 / 1024)):
+        messages = run()
+        messages[50] = messages[50]._replace(**{field: getattr(messages[50], field) + off})
+        text = failed(verified(tmp_path, messages))["input"]
+        assert "1 sample with another voltage" in text
+        assert "at k=50" in text
+
+
+def test_an_input_of_another_length_is_told(tmp_path: Path) -> None:
+    """And where none is attached, nothing is claimed."""
+    assert (
+        "399 voltages are attached" in failed(verified(tmp_path, run(), u=U[:-1].tolist()))["input"]
+    )
+    without = verified(tmp_path, run(), u=None)
+    assert without.passed
+    assert [c.result for c in without.checks if c.about == "input"] == ["not checked"]
+
+
+def test_a_file_that_is_cut_off_fails_and_can_still_be_loaded(tmp_path: Path) -> None:
+    """Raw data are to be had whatever is wrong."""
+    found = verified(tmp_path, run(), cut=30)
+
+    assert "cut off" in failed(found)["file"]
+    assert load(tmp_path / "run.mcap").N > 0
+
+
+def test_counts_that_do_not_agree_are_told(tmp_path: Path) -> None:
+    """The outcome says how many samples there are."""
+    assert "holds 400 and 0" in failed(verified(tmp_path, run(), came=399))["file"]
+
+
+def test_time_that_goes_back_is_told(tmp_path: Path) -> None:
+    """On either clock."""
+    for field in ("t_device_us", "t_sched_ns"):
+        messages = run()
+        messages[9] = messages[9]._replace(**{field: getattr(messages[8], field)})
+        assert "at k=9" in failed(verified(tmp_path, messages))["timing"]
+
+
+def test_clocks_that_jump_or_run_apart_are_told(tmp_path: Path) -> None:
+    """Against what the comparisons say of their own certainty."""
+    jump = verified(tmp_path, [*run(), clock(100, 0), clock(200, 50_000)])
+    apart = [s._replace(t_device_us=5_000 + s.k * 10_200) for s in run()]
+
+    assert "jumps by 50 µs" in failed(jump)["clock"]
+    assert "ppm off the host's" in failed(verified(tmp_path, apart))["clock"]
+
+
+def test_a_later_sample_is_compared_with_its_own_voltage(tmp_path: Path) -> None:
+    """The index in the input is k less the run's first."""
+    messages: list[Any] = run()
+    messages[0:3] = [gap(0, 3, 0.0)]
+    ended = Outcome(outcome="complete", samples=N - 3, missing=3)
+    about = manifest(k_first=0, samples=N)
+    rec = load(written(tmp_path, recorded(messages, manifest=about, outcome=ended)))
+
+    assert check_input(rec, U).result == "passed"
+    assert check_input(rec, np.roll(U, 1)).result == "failed"
