@@ -74,6 +74,10 @@ def open_session(connect: str | None, *, rig: str) -> zenoh.Session:
 
 
 def _socket_directory() -> PurePosixPath:
+    if not hasattr(os, "getuid"):  # Windows
+        msg = "there is no daemon here: a rig is driven from Linux; name its endpoint with "
+        msg += "--connect"
+        raise RigError(msg)
     return socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
 
 

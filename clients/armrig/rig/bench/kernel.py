@@ -52,8 +52,9 @@ def lock_memory() -> bool:
     return bool(_libc.mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
 
 
-def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
-    """Have the kernel end this process when the benchmark ends, however that ends."""
+def end_with_parent(number: signal.Signals | None = None) -> None:
+    """Have the kernel end this process when the benchmark ends; with SIGKILL by default."""
+    number = signal.SIGKILL if number is None else number  # Windows lacks it, and may import this
     _libc.prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
     # It may have ended before we asked; then our parent is another one already.
     if str(os.getppid()) != os.environ.get(PARENT, str(os.getppid())):
