@@ -53,6 +53,7 @@ from armrig.recordings.sample_rows import (
 _IDS = Struct("<HH")  # a channel and its schema, or a schema
 _CHUNK_HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of a name
 _MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if it is a message
+_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _NAME_LIMIT = 100  # B
 _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, roughly
 # Bytes that a message costs us beyond its payload once it is parsed; measured.
@@ -302,6 +303,9 @@ class _Reader:
         """Take the records of a chunk: runs of samples of constant layout at once."""
         at, end, work = 0, len(data), 0
         while at < end:
+            if data[at] not in _IN_CHUNKS:
+                msg = f"a chunk holds a record (opcode {data[at]}) that must not lie in one"
+                raise DamageError(msg)
             if end - at < _MESSAGE.size:
                 msg = "a chunk ends within a record"
                 raise DamageError(msg)
@@ -320,9 +324,6 @@ class _Reader:
                     work += 1
                     at = after
                     continue
-            elif opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-                msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
-                raise DamageError(msg)
             self.add_record(opcode, data[begin:after])
             at = after
         self.budget.spend(WORK, work)
