@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
-from armrig_core.commands import StatusReport
 from rich.console import Console
 
 from armrig.cli.demo_plan import RIG, Experiment, Ts
 from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
+from armrig.rig.local_daemon import running
 from armrig.rig.progress import bar, timing_note
 from armrig.rig.realtime_status import scheduling_sentences
-from armrig.rig.session import NoReplyError, RigError
+from armrig.rig.session import RigError
 
 MOST_ENDED = 3
 """Runs that a busy machine may end, before the demonstration goes on in virtual time."""
 LATEST_S = 150.0
 """When it does so at the latest, in s, where the experiments take `_USUAL_S`."""
 _USUAL_S = 63.0
-_START_S, _STOP_S = 30.0, 5.0
+_SAFE_S = 30.0
 
 
 class TooBusyError(RigError):
@@ -67,7 +63,12 @@ def record_in_real_time(
         The daemon does not start, or refuses.
     """
     patience = Patience(plan)
-    with running(config, console), Rig(RIG) as rig:
+    log = config.with_name("armrigd.log")
+    arguments = ["--config", str(config), "--emulate"]
+    with running(arguments, rig=RIG, log=log), Rig(RIG) as rig:
+        console.print(
+            f"daemon and emulator run: rig {RIG} at {rig.status().endpoint}", markup=False
+        )
         for line in scheduling_sentences(rig.status().host):
             console.print(f"  {line}", highlight=False, markup=False)
         for experiment in plan:
@@ -103,62 +104,12 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
 
 def wait_until_safe(rig: Rig) -> None:
     """Wait until the rig can be armed; leave a fault, which may come behind a refusal, too."""
-    until = time.monotonic() + _START_S
+    until = time.monotonic() + _SAFE_S
     while (status := rig.status()).phase != "safe":
         if time.monotonic() > until:
             msg = f"rig {rig.rig} is {status.phase} {status.reason}, not safe, after "
-            msg += f"{_START_S:g} s; look at the daemon's log"
+            msg += f"{_SAFE_S:g} s; look at the daemon's log"
             raise RigError(msg)
         if status.phase == "fault":
             rig.reset()
         time.sleep(0.05)
-
-
-@contextmanager
-def running(config: Path, console: Console) -> Iterator[None]:
-    """Run the daemon on an emulated rig, and stop it whatever happens."""
-    log = config.with_name("armrigd.log")
-    program = [sys.executable, "-m", "armrig_daemon", "run", "--config", str(config), "--emulate"]
-    with log.open("wb") as output:
-        # A session of its own: Ctrl-C is ours, and we stop it in order.
-        daemon = subprocess.Popen(
-            program, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
-        )
-        try:
-            ready = _wait_until_ready(daemon, log)
-            console.print(f"daemon and emulator run: rig {RIG} at {ready.endpoint}", markup=False)
-            yield
-        finally:
-            stop(daemon)
-
-
-def stop(daemon: subprocess.Popen[bytes]) -> None:
-    """Ask the daemon to end, which brings the motor to 0 V; kill it where it does not."""
-    if daemon.poll() is not None:
-        return
-    daemon.send_signal(signal.SIGTERM)
-    try:
-        daemon.wait(_STOP_S)
-    except subprocess.TimeoutExpired:
-        daemon.kill()
-        daemon.wait()
-
-
-def _wait_until_ready(daemon: subprocess.Popen[bytes], log: Path) -> StatusReport:
-    until = time.monotonic() + _START_S
-    while time.monotonic() < until:
-        if daemon.poll() is not None:
-            lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-            msg = f"the daemon ended with exit code {daemon.returncode}: "
-            msg += lines[-1] if lines else f"it said nothing in {log}"
-            raise RigError(msg)
-        try:
-            with Rig(RIG) as rig:
-                status = rig.status()
-            if status.phase == "safe":
-                return status
-        except NoReplyError:
-            pass  # not yet
-        time.sleep(0.1)
-    msg = f"the daemon is not ready after {_START_S:g} s; see {log}"
-    raise RigError(msg)

@@ -13,7 +13,7 @@ from pathlib import Path
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 
-_START_S = 15.0
+_START_S = 30.0  # of a machine that stalls
 _STOP_S = 5.0
 _POLL_S = 0.1
 
@@ -28,6 +28,11 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
         Its id, by which it is waited for until it answers.
     log : Path
         Where all that it says goes.
+
+    Yields
+    ------
+    Popen
+        The daemon, which answers.
 
     Raises
     ------
