@@ -88,12 +88,12 @@ def plot_input(description: DescribedInput) -> Figure:
         bottom = max(float(density.min()), 1e-8 * top)
         spectrum.set_ylim(bottom / 2, 2 * top)
         spectrum.set_xlim(float(omega[0]), np.pi / d.Ts)
+        hertz(spectrum)
     else:
         spectrum.text(
             0.5, 0.5, "no power but the mean's", ha="center", transform=spectrum.transAxes
         )
     spectrum.set_xlabel(r"$\omega$ [rad/s], up to Nyquist's")
-    hertz(spectrum)
     spectrum.set_ylabel("power [V² s/rad]")
     span = float(np.ptp(d.levels)) or 1.0
     width = span / 10 if d.binned else span / 40
