@@ -250,11 +250,34 @@ def __getattr__(name: str) -> Any:
 
         return version("armrig")
     if name not in _HOMES:
-        msg = f"module {__name__!r} has no attribute {name!r}"
-        raise AttributeError(msg)
+        raise AttributeError(_no_attribute(name), name=name)
     value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
+
+
+_OF_MATLAB = {
+    "iddata": "Dataset",
+    "resid": "residuals",
+    "ssest": "n4sid",
+    "tfest": "oe",
+    "greyest": "greybox",
+    "idinput": "telegraph",
+    "delayest": "delay",
+    "selstruc": "select_orders",
+    "arxstruc": "select_orders",
+    "impulseest": "impulse_response",
+    "cra": "correlation",
+}
+"""Functions of the System Identification Toolbox, and what stands for them."""
+
+
+def _no_attribute(name: str) -> str:
+    if name in _OF_MATLAB:
+        return f"armrig has no {name}; what stands for it is armrig.{_OF_MATLAB[name]}"
+    near = [known for known in __all__ if known.casefold() == name.casefold()]
+    meant = f"; did you mean armrig.{near[0]}?" if near else ""
+    return f"module {__name__!r} has no attribute {name!r}{meant}"
 
 
 def __dir__() -> list[str]:

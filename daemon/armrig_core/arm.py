@@ -12,14 +12,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from math import isfinite
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from armrig_core.calls import checked_class
+
 Matrix = NDArray[np.float64]
 
 
+@checked_class
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmParameters:
     """Parameters of the rig; the defaults are the handout's (assignment 2.2)."""
@@ -43,6 +47,9 @@ class ArmParameters:
         """Refuse what no rig can be."""
         for field in fields(self):
             value = getattr(self, field.name)
+            if not isinstance(value, Real):
+                msg = f"{field.name}={value!r} must be a number, in SI units"
+                raise TypeError(msg)
             if not isfinite(value) or value < 0 or (value == 0 and field.name != "b_1"):
                 bound = ">= 0" if field.name == "b_1" else "> 0"
                 msg = f"{field.name}={value!r} must be finite and {bound}"
@@ -59,11 +66,20 @@ class ArmParameters:
         return (self.N * self.K_m) ** 2 / self.R_m + self.b_1
 
 
+def require_parameters(p: object) -> None:
+    """Refuse what is no `ArmParameters`."""
+    if not isinstance(p, ArmParameters):
+        msg = f"p is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
+        msg += "with others in SI units, armrig.ArmParameters(J_1=0.0017)"
+        raise TypeError(msg)
+
+
 def arm_matrices(p: ArmParameters) -> tuple[Matrix, Matrix, Matrix]:
     """Return A (4, 4), B (4, 1), C (2, 4) of the whole rig.
 
     States theta_1, alpha in rad and their rates in rad/s; input u in V; outputs theta_1, alpha.
     """
+    require_parameters(p)
     A = np.zeros((4, 4))
     A[0, 2] = A[1, 3] = 1.0
     A[2] = [0.0, p.K_lin / p.J_1, -p.damping / p.J_1, 0.0]
@@ -79,6 +95,7 @@ def chassis_matrices(p: ArmParameters) -> tuple[Matrix, Matrix, Matrix]:
 
     States theta_1 in rad and its rate in rad/s; input u in V; output theta_1.
     """
+    require_parameters(p)
     A = np.array([[0.0, 1.0], [0.0, -p.damping / p.J_1]])
     B = np.array([[0.0], [p.torque_per_volt / p.J_1]])
     C = np.array([[1.0, 0.0]])

@@ -12,10 +12,17 @@ RECORDED = (*STREAMS, "trace")
 
 def check_rig_id(rig: str) -> str:
     """Return `rig`, or raise ValueError where it cannot be part of a key."""
+    _require_text(rig)
     if not re.fullmatch(r"[a-z0-9-]{1,40}", rig):
         msg = f"rig id {rig!r}: 1 to 40 of a-z, 0-9 and - are allowed"
         raise ValueError(msg)
     return rig
+
+
+def _require_text(rig: object) -> None:
+    if not isinstance(rig, str):
+        msg = f"rig id {rig!r} is no text: give its name in quotes, such as '{rig}'"
+        raise TypeError(msg)
 
 
 def stream_key(rig: str, stream: str) -> str:

@@ -7,10 +7,15 @@ from functools import wraps
 from inspect import Parameter, signature
 from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
+from armrig_core.calls import check_call
+
 from armrig.data.dataset import Dataset
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+_WIDEST = 20
+"""Characters of a value that a message repeats."""
 
 
 class HasDataset(Protocol):
@@ -44,7 +49,8 @@ def takes_recordings(
 
     Orders that are given by position, as in MATLAB, are answered with how to name them.
     """
-    parameters = list(signature(f).parameters.values())
+    asked = signature(f)
+    parameters = list(asked.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
     variadic = any(p.kind is Parameter.VAR_POSITIONAL for p in parameters)
     first = parameters[0].name
@@ -52,13 +58,32 @@ def takes_recordings(
     @wraps(f)
     def taking(*args: Any, **options: Any) -> R:
         if len(args) > positional and not variadic:
+            as_dataset(args[0])
             raise TypeError(_by_name(f.__name__, parameters, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
+        if args:
+            _check_order(f.__name__, first, parameters, args)
+        check_call(f.__name__, asked, args, options)
         call: Callable[..., R] = f
         return call(*(as_dataset(a) for a in args[:1]), *args[1:], **options)
 
     return taking
+
+
+def _check_order(name: str, first: str, parameters: list[Parameter], args: tuple[Any, ...]) -> None:
+    """Refuse data that stand behind something else, such as a model."""
+    if _is_data(args[0]) or not any(_is_data(a) for a in args[1:]):
+        return
+    rest = ", ".join(
+        "fit" if p.kind is Parameter.VAR_POSITIONAL else p.name for p in parameters[1:2]
+    )
+    kind = type(args[0]).__name__
+    raise TypeError(f"{first} stand first, and a {kind} came: {name}({first}, {rest})")
+
+
+def _is_data(value: object) -> bool:
+    return isinstance(value, Dataset) or callable(getattr(value, "dataset", None))
 
 
 def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> str:
@@ -67,7 +92,13 @@ def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> 
     orders = [p for p in parameters if p.kind is Parameter.KEYWORD_ONLY]
     needed = [p.name for p in orders if p.default is Parameter.empty]
     names = needed + [p.name for p in orders if p.name == "nk" and p.name not in needed]
-    values = [*map(repr, listed), *("…" for _ in names)]
-    call = ", ".join(f"{n}={v}" for n, v in zip(names or ["option"], values, strict=False))
+    names = names or [p.name for p in orders]
+    values = [*map(_short, listed), *("…" for _ in needed)]
+    call = ", ".join(f"{n}={v}" for n, v in zip(names or ["…"], values, strict=False))
     first = parameters[0].name
     return f"{name} takes what stands after {first} by name: {name}({first}, {call})"
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _WIDEST else "…"

@@ -7,14 +7,16 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from armrig_core.calls import checked_call
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.pandas_columns import plain, present
 from armrig.data.trend import Trend
-from armrig.numerics.checks import column
+from armrig.numerics.checks import column, require_integers
 from armrig.numerics.stretches import Mask
 
 if TYPE_CHECKING:
@@ -80,6 +82,7 @@ class Dataset:
     trends: tuple[Trend, ...]
     """What was taken from each experiment; () where nothing was, or it cannot be put back."""
 
+    @checked_call
     def __init__(
         self,
         *,
@@ -107,7 +110,8 @@ class Dataset:
             raise ValueError(msg)
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
         _require_finite("u", u_, "an input that was not applied cannot be identified from: cut it")
-        _require_finite("y", y_, "mark them missing with valid=False", where=valid_)
+        _require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
+        _require_one_number(Ts)
         if not (isfinite(Ts) and Ts > 0):
             msg = f"Ts={Ts!r} must be finite and > 0, in s"
             raise ValueError(msg)
@@ -191,6 +195,10 @@ class Dataset:
         if not isinstance(part, slice) or part.step not in (None, 1):
             msg = f"a Dataset is cut with data[a:b], got {part!r}; to thin it out, resample first"
             raise TypeError(msg)
+        if not all(x is None or isinstance(x, Integral) for x in (part.start, part.stop)):
+            msg = f"data[{part.start}:{part.stop}] counts samples, in integers; the one at t s is "
+            msg += "number round(t / data.Ts)"
+            raise TypeError(msg)
         a, b, _ = part.indices(self.N)
         if b <= a:
             msg = f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples"
@@ -221,6 +229,7 @@ class Dataset:
         ValueError
             There are fewer samples than parts, or `k` is less than 1.
         """
+        require_integers(k=(k, 1))
         if not 1 <= k <= self.N:
             msg = f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
             raise ValueError(msg)
@@ -292,6 +301,7 @@ class Dataset:
         return f"<Dataset: {'; '.join(parts)}>"
 
 
+@checked_call
 def merge(parts: Sequence[Dataset]) -> Dataset:
     """Return several experiments as one Dataset with a boundary between each two.
 
@@ -310,6 +320,7 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
     ValueError
         There is none, or they differ in Ts, output or unit.
     """
+    _require_datasets(parts)
     if not parts:
         msg = "merge needs at least one Dataset, got none"
         raise ValueError(msg)
@@ -350,6 +361,19 @@ def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
     own = [f"part {i}: {s}" for i, d in enumerate(parts, 1) for s in d.history[len(common) :]]
     lengths = ", ".join(str(d.N) for d in parts[:_LISTED]) + (", …" if len(parts) > _LISTED else "")
     return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
+
+
+def _require_one_number(Ts: Any) -> None:
+    if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
+        msg = f"Ts is a {type(Ts).__name__}; give one number of seconds, such as Ts=0.01"
+        raise TypeError(msg)
+
+
+def _require_datasets(parts: Any) -> None:
+    if isinstance(parts, Dataset) or not all(isinstance(d, Dataset) for d in parts):
+        msg = "merge takes one list of Datasets, merge([d1, d2]); of a recording it is "
+        msg += "recording.dataset()"
+        raise TypeError(msg)
 
 
 def _mask(valid: ArrayLike) -> Mask:

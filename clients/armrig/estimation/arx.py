@@ -6,7 +6,7 @@ import numpy as np
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.data_faults import NO_OPTION, data_faults
+from armrig.estimation.data_faults import NO_OPTION, data_faults, undetermined
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
@@ -63,7 +63,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     basis = orthonormal(np.vstack([p.Phi for p in parts])[usable])
     if basis.rank < na + nb:
         msg = f"{orders}: the data determine only {basis.rank} of {na + nb} parameters; "
-        msg += "lower the orders or excite with a richer input"
+        msg += undetermined(data)
         raise ValueError(msg)
     theta = basis.coefficients(y)
     A = free = np.append(1.0, theta[:na])

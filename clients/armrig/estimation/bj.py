@@ -7,7 +7,7 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.prediction_error_fit import Initial, searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import require_flags, require_integers
 
 
 @takes_recordings
@@ -62,6 +62,7 @@ def bj(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
     """
+    require_flags(integrator=integrator)
     require_integers(nb=(nb, 1), nc=(nc, 0), nd=(nd, 0), nf=(nf, int(integrator)), nk=(nk, 0))
     structure = Structure(
         nb=nb,

@@ -28,6 +28,7 @@ NO_OPTION = "remove the means, armrig.detrend(data), or take an estimator with o
 _MAD_TO_STD = 1.4826  # of a normal distribution
 _FAR = 10.0  # robust standard deviations beyond which normal residuals never are
 _SHARE = 0.2  # of the sum of squares, from which those beyond decide the estimate
+_TWO_LEVELS = 2
 _FEWEST = 50  # residuals, to tell what is far
 _LISTED = 5
 _LAGS = 10  # that coloured residuals are looked for at
@@ -46,6 +47,7 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
     way_out : str
         What to do about an offset, "" where one was estimated along.
     """
+    yield from swapped(data)
     e = np.concatenate(residuals)
     e = e[np.isfinite(e)]
     if e.size < _FEWEST:
@@ -53,6 +55,26 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
     yield from _wrong_samples(data, e)
     if way_out and data.output not in INTEGRATING_OUTPUTS and _doubtful(residuals):
         yield from _offset(data, way_out)
+
+
+def swapped(data: Dataset) -> Iterator[str]:
+    """Yield a warning where y looks like an input, and u like what answers it."""
+    y = data.y[data.valid]
+    if np.unique(y).size == _TWO_LEVELS and np.unique(data.u).size > max(_FEWEST, y.size // 4):
+        yield (
+            f"{data.output} has two levels and u many, as if they were swapped: the input is what "
+            "was played, the output what was measured"
+        )
+
+
+def undetermined(data: Dataset) -> str:
+    """Return why data do not determine the parameters asked for, and what to do."""
+    for name, x in (("u", data.u), (data.output, data.y[data.valid])):
+        if x.size and np.ptp(x) == 0:
+            return f"{name} is {x[0]:.4g} throughout: give the column that varies, or record again"
+    if np.array_equal(data.u, data.y):
+        return f"{data.output} has the very numbers of u: give the column of the output"
+    return "lower the orders or excite with a richer input"
 
 
 def _wrong_samples(data: Dataset, e: Vector) -> Iterator[str]:

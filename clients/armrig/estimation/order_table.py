@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dtrtrs
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.estimation.orders import require_samples
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.criteria import (
     BATCHES,
     Criterion,
@@ -328,6 +328,7 @@ def select_orders(
 
 def _asked(**orders: Iterable[int]) -> list[Integers]:
     """Return na, nb and nk to try, each rising."""
+    require_several(**orders)
     wanted = [np.unique([*values]) for values in orders.values()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
         if values.size == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import ceil
 
 import numpy as np
+from armrig_core.calls import checked_call
 
 from armrig.excitation.limits import Vector, generator, require_levels
 from armrig.numerics.checks import require_integers, require_numbers
@@ -12,6 +13,7 @@ from armrig.numerics.checks import require_integers, require_numbers
 _LONGEST_REGISTER = 24  # 2^24 - 1 clocks are more than any run has
 
 
+@checked_call
 def telegraph(
     N: int,
     a: float,
@@ -62,6 +64,7 @@ def telegraph(
     return np.where(np.cumsum(switch) % 2 == 1, high, low).astype(np.float64)
 
 
+@checked_call
 def prbs(
     N: int,
     clock: int = 1,

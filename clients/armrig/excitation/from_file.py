@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from armrig_core.bounded import TextError, read_text
+from armrig_core.calls import checked_call
 
 from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
 from armrig.numerics.checks import require_numbers
@@ -17,6 +18,7 @@ MOST_BYTES = 1 << 26
 _TIME_TOLERANCE = 0.01  # share of Ts; rounding in a text file costs less
 
 
+@checked_call
 def from_csv(
     path: str | Path, Ts: float, *, low: float = LOWEST_V, high: float = HIGHEST_V
 ) -> Vector:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Literal
 
 import numpy as np
+from armrig_core.calls import checked_call
 
 from armrig.excitation.limits import Vector, generator, require_levels, within
 from armrig.numerics.checks import require_integers, require_numbers
@@ -100,6 +101,7 @@ def _lines(lines: Iterable[int] | None, P: int) -> np.ndarray[tuple[int], np.dty
     return np.fromiter(chosen, dtype=np.intp, count=len(chosen))
 
 
+@checked_call
 def chirp(
     N: int,
     Ts: float,

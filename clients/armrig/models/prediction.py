@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,10 +53,9 @@ def predicted(model: Model, data: Dataset, horizon: int | None) -> Vector:
     ValueError
         horizon is below 1, or output, unit or Ts of the data are not the model's.
     """
+    _require_dataset(data)
     require_same_signals(model, data)
-    if horizon is not None and horizon < 1:
-        msg = f"horizon={horizon!r} must be >= 1, or None for simulation"
-        raise ValueError(msg)
+    _require_horizon(horizon)
     parts = data.experiments()
     if horizon is None or structure_of(model).white:
         return np.concatenate([simulated(model, part) for part in parts])
@@ -168,6 +168,18 @@ def _none(N: int, parameters: int) -> Residuals:
     """Return no residual: an unstable predictor leaves the range of floating point."""
     nothing = Unknown(noise=(), volumes=(), state=orthonormal(np.zeros((0, 0))), N=N)
     return Residuals(e=np.full(N, np.nan), Psi=np.zeros((N, parameters)), unknown=nothing)
+
+
+def _require_dataset(data: object) -> None:
+    if not isinstance(data, Dataset):
+        msg = f"data is a {type(data).__name__}: give a Dataset; of an input alone, fit.simulate(u)"
+        raise TypeError(msg)
+
+
+def _require_horizon(horizon: object) -> None:
+    if horizon is not None and not (isinstance(horizon, Integral) and int(horizon) >= 1):
+        msg = f"horizon={horizon!r} must be an integer >= 1, or None for simulation"
+        raise ValueError(msg)
 
 
 def require_same_signals(model: Model, data: Dataset) -> None:

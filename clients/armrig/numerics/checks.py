@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from numbers import Integral, Real
+from collections.abc import Iterable
+from numbers import Integral, Number, Real
 from typing import Any
 
 import numpy as np
@@ -25,18 +26,63 @@ def require_numbers(**asked: Any) -> None:
             raise ValueError(msg)
 
 
+def require_flags(**asked: Any) -> None:
+    """Refuse a value that is neither True nor False."""
+    for name, value in asked.items():
+        if not isinstance(value, bool | np.bool_):
+            msg = f"{name}={value!r} must be True or False"
+            raise ValueError(msg)
+
+
+def require_several(**asked: Any) -> None:
+    """Refuse one value where several are wanted."""
+    for name, value in asked.items():
+        if not isinstance(value, Iterable) or isinstance(value, str):
+            msg = f"{name}={value!r} must be several numbers, such as {name}=range(1, 5) or "
+            msg += f"{name}=(1, 2, 4)"
+            raise TypeError(msg)
+
+
 def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Return a copy (N,) of the values, NaN where they are masked.
 
     Another shape is refused, nothing is ravelled; complex values are refused, no part is dropped.
     """
+    if values is None or hasattr(values, "dataset") or hasattr(values, "Ts"):
+        kind = "missing" if values is None else f"a {type(values).__name__}"
+        msg = f"{name} is {kind}; give its numbers, (N,)"
+        msg += f", such as data.{name}" if name in ("u", "y") else ""
+        raise TypeError(msg)
     given = np.asanyarray(values)
+    if given.dtype.kind in "USO" and not _are_numbers(given):
+        first = given.ravel()[0] if given.size else ""
+        msg = f"{name} has text or other objects ({str(first)[:20]!r}), it must be numbers, "
+        msg += "decimals with a point; a file is read with armrig.load_data(path)"
+        raise ValueError(msg)
     if np.iscomplexobj(given):
         msg = f"{name} is complex ({given.dtype}), it must be real; give {name}.real, or its "
         msg += "magnitude, if that is what was measured"
         raise ValueError(msg)
     taken = np.array(np.ma.filled(given.astype(np.float64), np.nan))
     if taken.ndim != 1 or taken.size == 0:
-        msg = f"{name} has shape {taken.shape}, it must be (N,) with N >= 1; use {name}.ravel()"
+        msg = (
+            f"{name} has shape {taken.shape}, it must be (N,) with N >= 1; {_way_out(name, taken)}"
+        )
         raise ValueError(msg)
     return taken
+
+
+def _are_numbers(given: NDArray[Any]) -> bool:
+    """Tell whether all is numbers in fact: those of an array of objects may be."""
+    return given.dtype.kind == "O" and all(isinstance(x, Number) for x in given.ravel())
+
+
+def _way_out(name: str, taken: NDArray[np.float64]) -> str:
+    """Return what to do about a shape that is not (N,)."""
+    if taken.size == 0:
+        return f"there is nothing in {name}"
+    if taken.ndim == 0:
+        return f"give a value for each instant, such as numpy.full(N, {taken:g})"
+    if taken.size == max(taken.shape):
+        return f"use {name}.ravel()"
+    return f"one signal is one column, such as {name}[:, 0]"

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from armrig_core.arm import ArmParameters, arm_matrices
+from armrig_core.calls import checked_call
 
+from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset, Vector
 from armrig.models.model import Model
 from armrig.physics.discretisation import transfer
@@ -51,6 +53,7 @@ class PhysicalModel(Model):
         return "\n".join([heading(self), *equations(self)])
 
 
+@checked_call
 def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
     """Return the physics of the whole arm from u to theta_1 as a model, nothing estimated.
 
@@ -58,6 +61,7 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
     standard deviations are 0: it is a claim, not an estimate.
     """
     A, B, C = arm_matrices(p)
+    data = as_dataset(data)
     numerator, denominator = transfer(A, B, C[0], data.Ts)
     return PhysicalModel(
         B=numerator,

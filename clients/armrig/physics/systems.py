@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices
+from armrig_core.calls import checked_call
 from armrig_core.rehearsal import rehearse
 
 if TYPE_CHECKING:
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["ArmParameters", "arm", "chassis", "rehearse"]
 
 
+@checked_call
 def arm(p: ArmParameters) -> control.StateSpace:
     """Return the whole rig as a state space, in continuous time.
 
@@ -35,6 +37,7 @@ def arm(p: ArmParameters) -> control.StateSpace:
     )
 
 
+@checked_call
 def chassis(p: ArmParameters) -> control.StateSpace:
     """Return the rig without its rotating part (handout, figure 6), in continuous time.
 

@@ -21,7 +21,7 @@ def doubts(recording: Recording) -> list[str]:
     """Return what speaks against a recording, one sentence each; none is best."""
     name = recording.path.name
     found = []
-    if recording.samples.size < FEW:
+    if 0 < recording.samples.size < FEW:
         found.append(
             f"{name} has {recording.samples.size} samples: models of so few are poor; record "
             f"{FEW} or more"
@@ -32,6 +32,17 @@ def doubts(recording: Recording) -> list[str]:
             "reversed, or the motor's wires are; run `armrig calibrate`"
         )
     return found
+
+
+def doubts_of_estimation(recording: Recording) -> list[str]:
+    """Return what speaks against estimating a model of any order from a recording."""
+    kind = recording.manifest.experiment.partition("-")[0]
+    if kind not in NO_MODEL:
+        return []
+    return [
+        f"{recording.path.name} is a {kind}, which excites few frequencies: a model from it says "
+        "little; identify from a telegraph (`armrig collect blackbox`)"
+    ]
 
 
 def doubts_of_pair(first: Recording, other: Recording) -> list[str]:

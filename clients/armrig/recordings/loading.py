@@ -77,7 +77,13 @@ def load(
     OSError
         The file cannot be opened or read.
     """
-    given = [path] if isinstance(path, str | Path) else list(path)
+    given = [path] if isinstance(path, str | Path) else path
+    if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
+        msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap")'
+        raise TypeError(msg)
+    if str(given[0] if given else "").startswith("@"):
+        msg = f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"
+        raise RecordingError(msg)
     paths = [part for one in given for part in part_paths(Path(one))]
     if not paths:
         msg = "no file to load"
@@ -119,6 +125,8 @@ def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
         msg = f"{path}: {err}; armrig reads what armrigd has recorded (*.mcap); "
         msg += "identify, validate and check read other data, too (.csv, .dat, .mat, .npz)"
         raise RecordingError(msg) from err
+    if content is None and not path.stat().st_size:
+        raise RecordingError(f"{path}: is empty, 0 B: nothing was recorded; record again")
     if content is None:
         msg = f"{path}: not an MCAP file; armrig reads what armrigd has recorded (*.mcap); "
         msg += "identify, validate and check read other data, too (.csv, .dat, .mat, .npz)"

@@ -137,6 +137,14 @@ def compare(
     if not models:
         msg = "compare needs at least one model: compare(data, fit)"
         raise ValueError(msg)
+    for model in models:
+        if not hasattr(model, "label"):
+            msg = f"a {type(model).__name__} is no model: give each by itself, "
+            msg += "compare(data, fit1, fit2); names are labels=(…)"
+            raise TypeError(msg)
+    if isinstance(labels, str):
+        msg = f"labels={labels!r} must be several names, one a model, such as labels=({labels!r},)"
+        raise TypeError(msg)
     names = [model.label for model in models] if labels is None else list(labels)
     if len(names) != len(models):
         msg = f"{len(names)} labels for {len(models)} models; give one each"

@@ -17,7 +17,7 @@ from armrig.estimation.arx import arx
 from armrig.estimation.stability import largest_unstable
 from armrig.models.prediction import require_same_signals
 from armrig.models.structure_table import KINDS
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.validation.residuals import residuals
 from armrig.validation.search_result import Candidate, Family, Scored, SearchResult
@@ -95,6 +95,7 @@ def search(
     .. [1] T. Hastie, R. Tibshirani, J. Friedman, *The Elements of Statistical Learning*, 2nd ed.,
        2009, section 7.10 (one standard error).
     """
+    require_several(orders=orders)
     if validation is None:
         data, validation = data.split(2)
     known = data.output in INTEGRATING_OUTPUTS if integrator is None else integrator

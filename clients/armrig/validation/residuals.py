@@ -162,6 +162,9 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
     """
+    if not hasattr(fit, "noise_variance"):
+        msg = f"the model stands first, and a {type(fit).__name__} came: residuals(fit, data)"
+        raise TypeError(msg)
     data = as_dataset(data)
     require_same_signals(fit, data)
     known = [prediction_errors(fit, part) for part in data.experiments()]

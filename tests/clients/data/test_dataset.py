@@ -52,7 +52,7 @@ def test_what_is_masked_is_missing() -> None:
     [
         ({"y": [1.0, 2.0]}, "u has 3 samples and y has 2"),
         ({"u": [0.0, np.nan, 0.0]}, "u is not finite at 1 samples, first nan at 1"),
-        ({"y": [0.0, 1.0, np.inf]}, "first inf at 2; mark them missing with valid=False"),
+        ({"y": [0.0, 1.0, np.inf]}, "first inf at 2; mark them missing, valid=numpy.isfinite"),
         ({"Ts": 0.0}, "Ts=0.0 must be finite and > 0"),
         ({"valid": [True]}, r"valid has shape \(1,\)"),
         ({"u": [[1.0, 2.0, 3.0]]}, r"u has shape \(1, 3\).*ravel"),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import hashlib
+from math import isclose
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from armrig_core.bounded import read_bounded
+from armrig_core.calls import checked_call
 
 from armrig.data.dataset import Dataset
 from armrig.data.files.kinds import table_of
@@ -22,8 +24,10 @@ SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".npz")
 SOURCE = "data"
 """What stands before the hash of a file that is no recording, where data say whence they are."""
 _TIMES = ("t", "time")
+_OTHER = 0.05  # by which Ts may differ from the times
 
 
+@checked_call
 def load_data(
     path: str | PathLike[str],
     *,
@@ -92,8 +96,11 @@ def _dataset(
     if at["input"] == at["signal"]:
         msg = f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
         raise DataFileError(msg)
+    notes = list(table.notes)
     if Ts is None:
         Ts = _sampling_time(table, time, set(at.values()))
+    else:
+        notes += _other_times(table, time, set(at.values()), Ts)
     u, y = (_values(table, i, what) for what, i in at.items())
     if u.size != y.size:
         msg = f"the input has {u.size} samples and the signal {y.size}; both need one an instant"
@@ -114,8 +121,19 @@ def _dataset(
         unit=of_y.unit,
         input_unit=of_u.unit,
         source=source,
-        history=[*table.notes, step] if left_out else table.notes,
+        history=[*notes, step] if left_out else notes,
     )
+
+
+def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> list[str]:
+    """Return what to note where the file says another sampling time than the one given."""
+    try:
+        said = _sampling_time(table, time, taken)
+    except DataFileError:
+        return []  # the way out of times that cannot be read
+    if isclose(said, Ts, rel_tol=_OTHER):
+        return []
+    return [f"took Ts = {Ts:g} s as given, although the times are {said:g} s apart"]
 
 
 def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:

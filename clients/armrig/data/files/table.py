@@ -116,6 +116,8 @@ def listed(table: Table, what: str) -> str:
         numbers = " or ".join(str(i + 1) for i in range(count))
         numbers = numbers if count <= 2 else f"a number from 1 to {count}"
         return f"its columns have no names: give --{what} {numbers}"
+    if count == 1 and what != "time":
+        return "it has one column, and an input and an output are wanted"
     names = [f"{i} {shown(c.name) or '(no name)'}" for i, c in enumerate(table.columns, 1)]
     more = f", … {count}" if count > _LISTED else ""
     return f"give --{what} a name or a number of {', '.join(names[:_LISTED])}{more}"

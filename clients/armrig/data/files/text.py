@@ -172,7 +172,10 @@ def _ragged(line: int, cells: int, width: int, separator: str, *, names: bool) -
     by = {"": "blanks", "\t": "tab", ";": "semicolon", ",": "comma"}[separator]
     whose = "the line of names" if names else "the first row"
     text = f"line {line} has {_count(cells)} (parted by {by}), {whose} {_count(width)}; give "
-    return text + "every row as many, and begin remarks with #"
+    text += "every row as many, and begin remarks with #"
+    if separator == "," and width < cells <= 2 * width:
+        text += "; where decimals have a comma, part the cells by semicolon"
+    return text
 
 
 def _count(cells: int) -> str:

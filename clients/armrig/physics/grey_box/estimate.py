@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from armrig_core.arm import ArmParameters
+from armrig_core.arm import ArmParameters, require_parameters
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -101,6 +101,7 @@ def greybox(
        projected out).
     """
     p = ArmParameters() if fixed is None else fixed
+    require_parameters(p)
     names = free_names(free, friction)
     given = checked_fixed_std(fixed_std or {}, names)
     physics = Physics(model=model, fixed=p, output=output)
@@ -130,7 +131,7 @@ def _require_samples(
     if samples < needed or min(part.N for part in experiments) < 2:
         where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
         msg = f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
-        msg += f"needed{where}: record longer"
+        msg += f"needed{where}: record longer, or cut into fewer parts"
         raise ValueError(msg)
 
 

@@ -24,6 +24,7 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
     for name in free:
         if name not in NAMES:
             msg = f"free={name!r} is none of {', '.join(NAMES)}"
+            msg += "; give several one by one" if "," in name else ""
             raise ValueError(msg)
     names = list(free)
     if friction in ("viscous", "both") and "b_1" not in names:

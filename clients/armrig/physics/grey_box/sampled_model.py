@@ -68,6 +68,10 @@ class Physics:
 
     def check(self) -> None:
         """Refuse a model that cannot be sampled here, or that lacks the output."""
+        if not callable(self.model) or hasattr(self.model, "dt"):
+            msg = f"model is a {type(self.model).__name__}: give a function of the parameters, "
+            msg += "armrig.chassis or armrig.arm, without parentheses"
+            raise TypeError(msg)
         system = self.model(self.fixed)
         if system.dt not in (0, None) or system.ninputs != 1:
             msg = f"the model has dt={system.dt} and {system.ninputs} inputs; it must be in "

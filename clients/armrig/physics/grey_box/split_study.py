@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.numerics.checks import require_integers
+from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.quantities import p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
@@ -182,6 +182,7 @@ def split_study(
         A number of parts is no integer >= 1, a part is too short, the parameter is unknown, or its
         standard deviation is not known.
     """
+    require_several(parts=parts)
     if not parts:
         msg = "parts=() is empty; give numbers of parts, such as (1, 2, 4)"
         raise ValueError(msg)

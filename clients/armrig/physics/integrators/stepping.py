@@ -74,11 +74,18 @@ def integrate(
     A_, B_, x0_ = system(A, B, x0)
     require_positive(h=h)
     require_integers(n=(n, 1))
+    _require_function(u)
     chosen = method_named(method)
     t = h * np.arange(n + 1, dtype=np.float64)
     if isinstance(chosen, RungeKutta):
         return t, _runge_kutta(chosen, A_, B_, u, x0_, h, n)
     return t, _multistep(chosen, A_, B_, u, x0_, h, n)
+
+
+def _require_function(u: object) -> None:
+    if not callable(u):
+        msg = f"u is a {type(u).__name__}: give a function of the time in s, such as lambda t: 2.5"
+        raise TypeError(msg)
 
 
 def _input(u: Callable[[float], Any], t: Vector, m: int) -> Matrix:

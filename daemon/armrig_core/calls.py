@@ -1,0 +1,86 @@
+"""Calls that cannot be right, answered with how the call is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from functools import wraps
+from inspect import Parameter, Signature, signature
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+T = TypeVar("T")
+
+
+def checked_call(f: Callable[P, R]) -> Callable[P, R]:
+    """Let a function answer a call with missing, unknown or too many arguments.
+
+    Python's own answer counts them; this one names them, and says how the call is written.
+    """
+    asked = signature(f)
+    name = f.__qualname__.removesuffix(".__init__").rpartition(".")[2]
+
+    @wraps(f)
+    def checked(*args: P.args, **options: P.kwargs) -> R:
+        check_call(name, asked, args, options)
+        return f(*args, **options)
+
+    return checked
+
+
+def checked_class(cls: type[T]) -> type[T]:
+    """Let a class answer so where it is called."""
+    cls.__init__ = checked_call(cls.__init__)  # type: ignore[method-assign]
+    return cls
+
+
+def check_call(
+    name: str, asked: Signature, args: Sequence[Any], options: Mapping[str, Any]
+) -> None:
+    """Refuse arguments that do not fit.
+
+    Raises
+    ------
+    TypeError
+        Some are missing, unknown or too many; says which, and how the call is written.
+    """
+    try:
+        asked.bind(*args, **options)
+    except TypeError:
+        raise TypeError(_explained(name, asked, args, options)) from None
+
+
+def _explained(name: str, asked: Signature, args: Sequence[Any], options: Mapping[str, Any]) -> str:
+    parameters = [p for p in asked.parameters.values() if p.name != "self"]
+    names = [p.name for p in parameters]
+    positional = [p.name for p in parameters if p.kind is Parameter.POSITIONAL_OR_KEYWORD]
+    given = len(args) - ("self" in asked.parameters)
+    for option in options:
+        if option not in names:
+            near = get_close_matches(option, names, n=1) or [
+                n for n in names if n.casefold() == option.casefold()
+            ]
+            meant = f"did you mean {near[0]}? " if near else ""
+            return f"{name} has no {option}; {meant}it takes {', '.join(names)}"
+    needed = [p for p in parameters if p.default is Parameter.empty]
+    needed = [p for p in needed if p.kind is not Parameter.VAR_POSITIONAL]
+    call = f"{name}({', '.join(_written(p) for p in needed)})"
+    if given > len(positional):
+        by_name = [n for n in names if n not in positional]
+        if by_name:
+            return f"{name} takes {', '.join(by_name[:3])} by name: {call}"
+        return f"{name} takes {', '.join(positional)}, but {given} came: {call}"
+    taken = {*options, *positional[:given]}
+    missing = [p.name for p in needed if p.name not in taken]
+    if not missing:
+        twice = [n for n in positional[:given] if n in options]
+        return f"{name} was given {' and '.join(twice)} twice: {call}"
+    return f"{name} needs {' and '.join(missing)}: {call}"
+
+
+def _written(p: Parameter) -> str:
+    """Return how an argument stands in a call."""
+    if str(p.annotation).startswith("Sequence"):
+        return f"[{p.name}, …]"
+    return p.name if p.kind is Parameter.POSITIONAL_OR_KEYWORD else f"{p.name}=…"
