@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -34,6 +33,7 @@ from armrig.cli import (
     validation,
 )
 from armrig.cli.options import tell
+from armrig.cli.usage_errors import usage_error
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 _ORDER: list[str] = []
@@ -96,8 +96,6 @@ for _command, _example in (
         app.command(epilog=_line, context_settings=_HELP)(_command)
         _ORDER.append(_command.__name__)
 
-_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab"})
-"""Commands that nobody is led to by a typing error."""
 # What talks to a rig, or measures the host of one; Windows has none of it.
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
 _SIGPIPE = 13  # Windows has no such signal, and its name is not there
@@ -181,9 +179,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except typer.Exit as err:
         return int(err.exit_code) if given else 2  # without a command there is help, as of armrigd
     except _UsageError as err:
-        where = err.ctx.command_path if err.ctx else "armrig"
-        what = _missing(err) or _plainly(err.format_message())
-        return _failed(f"{what}; see `{where} --help`", 2)
+        return _failed(usage_error(err, given), 2)
     except (typer.Abort, KeyboardInterrupt) as err:
         return _failed(str(err) or "interrupted", 130)
     except BrokenPipeError:  # `armrig info F | head`
@@ -192,8 +188,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             os.dup2(nothing.fileno(), sys.stdout.fileno())
         return 128 + _SIGPIPE
     except OSError as err:
-        named = f"{err.filename}: {err.strerror}" if err.filename and err.strerror else str(err)
-        return _failed(named, 1)
+        return _failed(_of_file(err), 1)
     except (ValueError, RuntimeError) as err:
         return _failed(str(err), 1)
     except ModuleNotFoundError as err:
@@ -209,35 +204,18 @@ def _failed(message: str, code: int) -> int:
     return code
 
 
-def _missing(err: Any) -> str:
-    """Return which parameter is missing and what it is; empty where that is not the error."""
-    parameter = getattr(err, "param", None)
-    if parameter is None or type(err).__name__ != "MissingParameter":
-        return ""
-    name = parameter.metavar
-    if parameter.param_type_name == "option":
-        name = f"{max(parameter.opts, key=len)} {name}"
-    what = (parameter.help or "").rstrip(".")
-    return f"{name} is missing" + (f": {what[:1].lower()}{what[1:]}" if what else "")
-
-
-def _harmless(message: str) -> str:
-    """Return the message without suggestions that would act on the rig."""
-    said, asked, near = message.partition(". Did you mean ")
-    names = [name for name in re.findall(r"'([^']+)'", near) if name not in _ACTING]
-    return f"{said}: did you mean {' or '.join(names)}?" if asked and names else said
-
-
-def _plainly(message: str) -> str:
-    """Return a message of typer and its checks in our words: the option, and what is allowed."""
-    message = _harmless(message.strip().rstrip("."))
-    for theirs, ours in (
-        (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),
-        (r"^Invalid value: ", ""),
-        (r"Value error, ", ""),
-        (r"Input should be ", "must be "),
-        (r"must be a valid (integer|number),? .*$", r"must be a \1"),
-        (r"must be a integer", "must be an integer"),
-    ):
-        message = re.sub(theirs, ours, message)
-    return message
+def _of_file(err: OSError) -> str:
+    """Return which file it is, what the system says of it, and what to do."""
+    if not (err.filename and err.strerror):
+        return str(err)
+    name = Path(os.fsdecode(err.filename))
+    way_out = {
+        IsADirectoryError: "give a file in it",
+        PermissionError: "ask its owner, or take a folder of yours",
+    }.get(type(err), "")
+    if isinstance(err, FileNotFoundError):
+        way_out = {
+            ".mcap": "`armrig ls` lists the recordings, each taken as @NAME",
+            ".json": "`armrig identify F --structure oe --save MODEL.json` writes a model",
+        }.get(name.suffix.lower(), "")
+    return f"{name}: {err.strerror}" + (f"; {way_out}" if way_out else "")

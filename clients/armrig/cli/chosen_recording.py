@@ -46,10 +46,20 @@ def recording_path(text: str) -> Path:
         No recording answers to the name, or several do.
     """
     if not text.startswith("@"):
+        _check_bare_name(Path(text))
         return Path(text)
     found = chosen(text, recording_folder())
     tell(f"{text} is {described(found)}")
     return found.path
+
+
+def _check_bare_name(path: Path) -> None:
+    """Refuse a word that is no file: a name without its @, or a file without its suffix."""
+    if path.suffix or path.parent != Path() or path.exists():
+        return
+    beside = path.with_suffix(".mcap")
+    meant = str(beside) if path.name and beside.exists() else f"@{path}"
+    raise NoSuchRecordingError(f"{path}: there is no such file; did you mean {meant}?")
 
 
 def chosen(text: str, folder: Path) -> RecordingSummary:

@@ -156,7 +156,12 @@ def identify(
         start=start,
         stop=stop,
     )
+    from armrig.recordings.doubts import doubts_of_estimation
+
     data = signals.of(file)
+    for recording in signals.read:
+        for text in doubts_of_estimation(recording):
+            tell(text)
     # Before the minutes that an estimation may take.
     other = None if validate is None else signals.of(validate)
     if integrator:
@@ -268,6 +273,9 @@ def _check_files(
     check_plot(plot, inputs)
     if save is not None:
         check_output(save, inputs)
+        if save.suffix.lower() != ".json":
+            msg = f"--save {save}: a model is written as JSON; give a name that ends in .json"
+            raise ValueError(f"{msg} (a figure's is -o)")
 
 
 def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:

@@ -182,5 +182,7 @@ def print_table(*rows: tuple[str, str]) -> None:
 def warned(recording: Any) -> Any:
     """Return the recording, and tell its damage."""
     if recording.truncated:
-        tell(f"{recording.path}: {recording.damage}")
+        unfinished = recording.path.suffix == ".active"
+        why = "is still being recorded, or the daemon was killed; " if unfinished else ""
+        tell(f"{recording.path}: {why}{recording.damage}")
     return recording

@@ -6,15 +6,37 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armrig.cli.options import tell
+
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
+
+
+def _doubted(given: list[str] | None) -> list[str] | None:
+    """Return the parameters as given, and tell which can hardly be in SI units."""
+    from armrig_core.arm import ArmParameters
+
+    for name, value in _values(given).items():
+        handout = getattr(ArmParameters(), name)
+        if handout and value > 0 and not 1 / _FAR <= value / handout <= _FAR:
+            tell(
+                f"--set {name}={value:g}: that is {value / handout:.2g} times the handout's "
+                f"{handout:g}; is it in SI units?"
+            )
+    return given
+
 
 Given = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="NAME=VALUE", help="A parameter of the rig in SI units; may be repeated."
+        "--set",
+        metavar="NAME=VALUE",
+        help="A parameter of the rig in SI units; may be repeated.",
+        callback=_doubted,
     ),
 ]
+_FAR = 100.0
+"""Times that a parameter differs from the handout's before it is doubted."""
 HANDOUT = "handout"
 """What the handout's own parameters are called in tables and figures."""
 

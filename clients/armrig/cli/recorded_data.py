@@ -94,6 +94,7 @@ class Signals:
             raise typer.BadParameter(msg)
         from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data
+        from armrig.estimation.data_faults import swapped
 
         columns = {
             "input": self.input or "u",
@@ -104,6 +105,8 @@ class Signals:
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
             data = data.replaced(step=None, output=model.output)  # the person says it is the same
         _tell_of(file, data, columns)
+        for text in swapped(data):
+            tell(f"{file}: {text} (--input, --signal)")
         if not self.detrend and not _without_means(model):
             _hint_at_means(data)
         return data
@@ -174,8 +177,13 @@ def _without_means(model: Model | None) -> bool:
 
 def _hint_at_means(data: Dataset) -> None:
     """Tell what to do where u or y hardly come near 0, as about a point of operation."""
+    import numpy as np
+
     u, y = data.u, data.y[data.valid]
-    if y.size >= _ENOUGH and any(abs(x.mean()) > 2 * x.std() for x in (u, y)):
+    # Of a constant nothing would be left.
+    if y.size < _ENOUGH or not (np.ptp(u) and np.ptp(y)):
+        return
+    if any(abs(x.mean()) > 2 * x.std() for x in (u, y)):
         tell(
             f"on average {data.output} is {y.mean():.4g} and u {u.mean():.4g}; if u = 0 does not "
             "give 0, take the means off with --detrend"

@@ -85,7 +85,7 @@ class Plan:
             msg = f"--dead-man {self.dead_man:g}: must be {low:g} to {high:g} s, or 0 for none"
             raise ValueError(msg)
         if self.Ts is not None and self.Ts > LONGEST_TS:
-            msg = f"--Ts {self.Ts:g}: at most {LONGEST_TS:g} s"
+            msg = f"--Ts {self.Ts:g}: at most {LONGEST_TS:g}, in seconds; of 10 ms it is --Ts 0.01"
             raise ValueError(msg)
         if not 1 <= len(self.owner) <= LONGEST_OWNER:
             msg = f"--owner has {len(self.owner)} characters: 1 to {LONGEST_OWNER} are allowed"

@@ -157,7 +157,7 @@ def test_without_a_recording_the_way_to_one_is_told(
         ["identify", "data.csv", "--structure", "arx", "--validate", "@x"],
         ["validate", "@x", "--model", "model.json"],
         ["compare", "@x", "F2"],
-        ["compare", "F", "@x"],
+        ["compare", "F.mcap", "@x"],
         ["check", "@x"],
         ["greybox", "@x"],
         ["split", "@x"],

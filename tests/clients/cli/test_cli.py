@@ -65,7 +65,10 @@ def test_a_file_that_is_not_there_is_told_in_a_line(
 
     assert main([*command, *files]) == 1
 
-    assert told(capsys) == f"armrig: {path}: No such file or directory\n"
+    assert told(capsys) == (
+        f"armrig: {path}: No such file or directory; `armrig ls` lists the recordings, each taken "
+        "as @NAME\n"
+    )
 
 
 @pytest.mark.parametrize("command", [["info"], ["check", "--Ts", "1"], ["check"]])
@@ -75,7 +78,7 @@ def test_a_directory_is_told_in_a_line(
     """It is no file to read, by each way in which one is read."""
     assert main([*command, str(tmp_path)]) == 1
 
-    assert told(capsys) == f"armrig: {tmp_path}: Is a directory\n"
+    assert told(capsys) == f"armrig: {tmp_path}: Is a directory; give a file in it\n"
 
 
 @pytest.mark.parametrize(
@@ -773,7 +776,7 @@ def test_a_figure_never_replaces_a_recording(
         (["blackbox", "--seconds", "0.2", "--Ts", "1"], "too short for one sample of 1 s"),
         (["blackbox", "--Ts", "nan"], "--Ts nan: must be a number of seconds"),
         (["blackbox", "--Ts", "inf"], "--Ts inf: must be a number of seconds"),
-        (["blackbox", "--Ts", "2"], "--Ts 2: at most 1 s"),
+        (["blackbox", "--Ts", "2"], "--Ts 2: at most 1, in seconds"),
         (["blackbox", "--owner", ""], "--owner has 0 characters: 1 to 80 are allowed"),
         (["step", "--seconds", "0.5"], "--at 1 s is after the end, 0.5 s"),
         (["step", "--at", "nan"], "--at nan: must be a number of seconds"),
@@ -938,7 +941,7 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
             ["OE"],
             "--structure: 'OE' is not one of 'arx', 'armax', 'oe', 'bj', 'iv4', 'n4sid'; see",
         ),
-        (["arx", "--na", "two"], "--na: must be an integer; see"),
+        (["arx", "--na", "two"], "--na two: must be an integer; see"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
 )

@@ -391,7 +391,7 @@ def test_a_model_without_means_is_validated_so(
         ),
         ("data.csv --Ts -1", "Ts=-1.0 must be finite and > 0, in s"),
         ("data.csv --Ts nan", "Ts=nan must be finite and > 0, in s"),
-        ("data.csv --Ts much", "--Ts: must be a number"),
+        ("data.csv --Ts much", "--Ts much: must be a number"),
         ("nothing.csv", "No such file or directory"),
         ("short.csv", "1 samples are too few"),
         (

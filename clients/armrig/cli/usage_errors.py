@@ -1,0 +1,120 @@
+"""What typer refuses on the command line, in our words: what came, what is allowed, the way out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import PurePath
+from typing import Any
+
+_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab"})
+"""Commands that nobody is led to by a typing error."""
+_STRUCTURES = ("arx", "armax", "oe", "bj", "iv4", "n4sid")
+_ELSEWHERE = {
+    "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
+    "version": "`armrig --version` says it",
+    **{name: f"`armrig identify F --structure {name}` estimates one" for name in _STRUCTURES},
+}
+"""What stands for a command that there is not."""
+_FILES = (".mcap", ".active", ".csv", ".tsv", ".txt", ".dat", ".mat", ".npz", ".json", ".pdf")
+
+
+def usage_error(err: Any, given: Sequence[str]) -> str:
+    """Return what is wrong with the arguments given, and where the help is."""
+    where = err.ctx.command_path if err.ctx else " ".join(["armrig", *given[:1]])
+    kind = type(err).__name__
+    if kind == "MissingParameter" and err.param is not None:
+        what = _missing(err.param)
+    elif kind == "NoSuchOption":
+        what = _no_option(err, given)
+    elif kind == "BadOptionUsage":
+        what = _plainly(err.format_message())
+        what = re.sub(
+            r"^Option '(.+?)' requires an argument$", r"\1 is given without a value", what
+        )
+    elif extra := re.match(
+        r"Got unexpected extra arguments?(?:\(s\))? \((.+)\)$", err.format_message()
+    ):
+        what = _too_many(extra[1], err.ctx)
+    elif name := re.match(r"No such command '(.+?)'", err.format_message()):
+        what = _no_command(name[1], err.format_message())
+    else:
+        what = _plainly(err.format_message(), came=_value(getattr(err, "param", None), given))
+    return f"{what}; see `{where} --help`"
+
+
+def _missing(parameter: Any) -> str:
+    """Return which parameter is missing and what it is."""
+    name = parameter.metavar
+    if parameter.param_type_name == "option":
+        name = f"{max(parameter.opts, key=len)} {name}"
+    what = (parameter.help or "").rstrip(".")
+    return f"{name} is missing" + (f": {what[:1].lower()}{what[1:]}" if what else "")
+
+
+def _too_many(extra: str, ctx: Any) -> str:
+    """Return that arguments came that the command does not take, and which it takes."""
+    arguments = [p for p in ctx.command.params if p.param_type_name == "argument"]
+    takes = " ".join(p.metavar if p.required else f"[{p.metavar}]" for p in arguments)
+    return f"{extra}: too much; `{ctx.command_path}` takes {takes or 'no file'}" + (
+        f" and options of one value each, `{ctx.command_path} {takes} --OPTION VALUE`"
+        if takes
+        else ", options only"
+    )
+
+
+def _no_option(err: Any, given: Sequence[str]) -> str:
+    """Return which option there is not, and what may be meant."""
+    name = err.option_name
+    whole = next((text for text in given if text.startswith(name)), name)
+    if not name.startswith("--") and len(whole) > 2:
+        return f"no such option: {whole}; a name of several letters has two dashes, -{whole}"
+    if err.ctx is not None and err.ctx.parent is None:
+        return f"no such option: {name}; options stand behind the command, armrig COMMAND {name}"
+    near = f": did you mean {' or '.join(err.possibilities)}?" if err.possibilities else ""
+    return f"no such option: {name}{near}"
+
+
+def _no_command(name: str, message: str) -> str:
+    """Return which command there is not, and what does what may be wanted."""
+    if name in _ELSEWHERE:
+        return f"no such command '{name}'; {_ELSEWHERE[name]}"
+    if PurePath(name).suffix in _FILES or name.startswith("@"):
+        return f"no such command '{name}'; the command stands before the file, armrig info {name}"
+    # Nobody is led to what acts on the rig.
+    near = re.findall(r"'([^']+)'", message.partition("Did you mean")[2])
+    near = [n for n in near if n not in _ACTING]
+    return f"no such command '{name}'" + (f": did you mean {' or '.join(near)}?" if near else "")
+
+
+def _value(parameter: Any, given: Sequence[str]) -> str:
+    """Return what was given to an option; "" where that cannot be told."""
+    options = getattr(parameter, "opts", ())
+    for i, text in enumerate(given):
+        name, _, value = text.partition("=")
+        if name in options:
+            return value or (given[i + 1] if i + 1 < len(given) else "")
+    return ""
+
+
+def _plainly(message: str, came: str = "") -> str:
+    """Return a message of typer and its checks in our words: the option, and what is allowed."""
+    message = message.strip().rstrip(".")
+    for theirs, ours in (
+        (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),
+        (r"^Invalid value: ", ""),
+        (r"Value error, ", ""),
+        (r"Input should be ", "must be "),
+        (r"must be a valid (integer|number),? .*$", r"must be a \1"),
+        (r"must be a integer", "must be an integer"),
+    ):
+        message = re.sub(theirs, ours, message)
+    if came and (found := re.match(r"(\S+): (must be .*)$", message)):
+        message = f"{found[1]} {came}: {found[2]}"
+        if "number" in found[2] and re.fullmatch(r"-?\d*,\d+", came):
+            message += f", decimals have a point: {came.replace(',', '.')}"
+        elif "number" in found[2] and (unit := re.fullmatch(r"(-?[\d.]+) ?[a-zA-Zµ]+", came)):
+            message += f" without its unit, such as {unit[1]}"
+        elif "integer" in found[2] and re.search(r"[,:]", came):
+            message += "; several are tried by --search"
+    return message

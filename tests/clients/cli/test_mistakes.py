@@ -1,0 +1,218 @@
+"""Mistakes that students make on the command line: each is answered with the way out."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.excitation import step, telegraph
+from fake_daemon import FakeDaemon
+from made_recordings import of_the_arm, written
+
+TS, N = 0.01, 400
+
+
+def _table(path: Path, names: str, *columns: object, sep: str = ",", decimal: str = ".") -> None:
+    """Write columns below their names; without names there is no such line."""
+    rows = zip(*columns, strict=True)  # type: ignore[call-overload]
+    lines = [sep.join(f"{x:.6g}".replace(".", decimal) for x in row) for row in rows]
+    head = [names.replace(",", sep)] if names else []
+    path.write_text("\n".join([*head, *lines]) + "\n")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder of recordings and tables, good ones and spoilt ones."""
+    folder = tmp_path_factory.mktemp("mistakes")
+    recording = of_the_arm(telegraph(1000, 0.05, seed=1))
+    written(folder, recording, "est.mcap")
+    written(folder, of_the_arm(step(200, at=50), experiment="step"), "step.mcap")
+    written(folder, b"", "empty.mcap")
+    written(folder, recording[: len(recording) // 2], "run.mcap.active")
+    written(folder, b"%PDF-1.7 \xff", "report.pdf")
+    (folder / "folder").mkdir()
+    rng = np.random.default_rng(1)
+    t, u = TS * np.arange(N), 0.5 + 4.0 * rng.integers(0, 2, N)
+    y = np.zeros(N)
+    for k in range(1, N):
+        y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1] + 0.01 * rng.standard_normal()
+    _table(folder / "data.csv", "t,u,y", t, u, y)
+    _table(folder / "swapped.csv", "t,u,y", t, y, u)
+    _table(folder / "same.csv", "t,u,y", t, u, u)
+    _table(folder / "constant.csv", "t,u,y", t, np.full(N, 2.5), y)
+    _table(folder / "decimal.csv", "t,u,y", t, u + 0.1, y + 0.001, decimal=",")
+    _table(folder / "noheader.csv", "", t, u, y)
+    _table(folder / "one.csv", "y", y)
+    _table(folder / "noTs.csv", "u,y", u, y)
+    _table(folder / "other.csv", "tid,spenning,vinkel", t, u, y)
+    _table(folder / "backwards.csv", "t,u,y", t[::-1], u, y)
+    (folder / "text.csv").write_text("t,u,y\n0,1,2\n0.01,1,off\n0.02,1,2\n")
+    _table(folder / "high.csv", "u", np.full(50, 9.0))
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Work in that folder, with no daemon, and with recordings of nobody."""
+    monkeypatch.chdir(made)
+    for name, value in (("XDG_RUNTIME_DIR", "run"), ("XDG_DATA_HOME", "share")):
+        monkeypatch.setenv(name, str(made / value))
+    before = sorted(made.iterdir())
+    yield made
+    assert sorted(made.iterdir()) == before  # a mistake writes nothing
+
+
+REFUSED = [
+    # A file that is not what was meant.
+    ("info last", "did you mean @last?"),
+    ("info est", "did you mean est.mcap?"),
+    ("identify last --structure arx", "did you mean @last?"),
+    ("info @lst", "`armrig ls` lists them"),
+    ("info @last", "make one with `armrig collect`"),
+    ("info none.mcap", "`armrig ls` lists the recordings, each taken as @NAME"),
+    ("info folder", "give a file in it"),
+    ("info report.pdf", "reads what armrigd has recorded (*.mcap)"),
+    ("greybox data.csv", "identify, validate and check read other data"),
+    ("info empty.mcap", "is empty, 0 B: nothing was recorded; record again"),
+    ("identify run.mcap.active --structure arx", "is still being recorded, or the daemon was kill"),
+    ("validate est.mcap --model est.mcap", "is no model"),
+    ("validate est.mcap --model none.json", "--save MODEL.json` writes a model"),
+    ("simulate est.mcap --model data.csv", "`armrig identify --save`"),
+    # Arguments that are missing, too many, or in another order.
+    ("identify", "F is missing: recording (*.mcap, @last or @NAME)"),
+    ("identify est.mcap", "give --structure, such as --structure oe --integrator, or --search"),
+    ("identify est.mcap step.mcap", "step.mcap: too much; `armrig identify` takes F and options"),
+    ("identify est.mcap --structure oe --nb 4 4", "4: too much; `armrig identify` takes F"),
+    ("model est.mcap", "`armrig model` takes no file"),
+    ("stop 1", "1: too much; `armrig stop` takes no file, options only"),
+    ("validate model.json", "--model JSON is missing: model that identify --save has written"),
+    ("compare est.mcap", "give a second recording to validate with"),
+    ("identify est.mcap --validate", "--validate is given without a value; see `armrig identify"),
+    ("model --set", "--set is given without a value; see `armrig model --help`"),
+    ("plot", "F is missing"),
+    # Commands and options that there are not.
+    ("stpo", "no such command 'stpo'; see `armrig --help`"),
+    ("idntify est.mcap", "did you mean identify?"),
+    ("help", "`armrig --help` lists the commands"),
+    ("version", "`armrig --version` says it"),
+    ("arx est.mcap", "`armrig identify F --structure arx` estimates one"),
+    ("est.mcap", "the command stands before the file, armrig info est.mcap"),
+    ("collect black", "did you mean blackbox"),
+    ("--verbose identify est.mcap", "options stand behind the command, armrig COMMAND --verbose"),
+    ("identify est.mcap -nb 4", "a name of several letters has two dashes, --nb"),
+    ("identify est.mcap --nb4", "did you mean --nb"),
+    # Structures and orders.
+    ("identify est.mcap --structure OE", "'OE' is not one of 'arx', 'armax', 'oe'"),
+    ("identify est.mcap --structure ssest", "'bj', 'iv4', 'n4sid'"),
+    ("identify est.mcap --structure oe --nb=-1", "nb=-1 must be an integer >= 1"),
+    ("identify est.mcap --structure oe --nf 400", "lower nb or nf, or record longer"),
+    ("identify est.mcap --structure arx --nk 0,1", "--nk 0,1: must be an integer; several are"),
+    ("identify est.mcap --structure oe --na 4", "an OE model has nb, nf and nk"),
+    ("identify est.mcap --structure arx --integrator", "goes with --structure armax or oe"),
+    ("identify est.mcap --search --nb 4", "tries orders up to --max-order"),
+    # Tables.
+    ("identify data.csv --structure arx --Ts 0,01", "decimals have a point: 0.01"),
+    ("identify est.mcap --structure arx --Ts 0.01", "goes with other data"),
+    ("identify decimal.csv --structure arx", "where decimals have a comma, part the cells by semi"),
+    ("identify text.csv --structure arx", "line 3, column y: 'off' is no number"),
+    ("identify noheader.csv --structure arx", "give --input a number from 1 to 3"),
+    ("identify one.csv --structure arx", "one column, and an input and an output are wanted"),
+    ("identify noTs.csv --structure arx", "give it in s (--Ts)"),
+    ("identify other.csv --structure arx", "1 tid, 2 spenning, 3 vinkel"),
+    ("identify backwards.csv --structure arx", "give Ts in s (--Ts) if the times are wrong"),
+    ("identify same.csv --structure arx", "y has the very numbers of u: give the column of the"),
+    ("identify constant.csv --structure arx", "u is 2.5 throughout"),
+    ("identify data.csv --structure arx --signal u", "input and signal are both column 2"),
+    # Where to write.
+    ("identify est.mcap --structure arx -o no/f.png", "there is no directory no; make it first"),
+    ("identify est.mcap --structure arx --save est.mcap", "would be lost; give another name"),
+    ("identify est.mcap --structure arx --save m.png", "a name that ends in .json"),
+    ("identify est.mcap --structure arx -o f.xyz", "a figure's name ends in one of"),
+    ("report", "give recordings to report on"),
+    ("report est.mcap -o report.docx", "give a name that ends in .pdf"),
+    ("report est.mcap -o report.pdf", "--force overwrites it, or give another name"),
+    # The rig, and what it plays.
+    ("stop", "no reply from rig 1"),
+    ("stop --rig 2", "no reply from rig 2"),
+    ("collect blackbox", "or give its endpoint with --connect"),
+    ("collect blackbox --connect localhost", "is no zenoh endpoint, such as"),
+    ("collect blackbox --rig 1/2", "1 to 40 of a-z, 0-9 and - are allowed"),
+    ("collect blackbox --seconds 30s", "must be a number without its unit, such as 30"),
+    ("collect blackbox --seconds 0", "more than 0"),
+    ("collect blackbox --low 4.5 --high 0.5", "low=4.5 V must lie below high=0.5 V"),
+    ("collect blackbox --high 6", "high=6.0 V is outside the rig's 0 to 5 V"),
+    ("collect blackbox --Ts 10", "in seconds; of 10 ms it is --Ts 0.01"),
+    ("collect blackbox --input sine", "'telegraph', 'prbs', 'white', 'multisine', 'chirp'"),
+    ('collect blackbox --name "My run"', "a-z, 0-9 and - are allowed"),
+    ("collect step --at 10", "give an earlier --at or more --seconds"),
+    # The physics.
+    ("model --set J2=0.005", "names are J_1, J_2, N, K_lin, R_m, K_m, b_1"),
+    ("model --set J_2=0,005", "give NAME=VALUE, such as J_1=0.0017"),
+    ("model --set J_1=-1", "J_1=-1.0 must be finite and > 0"),
+    ("greybox est.mcap --free J1", "is none of J_1, J_2, N"),
+    ("greybox est.mcap --free J_1,K_m", "give several one by one"),
+    ("split est.mcap --parts 1000", "record longer, or cut into fewer parts"),
+    ("integrate --method rk4", "is none of forward_euler, ab2, trapezoidal, heun, midpoint"),
+    ("integrate --h 10ms", "must be a number without its unit, such as 10"),
+]
+
+
+@pytest.mark.parametrize(("line", "way_out"), REFUSED, ids=[line for line, _ in REFUSED])
+@pytest.mark.usefixtures("folder")
+def test_a_mistake_is_refused_with_the_way_out(
+    line: str, way_out: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two lines at most, nothing that looks like an answer, and an exit code that is not 0."""
+    code = main(shlex.split(line))
+
+    said = capsys.readouterr()
+    assert way_out in said.err
+    assert code != 0
+    assert said.out == ""
+    assert 1 <= said.err.count("\n") <= 2
+    assert "Traceback" not in said.err
+
+
+DOUBTED = [
+    ("identify swapped.csv --structure arx", "as if they were swapped"),
+    ("identify data.csv --structure arx --Ts 10", "although the times are 0.01 s apart"),
+    ("identify step.mcap --structure arx", "identify from a telegraph"),
+    ("identify est.mcap --structure arx --validate step.mcap", "validate on another telegraph"),
+    ("identify est.mcap --structure arx --validate est.mcap", "validate on another recording"),
+    ("model --set J_1=1e9", "times the handout's 0.0017; is it in SI units?"),
+]
+
+
+@pytest.mark.parametrize(("line", "doubt"), DOUBTED, ids=[line for line, _ in DOUBTED])
+@pytest.mark.usefixtures("folder")
+def test_what_may_be_a_mistake_is_doubted_before_any_number(
+    line: str, doubt: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is no error: it is answered, and the doubt stands in front."""
+    monkeypatch.setattr(sys, "stderr", sys.stdout)  # in the order in which they are written
+
+    code = main(shlex.split(line))
+
+    lines = capsys.readouterr().out.splitlines()
+    assert code == 0
+    before = list(takewhile(lambda text: text.startswith("armrig: "), lines))
+    assert len(before) < len(lines)
+    assert sum(doubt in text for text in before) == 1
+
+
+def test_an_input_of_ones_own_beyond_5_v_is_not_played(
+    folder: Path, where: str, daemon: FakeDaemon, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No run is sent, and it is said which value is outside."""
+    code = main(["collect", "blackbox", "--file", "high.csv", "--connect", where])
+
+    assert code == 1
+    assert "9" in (err := capsys.readouterr().err)
+    assert "outside" in err
+    assert "run" not in daemon.names()
