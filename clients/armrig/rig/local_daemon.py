@@ -40,6 +40,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
         The daemon ended, or does not answer; quotes its last line.
     """
     program = [sys.executable, "-m", "armrig_daemon", "run", *arguments]
+    log.unlink(missing_ok=True)  # and not emptied: another daemon may still write to it
     with log.open("wb") as output:
         # A session of its own: Ctrl-C is ours, and we stop it in order.
         daemon = subprocess.Popen(

@@ -161,7 +161,8 @@ def test_data_show_themselves_with_their_gaps(kind: str) -> None:
     assert merge([part, part]).plot(kind, ax=ax) is ax  # type: ignore[arg-type]
 
     figure.canvas.draw()
-    assert "rad" in ax.get_xlabel() + ax.get_ylabel() + "".join(text.get_text() for text in ax.texts)
+    texts = [text.get_text() for text in ax.texts]
+    assert "rad" in "".join([ax.get_xlabel(), ax.get_ylabel(), *texts])
     plt.close(figure)
     with pytest.raises(ValueError, match="kind='bode' must be one of time, spectrum, values"):
         part.plot("bode")  # type: ignore[arg-type]
