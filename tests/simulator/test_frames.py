@@ -9,7 +9,7 @@ from simulator.frames import Frame, may_exchange, may_fill
 
 
 def _frame(message: Message, *, grant: int = 1, stale: bool = False) -> Frame:
-    return Frame(0, message.seq, 0, 1, grant, 0, 0, stale, True, encode(message))
+    return Frame(0, message.seq, 0, 1, grant, 0, 0, stale, True, encode(message), 0)
 
 
 def _latched(frame: Frame, code: int = 500, k: int = 9, last_k: int = 8, slew: int = 0) -> str:

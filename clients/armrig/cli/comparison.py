@@ -13,7 +13,7 @@ from armrig.cli.chosen_recording import File, OtherFile
 from armrig.cli.comparison_rows import row_facts, row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import CalibrationFile, Json, Na, Nb, Nf, Nk, echo, print_json
+from armrig.cli.options import CalibrationFile, Json, Na, Nb, Nf, Nk, Verbose, echo, print_json, say
 from armrig.cli.parameters import HANDOUT, Given, physics_beside
 from armrig.cli.recorded_data import (
     dataset_of,
@@ -53,6 +53,7 @@ def compare(
     calibration: CalibrationFile = None,
     plot: Plot = None,
     json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Compare models on a recording that they never saw.
 
@@ -82,7 +83,7 @@ def compare(
         rows = [row_facts(row) for row in table.rows]
         print_json({"validation": compared.data.source, "models": rows})
     else:
-        _print_comparison(compared, table)
+        _print_comparison(compared, table, verbose=verbose)
         say_next("compare", file=typed(file))
 
 
@@ -169,12 +170,16 @@ def _plot_comparison(compared: _Compared, table: ComparisonTable, plot: Path | N
     )
 
 
-def _print_comparison(compared: _Compared, table: ComparisonTable) -> None:
+def _print_comparison(compared: _Compared, table: ComparisonTable, *, verbose: bool) -> None:
+    best, *differences = table.explain().splitlines()
+    say(best)
     how = "simulated"
     if table.horizon is not None:
         how = f"predicted {table.horizon} samples ahead"
-    echo(f"{how} on {compared.where} (recording {compared.data.source[:12]})")
+    say(f"{how} on {compared.where} (recording {compared.data.source[:12]})")
     width = max(8, *(len(name) for name in compared.names))
     for row in table.rows:
-        echo(row_line(f"{row.name:{width}}", row, table.unit))
-    echo(f"{table.table()}\n{table.explain()}")
+        say(row_line(f"{row.name:{width}}", row, table.unit))
+    echo(table.table(brief=not verbose))
+    if differences:
+        say("\n".join(differences))

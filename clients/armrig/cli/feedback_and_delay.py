@@ -22,6 +22,7 @@ from armrig.cli.options import (
     Signal,
     TimeColumn,
     To,
+    Verbose,
     print_json,
     say,
 )
@@ -49,6 +50,7 @@ def check(
     start: From = None,
     stop: To = None,
     json: Json = False,
+    verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
     """Test for open loop and for a delay (handout 3.7, 3.8)."""
@@ -78,11 +80,14 @@ def check(
         )
         return
     of_rig = from_recording(data)
-    where = "open loop (handout 3.7)" if of_rig else "open loop"
-    verdict = loop.verdict.removeprefix("open loop: ")
-    say(f"{where}: {verdict}\n{_indented(loop.explain())}")
-    found = f"cannot be told: {late}" if isinstance(late, str) else late.explain()
-    say(f"delay{' (handout 3.8)' if of_rig else ''}\n{_indented(found)}")
+    for which, number, found in (("open loop", "3.7", loop), ("delay", "3.8", late)):
+        where = f"{which} (handout {number})" if of_rig else which
+        if isinstance(found, str):
+            say(f"{where}: cannot be told: {found}")
+            continue
+        first, *more = (found.explain() if verbose else found.brief()).splitlines()
+        verdict = first.removeprefix("open loop: ")
+        say("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
     if of_rig:
         say_next("check")
 
@@ -127,7 +132,3 @@ def _delay_facts(late: Delay | str) -> dict[str, Any]:
         "t_q": late.t_q,
         "remarks": late.remarks,
     }
-
-
-def _indented(text: str) -> str:
-    return "\n".join(f"  {line}" for line in text.splitlines())

@@ -97,19 +97,23 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
 
     manifest, timing = rec.manifest, sampling_statistics(rec)
     details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
+    verdict = data_verdict(rec)
+    yield "verdict", verdict.summary
     yield "recording", str(rec.path)
-    yield "sha256", rec.sha256
+    if verbose:
+        yield "sha256", rec.sha256
     yield "run", f"{manifest.run_id} of rig {manifest.rig}, {manifest.started}"
     yield "experiment", f"{manifest.experiment}: {details}" if details else manifest.experiment
     yield "samples", _sample_count(rec)
-    yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"
     yield "outcome", _outcome(rec)
     yield "calibrated", calibrated(rec.calibration)
     for text in remarks(rec.calibration, manifest):
         yield "remark", text
     yield "jitter", _microseconds(timing.jitter, 0)
-    yield "lateness", _lateness(timing.lateness, manifest.pacing)
-    if found := disturbances(rec).texts():
+    if verbose:
+        yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"
+        yield "lateness", _lateness(timing.lateness, manifest.pacing)
+    if verbose and (found := disturbances(rec).texts()):
         yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
     gaps = gap_lines(rec.gaps)
     for text in gaps if verbose else gaps[:_GAPS]:
@@ -118,10 +122,8 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
         yield "gap", f"{len(gaps) - _GAPS} more lines; --verbose shows them"
     if rec.truncated:
         yield "damage", rec.damage
-    verdict = data_verdict(rec)
     for finding in verdict.findings if verbose else ():
         yield finding.about, finding.text
-    yield "verdict", verdict.summary
 
 
 def _sample_count(rec: Recording) -> str:

@@ -42,6 +42,7 @@ from armrig.cli.options import (
     Signal,
     TimeColumn,
     To,
+    Verbose,
     print_json,
     say,
     tell,
@@ -125,6 +126,7 @@ def identify(
     save: Save = None,
     plot: Plot = None,
     json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Estimate a model from a recording or other data, or search for one.
 
@@ -170,7 +172,7 @@ def identify(
     if json:
         _print_json(found, data)
     else:
-        _print_lines(found, validate)
+        _print_lines(found, validate, verbose=verbose)
     if save is not None:
         found.fit.save(save)
     _plot_model(found, plot)
@@ -333,7 +335,34 @@ def _validated(fit: Fit, other: Dataset) -> _Validation:
     return _Validation(data=other, table=table, tests=tests)
 
 
-def _print_lines(found: _Found, validate: Path | None) -> None:
+def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None:
+    from armrig.cli import model_output
+
+    table, tests = None, None
+    if found.validation is not None:
+        table, tests = found.validation.table, found.validation.tests
+    say(model_output.answer(found.fit, table, tests))
+    if verbose:
+        _print_all(found, validate)
+    else:
+        _print_short(found)
+    if hint := model_output.hint(found.fit):
+        tell(hint)
+
+
+def _print_short(found: _Found) -> None:
+    """Print parameters, roots (of a search why it was chosen), and what to act on."""
+    from armrig.cli import model_output
+
+    searched = found.search is not None
+    if found.search is not None:
+        say("\n".join(model_output.short_search_lines(found.search)))
+    say("\n".join(model_output.short_model_lines(found.fit, roots=not searched)))
+    say("\n".join(model_output.advice_lines(found.fit)))
+
+
+def _print_all(found: _Found, validate: Path | None) -> None:
+    """Print all that there is to say."""
     from armrig.cli import model_output
     from armrig.validation.advice.advice import advice
 
@@ -344,8 +373,6 @@ def _print_lines(found: _Found, validate: Path | None) -> None:
     if found.validation is not None:
         say(f"validation on {validate}\n{found.validation.table!r}")
         say("\n".join(model_output.residual_lines(found.validation.tests)))
-    if hint := model_output.hint(found.fit):
-        tell(hint)
 
 
 def _print_json(found: _Found, data: Dataset) -> None:

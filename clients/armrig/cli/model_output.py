@@ -10,27 +10,58 @@ import numpy as np
 from armrig.cli.recorded_data import source_facts
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.models.equation import form, heading, whiteness_sentence
+from armrig.models.equation import form, heading, signals, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.quantities import p_relation, places
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.validation.comparison import Comparison
+from armrig.validation.advice.advice import advice
+from armrig.validation.advice.model_advice import COLOURED
+from armrig.validation.comparison import Comparison, ComparisonTable
 from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
     from armrig.validation.search_result import SearchResult
 
 _MOST_DECIMALS = 9
+_BEST = 5  # models of a search that are shown without --verbose
+_REASONS = 3  # and reasons, the first of which the table tells
+
+
+def answer(fit: Fit, validation: ComparisonTable | None, tests: ResidualTest | None) -> str:
+    """Return the model's fit and what its residuals are, in a sentence or two."""
+    said = (
+        f"{fit.heading} fits {fit.output} to {fit.fit_percent:.2f} % one step ahead; "
+        f"{whiteness_sentence(fit, 'σ', 'σ robust')}"
+    )
+    said += f"; {COLOURED}." if fit.trusts_robust else "."
+    if validation is None or tests is None:
+        return said
+    simulated = simulated_to(validation[0], validation.unit)
+    return (
+        f"{said} Simulated on the validation data it fits to {simulated}; {tests_sentence(tests)}."
+    )
+
+
+def simulated_to(row: Comparison, unit: str) -> str:
+    """Return how well a model simulates: 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
+    velocity = row.velocity_fit_percent
+    said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {unit}".rstrip()
+    return said + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
+
+
+def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
+    """Return equation and signals, the parameters with their deviations, and poles and zeros."""
+    lines = [f"  {_equation(fit)}", f"  {signals(fit)}", *coefficients(fit)]
+    return lines + (root_lines(fit) if roots else [])
 
 
 def model_lines(fit: Fit) -> list[str]:
     """Return the model: equation, coefficients with both standard deviations, and verdict."""
     squared = _squared(fit.unit)
-    root = f"; one root of {fit.integrating.upper()} is 1 by construction" if fit.integrator else ""
     lines = [
         heading(fit),
-        f"  {form(fit)}{root}",
+        f"  {_equation(fit)}",
         *coefficients(fit),
         *root_lines(fit),
         f"  fit {fit.fit_percent:.2f} % one step ahead on estimation data",
@@ -44,6 +75,21 @@ def model_lines(fit: Fit) -> list[str]:
     if isinstance(fit, SubspaceFit):
         lines += [f"  {line}" for line in fit.explain().splitlines()]
     return [*lines, *(f"  warning: {in_symbols(w)}" for w in fit.warnings)]
+
+
+def advice_lines(fit: Fit) -> list[str]:
+    """Return what to act on: what the estimation warns of, and what the advice adds to it."""
+    # The answer has said what the residuals are.
+    findings = [f for f in advice(fit).findings if f.level != "good" and f.about != "residuals"]
+    told = {"integrator", "unstable"} & {f.about for f in findings}
+    warnings = [w for w in fit.warnings if not (told and "pole is unstable" in w)]
+    lines = [f"! {w}" for w in warnings] + [f"! {f.about}: {f.text}" for f in findings]
+    return [in_symbols(line) for line in lines] or ["nothing to act on"]
+
+
+def short_search_lines(found: SearchResult) -> list[str]:
+    """Return the best five models of a search and why the one was chosen."""
+    return [found.table(_BEST), *found.explain().splitlines()[1:_REASONS]]
 
 
 def search_lines(found: SearchResult) -> list[str]:
@@ -63,12 +109,17 @@ _OURS = {
     "integrator=True": "--integrator",
     "std_robust": "σ robust",
     "trust std": "trust σ",
+    ", not std": ", not σ",
     "offset=True": "--offset",
     "stable=True": "--stable",
     "armrig.detrend(data)": "--detrend",
     "estimate from armrig.hampel(data), which marks": "--hampel marks",
 }
 
+_NOISE = "look at the noise model or the orders"
+_DYNAMICS = "look at the orders or the delay"
+_FEEDBACK = "look at the experiment, or the delay is too large"
+_UNTESTED = "too few samples, or no residual, to test"
 _UNFINISHED = " (NOT CONVERGED)"
 
 
@@ -105,15 +156,36 @@ def root_lines(fit: Fit) -> list[str]:
     return lines
 
 
+def tests_sentence(tests: ResidualTest) -> str:
+    """Return whether the residuals pass their tests, each that they fail with its p value."""
+    failed = [
+        f"{what} (p {p_relation(p)}): {way_out}"
+        for what, p, way_out in (
+            ("dynamics are missing", tests.missing_dynamics, _DYNAMICS),
+            ("there is feedback", tests.feedback, _FEEDBACK),
+        )
+        if p < WHITE_LEVEL
+    ]
+    if tests.white.coloured:
+        failed.insert(0, f"they are {tests.white}: {_NOISE}")
+    if failed:
+        return f"its residuals do not pass: {'; '.join(failed)}"
+    if tests.powerless:
+        return f"its residuals tell nothing: {in_symbols(tests.powerless)}"
+    if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
+        return f"residuals {tests.white}; {_UNTESTED}"
+    return f"its residuals pass: {tests.white}, no dynamics missing, no feedback"
+
+
 def residual_lines(tests: ResidualTest) -> list[str]:
     """Return the tests of the residuals, each with the hypothesis that its p value is of."""
     where = "estimation" if tests.on_estimation_data else "validation"
-    look = ": look at the noise model or the orders" if tests.white.coloured else ""
+    look = f": {_NOISE}" if tests.white.coloured else ""
     return [
         f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples",
         f"  residuals {tests.white}{look}",
-        f"  no dynamics missing: {_p(tests.missing_dynamics, 'look at the orders or the delay')}",
-        f"  no feedback: {_p(tests.feedback, 'look at the experiment, or the delay is too large')}",
+        f"  no dynamics missing: {_p(tests.missing_dynamics, _DYNAMICS)}",
+        f"  no feedback: {_p(tests.feedback, _FEEDBACK)}",
         *([f"  no power: {in_symbols(tests.powerless)}"] if tests.powerless else []),
     ]
 
@@ -173,9 +245,14 @@ def hint(fit: Fit) -> str:
     return ""
 
 
+def _equation(fit: Fit) -> str:
+    root = f"; one root of {fit.integrating.upper()} is 1 by construction" if fit.integrator else ""
+    return f"{form(fit)}{root}"
+
+
 def _p(p: float, otherwise: str) -> str:
     if isnan(p):
-        return "too few samples, or no residual, to test"
+        return _UNTESTED
     return f"p {p_relation(p)}" + (f", rejected: {otherwise}" if p < WHITE_LEVEL else "")
 
 

@@ -11,7 +11,16 @@ from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.comparison_rows import row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import CalibrationFile, Json, NoOutput, echo, print_json, warned
+from armrig.cli.options import (
+    CalibrationFile,
+    Json,
+    NoOutput,
+    Verbose,
+    echo,
+    print_json,
+    say,
+    warned,
+)
 from armrig.cli.parameters import Given, cases, parameters, physics_beside
 from armrig.cli.recorded_data import recorded
 
@@ -53,6 +62,7 @@ def greybox(
     output: NoOutput = None,
     calibration: CalibrationFile = None,
     json: Json = False,
+    verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
@@ -71,7 +81,11 @@ def greybox(
     if json:
         print_json({"recording": data.source, "model": model} | _grey_facts(fit))
         return
-    echo(f"{fit!r}\n{fit.explain()}")
+    say(fit.explain())
+    if verbose:
+        say(repr(fit))
+    else:
+        say(repr(fit).partition("\n")[0])
     say_next("greybox", file=typed(file))
 
 
@@ -113,6 +127,7 @@ def split(
     output: NoOutput = None,
     calibration: CalibrationFile = None,
     json: Json = False,
+    verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
     """Estimate from the parts of a recording (handout 3.6).
@@ -137,7 +152,10 @@ def split(
     if json:
         print_json({"recording": data.source} | _split_facts(study))
         return
-    echo(f"{study!r}\n{study.explain()}")
+    say(study.verdict)
+    echo(repr(study))
+    if verbose:
+        say(study.explain())
     say_next("split")
 
 

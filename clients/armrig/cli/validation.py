@@ -26,8 +26,9 @@ from armrig.cli.options import (
     Signal,
     TimeColumn,
     To,
-    echo,
+    Verbose,
     print_json,
+    say,
 )
 from armrig.cli.recorded_data import (
     Signals,
@@ -74,6 +75,7 @@ def validate(
     stop: To = None,
     plot: Plot = None,
     json: Json = False,
+    verbose: Verbose = False,
 ) -> None:
     """Test a model on a recording, or on other data.
 
@@ -100,7 +102,7 @@ def validate(
     if json:
         _print_validation_json(validated, model)
     else:
-        _print_validation(validated, file)
+        _print_validation(validated, file, verbose=verbose)
         if from_recording(data):
             estimation = estimation_of(file)
             say_next(
@@ -166,15 +168,19 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
     )
 
 
-def _print_validation(validated: _Validated, file: Path) -> None:
+def _print_validation(validated: _Validated, file: Path, *, verbose: bool) -> None:
     from armrig.canvas import signature
-    from armrig.cli.model_output import residual_lines
-    from armrig.models.equation import heading
+    from armrig.cli.model_output import residual_lines, simulated_to, tests_sentence
+    from armrig.models.equation import signals
 
-    echo(heading(validated.fit))
-    echo(f"validated on {file} ({signature(validated.data.source)})")
-    for table in (validated.simulated, *validated.predicted):
-        ahead = "simulated" if table.horizon is None else f"{table.horizon} ahead"
-        echo(row_line(f"{ahead:10}", table[0], table.unit))
-    echo(f"  {validated.simulated.note}")
-    echo("\n".join(residual_lines(validated.tests)))
+    fit, table, tests = validated.fit, validated.simulated, validated.tests
+    simulated = simulated_to(table[0], table.unit)
+    say(f"Simulated, {fit.heading} fits {fit.output} to {simulated}; {tests_sentence(tests)}.")
+    say(f"  {signals(fit)}")
+    say(f"validated on {file} ({signature(validated.data.source)})")
+    for one in (table, *validated.predicted):
+        ahead = "simulated" if one.horizon is None else f"{one.horizon} ahead"
+        say(row_line(f"{ahead:10}", one[0], one.unit))
+    say(f"  {table.note}")
+    if verbose:
+        say("\n".join(residual_lines(tests)))

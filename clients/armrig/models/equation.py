@@ -26,9 +26,14 @@ def described(fit: Estimate) -> str:
 
 def heading(model: Model) -> str:
     """Return structure, orders, signals, sampling time and the samples used in a line."""
+    return f"{model.heading}: {signals(model)}"
+
+
+def signals(model: Model) -> str:
+    """Return the signals, the sampling time and the samples used in a line."""
     u, y = _with_unit("u", model.input_unit), _with_unit(model.output, model.unit)
     used = f", N {model.N}" if isinstance(model, Estimate) else ""
-    return f"{model.heading}: {u} to {y}, Ts {model.Ts:g} s{used}"
+    return f"{u} to {y}, Ts {model.Ts:g} s{used}"
 
 
 def equations(model: Model, std: Vector | None = None) -> list[str]:

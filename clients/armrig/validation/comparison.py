@@ -67,9 +67,12 @@ class ComparisonTable:
         """Return number i."""
         return self.rows[i]
 
-    def table(self) -> str:
-        """Return the models' figures side by side: gain, resonances, bandwidth, step, poles."""
-        return "\n".join(table(self.rows))
+    def table(self, *, brief: bool = False) -> str:
+        """Return the models' figures side by side: gain, resonances, bandwidth, step, poles.
+
+        A brief one leaves out the poles, and gives a range by draws in place of its value.
+        """
+        return "\n".join(table(self.rows, brief=brief))
 
     def explain(self) -> str:
         """Say which is closest, and where each differs by more than chance from the physics.

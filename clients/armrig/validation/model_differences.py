@@ -51,19 +51,20 @@ class Row(Protocol):
     def on_estimation_data(self) -> bool: ...  # noqa: D102
 
 
-def table(rows: Sequence[Row]) -> list[str]:
+def table(rows: Sequence[Row], *, brief: bool = False) -> list[str]:
     """Return the figures of all models side by side, those of a claim without deviations.
 
-    Where the linearisation is poor a 95 % range of draws stands in place of the deviation.
+    Where the linearisation is poor a 95 % range of draws stands in place of the deviation; in a
+    brief table, which has no poles, in place of the value too.
     """
     figures = [row.characteristics for row in rows]
     unit = "rate, " if any(t.integrating for t in figures) else ""
-    columns = [[f"{unit}±: one σ", *_NAMES.values(), "poles [1/s]"]]
-    most = max(1, *(t.poles.size for t in figures))
-    columns[0] += [""] * (most - 1)
+    columns = [[f"{unit}±: one σ", *_NAMES.values()]]
+    most = 0 if brief else max(1, *(t.poles.size for t in figures))
+    columns[0] += ["poles [1/s]", *[""] * (most - 1)][:most]
     for row, t in zip(rows, figures, strict=True):
-        cells = [_cell(t, name) for name in SCALARS]
-        poles = [_pole(t, i) for i in range(t.poles.size)]
+        cells = [_cell(t, name, brief=brief) for name in SCALARS]
+        poles = [] if brief else [_pole(t, i) for i in range(t.poles.size)]
         columns.append([row.name, *cells, *poles, *[""] * (most - len(poles))])
     widths = [max(map(len, column)) for column in columns]
     lines = []
@@ -71,7 +72,8 @@ def table(rows: Sequence[Row]) -> list[str]:
         first = f"{name:{widths[0]}}"
         rest = "  ".join(f"{c:>{w}}" for c, w in zip(cells, widths[1:], strict=True))
         lines.append(f"  {first}  {rest}".rstrip())
-    return lines + _notes({row.name: t for row, t in zip(rows, figures, strict=True)})
+    notes = _notes({row.name: t for row, t in zip(rows, figures, strict=True)})
+    return lines + notes[: 1 if brief else None]
 
 
 def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
@@ -100,11 +102,12 @@ def _by_draws(t: ModelCharacteristics, name: str) -> bool:
     return t.ranges[name].method == "sampled" and bool(np.isfinite(t.ranges[name].low))
 
 
-def _cell(t: ModelCharacteristics, name: str) -> str:
+def _cell(t: ModelCharacteristics, name: str, *, brief: bool) -> str:
     value, known = getattr(t, name), t.ranges[name]
     if not _by_draws(t, name):
         return _figure(value, t.std[name])
-    return minus(with_range(value, float(known.low), float(known.high))) + "*"
+    text = minus(with_range(value, float(known.low), float(known.high)))
+    return (text.partition("(")[2].rstrip(")") if brief else text) + "*"
 
 
 def explanation(rows: Sequence[Row]) -> list[str]:

@@ -125,8 +125,8 @@ class SearchResult:
         """Return in words what was chosen, and why."""
         return "\n".join(f"- {line}" for line in _reasons(self))
 
-    def __repr__(self) -> str:
-        """Say the best ones in a table, the choice marked."""
+    def table(self, most: int = 10) -> str:
+        """Return the best ones in a table, the choice marked."""
         what = "simulated" if self.horizon is None else f"predicted {self.horizon} samples ahead"
         count = len(self.ranked) + len(self.failed)
         lines = [f"{count} models, {what}, ranked by their error on the validation data"]
@@ -135,7 +135,7 @@ class SearchResult:
             f"  {'model':{width}} {'parameters':>10} {'rms':>11}  {'excess of the best ± se':>24}"
         )
         lines.append(head)
-        shown = sorted({*range(min(10, len(self.ranked))), self.chosen_index})
+        shown = sorted({*range(min(most, len(self.ranked))), self.chosen_index})
         for i in shown:
             j = self.ranked[i]
             of_best = "" if i == 0 else f"{self.excess[i]:.3g} ± {self.excess_std[i]:.2g}"
@@ -146,7 +146,11 @@ class SearchResult:
             )
         if len(self.ranked) > len(shown):
             lines.append(f"  … and {len(self.ranked) - len(shown)} more")
-        return "\n".join([*lines, self.explain()])
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """Say the best ones in a table, and why the choice was made."""
+        return f"{self.table()}\n{self.explain()}"
 
 
 def _reasons(found: SearchResult) -> Iterator[str]:

@@ -226,7 +226,7 @@ def test_identify_gives_the_model_and_its_uncertainty(
     facts = json.loads(capsys.readouterr().out)
 
     assert "OE(nb=4, nf=4, nk=1)" in text
-    assert "validation on" in text
+    assert "Simulated on the validation data it fits to" in text
     assert facts["orders"] == {"nb": 4, "nf": 4, "nk": 1}
     assert set(facts["parameters"]["f1"]) == {"value", "std", "std_robust"}
     assert facts["validation"]["rms_error"] < 0.006
@@ -544,7 +544,7 @@ def test_info_says_lateness_as_the_bar_does(
     for pacing, of in (("scheduled", "samples' arrival"), ("exchange", "request for each sample")):
         data = recorded([sample(k) for k in range(10)], manifest=manifest(pacing=pacing))
 
-        assert main(["info", str(written(tmp_path, data))]) == 0
+        assert main(["info", "--verbose", str(written(tmp_path, data))]) == 0
 
         [line] = [x for x in capsys.readouterr().out.splitlines() if x.startswith("lateness")]
         assert "p50 3.0, p99 3.0, max 3 µs" in line
@@ -914,11 +914,11 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
     """The loss has its unit, and each p value its hypothesis."""
     arguments = ["identify", str(three_recordings[1]), "--structure", "arx"]
 
-    assert main([*arguments, "--validate", str(three_recordings[2])]) == 0
+    assert main([*arguments, "--validate", str(three_recordings[2]), "--verbose"]) == 0
 
     text = capsys.readouterr().out
     assert ["coefficient", "estimate", "σ", "σ", "robust"] in [x.split() for x in text.splitlines()]
-    assert [x.split()[:2] for x in text.splitlines()[3:11:7]] == [["a1", "q^-1"], ["b4", "q^-4"]]
+    assert [x.split()[:2] for x in text.splitlines()[4:12:7]] == [["a1", "q^-1"], ["b4", "q^-4"]]
     assert " rad², FPE " in text
     assert "residuals coloured (p < 0.001, " in text
     assert " test): trust σ robust, not σ" in text

@@ -29,7 +29,7 @@ def test_check_finds_no_feedback_and_no_delay(
     recording, figure = str(three_recordings[1]), tmp_path / "check.png"
     arguments = ["check", recording, "--level", "0.01"]
 
-    text = said([*arguments, "--plot", str(figure)], capsys)
+    text = said([*arguments, "--verbose", "--plot", str(figure)], capsys)
     found = facts(arguments, capsys)
 
     assert found["open_loop"]["feedback"] is False
@@ -63,7 +63,7 @@ def test_split_gives_each_part_and_the_law(
     """The exponent of the deviation against N is -1/2."""
     arguments = ["split", str(three_recordings[1]), "--model", "arm", "--parts", "1,2"]
 
-    text = said(arguments, capsys)
+    text = said([*arguments, "-v"], capsys)
     found = facts(arguments, capsys)
 
     assert [s["parts"] for s in found["splits"]] == [1, 2]

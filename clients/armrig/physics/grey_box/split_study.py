@@ -86,48 +86,70 @@ class SplitStudy:
             return float("nan")
         return float(np.polyfit(np.log(N), np.log(std), 1)[0])
 
+    @property
+    def verdict(self) -> str:
+        """Whether the parts agree, and how the standard deviation goes with the length."""
+        return "\n".join([*self._trend(), *self._agreement()])
+
     def explain(self) -> str:
         """Say what the trend is, why, and whether the parts agree."""
-        first, last = self.splits[0], self.splits[-1]
-        lines = []
-        if len(self.splits) > 1:
-            ratio = float(np.mean(last.std) / np.mean(first.std))
-            expected = sqrt(float(np.mean(first.N) / np.mean(last.N)))
-            lines.append(
-                f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
-                f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}; with 1/N for "
-                f"the variance they would change by {expected:.2f} and {expected**2:.2f}."
-            )
+        lines = self._trend()
+        if lines:
             lines.append(
                 "Each sample adds its share to the information, sum of psi(t)²/lambda, and the "
                 "covariance is its inverse: half the data, half the information, twice the "
                 "variance. What deviates from it is the input, which does not excite each part "
                 "alike, and the initial state, which every part has to estimate anew."
             )
+        return "\n".join([*lines, *self._agreement(scatter=True), *self._pooled()])
+
+    def _trend(self) -> list[str]:
+        """Return how the standard deviation changes with the number of parts."""
+        first, last = self.splits[0], self.splits[-1]
+        if len(self.splits) == 1:
+            return []
+        ratio = float(np.mean(last.std) / np.mean(first.std))
+        expected = sqrt(float(np.mean(first.N) / np.mean(last.N)))
+        return [
+            f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
+            f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}; with 1/N for "
+            f"the variance they would change by {expected:.2f} and {expected**2:.2f}."
+        ]
+
+    def _agreement(self, *, scatter: bool = False) -> list[str]:
+        """Return whether the parts of each split agree."""
+        lines = []
         for s in self.splits:
-            if s.k > 1:
-                word = "agree" if s.p_value >= _LEVEL else "DIFFER"
-                lines.append(
-                    f"The {s.k} parts {word} at a level of {100 * _LEVEL:g} % (chi² {s.chi2:.2f} "
-                    f"with {plural(s.k - 1, 'degree')} of freedom, p "
-                    f"{p_relation(s.p_value)}); they scatter by {s.scatter:.2g}, where "
-                    f"{sqrt(float(np.mean(s.std**2))):.2g} is reported."
-                )
-        whole = next((s for s in self.splits if s.k == 1), None)
-        if whole is not None and last.k > 1:
-            value, std = last.pooled
-            lines.append(
-                f"Pooled with weights 1/std², the {last.k} parts give {value:.6g} ± {std:.2g}, the "
-                f"whole gives {whole.values[0]:.6g} ± {whole.std[0]:.2g}: cutting loses no "
-                "information but that for the initial states."
+            if s.k == 1:
+                continue
+            word = "agree" if s.p_value >= _LEVEL else "DIFFER"
+            line = (
+                f"The {s.k} parts {word} at a level of {100 * _LEVEL:g} % (chi² {s.chi2:.2f} "
+                f"with {plural(s.k - 1, 'degree')} of freedom, p {p_relation(s.p_value)})"
             )
+            if scatter:
+                reported = sqrt(float(np.mean(s.std**2)))
+                line += f"; they scatter by {s.scatter:.2g}, where {reported:.2g} is reported"
+            lines.append(f"{line}.")
         if any(s.p_value < _LEVEL for s in self.splits):
             lines.append(
                 "Parts that differ by more than their standard deviations allow point to a model "
                 "that leaves something out (friction, drift); the standard "
                 "deviations know of the noise alone."
             )
-        return "\n".join(lines)
+        return lines
+
+    def _pooled(self) -> list[str]:
+        """Return that the parts together tell as much as the whole."""
+        last, whole = self.splits[-1], next((s for s in self.splits if s.k == 1), None)
+        if whole is None or last.k == 1:
+            return []
+        value, std = last.pooled
+        return [
+            f"Pooled with weights 1/std², the {last.k} parts give {value:.6g} ± {std:.2g}, the "
+            f"whole gives {whole.values[0]:.6g} ± {whole.std[0]:.2g}: cutting loses no "
+            "information but that for the initial states."
+        ]
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show the estimates with ±2 standard deviations and, below, the law 1/sqrt(N)."""

@@ -11,6 +11,8 @@ from armrig.models.fit import Fit
 from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
 
+COLOURED = "raise the orders, or add a noise model"
+"""What to do about residuals that are not white."""
 _REAL = 1e-9
 _STD_99 = 2.58
 
@@ -19,7 +21,7 @@ def examine_model(fit: Fit) -> Iterator[Finding]:
     """Iterate over the points, in the order in which one would look."""
     yield _about_search(fit)
     white = not fit.trusts_robust
-    text = whiteness_sentence(fit) + ("" if white else "; raise the orders, or add a noise model")
+    text = whiteness_sentence(fit) + ("" if white else f"; {COLOURED}")
     yield finding("residuals", text, good=white)
     yield _about_overlap(fit)
     yield from _about_poles(fit)

@@ -85,11 +85,11 @@ class Delay:
         """Say what decides, what stands beside it, and what quantisation has to do with it."""
         g, std = self.response.decaying
         lines = [
+            f"{self._answer()}.",
             "Asked: at which lag does u act first? Without a delay that is lag 1, under a "
             "zero-order hold: what is applied from one instant on shows at the next. Each test "
             f"has a level of {100 * self.level:g} %.",
             *(f"  {line}" for line in self._tests()),
-            f"So {self._answer()}.",
             *([] if self.told else [self._way_out()]),
             "Beside it: the impulse response "
             + (f"of {self.output}'s rate " if self.response.integrator else "")
@@ -109,6 +109,13 @@ class Delay:
                 "step response that looks like dead time; over many steps it averages out."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
+
+    def brief(self) -> str:
+        """Say the answer, the way out where there are several, and what limits the answer."""
+        lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
+        lines += [] if self.told else [self._way_out()]
+        lines += [f"  note: {r}" for r in self.remarks]
+        return "\n".join(lines)
 
     def _tests(self) -> list[str]:
         lines = [_lag_sentence(k, p) for k, p in list(self.p_values.items())[-2:]]

@@ -51,9 +51,10 @@ class OpenLoop:
     def explain(self) -> str:
         """Say what was asked, what came out, and what it can and cannot mean."""
         if self.sims is None:
-            return "\n".join(f"Cannot tell: {r}." for r in self.remarks)
+            return "\n".join([f"{self.verdict}.", *(f"{r}." for r in self.remarks)])
         s, y = self.sims, self.output
         lines = [
+            f"{self.verdict}.",
             f"Asked: does the input from t on know of {y}(t) what the past does not? In open loop "
             f"it does not: u was chosen without looking at {y}.",
             f"Found: it explains {100 * max(s.explained, 0.0):.2g} % of what the past leaves of "
@@ -61,18 +62,7 @@ class OpenLoop:
             f"{p_relation(self.p_value)}.",
         ]
         if self.feedback:
-            lines.append(
-                f"So there is feedback, at a level of {100 * self.level:g} %. A model that "
-                "assumes an input free of the noise (OE, spectral analysis, correlation) is then "
-                "biased: estimate with a noise model (ARMAX, BJ), or record with the controller "
-                "off."
-            )
-            if self.p_value >= _SURE:
-                lines.append(
-                    f"But one open-loop experiment in {1 / self.level:.0f} fails by chance, and p "
-                    "is not far below the level: record another one, and see whether it says so "
-                    "again."
-                )
+            lines += self._so()
         else:
             lines.append(
                 f"So nothing speaks against open loop, at a level of {100 * self.level:g} %. That "
@@ -80,6 +70,25 @@ class OpenLoop:
                 "where that is little beside the rest of u."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
+
+    def brief(self) -> str:
+        """Say the answer, what to do where there is feedback, and what limits the answer."""
+        verdict, *notes = repr(self).splitlines()
+        return "\n".join([verdict, *(self._so() if self.feedback else []), *notes])
+
+    def _so(self) -> list[str]:
+        """Return what follows from feedback."""
+        lines = [
+            f"So there is feedback, at a level of {100 * self.level:g} %. A model that assumes an "
+            "input free of the noise (OE, spectral analysis, correlation) is then biased: "
+            "estimate with a noise model (ARMAX, BJ), or record with the controller off."
+        ]
+        if self.p_value >= _SURE:
+            lines.append(
+                f"But one open-loop experiment in {1 / self.level:.0f} fails by chance, and p is "
+                "not far below the level: record another one, and see whether it says so again."
+            )
+        return lines
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """Show the coefficients of future and past u: see `armrig.plots.plot_open_loop`."""

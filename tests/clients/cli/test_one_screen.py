@@ -1,0 +1,60 @@
+"""The answer of a command fits a screen of 80 columns and 24 lines; --verbose says the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig.cli import main, options
+
+COLUMNS, LINES = 80, 24
+# By command: its arguments, what its answer begins with, and what only --verbose says.
+COMMANDS = {
+    "info": ("info {1}", "verdict", "sha256"),
+    "identify": (
+        "identify {1} --structure oe --integrator --validate {2}",
+        "OE(nb=4, nf=4, nk=1) fits theta_1 to",
+        "starts agree",
+    ),
+    "validate": (
+        "validate {2} --model model.json",
+        "Simulated, OE(nb=4, nf=4, nk=1) fits theta_1 to",
+        "no dynamics missing: p",
+    ),
+    "compare": ("compare {1} {2}", "physics is closest", "poles [1/s]"),
+    "check": ("check {1} --level 0.01", "open loop (handout 3.7): no feedback found", "Asked:"),
+    "greybox": ("greybox {1}", "J_1 = ", "robust"),
+    "split": ("split {1} --parts 1,2", "From 1 to 2 parts", "Each sample adds its share"),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_answer_comes_first_and_fits_a_screen(
+    command: str,
+    three_recordings: tuple[Path, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What else there is to say stands behind --verbose; `next: …` is one line of the 24."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(options, "_columns", lambda stream: COLUMNS)
+    if command == "validate":
+        made = ["identify", str(three_recordings[1]), "--structure", "oe", "--integrator"]
+        assert main([*made, "--save", "model.json"]) == 0
+    line, first, only_verbose = COMMANDS[command]
+    arguments = [word.format(*map(str, three_recordings)) for word in line.split()]
+    capsys.readouterr()
+
+    assert main(arguments) == 0
+    short = capsys.readouterr().out
+    assert main([*arguments, "-v"]) == 0
+    whole = capsys.readouterr().out
+
+    # A path is not broken.
+    lines = [text for text in short.splitlines() if str(tmp_path.parent) not in text]
+    assert short.startswith(first)
+    assert max(map(len, lines)) <= COLUMNS
+    assert len(short.splitlines()) < LINES
+    assert only_verbose not in short
+    assert only_verbose in whole
