@@ -64,7 +64,7 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
         wait_for(lambda: rig.status().phase == "fault")
     latched = _armrig(bench, "reset")
 
-    assert (idle.returncode, idle.stderr) == (0, "")
+    assert (idle.returncode, idle.stderr) == (0, "next: armrig status\n")
     assert idle.stdout == "rig 1: nothing is latched, so there is nothing to reset\n"
     assert latched.returncode == 0, latched.stderr
     assert "rig 1 was reset" in latched.stdout

@@ -197,7 +197,7 @@ def test_parameters_that_stand_in_for_each_other_are_refused(make: Make) -> None
     [
         ({"free": ("J",)}, "free='J' is none of J_1, J_2"),
         ({"free": ("J_1", "J_1")}, "none twice"),
-        ({"free": ("J_2",)}, "say nothing of J_2"),
+        ({"free": ("J_2",)}, "do not show J_2"),
         ({"output": "alpha"}, "output='alpha' is none of the model's"),
         ({"friction": "dry"}, "friction='dry' must be None"),
         ({"fixed_std": {"J_1": 1.0}}, "fixed_std='J_1' is no parameter that is held fixed"),

@@ -356,7 +356,7 @@ def test_the_units_of_the_data_are_told_with_what_they_rest_on(done: Study) -> N
         good = tuple(replace(r, calibration=calibration) for r in done.recordings)
         return str(content(replace(done, recordings=good), [])["data"])
 
-    assert "configured values that nobody has measured" in said(None)
+    assert "configured values that were never measured" in said(None)
     assert "calibration of 2026-11-20 04:00, known to 0.2\xa0%" in said(scale)
     assert "no meter was read" in said(scale)
     assert "that of a meter at the motor's terminals" in said(scale | meter)
