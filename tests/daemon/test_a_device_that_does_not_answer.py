@@ -78,8 +78,8 @@ class _Line:
         ),
         (
             lambda: b"\0" + encode(Keepalive(0, 7)),
-            "169 frames came, and none says who it is; see that its firmware speaks this version "
-            "of the wire, and nobody else on this port",
+            "169 frames came, but no answer to the question who it is; see that its firmware "
+            "speaks this version of the wire, and that nothing else is on this port",
         ),
     ],
     ids=["silent", "noise", "frames"],

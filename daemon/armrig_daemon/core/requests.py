@@ -101,8 +101,8 @@ def unanswered(state: State) -> str:
         return ""
     if came.frames:
         found = (
-            f"{came.frames} frames came, and none says who it is; see that its firmware speaks "
-            "this version of the wire, and nobody else on this port"
+            f"{came.frames} frames came, but no answer to the question who it is; see that its "
+            "firmware speaks this version of the wire, and that nothing else is on this port"
         )
     elif came.bytes:
         found = (

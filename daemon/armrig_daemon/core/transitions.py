@@ -283,7 +283,7 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
 def _unfit(device: HelloReply) -> str:
     """Return why a device that speaks our language is none that we may drive."""
     if device.state not in _KNOWN:
-        return f"the device says that it is in state {device.state}, which is none of a device"
+        return f"the device says that it is in state {device.state}, which the wire does not know"
     if device.full_scale_mv != FULL_SCALE_MV:
         return (
             f"the device's full scale is {device.full_scale_mv} mV, not {FULL_SCALE_MV} mV: "

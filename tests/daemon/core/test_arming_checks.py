@@ -53,7 +53,7 @@ def test_a_device_in_a_state_that_there_is_not_is_never_armed(state: int) -> Non
     rig.run_for(500)
 
     assert rig.phase is Phase.FAULT
-    assert f"in state {int(state)}, which is none of a device" in rig.loop.state.reason
+    assert f"in state {int(state)}, which the wire does not know" in rig.loop.state.reason
     assert "in fault" in rig.arm().error
     assert rig.ports.device.state is DeviceState.IDLE
 

@@ -48,7 +48,7 @@ _KEPT = 1.5  # one sample for so many standard deviations of the kernel
 _WIDTH = 1.75  # of the chassis' time constant: least mean squared error in trials at 3 mrad
 _HELD = ("N", "R_m", "K_m")
 _COLOURED = (
-    "the residuals are no smoothed white noise (p {p}): something of the rig is not in the model "
+    "the residuals are more than smoothed noise (p {p}): the model leaves something of the rig out "
     "(friction?), or the noise is not white"
 )
 _SLOW = 0.5  # rad/s, below which the sign of the speed is not trusted

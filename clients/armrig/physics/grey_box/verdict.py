@@ -22,7 +22,7 @@ def noise_warnings(step: float, found: Inference) -> Iterator[str]:
         yield quiet
     if found.white.coloured:
         yield (
-            f"the residuals are {found.white}: something of the rig is not in the model "
+            f"the residuals are {found.white}: the model leaves something of the rig out "
             "(friction?), or the noise is not white; prefer std_robust"
         )
 
