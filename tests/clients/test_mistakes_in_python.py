@@ -173,7 +173,7 @@ def test_a_recording_is_no_model(tmp_path: Path) -> None:
     """It says what writes models."""
     path = written(tmp_path, of_the_arm(U[:50]))
 
-    with pytest.raises(armrig.ModelFileError, match=r"is no model.*identify --save"):
+    with pytest.raises(armrig.ModelFileError, match=r"a model is what .armrig identify --save"):
         armrig.load_fit(path)
 
 

@@ -60,7 +60,7 @@ def load_fit(path: str | PathLike[str]) -> Fit:
     except (ModelFileError, OSError):
         raise
     except TextError as err:
-        msg = f"{path} is no model ({err}); `armrig identify --save` and fit.save(path) write them"
+        msg = f"{path}: {err}; a model is what `armrig identify --save` and fit.save(path) write"
         raise ModelFileError(msg) from err
     except Exception as err:
         msg = f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"

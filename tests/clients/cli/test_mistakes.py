@@ -81,7 +81,7 @@ REFUSED = [
     ("greybox data.csv", "identify, validate and check read other data"),
     ("info empty.mcap", "is empty, 0 B: nothing was recorded; record again"),
     ("identify run.mcap.active --structure arx", "is still being recorded, or the daemon was kill"),
-    ("validate est.mcap --model est.mcap", "is no model"),
+    ("validate est.mcap --model est.mcap", "a model is what `armrig identify --save`"),
     ("validate est.mcap --model none.json", "--save MODEL.json` writes a model"),
     ("simulate est.mcap --model data.csv", "`armrig identify --save`"),
     # Arguments that are missing, too many, or in another order.

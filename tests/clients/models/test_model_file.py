@@ -151,5 +151,7 @@ def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:
 
     assert repr(load_fit(path)) == repr(fit)
     path.write_text(path.read_text(encoding="utf-8-sig"), encoding="utf-16")
-    with pytest.raises(ModelFileError, match=r"json: it is saved as UTF-16: save it as UTF-8$"):
+    with pytest.raises(
+        ModelFileError, match=r"json: it is saved as UTF-16: save it as UTF-8; a model is"
+    ):
         load_fit(path)

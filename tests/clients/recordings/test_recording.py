@@ -473,7 +473,7 @@ def test_random_bytes_raise_nothing_else(noise: bytes, at: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\x89MCAP", b"hello", b"\x89HDF\r\n\x1a\n" + bytes(100), bytes(1000)]
+    "content", [b"\x89MCAP", b"hello", b"\x89HDF\r\n\x1a\n" + bytes(100), bytes(1000)]
 )
 def test_what_is_no_mcap_is_told_in_one_line(tmp_path: Path, content: bytes) -> None:
     """It says which file, and what is read."""
