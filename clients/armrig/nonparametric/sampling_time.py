@@ -257,8 +257,9 @@ def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> Sp
     if transient is None:
         estimate = spa(data, "log", integrator=integrates)
     else:
-        # One that is cut off before the transient is over swells at its last lags.
-        n = int(np.clip(1.2 * transient / data.Ts, LAGS[0], MOST_LAGS))
+        # One that is cut off before the transient is over swells at its last lags, and makes a band
+        # of noise; where noise shortens the transient, it is over by twice its length.
+        n = int(np.clip(2 * transient / data.Ts, LAGS[0], MOST_LAGS))
         n = min(n, (data.N - data.missing) // 5)
         response = impulse_response(data, n, integrator=integrates)
         # From far below: at a high rate two decades begin in the arm's notch, which is no level.

@@ -51,12 +51,13 @@ def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
     assert "the fast part decides" in repr(found)
 
 
+@pytest.mark.parametrize("seed", range(1, 13))
 def test_a_step_through_converter_and_dead_band_leads_to_the_same(
-    sampled: Callable[[float], Any],
+    sampled: Callable[[float], Any], seed: int
 ) -> None:
     """At 2 ms the rate of a 10-bit angle is mostly noise: it is no band, and no late settling."""
     resolution = np.radians(352) / 1024
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     exact = sampled(0.002).dataset(step(5000, at=500))
     y = np.round(exact.y / resolution + 0.5 * rng.standard_normal(exact.N)) * resolution
     shown = np.mod(exact.y, 2 * np.pi) < np.radians(352)
