@@ -41,8 +41,12 @@ def record(
     seed: int = 1,
     *,
     arm_removed: bool = False,
+    **about: Any,
 ) -> Path:
-    """Play an input to the demo's emulator, paced by the device, and record it."""
+    """Play an input to the demo's emulator, paced by the device, and record it.
+
+    `about` takes the place of fields of the manifest.
+    """
     config = Config()
     settings = EmulatorSettings(seed=seed, arm_removed=arm_removed)
     rig = VirtualRig(config.rules(), settings)
@@ -53,12 +57,13 @@ def record(
     rig.order(Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes, scheduled=True))
     rig.run_until(1_500_000_000 + round(u.size * Ts * 1e9))
     (started,) = (r for r in rig.records if isinstance(r, RunStarted))
-    manifest = Manifest(
+    fields = {
         **{"rig": "1", "run_id": "r", "experiment": experiment, "pacing": "scheduled"},
         **{"Ts": Ts, "samples": u.size, "started": "2026-01-01T00:00:00+00:00"},
         **{"clock_offset_ns": 0, "armrig": "0", "protocol": "2"},
-        device={"firmware": "emulator", "adc_bits": settings.adc_bits},
-    )
+        "device": {"firmware": "emulator", "adc_bits": settings.adc_bits},
+    }
+    manifest = Manifest(**(fields | about))
     recording = Recording(
         path,
         manifest,

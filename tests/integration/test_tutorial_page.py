@@ -1,0 +1,156 @@
+"""docs/tutorial.md: its lines are run in their order, and what it shows is what they print.
+
+Those that collect are run once on an emulated rig in real time, with the shorter runs that the
+page's own markers name; those that look at data, on the recordings that its figures are drawn from.
+The installation alone is not run here.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pages
+import pytest
+from armrig.cli import main
+
+PAGE = pages.DOCS / "tutorial.md"
+TEXT = PAGE.read_text(encoding="utf-8")
+BLOCKS: list[tuple[str, str]] = re.findall(r"```(sh|toml|python|text)\n(.*?)```", TEXT, re.DOTALL)
+SHORTER = dict(re.findall(r'<!-- the test has "(.+?)" as "(.+?)" -->', TEXT))
+LIVE = ("lab", "status", "calibrate", "collect")
+INSTALLED = ("python3 ", ". ", "pip ")
+
+
+def _shorter(text: str) -> str:
+    for long, short in SHORTER.items():
+        text = text.replace(long, short)
+    return text
+
+
+@pytest.fixture
+def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give the folder of the page's recordings, in virtual time; we are in another one."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    monkeypatch.syspath_prepend(str(pages.DOCS / "figures"))
+    pages.record_all("tutorial.py", folder)
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(folder))
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the page's order; what is shown was printed before, its numbers within 5 %."""
+    names: dict[str, Any] = {"path": recorded / "1-blackbox-tuesday.mcap"}
+    printed: list[str] = []
+    commands = compared = 0
+
+    for language, text in BLOCKS:
+        if language == "python":
+            lines = text if "Rig(" not in text else "import armrig"
+            exec(compile(lines, str(PAGE), "exec"), names)
+        for line in text.splitlines() if language == "sh" else ():
+            if line.startswith("armrig ") and line.split()[1] not in LIVE:
+                assert main(shlex.split(_shorter(line))[1:]) == 0, line
+                commands += 1
+        said = capsys.readouterr()
+        printed += [*said.out.splitlines(), *said.err.splitlines()]
+        if language == "text" and not text.startswith("motor_rad"):
+            for line in text.splitlines():
+                _assert_printed(line, printed)
+                compared += 1
+
+    assert (commands, compared) == (17, 29)
+    assert (recorded.parent / "report.pdf").stat().st_size > 0
+
+
+def _assert_printed(line: str, printed: list[str]) -> None:
+    """Assert that a line was printed: the same words, and numbers that are nearly the same."""
+    alike = [p for p in printed if pages.without_numbers(p) == pages.without_numbers(line)]
+    assert alike, line
+    wanted = pages.numbers(line)
+    assert any(np.allclose(pages.numbers(p), wanted, rtol=0.05, atol=0.0) for p in alike), alike
+
+
+class Lab:
+    """`armrig lab` in a terminal of its own: one at a time."""
+
+    def __init__(self) -> None:
+        self._running: subprocess.Popen[str] | None = None
+
+    def start(self, line: str) -> None:
+        """End the one that runs, as Ctrl-C does, start the next, and wait until it is ready."""
+        self.end()
+        command = [sys.executable, "-m", *shlex.split(line)]
+        self._running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self._running.stdout is not None
+        assert self._running.stdout.readline().startswith("rig ready, 0 V")
+
+    def end(self) -> None:
+        """Press Ctrl-C."""
+        if self._running is not None:
+            self._running.send_signal(signal.SIGINT)
+            self._running.communicate(timeout=60)
+            self._running = None
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
+    """Give a terminal in an empty folder, which is all of the folders of the person in it."""
+    for name in ("RUNTIME_DIR", "DATA_HOME", "CONFIG_HOME", "STATE_HOME"):
+        monkeypatch.setenv(f"XDG_{name}", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    lab = Lab()
+    yield lab
+    lab.end()
+
+
+@pytest.mark.timed
+def test_every_line_that_needs_a_rig_is_taken(lab: Lab) -> None:
+    """In the page's order, with `armrig lab` beside them; calibration finds the page's speed."""
+    names: dict[str, Any] = {}
+    done: list[str] = []
+    said: list[str] = []
+
+    for language, text in BLOCKS:
+        if language == "toml":
+            Path("chassis.toml").write_text(text)
+        if language == "python" and "Rig(" in text:
+            lab.start("armrig lab")
+            exec(compile(_shorter(text), str(PAGE), "exec"), names)
+        for line in text.splitlines() if language == "sh" else ():
+            if line.startswith(INSTALLED) or line.split()[1] not in LIVE:
+                continue
+            if line.split()[1] == "lab":
+                lab.start(line)
+            else:
+                said.append(_run(_shorter(line)))
+            done.append(line.split()[1])
+
+    assert done == ["lab", "status", "calibrate", "collect", "collect", "lab", "collect"]
+    (shown,) = (text for _, text in BLOCKS if text.startswith("motor_rad_per_s_v"))
+    (measured,) = (line for line in "".join(said).splitlines() if line.startswith(shown.split()[0]))
+    assert pages.numbers(measured)[0] == pytest.approx(pages.numbers(shown)[0], rel=0.01)
+    files = sorted(path.name.split("-2")[0] for path in names["path"].parent.glob("*.mcap"))
+    assert files == [
+        *("1-blackbox-monday", "1-blackbox-tuesday", "1-blackbox-validation-monday"),
+        *("1-calibrate-rest", "1-calibrate-turns", "1-greybox-chassis", "1-step-first"),
+    ]
+
+
+def _run(line: str) -> str:
+    """Run a command and return what it prints."""
+    command = [sys.executable, "-m", *shlex.split(line)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, f"{line}: {done.stderr}"
+    return done.stdout
