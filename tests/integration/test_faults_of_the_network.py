@@ -104,7 +104,7 @@ def test_a_flood_of_commands_keeps_no_stop_from_getting_through(bench: Bench) ->
         with bench.rig() as rig:
             rig.reset()
     grown = resident_mib(daemon.popen.pid) - before
-    assert ended == "stopped"
+    assert ended == "stopped" or ended.startswith("stopped by ")
     check_volts(bench)
     assert grown < MORE_MIB
 

@@ -255,5 +255,5 @@ def test_another_sampling_time_or_horizon_is_refused(fit: Fit) -> None:
     """The message says both rates."""
     with pytest.raises(ValueError, match=r"the model has Ts=0\.1 s and the data have Ts=0\.2 s"):
         fit.predict(Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=0.2))
-    with pytest.raises(ValueError, match="horizon=0 must be >= 1"):
+    with pytest.raises(ValueError, match="horizon=0 must be an integer >= 1"):
         fit.predict(data(1), horizon=0)

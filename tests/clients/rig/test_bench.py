@@ -378,7 +378,7 @@ def test_info_draws_the_timing_of_a_recording(
     assert main(["info", str(file), "--plot", str(figure)]) == 0
 
     assert figure.read_bytes().startswith(b"\x89PNG")
-    assert "lateness" in capsys.readouterr().out
+    assert "jitter" in capsys.readouterr().out
 
 
 def _marked(mark: str) -> list[int]:
