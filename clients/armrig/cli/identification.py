@@ -52,6 +52,7 @@ from armrig.cli.recorded_data import Signals, from_recording, source_facts
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
+    from armrig.recordings.usability import Finding
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.residuals import ResidualTest
     from armrig.validation.search_result import SearchResult
@@ -61,7 +62,7 @@ NkOrNone = Annotated[
     typer.Option(
         "--nk",
         help="Samples before u reaches y.",
-        show_default="1; --search tries 0 too where the data show it",
+        show_default="1; --search takes what the data show",
     ),
 ]
 Integrator = Annotated[
@@ -190,7 +191,7 @@ class _Wanted:
     """By name; None lets the data choose. There are none in a search."""
     weights: Weights | None
     nk: int | None
-    """None: 1, and for a search 1, or 0 too where the data show a direct term."""
+    """None: 1, and for a search what the data show."""
     integrator: bool
     offset: bool
     stable: bool
@@ -217,6 +218,8 @@ class _Found:
     fit: Fit
     search: SearchResult | None
     validation: _Validation | None
+    doubts: tuple[Finding, ...]
+    """What speaks against the data."""
 
 
 def _checked_orders(
@@ -298,7 +301,16 @@ def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:
             weights=wanted.weights,
         )
     validation = None if other is None else _validated(fit, other)
-    return _Found(fit=fit, search=searched, validation=validation)
+    doubts = _doubts(fit, data) if searched is None else searched.doubts
+    return _Found(fit=fit, search=searched, validation=validation, doubts=doubts)
+
+
+def _doubts(fit: Fit, data: Dataset) -> tuple[Finding, ...]:
+    from armrig.cli.spinner import spinner
+    from armrig.validation.advice.data_advice import examine_fit_of
+
+    with spinner("testing the data"):
+        return tuple(examine_fit_of(data, fit))
 
 
 def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchResult:
@@ -306,18 +318,19 @@ def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchRe
     from contextlib import nullcontext
 
     from armrig.cli.spinner import estimating
-    from armrig.validation.model_search import FAMILIES, search
+    from armrig.validation.model_search import search
 
     pool = ProcessPoolExecutor(wanted.jobs) if wanted.jobs > 1 else nullcontext()
     with estimating("--max-order") as progress, pool as executor:
         return search(
             data,
             other,
-            families=FAMILIES if wanted.structure is None else (wanted.structure,),
+            families=None if wanted.structure is None else (wanted.structure,),
             orders=range(1, wanted.most + 1),
             nk=wanted.nk,
             # Without the option the search itself chooses.
             integrator=True if wanted.integrator else None,
+            offset=True if wanted.offset else None,
             executor=executor,
             progress=progress,
         )
@@ -341,7 +354,8 @@ def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None
     table, tests = None, None
     if found.validation is not None:
         table, tests = found.validation.table, found.validation.tests
-    say(model_output.answer(found.fit, table, tests))
+    doubted = model_output.doubted(found.fit, found.doubts)
+    say(model_output.answer(found.fit, table, tests, doubted=doubted))
     if verbose:
         _print_all(found, validate)
     else:
@@ -358,7 +372,7 @@ def _print_short(found: _Found) -> None:
     if found.search is not None:
         say("\n".join(model_output.short_search_lines(found.search)))
     say("\n".join(model_output.short_model_lines(found.fit, roots=not searched)))
-    say("\n".join(model_output.advice_lines(found.fit)))
+    say("\n".join(model_output.advice_lines(found.fit, found.doubts)))
 
 
 def _print_all(found: _Found, validate: Path | None) -> None:
@@ -369,7 +383,8 @@ def _print_all(found: _Found, validate: Path | None) -> None:
     if found.search is not None:
         say("\n".join(model_output.search_lines(found.search)))
     say("\n".join(model_output.model_lines(found.fit)))
-    say(model_output.in_symbols(repr(advice(found.fit))))
+    said = [f"! {f.about}: {f.text}" for f in found.doubts if found.search is None]
+    say(model_output.in_symbols("\n".join([*said, repr(advice(found.fit))])))
     if found.validation is not None:
         say(f"validation on {validate}\n{found.validation.table!r}")
         say("\n".join(model_output.residual_lines(found.validation.tests)))
@@ -381,7 +396,8 @@ def _print_json(found: _Found, data: Dataset) -> None:
 
     facts = model_output.model_facts(found.fit) | source_facts(data)
     facts["advice"] = [
-        {"about": f.about, "level": f.level, "text": f.text} for f in advice(found.fit).findings
+        {"about": f.about, "level": f.level, "text": f.text}
+        for f in (*found.doubts, *advice(found.fit).findings)
     ]
     if found.search is not None:
         facts["search"] = _search_facts(found.search)
@@ -396,6 +412,7 @@ def _say_next(fit: Fit, file: Path, validate: Path | None, save: Path | None) ->
     if save is None:
         orders = " ".join(f"--{name} {n}" for name, n in fit.orders.items() if n is not None)
         options = f"--structure {fit.structure} {orders}" + " --integrator" * fit.integrator
+        options += " --offset" * (fit.offset and not fit.integrator)
         validation = typed(validate) if validate else validation_beside(file)
         options += f" --validate {validation}" if validation else ""
         say_next("identify", file=typed(file), options=options)

@@ -21,6 +21,9 @@ from armrig.validation.comparison import Comparison, ComparisonTable
 from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from armrig.recordings.usability import Finding
     from armrig.validation.search_result import SearchResult
 
 _MOST_DECIMALS = 9
@@ -28,13 +31,18 @@ _BEST = 5  # models of a search that are shown without --verbose
 _REASONS = 3  # and reasons, the first of which the table tells
 
 
-def answer(fit: Fit, validation: ComparisonTable | None, tests: ResidualTest | None) -> str:
-    """Return the model's fit and what its residuals are, in a sentence or two."""
+def answer(
+    fit: Fit, validation: ComparisonTable | None, tests: ResidualTest | None, *, doubted: bool
+) -> str:
+    """Return the model's fit and what its residuals are, in a sentence or two.
+
+    Where the data are doubted, they are to be seen to before the orders.
+    """
     said = (
         f"{fit.heading} fits {fit.output} to {fit.fit_percent:.2f} % one step ahead; "
         f"{whiteness_sentence(fit, 'σ', 'σ robust')}"
     )
-    said += f"; {COLOURED}." if fit.trusts_robust else "."
+    said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
     if validation is None or tests is None:
         return said
     simulated = simulated_to(validation[0], validation.unit)
@@ -77,19 +85,33 @@ def model_lines(fit: Fit) -> list[str]:
     return [*lines, *(f"  warning: {in_symbols(w)}" for w in fit.warnings)]
 
 
-def advice_lines(fit: Fit) -> list[str]:
-    """Return what to act on: what the estimation warns of, and what the advice adds to it."""
+def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
+    """Tell whether something is wrong with the data, by their own tests or the estimate's."""
+    return bool(doubts) or any(
+        phrase in text for text in fit.warnings for _, phrase in _SAID_BY_WARNINGS[:_OF_DATA]
+    )
+
+
+def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
+    """Return what to act on: of the data, what the estimation warns of, what the advice adds."""
+    about = {f.about for f in doubts}
     # The answer has said what the residuals are.
-    findings = [f for f in advice(fit).findings if f.level != "good" and f.about != "residuals"]
-    told = {"integrator", "unstable"} & {f.about for f in findings}
-    warnings = [w for w in fit.warnings if not (told and "pole is unstable" in w)]
-    lines = [f"! {w}" for w in warnings] + [f"! {f.about}: {f.text}" for f in findings]
+    advised = [f for f in advice(fit).findings if f.level != "good"]
+    advised = [f for f in advised if f.about not in {"residuals", *about}]
+    if "integrator" in about or any("where u is 0" in w for w in fit.warnings):
+        # Then what a pole and a zero at 1 stand for is known.
+        advised = [f for f in advised if f.about != "level"]
+    said = about | {f.about for f in advised}
+    known = [phrase for name, phrase in _SAID_BY_WARNINGS if name in said]
+    warnings = [w for w in fit.warnings if not any(phrase in w for phrase in known)]
+    lines = [f"! {f.about}: {f.text}" for f in doubts]
+    lines += [f"! {w}" for w in warnings] + [f"! {f.about}: {f.text}" for f in advised]
     return [in_symbols(line) for line in lines] or ["nothing to act on"]
 
 
 def short_search_lines(found: SearchResult) -> list[str]:
     """Return the best five models of a search and why the one was chosen."""
-    return [found.table(_BEST), *found.explain().splitlines()[1:_REASONS]]
+    return [found.table(_BEST), *(f"- {r}" for r in found.reasons[1:_REASONS])]
 
 
 def search_lines(found: SearchResult) -> list[str]:
@@ -113,9 +135,23 @@ _OURS = {
     "offset=True": "--offset",
     "stable=True": "--stable",
     "armrig.detrend(data)": "--detrend",
+    "armrig.delay(data) decides": "`armrig check` decides",
+    "take an estimator with --offset": "give --offset",
+    "take --offset": "give --offset",
     "estimate from armrig.hampel(data), which marks": "--hampel marks",
 }
 
+_DATA_FIRST = "see to the data first, as said below"
+_SAID_BY_WARNINGS = (
+    ("outliers", "look wrong"),
+    ("level", "where u is 0"),
+    ("integrator", "pole is unstable"),
+    ("unstable", "pole is unstable"),
+    ("search", "ended in a poorer minimum"),
+    ("search", "search did not converge"),
+)
+"""Findings, and how a warning of the estimate says the same; those about the data first."""
+_OF_DATA = 2
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
@@ -174,7 +210,7 @@ def tests_sentence(tests: ResidualTest) -> str:
         return f"its residuals tell nothing: {in_symbols(tests.powerless)}"
     if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
         return f"residuals {tests.white}; {_UNTESTED}"
-    return f"its residuals pass: {tests.white}, no dynamics missing, no feedback"
+    return f"its residuals pass: {tests.white}, no dynamics missing, no feedback seen in them"
 
 
 def residual_lines(tests: ResidualTest) -> list[str]:
@@ -185,7 +221,7 @@ def residual_lines(tests: ResidualTest) -> list[str]:
         f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples",
         f"  residuals {tests.white}{look}",
         f"  no dynamics missing: {_p(tests.missing_dynamics, _DYNAMICS)}",
-        f"  no feedback: {_p(tests.feedback, _FEEDBACK)}",
+        f"  no feedback seen in them: {_p(tests.feedback, _FEEDBACK)}",
         *([f"  no power: {in_symbols(tests.powerless)}"] if tests.powerless else []),
     ]
 

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from armrig.models.structure_table import KINDS, with_article
+from armrig.models.structure_table import FAMILIES, KINDS, Family, with_article
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
 
-Structure = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]
+Structure = Family
 Weights = Literal["cva", "moesp", "n4sid"]
 
-_WITH_OFFSET = ("armax", "oe", "bj")
-_KINDS = {name: KINDS[name] for name in get_args(Structure)}
+_KINDS = {name: KINDS[name] for name in FAMILIES}
+_WITH_OFFSET = [name for name, kind in _KINDS.items() if kind.may_offset]
 
 
 def _option(name: str, what: str, default: str) -> Any:
@@ -66,13 +66,10 @@ def check_single_estimate(
     structure: Structure | None, *, offset: bool, stable: bool, search: bool
 ) -> None:
     """Refuse options that a search, or another structure, would do nothing with."""
-    if search and offset:
-        msg = "--offset does not go with --search; take the means off, --detrend"
-        raise typer.BadParameter(msg)
     if search and stable:
         msg = "--stable does not go with --search, whose models always are"
         raise typer.BadParameter(msg)
-    if offset and structure not in _WITH_OFFSET:
+    if offset and structure is not None and structure not in _WITH_OFFSET:
         msg = f"--offset goes with --structure {' or '.join(_WITH_OFFSET)}; take the means off, "
         raise typer.BadParameter(msg + "--detrend")
 

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from pathlib import PurePath
 from typing import Any
 
+from armrig.models.structure_table import FAMILIES
+
 _ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab"})
 """Commands that nobody is led to by a typing error."""
-_STRUCTURES = ("arx", "armax", "oe", "bj", "iv4", "n4sid")
-_ELSEWHERE = {
+_ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
     "version": "`armrig --version` says it",
-    **{name: f"`armrig identify F --structure {name}` estimates one" for name in _STRUCTURES},
+    **{name: f"`armrig identify F --structure {name}` estimates one" for name in FAMILIES},
 }
 """What stands for a command that there is not."""
 _FILES = (".mcap", ".active", ".csv", ".tsv", ".txt", ".dat", ".mat", ".npz", ".json", ".pdf")

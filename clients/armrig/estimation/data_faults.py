@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel
+from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
 from armrig.data.treatment.whitening import whitening
 from armrig.numerics.quantities import percent, plural
 from armrig.numerics.whiteness import WHITE_LEVEL, joined, ljung_box
@@ -34,6 +34,7 @@ _LISTED = 5
 _LAGS = 10  # that coloured residuals are looked for at
 _ORDER = 6  # of the model that an offset is looked for with
 _PART = 10_000  # samples that it is estimated from: an offset that matters shows in them
+_MANY = 1000.0  # standard deviations, beyond which their number says nothing
 _SURE = 4.0  # standard deviations: 6 of 100 000 estimates without an offset
 
 
@@ -54,7 +55,8 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
         return
     yield from _wrong_samples(data, e)
     if way_out and data.output not in INTEGRATING_OUTPUTS and _doubtful(residuals):
-        yield from _offset(data, way_out)
+        level = "" if integrating(data) else level_without_input(data)
+        yield from [f"{level}, which the model cannot make: {way_out}"] if level else []
 
 
 def swapped(data: Dataset) -> Iterator[str]:
@@ -108,21 +110,23 @@ def _doubtful(residuals: Sequence[Vector]) -> bool:
     return abs(float(np.mean(e))) > _SURE * float(np.std(e)) / sqrt(e.size)
 
 
-def _offset(data: Dataset, way_out: str) -> Iterator[str]:
-    """Yield a warning where A(q) y(t) = B(q) u(t) + c + e(t) has a constant c.
+def level_without_input(data: Dataset, least: float = _SURE) -> str:
+    """Return what y is where u is 0, in words, or "" where that is within so many σ of 0.
 
-    y is then c / A(1) where u is 0, and no state at the beginning explains it for long.
+    The model A(q) y(t) = B(q) u(t) + c + e(t) then has a constant c; y is c / A(1) where u is 0,
+    and no state at the beginning explains it for long.
     """
     parts = [(part.u, part.y) for part in data[:_PART].experiments()]
     if data.N - data.missing < 10 * _ORDER:
-        return
+        return ""
     model = whitening(parts, _ORDER)
     std = float(np.sqrt(model.covariance[2 * _ORDER + 1, 2 * _ORDER + 1]))
     gain = float(np.sum(model.A))
-    if not (std > 0 and gain > 0 and abs(model.c) > _SURE * std):
-        return
+    if not (std > 0 and gain > 0 and abs(model.c) > least * std):
+        return ""
     unit = f" {data.unit}" if data.unit else ""
-    yield (
-        f"{data.output} is about {model.c / gain:.3g}{unit} where u is 0 ({abs(model.c) / std:.0f} "
-        f"standard deviations from 0), which the model cannot make: {way_out}"
+    sigmas = min(abs(model.c) / std, _MANY)
+    return (
+        f"{data.output} is about {model.c / gain:.3g}{unit} where u is 0 ({sigmas:.0f} standard "
+        f"deviations {'or more ' if sigmas == _MANY else ''}from 0)"
     )

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
-Name = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "pem"]
+Family = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]
+"""A structure with a name of its own: what a command offers and a search tries."""
+FAMILIES: tuple[Family, ...] = get_args(Family)
+Name = Literal[Family, "pem"]
 
 ARM_POLES = 4
 """Poles of the arm, one of them an integrator; its numerator has as many coefficients."""
@@ -24,6 +27,8 @@ class Kind:
     """Name of the order that counts the poles from u to y."""
     may_integrate: bool
     """A pole can be 1 by construction."""
+    may_offset: bool
+    """The input's offset can be estimated along."""
 
     @property
     def title(self) -> str:
@@ -49,20 +54,26 @@ def with_article(title: str) -> str:
     return f"{'an' if title[0] in 'AEFHILMNORSX' else 'a'} {title}"
 
 
+def _kind(
+    name: Name,
+    orders: Mapping[str, int | None],
+    poles: str,
+    *,
+    integrates: bool = False,
+    offset: bool = False,
+) -> Kind:
+    return Kind(name=name, orders=orders, poles=poles, may_integrate=integrates, may_offset=offset)
+
+
 _N = ARM_POLES
 _KINDS = (
-    Kind(name="arx", orders={"na": _N, "nb": _N}, poles="na", may_integrate=False),
-    Kind(name="armax", orders={"na": _N, "nb": _N, "nc": _N}, poles="na", may_integrate=True),
-    Kind(name="oe", orders={"nb": _N, "nf": _N}, poles="nf", may_integrate=True),
-    Kind(name="bj", orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N}, poles="nf", may_integrate=True),
-    Kind(name="iv4", orders={"na": _N, "nb": _N}, poles="na", may_integrate=False),
-    Kind(name="n4sid", orders={"order": None}, poles="order", may_integrate=True),
-    Kind(
-        name="pem",
-        orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
-        poles="nf",
-        may_integrate=False,
-    ),
+    _kind("arx", {"na": _N, "nb": _N}, "na"),
+    _kind("armax", {"na": _N, "nb": _N, "nc": _N}, "na", integrates=True, offset=True),
+    _kind("oe", {"nb": _N, "nf": _N}, "nf", integrates=True, offset=True),
+    _kind("bj", {"nb": _N, "nc": 1, "nd": 1, "nf": _N}, "nf", integrates=True, offset=True),
+    _kind("iv4", {"na": _N, "nb": _N}, "na"),
+    _kind("n4sid", {"order": None}, "order", integrates=True),
+    _kind("pem", {"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N}, "nf"),
 )
 KINDS: dict[str, Kind] = {kind.name: kind for kind in _KINDS}
 """All of them by name."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,21 +12,23 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.estimation.arx import arx
+from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.stability import largest_unstable
+from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
-from armrig.models.structure_table import KINDS
+from armrig.models.structure_table import FAMILIES, KINDS, Family
 from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
+from armrig.validation.advice.data_advice import Tested, doubts, tested
+from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.residuals import residuals
-from armrig.validation.search_result import Candidate, Family, Scored, SearchResult
+from armrig.validation.search_result import Candidate, Scored, SearchResult
 
 Vector = NDArray[np.float64]
 
-FAMILIES: tuple[Family, ...] = ("arx", "iv4", "armax", "oe", "bj", "n4sid")
+_LIKELY = 2.0  # deviations of a level from 0, from which it is better estimated along
+_IN_CLOSED_LOOP: tuple[Family, ...] = ("arx", "armax", "bj")
 _NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
-_LONG, _SURELY = 10, 4.0  # order of the ARX model that a direct term is sought with, deviations
 _UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
 
 
@@ -35,10 +37,11 @@ def search(
     data: Dataset,
     validation: Dataset | None = None,
     *,
-    families: Iterable[Family] = FAMILIES,
+    families: Sequence[Family] | None = None,
     orders: Iterable[int] = range(1, 6),
     nk: int | Iterable[int] | None = None,
     integrator: bool | None = None,
+    offset: bool | None = None,
     horizon: int | None = None,
     executor: Executor | None = None,
     progress: Callable[[int, int, str], object] | None = None,
@@ -61,19 +64,24 @@ def search(
         To estimate from.
     validation : Dataset, optional
         Other data; by default the second half of `data`, of which then the first half estimates.
-    families : iterable of str
-        Of "arx", "iv4", "armax", "oe", "bj" and "n4sid".
+    families : sequence of str, optional
+        Of "arx", "iv4", "armax", "oe", "bj" and "n4sid"; by default all, and in closed loop
+        "arx", "armax" and "bj", whose noise model keeps feedback from a bias.
     orders : iterable of int
         Numbers of poles to try, >= 1, an integrator's included.
     nk : int or iterable of int, optional
-        Samples before u reaches y, all of them tried; by default 1, and 0 too where an ARX model
-        of high order has a direct term that is no chance (4 deviations).
+        Samples before u reaches y, all of them tried; by default what `delay` finds, and 1 beside
+        a direct term (0), which in closed loop is never tried: it would be the controller's.
     integrator : bool, optional
         Whether structures that can have one get a pole at 1 exactly; by default where the output
-        is an angle that integrates.
+        is an angle, or is found to integrate.
+    offset : bool, optional
+        Whether structures that can (ARMAX, OE, BJ) estimate the input's offset along; by default
+        where y has a level that u does not make (2 deviations).
     horizon : int, optional
         Samples ahead, >= 1; by default the models are simulated, and "n4sid" is estimated with
-        `focus="simulation"`.
+        `focus="simulation"`. In closed loop it is 1 by default: the best simulation would be
+        that of a biased model.
     executor : concurrent.futures.Executor, optional
         Where the candidates are estimated, such as a ``ProcessPoolExecutor``; here by default.
     progress : callable, optional
@@ -83,7 +91,8 @@ def search(
     Returns
     -------
     SearchResult
-        `fit` is the chosen model, `ranked` all of them, `explain()` the reasons.
+        `fit` is the chosen model, `ranked` all of them, `explain()` the reasons, `doubts` what
+        speaks against the data.
 
     Raises
     ------
@@ -96,20 +105,54 @@ def search(
        2009, section 7.10 (one standard error).
     """
     require_several(orders=orders)
+    halved = validation is None
     if validation is None:
         data, validation = data.split(2)
-    known = data.output in INTEGRATING_OUTPUTS if integrator is None else integrator
+    known = tested(data, integrator)
     if nk is None:
-        nk = _likely_delays(data)
+        nk = _likely_delays(known)
     delays = [nk] if isinstance(nk, int) else [*nk]
-    simulated = horizon is None
+    if families is None:
+        families = _IN_CLOSED_LOOP if known.closed else FAMILIES
+    if horizon is None and known.closed:
+        horizon = 1
+    against = doubts(data, known)
+    notes = [*known.integration.notes]
+    level = [f for f in against if f.about == "level"]
+    if offset is None:
+        offset = not known.integration.integrates and bool(level_without_input(data, _LIKELY))
+    if offset and level:
+        against.remove(level[0])
+        able = ", ".join(name.upper() for name in families if KINDS[name].may_offset)
+        notes.append(f"{level[0].text.split(':')[0]}: {able} estimate it along, offset=True")
     candidates = list(
-        _candidates([*families], [*orders], delays, integrator=known, simulated=simulated)
+        _candidates(
+            [*families],
+            [*orders],
+            delays,
+            integrator=known.integration.integrates,
+            offset=offset,
+            simulated=horizon is None,
+        )
     )
     score = partial(_score, data=data, validation=validation, horizon=horizon)
     coming = (map if executor is None else executor.map)(score, candidates)
     scored = _counted(coming, [c.name for c in candidates], progress)
-    return _ranked(scored, validation, horizon)
+    ranking = _ranked(scored, validation)
+    return SearchResult(
+        ranked=tuple(ranking.usable),
+        rms=ranking.rms,
+        excess=ranking.excess,
+        excess_std=ranking.excess_std,
+        chosen_index=ranking.chosen,
+        failed=tuple(j for j in scored if j.reason),
+        doubts=tuple(against),
+        notes=tuple(notes),
+        halved=halved,
+        tests=residuals(ranking.fit, validation),
+        horizon=horizon,
+        unit=validation.unit,
+    )
 
 
 def _counted(
@@ -133,6 +176,7 @@ def _candidates(
     delays: list[int],
     *,
     integrator: bool,
+    offset: bool,
     simulated: bool,
 ) -> Iterator[Candidate]:
     for family in families:
@@ -152,19 +196,16 @@ def _candidates(
                         family=family,
                         orders=(*named.items(), ("nk", nk)),
                         integrator=fixed,
+                        offset=offset and KINDS[family].may_offset,
                         simulates=simulated and family == "n4sid",
                     )
 
 
-def _likely_delays(data: Dataset) -> list[int]:
-    """Return 1, and 0 before it where u acts on y at the same instant."""
-    n = min(_LONG, (data.N - data.missing) // 20)
-    try:
-        fit = arx(data, na=n, nb=n + 1, nk=0)
-    except ValueError:
+def _likely_delays(known: Tested) -> list[int]:
+    """Return the least nk that is not ruled out, 1 where it cannot be told or is 0, too."""
+    if not isinstance(known.late, Delay):
         return [1]
-    direct, std = fit.B[0], fit.std_robust[fit.slice_of("b").start]
-    return [0, 1] if abs(direct) > _SURELY * std else [1]
+    return [0, 1] if known.late.nk == 0 else [known.late.nk]
 
 
 def _orders(family: Family, n: int) -> list[dict[str, int]]:
@@ -193,12 +234,24 @@ def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: in
     return Scored(candidate=candidate, fit=fit, reason=reason, error=error)
 
 
-def _ranked(scored: list[Scored], validation: Dataset, horizon: int | None) -> SearchResult:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Ranking:
+    """The usable candidates, best first."""
+
+    usable: list[Scored]
+    rms: Vector
+    excess: Vector
+    excess_std: Vector
+    chosen: int
+    fit: Fit
+    """The chosen model."""
+
+
+def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
     usable = [j for j in scored if not j.reason]
-    failed = [j for j in scored if j.reason]
     if not usable:
         msg = "none of the structures could be estimated"
-        msg += f"; the first, {failed[0].candidate.name}: {failed[0].reason}" if failed else ""
+        msg += f"; the first, {scored[0].candidate.name}: {scored[0].reason}" if scored else ""
         raise ValueError(msg)
     # The same samples for all: one model's transient is not another's.
     both = np.all([np.isfinite(j.error) for j in usable], axis=0)
@@ -212,19 +265,13 @@ def _ranked(scored: list[Scored], validation: Dataset, horizon: int | None) -> S
     excess_std = standard_error(np.array([batch_means(d) for d in difference]))
     excess = difference.mean(axis=1)
     chosen = simplest_as_good(excess, excess_std, [s.parameters for s in usable])
-    fit = usable[chosen].fit
-    if fit is None:
-        raise ValueError(usable[chosen].reason)
-    return SearchResult(
-        ranked=tuple(replace(j, error=_frozen(j.error)) for j in usable),
+    return _Ranking(
+        usable=[replace(j, error=_frozen(j.error)) for j in usable],
         rms=np.sqrt(squared.mean(axis=1)),
         excess=excess,
         excess_std=excess_std,
-        chosen_index=chosen,
-        failed=tuple(failed),
-        tests=residuals(fit, validation),
-        horizon=horizon,
-        unit=validation.unit,
+        chosen=chosen,
+        fit=usable[chosen].model,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.estimation.estimators import ESTIMATORS
 from armrig.models.fit import Fit
-from armrig.models.structure_table import KINDS
-from armrig.numerics.quantities import p_relation
+from armrig.models.structure_table import KINDS, Family
+from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
+from armrig.recordings.usability import Finding
 from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
-Family = Literal["arx", "iv4", "armax", "oe", "bj", "n4sid"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,6 +35,8 @@ class Candidate:
     """Its orders by name."""
     integrator: bool = False
     """A pole at 1 by construction."""
+    offset: bool = False
+    """The input's offset is estimated along."""
     simulates: bool = False
     """Estimated for simulation, where the estimator can be told."""
 
@@ -50,10 +52,11 @@ class Candidate:
 
     def estimated(self, data: Dataset) -> Fit:
         """Return the model of the data, poles outside the unit circle reflected into it."""
-        known: dict[str, Any] = {"integrator": True} if self.integrator else {}
+        asked = {"integrator": self.integrator, "offset": self.offset, "stable": True}
+        known: dict[str, Any] = {name: True for name, wanted in asked.items() if wanted}
         if self.simulates:
             known["focus"] = "simulation"
-        return ESTIMATORS[self.family](data, **dict(self.orders), **known, stable=True)
+        return ESTIMATORS[self.family](data, **dict(self.orders), **known)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,6 +71,13 @@ class Scored:
     """Why there is no model, or ""."""
     error: Vector
     """y - ŷ on the validation data, (N,), NaN where there is none; () without a model."""
+
+    @property
+    def model(self) -> Fit:
+        """The model of one that has one, as all have that are ranked."""
+        if self.fit is None:
+            raise ValueError(self.reason)
+        return self.fit
 
     @property
     def parameters(self) -> int:
@@ -91,6 +101,13 @@ class SearchResult:
     """Of the simplest within one standard error of the best."""
     failed: tuple[Scored, ...]
     """Candidates without a usable model."""
+    doubts: tuple[Finding, ...]
+    """What speaks against the data, before any model: poor excitation, wrong samples, a level that
+    u does not make, feedback."""
+    notes: tuple[str, ...]
+    """What the data decided: an integrator, an offset."""
+    halved: bool
+    """The first half of the data estimated, the second ranked."""
     tests: ResidualTest
     """Of the chosen model's residuals on the validation data."""
     horizon: int | None
@@ -106,9 +123,7 @@ class SearchResult:
     @property
     def fit(self) -> Fit:
         """The chosen model."""
-        if self.chosen.fit is None:  # never: what is ranked has a model
-            raise ValueError(self.chosen.reason)
-        return self.chosen.fit
+        return self.chosen.model
 
     @property
     def within(self) -> NDArray[np.bool_]:
@@ -122,14 +137,23 @@ class SearchResult:
         return plot_search(self, ax=ax)
 
     def explain(self) -> str:
-        """Return in words what was chosen, and why."""
-        return "\n".join(f"- {line}" for line in _reasons(self))
+        """Return in words what speaks against the data, what was chosen, and why."""
+        doubts = [f"doubt about the data, {f.about}: {f.text}" for f in self.doubts]
+        return "\n".join(f"- {line}" for line in (*doubts, *self.reasons))
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What was chosen, and why, a sentence each."""
+        return tuple(_reasons(self))
 
     def table(self, most: int = 10) -> str:
         """Return the best ones in a table, the choice marked."""
-        what = "simulated" if self.horizon is None else f"predicted {self.horizon} samples ahead"
+        what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)
-        lines = [f"{count} models, {what}, ranked by their error on the validation data"]
+        where = "second half of the data; the first" if self.halved else "validation data"
+        lines = [f"{count} models, {what}, ranked by their error on the {where}"]
+        if self.halved:
+            lines = [f"{lines[0]} estimated them"]
         width = max(len(j.candidate.name) for j in self.ranked)
         head = (
             f"  {'model':{width}} {'parameters':>10} {'rms':>11}  {'excess of the best ± se':>24}"
@@ -153,9 +177,13 @@ class SearchResult:
         return f"{self.table()}\n{self.explain()}"
 
 
+def _ahead(horizon: int) -> str:
+    return f"{plural(horizon, 'sample')} ahead"
+
+
 def _reasons(found: SearchResult) -> Iterator[str]:
     best, chosen, i = found.ranked[0], found.chosen, found.chosen_index
-    what = "simulation" if found.horizon is None else f"prediction {found.horizon} samples ahead"
+    what = "simulation" if found.horizon is None else f"prediction {_ahead(found.horizon)}"
     of_best = f"rms error {found.rms[0]:.4g} {found.unit}".rstrip()
     yield f"best {what} of the validation data: {best.candidate.name}, {of_best}"
     if i:
@@ -169,10 +197,10 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     yield from _about_simpler(found)
     yield from _about_highest_order(found)
     yield from _about_families(found)
+    yield from found.notes
     yield from _about_tests(found.tests)
-    if chosen.fit is not None:
-        moved = (w for w in chosen.fit.warnings if "stable=True" in w)
-        yield from moved if chosen.fit.structure == "n4sid" else chosen.fit.warnings
+    moved = (w for w in chosen.model.warnings if "stable=True" in w)
+    yield from moved if chosen.candidate.family == "n4sid" else chosen.model.warnings
     if found.failed:
         first = found.failed[0]
         yield (

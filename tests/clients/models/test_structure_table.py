@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.estimators import ESTIMATORS
-from armrig.models.structure_table import KINDS, Kind, Name, named, with_article
+from armrig.models.structure_table import FAMILIES, KINDS, Kind, Name, named, with_article
 from armrig.numerics.polynomial import filtered
 
 EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
@@ -17,7 +17,7 @@ EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
 
 def test_each_structure_has_one_row_and_one_estimator() -> None:
     """And none is left out."""
-    assert set(KINDS) == set(ESTIMATORS) == set(get_args(Name))
+    assert set(KINDS) == set(ESTIMATORS) == set(get_args(Name)) == {*FAMILIES, "pem"}
 
 
 @EVERY

@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.models.cancellation import overlapping
+from armrig.numerics.polynomial import filtered
 from armrig.validation.advice.advice import Advice
+from armrig.validation.advice.data_advice import examine_fit_of
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant
+
+Vector = NDArray[np.float64]
 
 
 def told(found: Advice) -> set[str]:
@@ -107,3 +112,102 @@ def test_what_is_neither_data_nor_a_model_is_refused() -> None:
     """With the way out."""
     with pytest.raises(TypeError, match=r"data is a str: give a Dataset"):
         armrig.advice("run.mcap")  # type: ignore[arg-type]
+
+
+def of_second_order(u: Vector, *, nk: int = 1, level: float = 0.0) -> Dataset:
+    """Return 0.1 (1 + 0.5 q^-1)/(1 - 1.4 q^-1 + 0.5 q^-2) u(t - nk), a level and noise."""
+    y = filtered(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u)
+    e = 0.05 * np.random.default_rng(3).standard_normal(u.size)
+    return Dataset(u=u, y=y + level + e, Ts=0.02)
+
+
+def under_control(N: int = 1500) -> Dataset:
+    """Return the same plant under u = (r - y)/2, noise of a pole at 0.9, r a step every 50."""
+    rng = np.random.default_rng(5)
+    r = np.repeat(rng.uniform(-1, 1, N // 50), 50)
+    v = filtered([1.0], [1.0, -0.9], 0.1 * rng.standard_normal(N))
+    x, u, y = np.zeros(N), np.zeros(N), np.zeros(N)
+    for t in range(N):
+        if t > 1:
+            x[t] = 1.4 * x[t - 1] - 0.5 * x[t - 2] + 0.1 * u[t - 1] + 0.05 * u[t - 2]
+        y[t] = x[t] + v[t]
+        u[t] = 0.5 * (r[t] - y[t])
+    return Dataset(u=u, y=y, Ts=0.02)
+
+
+def switched(N: int = 1500) -> Vector:
+    """Return a telegraph of ±2.5."""
+    return armrig.telegraph(N, 0.1, 0.0, 5.0, seed=1) - 2.5
+
+
+def test_what_is_wrong_with_data_is_told_alone() -> None:
+    """One cause, one warning: it is not named noise, nor an order too high."""
+    wrong = of_second_order(switched())
+    y = wrong.y.copy()
+    y[[100, 400, 900]] += 5.0
+    cases = {
+        "level": of_second_order(switched(), level=5.0),
+        "outliers": wrong.replaced(y=y, step=None),
+        "feedback": under_control(),
+    }
+
+    for about, data in cases.items():
+        assert told(armrig.advice(data)) == {about}
+
+
+def test_a_sine_determines_neither_orders_nor_a_delay() -> None:
+    """Two warnings, and nothing of noise."""
+    data = of_second_order(np.sin(0.3 * np.arange(1500)))
+
+    assert told(armrig.advice(data)) == {"excitation", "delay"}
+
+
+def test_a_delay_is_told_with_the_nk_to_take() -> None:
+    """It is no fault of the data."""
+    found = armrig.advice(of_second_order(switched(), nk=4))
+
+    assert "nk=4" in repr(found)
+    assert "delay" not in told(found)
+
+
+def test_an_output_that_does_not_answer_is_told() -> None:
+    """Noise alone: no model, and no comparison of models."""
+    data = Dataset(u=switched(), y=np.random.default_rng(1).standard_normal(1500), Ts=0.02)
+
+    found = armrig.advice(data)
+
+    assert told(found) == {"delay"}
+    assert "shows no answer to u" in repr(found)
+
+
+def test_a_pole_and_a_zero_at_one_are_told_as_a_level() -> None:
+    """The model that an offset is answered by: not an integrator, not an order too high."""
+    fit = armrig.oe(of_second_order(switched(), level=5.0), nb=3, nf=3)
+
+    assert "level" in told(armrig.advice(fit))
+    assert not {"integrator", "order"} & told(armrig.advice(fit))
+
+
+@pytest.mark.parametrize(
+    ("data", "about", "words"),
+    [
+        (of_second_order(np.sin(0.3 * np.arange(1500))), "excitation", "4 parameters of the model"),
+        (of_second_order(switched(), nk=4), "delay", "nk=4"),
+        (under_control(), "feedback", "u answers to y"),
+    ],
+    ids=["sine", "delay", "feedback"],
+)
+def test_a_model_is_held_against_what_its_data_tell(data: Dataset, about: str, words: str) -> None:
+    """What a fit cannot see by itself."""
+    fit = armrig.oe(data, nb=2, nf=2)
+
+    texts = {f.about: f.text for f in examine_fit_of(data, fit)}
+
+    assert words in texts[about]
+
+
+def test_a_good_model_of_good_data_is_not_doubted() -> None:
+    """Nothing is said."""
+    data = of_second_order(switched())
+
+    assert not [*examine_fit_of(data, armrig.oe(data, nb=2, nf=2))]

@@ -45,7 +45,7 @@ def test_the_delay_is_found(plant: HandoutPlant, samples: int) -> None:
 def test_a_direct_term_is_a_delay_of_minus_one() -> None:
     """It acts within its own sample."""
     rng = np.random.default_rng(1)
-    u = rng.standard_normal(1000)
+    u = rng.choice([-1.0, 1.0], 1000)
     y = filtered([0.5, 0.3], [1.0, -0.7], u) + 0.1 * rng.standard_normal(1000)
 
     found = armrig.delay(Dataset(u=u, y=y, Ts=1.0))
@@ -202,7 +202,7 @@ def test_an_input_that_does_not_act_is_told() -> None:
     rng = np.random.default_rng(1)
     data = Dataset(u=rng.standard_normal(200), y=rng.standard_normal(200), Ts=1.0)
 
-    with pytest.raises(ValueError, match="u acts at no lag up to"):
+    with pytest.raises(ValueError, match="no answer to u that can be told from noise"):
         armrig.delay(data)
 
 
@@ -275,3 +275,42 @@ def test_one_step_read_in_steps_is_no_delay(Ts: float, at: int, high: float) -> 
 
     assert found.interval[0] <= 1 <= found.interval[1]
     assert found.delay <= 0
+
+
+def test_feedback_is_not_a_direct_term() -> None:
+    """A P controller's u(t) depends on y(t), which shows at lag 0: the rig acts from lag 1 on."""
+    rng, N = np.random.default_rng(5), 1500
+    r, e = np.repeat(rng.uniform(-1, 1, N // 50), 50), 0.1 * rng.standard_normal(N)
+    x, u, y = np.zeros((3, N))
+    for t in range(N):
+        x[t] = 0.9 * x[t - 1] + 0.5 * u[t - 1] if t else 0.0
+        y[t] = x[t] + e[t]
+        u[t] = 0.5 * (r[t] - y[t])
+
+    found = armrig.delay(Dataset(u=u, y=y, Ts=0.02))
+
+    assert (found.nk, found.interval) == (1, (1, 1))
+    assert [*found.p_values] == [1]
+    assert "there is feedback" in found.brief()
+    assert "lag 1: its coefficient" in found.explain()
+    assert "lags 0" not in found.explain()
+
+
+def test_a_direct_term_and_feedback_without_delay_look_the_same() -> None:
+    """Of an input of two levels the direct term is believed; of another it is left open."""
+    rng = np.random.default_rng(1)
+
+    for u, nk in ((rng.choice([-1.0, 1.0], 1000), 0), (rng.standard_normal(1000), 1)):
+        y = filtered([0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(1000)
+        found = armrig.delay(Dataset(u=u, y=y, Ts=1.0))
+        assert (found.nk, found.interval) == (nk, (0, nk))
+        assert "feedback looks the same as a direct term" in found.brief()
+
+
+def test_a_gain_without_dynamics_is_a_direct_term() -> None:
+    """Whatever u is, for there is nothing after lag 0."""
+    u, e = np.random.default_rng(1).standard_normal((2, 1000))
+
+    found = armrig.delay(Dataset(u=u, y=0.5 * u + 0.1 * e, Ts=1.0))
+
+    assert (found.nk, found.interval) == (0, (0, 0))

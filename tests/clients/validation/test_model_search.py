@@ -139,7 +139,7 @@ def test_a_pole_outside_the_circle_is_never_chosen(family: Family) -> None:
     """Data that grow slowly, which an unstable model fits best; the way out is told."""
     estimation, validation = _of_one_pole(1.004, 200, 1), _of_one_pole(1.004, 60, 2)
 
-    found = search(estimation, validation, families=(family,), orders=(1, 2))
+    found = search(estimation, validation, families=(family,), orders=(1, 2), integrator=False)
 
     assert found.ranked
     assert all((abs(j.fit.poles().values) < 1).all() for j in found.ranked if j.fit is not None)
@@ -169,7 +169,7 @@ def test_what_cannot_be_searched_is_refused() -> None:
     """With what is allowed."""
     data = _data(1, [1.0], [1.0], 80)
 
-    with pytest.raises(ValueError, match="families has 'arimax'; each must be one of arx, iv4"):
+    with pytest.raises(ValueError, match="families has 'arimax'; each must be one of arx, armax"):
         search(data, families=("arimax",))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="none of the structures could be estimated; the first"):
         search(data, families=("arx",), orders=(40,))
@@ -214,3 +214,65 @@ def test_progress_is_told_before_each_candidate_and_at_the_end(processes: int) -
 
     names = ["ARX[1 1 1]", "ARX[2 2 1]", "OE[1 1 1]", "OE[2 2 1]", ""]
     assert told == [(k, 4, name) for k, name in enumerate(names)]
+
+
+def test_in_closed_loop_the_controller_is_not_taken_for_the_rig() -> None:
+    """No direct term, models with a noise model, one step ahead; and it is said."""
+    found = search(_under_control(), orders=(1, 2))
+
+    assert {j.candidate.family for j in found.ranked} == {"arx", "armax", "bj"}
+    assert {dict(j.candidate.orders)["nk"] for j in found.ranked} == {1}
+    assert found.horizon == 1
+    assert [f.about for f in found.doubts] == ["feedback"]
+    assert "doubt about the data, feedback: u answers to y" in found.explain()
+
+
+def _under_control() -> Dataset:
+    """Return a plant of second order under u = (r - y)/2, with noise, r a step every 50."""
+    rng, N = np.random.default_rng(5), 1500
+    r, e = np.repeat(rng.uniform(-1, 1, N // 50), 50), 0.1 * rng.standard_normal(N)
+    x, v, u, y = np.zeros((4, N))
+    for t in range(N):
+        v[t] = 0.9 * v[t - 1] + e[t]
+        if t > 1:
+            x[t] = 1.4 * x[t - 1] - 0.5 * x[t - 2] + 0.1 * u[t - 1] + 0.05 * u[t - 2]
+        y[t] = x[t] + v[t]
+        u[t] = 0.5 * (r[t] - y[t])
+    return Dataset(u=u, y=y, Ts=0.02)
+
+
+def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
+    """Four, where one would take three more coefficients."""
+    found = search(_of_second_order(nk=4), families=("oe",), orders=(1, 2, 3))
+
+    assert {j.fit.nk for j in found.ranked if j.fit is not None} == {4}
+    assert found.chosen.candidate.order <= 3
+    assert found.halved
+    assert "the second half of the data" in found.table()
+
+
+def test_a_level_that_u_does_not_make_is_estimated_along() -> None:
+    """A pole and a zero at 1 would take its place; the families that cannot are not favoured."""
+    found = search(_of_second_order(level=5.0), orders=(1, 2, 3))
+
+    assert found.chosen.candidate.order == 2
+    assert found.fit.offset
+    assert any("estimate it along" in note for note in found.notes)
+    assert not found.doubts
+
+
+def _of_second_order(nk: int = 1, level: float = 0.0) -> Dataset:
+    u = telegraph(1500, 0.1, 0.0, 5.0, seed=1) - 2.5
+    y = filtered(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u) + level
+    return Dataset(u=u, y=y + 0.05 * np.random.default_rng(3).standard_normal(1500), Ts=0.02)
+
+
+def test_an_output_that_is_found_to_integrate_gets_its_integrator() -> None:
+    """As `delay` and `impulse_response` take it, and it is said."""
+    data = _of_second_order()
+    found = search(
+        Dataset(u=data.u, y=0.05 * np.cumsum(data.y), Ts=0.02), families=("oe",), orders=(3,)
+    )
+
+    assert found.fit.integrator
+    assert "taken as integrating" in found.explain()

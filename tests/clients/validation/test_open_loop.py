@@ -248,3 +248,18 @@ def test_an_impossible_level_is_refused(plant: HandoutPlant) -> None:
     """It is a probability."""
     with pytest.raises(ValueError, match=r"level=5 must lie between 0 and 1"):
         armrig.open_loop(plant.dataset(1), level=5)
+
+
+def test_a_u_made_of_y_alone_is_told_as_such() -> None:
+    """No set point moves: such data tell the controller. A file's digits do not hide it."""
+    data = controlled(lambda _, y: -3.0 * y, 0.05 * np.random.default_rng(1).standard_normal(1000))
+
+    for digits in (16, 7):
+        found = armrig.open_loop(
+            Dataset(u=np.round(data.u, digits), y=np.round(data.y, digits), Ts=0.01)
+        )
+        assert found.exact
+        assert not found.may_be_direct_term
+        assert "u(t) follows from y(t) exactly" in found.explain()
+        assert "tell the controller, not the rig" in found.brief()
+    assert not armrig.open_loop(under_feedback(1)).exact

@@ -34,11 +34,10 @@ class Drift:
 
     def __str__(self) -> str:
         """Say it in a line."""
-        unit = self.unit or "1"
         found = "a drift" if abs(self.z) > 2.58 else "no drift that shows"
         return (
-            f"{found}: {self.rate:.3g} ± {self.std:.2g} {unit}/s, "
-            f"{self.rate * self.seconds:.3g} {unit} in {self.seconds:g} s"
+            f"{found}: {self.rate:.3g} ± {self.std:.2g} {self.unit or '1'}/s, "
+            f"{f'{self.rate * self.seconds:.3g} {self.unit}'.rstrip()} in {self.seconds:g} s"
         )
 
 

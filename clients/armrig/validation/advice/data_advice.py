@@ -3,62 +3,157 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
-from armrig.data.treatment.integrating import integrating
 from armrig.estimation.arx import arx
+from armrig.estimation.data_faults import NO_OPTION, level_without_input
 from armrig.estimation.oe import oe
 from armrig.excitation.input_description import describe_input
-from armrig.numerics.quantities import p_relation, percent
+from armrig.models.fit import Fit
+from armrig.nonparametric.integrator import Integration, integration
+from armrig.numerics.quantities import NBSP, p_relation, percent, plural
 from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
-from armrig.validation.feedback_and_delay.open_loop import open_loop
+from armrig.validation.feedback_and_delay.delay import delay
+from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
 
 ORDER = 4
-"""Poles of the arm, and coefficients of its numerator."""
-_LEVEL = 0.01
+"""Poles of the models that are compared, and coefficients of their numerators: those of the arm."""
 _AGREE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MOST_MISSING = 0.2
+_CHANCE = 1e-3  # p value from which one open-loop recording in twenty is called closed by chance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tested:
+    """What is tested before a model is chosen."""
+
+    integration: Integration
+    """Whether y is taken as integrating."""
+    loop: OpenLoop | None
+    """The test for feedback, None where there are too few samples."""
+    late: Delay | str
+    """The test for a delay, or why there is none."""
+
+    @property
+    def closed(self) -> bool:
+        """There is feedback, beyond what chance makes of one open-loop recording in twenty.
+
+        A direct term that looks the same is believed where u has few levels.
+        """
+        direct = self.loop is not None and self.loop.may_be_direct_term and self.loop.few_levels
+        return self.together and not direct
+
+    @property
+    def together(self) -> bool:
+        """There is feedback or a direct term, beyond what chance makes."""
+        return self.loop is not None and self.loop.p_value < _CHANCE
+
+
+def tested(data: Dataset, integrator: bool | None) -> Tested:
+    """Test data for an integrator, feedback and a delay."""
+    decided = integration(data, integrator)
+    return Tested(
+        integration=decided, loop=_loop(data), late=_late(data, integrates=decided.integrates)
+    )
+
+
+def _loop(data: Dataset) -> OpenLoop | None:
+    try:
+        return open_loop(data)
+    except ValueError:
+        return None
+
+
+def _late(data: Dataset, *, integrates: bool) -> Delay | str:
+    try:
+        return delay(data, integrator=integrates)
+    except ValueError as err:
+        return str(err)
 
 
 def examine_data(data: Dataset) -> Iterator[Finding]:
     """Iterate over the points, in the order in which one would look."""
+    known = tested(data, None)
+    findings = [*examine_experiment(data, known)]
+    yield from findings
+    if all(f.level == "good" for f in findings):  # else the cause of a difference is known
+        yield from _about_structures(data, known)
+
+
+def doubts(data: Dataset, known: Tested) -> list[Finding]:
+    """Return what speaks against the data; of feedback only what chance hardly makes (0.1 %)."""
+    found = [f for f in examine_experiment(data, known) if f.level != "good"]
+    return [f for f in found if f.about != "feedback" or known.together]
+
+
+def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
+    """Iterate over what is looked at before any model."""
     yield _about_input(data)
-    reason = integrating(data)
-    yield _about_integrator(reason)
+    yield _about_integrator(known.integration)
     if data.missing:
         yield _about_missing(data)
-    cleaned = None
-    try:
-        cleaned = hampel(data)
-    except ValueError as err:
-        yield finding("outliers", f"not looked for: {err}", good=True)
-    if cleaned is not None:
-        yield _about_outliers(data, cleaned)
-    if not reason:
+    if not known.together:  # where a set point steps, the controller makes y and u jump together
+        yield _about_outliers(data)
+    if not known.integration.integrates:
+        yield from _about_level(data)
         yield from _about_drift(data)
     yield from _about_history(data)
-    yield from _about_feedback(data)
-    yield from _about_structures(data, integrator=bool(reason))
+    yield from _about_feedback(known)
+    yield from _about_delay(known)
+
+
+def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
+    """Iterate over what speaks against a model of these data: feedback, its nk, its size."""
+    known = tested(data, fit.integrator or None)
+    order, needed = _excitation(data), _parameters_from_u(fit)
+    if order < needed:
+        text = f"u is exciting of order {order} only, and {needed} parameters of the model "
+        text += "answer to u: play a u that switches often (telegraph, PRBS), or lower the orders"
+        yield finding("excitation", text, good=False)
+    if known.integration.notes and not fit.integrator:
+        yield replace(_about_integrator(known.integration), level="warning")
+    if known.together:
+        yield from _about_feedback(known)
+    late = known.late
+    if isinstance(late, str):
+        yield from _about_delay(known)
+    elif not late.interval[0] <= fit.nk <= late.interval[1]:
+        text = f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: nk={late.nk}"
+        yield finding("delay", text, good=False)
+
+
+def _parameters_from_u(fit: Fit) -> int:
+    """Return how many parameters B and F, or B and A, have together."""
+    free = fit.slice_of("b"), fit.slice_of("f"), fit.slice_of("a")
+    return sum(s.stop - s.start for s in free)
+
+
+def _excitation(data: Dataset) -> int:
+    return min(describe_input(part.u, data.Ts).order for part in data.experiments())
 
 
 def _about_input(data: Dataset) -> Finding:
-    order = min(describe_input(part.u, data.Ts).order for part in data.experiments())
+    order = _excitation(data)
     needed = 2 * ORDER
     if order >= needed:
-        text = f"exciting of order {order} at least: enough for the {needed} parameters of the arm"
-        return finding("excitation", text, good=True)
-    text = f"exciting of order {order} only, the arm's {needed} parameters need {needed}: play one "
-    return finding("excitation", text + "that switches often (telegraph, PRBS)", good=False)
+        text = f"u is exciting of order {order} at least: enough for {order} parameters of B and F "
+        return finding("excitation", text + "(or B and A) together", good=True)
+    text = f"u is exciting of order {order} only, and a model of order {ORDER} has {needed} "
+    text += "parameters of B and F (or B and A): play a u that switches often (telegraph, PRBS)"
+    return finding("excitation", text, good=False)
 
 
-def _about_integrator(reason: str) -> Finding:
-    if not reason:
+def _about_integrator(decided: Integration) -> Finding:
+    if not decided.integrates:
         return finding("integrator", "none is seen", good=True)
-    text = f"{reason}: fix its pole, oe(…, integrator=True), and remove no linear trend"
+    text = decided.notes[0].split(":")[0] if decided.notes else "the output is an angle"
+    text += ": fix its pole, oe(…, integrator=True), and remove no linear trend"
     return finding("integrator", text, good=True)
 
 
@@ -68,13 +163,23 @@ def _about_missing(data: Dataset) -> Finding:
     return finding("missing", text, good=share < _MOST_MISSING)
 
 
-def _about_outliers(data: Dataset, cleaned: Dataset) -> Finding:
+def _about_outliers(data: Dataset) -> Finding:
+    try:
+        cleaned = hampel(data)
+    except ValueError as err:
+        return finding("outliers", f"not looked for: {err}", good=True)
     found = cleaned.missing - data.missing
     if not found:
         return finding("outliers", "none", good=True)
     where = ", ".join(map(str, np.flatnonzero(data.valid & ~cleaned.valid)[:5]))
-    text = f"{found} (first at samples {where}): identify from armrig.hampel(data), which marks "
-    return finding("outliers", text + "them missing", good=False)
+    text = f"{plural(found, 'sample')} of {data.output} look wrong (first {where}), and a model "
+    text += "follows them: estimate from armrig.hampel(data), which marks them missing"
+    return finding("outliers", text, good=False)
+
+
+def _about_level(data: Dataset) -> Iterator[Finding]:
+    if text := level_without_input(data):
+        yield finding("level", f"{text}: {NO_OPTION}", good=False)
 
 
 def _about_drift(data: Dataset) -> Iterator[Finding]:
@@ -97,26 +202,47 @@ def _about_history(data: Dataset) -> Iterator[Finding]:
         )
 
 
-def _about_feedback(data: Dataset) -> Iterator[Finding]:
-    try:
-        test = open_loop(data, _LEVEL)
-    except ValueError:
+def _about_feedback(known: Tested) -> Iterator[Finding]:
+    loop = known.loop
+    if loop is None:
         return
-    if test.feedback is None:
-        yield finding("feedback", f"cannot tell: {'; '.join(test.remarks)}", good=True)
+    if loop.feedback is None:
+        yield finding("feedback", f"cannot tell: {'; '.join(loop.remarks)}", good=True)
         return
-    if not test.feedback:
-        yield finding("feedback", f"none is found (p {p_relation(test.p_value)})", good=True)
+    p = f"p {p_relation(loop.p_value)}"
+    if not loop.feedback:
+        yield finding("feedback", f"none is found ({p})", good=True)
         return
-    text = f"u answers to {data.output} (p {p_relation(test.p_value)}): OE, spectra and "
-    text += "correlations are biased; use ARMAX or BJ, or record in open loop"
+    text = f"u answers to {loop.output} ({p}): OE, spectra and correlations are biased; use "
+    text += "ARMAX or BJ with nk >= 1, or record in open loop"
+    if loop.may_be_direct_term:
+        text += ". A rig that answers within the sample looks the same: if yours does, take nk=0"
+    if loop.p_value >= _CHANCE:
+        text += f". By chance one open-loop recording in {1 / loop.level:.0f} looks so"
     yield finding("feedback", text, good=False)
 
 
-def _about_structures(data: Dataset, *, integrator: bool) -> Iterator[Finding]:
+def _about_delay(known: Tested) -> Iterator[Finding]:
+    late = known.late
+    if isinstance(late, str):
+        yield finding("delay", f"cannot be told: {late}", good=False)
+    elif late.delay > 0:
+        ms = f"{1e3 * late.delay * late.Ts:.3g}{NBSP}ms"
+        text = f"u acts from lag {late.nk} on, {plural(late.delay, 'sample')} ({ms}) after the "
+        yield finding("delay", text + f"hold's one: estimate with nk={late.nk}", good=True)
+    else:
+        yield finding("delay", f"none is seen: estimate with nk={late.nk}", good=True)
+
+
+def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
     """Compare ARX and OE, which tell the same where the noise is ARX's, or small."""
+    nk = known.late.nk if isinstance(known.late, Delay) else 1
+    integrator = known.integration.integrates
     try:
-        models = arx(data, na=ORDER, nb=ORDER), oe(data, nb=ORDER, nf=ORDER, integrator=integrator)
+        models = (
+            arx(data, na=ORDER, nb=ORDER, nk=nk),
+            oe(data, nb=ORDER, nf=ORDER, nk=nk, integrator=integrator),
+        )
     except (ValueError, np.linalg.LinAlgError):
         return
     highest = min(100.0, np.pi / data.Ts)

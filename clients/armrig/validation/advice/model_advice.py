@@ -8,12 +8,15 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.cancellation import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
+from armrig.models.structure_table import KINDS
 from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
 
-COLOURED = "raise the orders, or add a noise model"
+COLOURED = "raise the orders, look at the delay, or add a noise model"
 """What to do about residuals that are not white."""
 _REAL = 1e-9
+_VAGUE = 0.1  # standard deviation of a pole that may be anywhere
+_AT_ONE = 0.01  # distance from 1 in the z plane
 _STD_99 = 2.58
 
 
@@ -23,9 +26,13 @@ def examine_model(fit: Fit) -> Iterator[Finding]:
     white = not fit.trusts_robust
     text = whiteness_sentence(fit) + ("" if white else f"; {COLOURED}")
     yield finding("residuals", text, good=white)
-    yield _about_overlap(fit)
+    pairs = overlapping(fit)
+    at_one = [p for p in pairs if abs(p[0] - 1) < _AT_ONE and abs(p[1] - 1) < _AT_ONE]
+    yield _about_overlap(fit, [p for p in pairs if p not in at_one])
+    yield from _about_pair_at_one(fit, at_one)
     yield from _about_poles(fit)
-    yield from _about_integrator(fit)
+    if not at_one:
+        yield from _about_integrator(fit)
     yield from _about_first_coefficient(fit)
     if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
         text = "ARX takes the noise to pass through 1/A; on an angle it is added at the end: "
@@ -42,13 +49,24 @@ def _about_search(fit: Fit) -> Finding:
     return finding("search", text, good=False)
 
 
-def _about_overlap(fit: Fit) -> Finding:
-    pairs = overlapping(fit)
+def _about_overlap(fit: Fit, pairs: list[tuple[complex, complex, float]]) -> Finding:
     if not pairs:
         return finding("order", "all poles and zeros can be told apart", good=True)
     places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
     text = f"pole and zero {places} (z plane) cannot be told apart: they cancel, and the order is "
-    return finding("order", text + "too high by as many; lower nb and nf (or na)", good=False)
+    kind = KINDS[fit.structure]
+    lower = " and ".join(name for name in ("nb", kind.poles) if name in kind.orders)
+    return finding("order", text + f"too high by as many; lower {lower}", good=False)
+
+
+def _about_pair_at_one(fit: Fit, pairs: list[tuple[complex, complex, float]]) -> Iterator[Finding]:
+    """Say what a pole and a zero near 1 stand for: a constant, or an order too high."""
+    if not pairs:
+        return
+    pole, zero, _ = pairs[0]
+    text = f"pole {_z(pole)} and zero {_z(zero)} cancel: together they make a level of "
+    text += f"{fit.output} that u does not; remove the means, armrig.detrend(data), or take "
+    yield finding("level", text + "offset=True; if that is done, lower the order", good=False)
 
 
 def _about_poles(fit: Fit) -> Iterator[Finding]:
@@ -57,9 +75,8 @@ def _about_poles(fit: Fit) -> Iterator[Finding]:
         if abs(z) > 1 + max(_STD_99 * std, 1e-3) and z.imag >= 0:
             text = f"pole {_z(z)} is outside the unit circle: the rig is stable, so simulate with "
             yield finding("unstable", text + "care, and look at delay and orders", good=False)
-        if abs(z.imag) < _REAL and z.real < 0:
-            sure = "" if z.real + _STD_99 * std < 0 else ", though it may as well be positive"
-            text = f"pole {_z(z)} is real and negative{sure}: sampling makes none such of a rig in "
+        if abs(z.imag) < _REAL and z.real + _STD_99 * std < 0:
+            text = f"pole {_z(z)} is real and negative: sampling makes none such of a rig in "
             text += "continuous time (exp(s Ts) > 0), it stands for noise; lower the order"
             yield finding("poles", text, good=False)
 
@@ -69,7 +86,8 @@ def _about_integrator(fit: Fit) -> Iterator[Finding]:
         return
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
-        if abs(z.imag) < _REAL and abs(z.real - 1) < max(_STD_99 * std, 1e-3):
+        near = abs(z.real - 1) < max(_STD_99 * std, 1e-3) and std < _VAGUE
+        if abs(z.imag) < _REAL and near:
             text = f"pole {z.real:.5f} ± {std:.1g} is 1 as far as can be told: fix it, "
             yield finding("integrator", text + "oe(…, integrator=True)", good=False)
             return
@@ -82,8 +100,8 @@ def _about_first_coefficient(fit: Fit) -> Iterator[Finding]:
     i = fit.slice_of("b").start
     b, std = float(fit.theta[i]), float(fit.std_robust[i])
     if std > 0 and abs(b) < _STD_99 * std:
-        text = f"b1 = {b:.2g} ± {std:.2g} is not shown to be there: a delay, or nothing but noise; "
-        yield finding("delay", text + "armrig.delay(data) decides", good=False)
+        text = f"b1 = {b:.2g} ± {std:.2g} is not shown to differ from 0: a delay, or nothing but "
+        yield finding("delay", text + "noise; armrig.delay(data) decides", good=False)
 
 
 def _z(z: complex) -> str:

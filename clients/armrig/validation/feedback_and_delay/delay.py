@@ -22,6 +22,7 @@ from armrig.validation.feedback_and_delay.lag_tests import (
     LagTests,
     lag_tests,
 )
+from armrig.validation.feedback_and_delay.open_loop import open_loop
 from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possible, smooth_onsets
 
 Vector = NDArray[np.float64]
@@ -50,7 +51,9 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so that no delay is claimed that is not shown; a
-    direct term, nk = 0, is claimed only where lag 0 itself is shown.
+    direct term, nk = 0, is claimed only where lag 0 itself is shown. Where `open_loop` finds
+    feedback, lag 0 would show the controller's answer: then the model begins at lag 1, and the
+    interval at 0 where a direct term looks the same.
 
     Parameters
     ----------
@@ -85,26 +88,30 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     n = min(MOST_LAGS, samples // 10, 5 * determined // 7)
     response = impulse_response(data, n, kernel=None, integrator=decided.integrates)
     tests = lag_tests(data, response, determined)
-    shown = tests.shown
-    if shown == tests.p_values.size:
-        msg = f"u acts at no lag up to {shown - 1} that can be told from nothing; record longer, "
+    zero = None if tests.shown else _lag_zero(data)
+    if zero is not None and zero.controller:
+        later = lag_tests(data, response, determined, first=1)
+        tests = tests if zero.rig and later.none_shown else later
+    if tests.none_shown:
+        msg = f"{data.output} shows no answer to u that can be told from noise: record longer, "
         msg += "or with a larger input"
         raise ValueError(msg)
+    first, shown = tests.first, tests.shown
     onset = _onset(data, tests, integrates=decided.integrates)
     read = _readings(data, response, onset.first)
     low, remarks = _hidden_by_steps(onset, read, data.Ts)
     return Delay(
         nk=max(low, min(1, onset.last)),
-        interval=(low, onset.last),
-        p_values={k: float(tests.p_values[k]) for k in range(shown + 1)},
-        before=tests.before(shown - 1) if shown else None,
+        interval=(0 if zero is not None and zero.rig else low, onset.last),
+        p_values={k: float(tests.p_values[k - first]) for k in range(first, shown + 1)},
+        before=tests.before(shown - 1) if shown > first else None,
         misfit=onset.misfit,
-        arx_loss={k: float(v) for k, v in enumerate(tests.loss[: shown + _FAR + 1])},
+        arx_loss={k: float(v) for k, v in enumerate(tests.loss[: shown - first + _FAR + 1], first)},
         response=response,
         integrator=decided.integrates,
         na=tests.na,
         quantum=read.quantum,
-        remarks=(*decided.notes, *remarks),
+        remarks=(*decided.notes, *([zero.remark] if zero and zero.remark else []), *remarks),
         output=data.output,
         Ts=data.Ts,
         unit=data.unit,
@@ -113,6 +120,40 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         t_q=read.t_q,
         largest_step=read.largest_step,
         acceleration=read.acceleration,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _LagZero:
+    """What lag 0 shows, where it shows anything: the rig's direct term, or a controller."""
+
+    rig: bool
+    """It may be the rig's."""
+    controller: bool
+    """It may be the controller's, whose u(t) depends on y(t)."""
+    remark: str = ""
+    """Which, and why; "" where nothing speaks of feedback."""
+
+
+def _lag_zero(data: Dataset) -> _LagZero:
+    try:
+        loop = open_loop(data)
+    except ValueError:
+        return _LagZero(rig=True, controller=False)
+    if not loop.feedback:
+        return _LagZero(rig=True, controller=False)
+    if not loop.may_be_direct_term or data.output in SECOND_ORDER:
+        return _LagZero(
+            rig=False,
+            controller=True,
+            remark=f"there is feedback: u(t) answers to {data.output}(t), which would look as a "
+            "direct term, so the lags from 1 on were tested",
+        )
+    return _LagZero(
+        rig=True,
+        controller=not loop.few_levels,
+        remark="feedback looks the same as a direct term: if y was read before u was applied, nk "
+        "is 1 or more, and a controller made u of y",
     )
 
 

@@ -95,7 +95,9 @@ class Delay:
             + (f"of {self.output}'s rate " if self.response.integrator else "")
             + "at lags "
             + ", ".join(
-                f"{k} {g[k] / std[k]:+.1f}σ" for k in range(min(self.nk + 3, g.size)) if std[k] > 0
+                f"{k} {g[k] / std[k]:+.1f}σ"
+                for k in range(min(self.p_values), min(self.nk + 3, g.size))
+                if std[k] > 0
             )
             + ". A coefficient within its band is not shown to be zero: before "
             f"{self.output} has moved it is small, not absent.",
@@ -118,7 +120,8 @@ class Delay:
         return "\n".join(lines)
 
     def _tests(self) -> list[str]:
-        lines = [_lag_sentence(k, p) for k, p in list(self.p_values.items())[-2:]]
+        least = min(self.p_values)
+        lines = [_lag_sentence(least, k, p) for k, p in list(self.p_values.items())[-2:]]
         if self.before is not None:
             lines.append(_overlooked_sentence(self.before))
         return [*lines, *([_shape_sentence(self.misfit)] if self.misfit else [])]
@@ -157,9 +160,11 @@ class Delay:
         return "\n".join([*lines, *(f"  note: {r}" for r in self.remarks)])
 
 
-def _lag_sentence(k: int, p: float) -> str:
+def _lag_sentence(least: int, k: int, p: float) -> str:
     said = "u acts there" if p < LEVEL else "not shown to matter"
-    which = f"lags 0 to {k}: their coefficients together" if k else "lag 0: its coefficient"
+    if k == least:
+        return f"lag {k}: its coefficient, p {p_relation(p)}: {said}"
+    which = f"lags {least} to {k}: their coefficients together"
     return f"{which}, p {p_relation(p)}: {said}"
 
 

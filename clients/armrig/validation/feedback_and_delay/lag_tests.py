@@ -47,10 +47,12 @@ class Before:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LagTests:
-    """Tests that u does not act at the lags 0 … k, for each k."""
+    """Tests that u does not act at the lags `first` … k, for each k; arrays begin at `first`."""
 
+    first: int
+    """Least lag of the model: 0, or 1 where feedback hides what lag 0 is."""
     p_values: Vector
-    """Of H_k: b_0 = … = b_k = 0, (n,)."""
+    """Of H_k: b_first = … = b_k = 0, (n,)."""
     coefficient: Vector
     """b_k of the model that begins at lag k, (n,), in y's unit per u's."""
     std: Vector
@@ -66,8 +68,13 @@ class LagTests:
 
     @property
     def shown(self) -> int:
-        """The first lag at which H_k is rejected; the number of lags where none is."""
-        return _first(self.p_values)
+        """The first lag at which H_k is rejected; one past the last where none is."""
+        return self.first + _first(self.p_values)
+
+    @property
+    def none_shown(self) -> bool:
+        """H_k is rejected at no lag."""
+        return _first(self.p_values) == self.p_values.size
 
     def before(self, k: int) -> Before:
         """Test whether u may act first at lag k, its coefficient being too small to be shown.
@@ -79,7 +86,8 @@ class LagTests:
 
         later = np.arange(self.shown, self.response.size)
         least = float(np.max(np.abs(self.response[later]) / (1 + _GROWTH * (later - k))))
-        found, predicted = abs(float(self.coefficient[k])) / self.std[k], least / self.std[k]
+        std = self.std[k - self.first]
+        found, predicted = abs(float(self.coefficient[k - self.first])) / std, least / std
         return Before(
             k=k,
             found=float(found),
@@ -90,12 +98,14 @@ class LagTests:
     def least(self) -> int:
         """Return the least lag that is not ruled out, going down from the first that is shown."""
         k = self.shown
-        while k > 0 and self.before(k - 1).p_value >= LEVEL:
+        while k > self.first and self.before(k - 1).p_value >= LEVEL:
             k -= 1
         return k
 
 
-def lag_tests(data: Dataset, response: ImpulseResponse, determined: int) -> LagTests:
+def lag_tests(
+    data: Dataset, response: ImpulseResponse, determined: int, first: int = 0
+) -> LagTests:
     """Test the first lags in an ARX model, or in the impulse response where too much is missing.
 
     ARX with a level of each experiment, its orders by AIC among na <= 20 and the lags of u that
@@ -105,8 +115,9 @@ def lag_tests(data: Dataset, response: ImpulseResponse, determined: int) -> LagT
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
 
-    holds its level without a model of the noise; V_k is the sum of squares of the model that
-    begins at lag k. All V_k come from one QR decomposition with the columns u(t - L) … u(t).
+    (from lag `first` on: where u(t) answers to y(t), b_0 is the controller's) holds its level
+    without a model of the noise; V_k is the sum of squares of the model that begins at lag k. All
+    V_k come from one QR decomposition with the columns u(t - L) … u(t).
 
     References
     ----------
@@ -114,22 +125,22 @@ def lag_tests(data: Dataset, response: ImpulseResponse, determined: int) -> LagT
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, sections 16.4 and 16.5.
     """
     samples = data.N - data.missing
-    lags = response.lags.size
+    lags = range(first, response.lags.size)
     whole = sum(block.shape[0] for block in _rows(data, 0, lags))
     for most in _ORDERS:
-        na = max(min(most, samples // _ROWS_PER_ORDER, determined - lags), 0)
+        na = max(min(most, samples // _ROWS_PER_ORDER, determined - len(lags)), 0)
         blocks = _rows(data, na, lags)
         N = sum(block.shape[0] for block in blocks)
-        if max(_WHOLE * whole, 2 * (na + lags + len(blocks))) <= N:
+        if max(_WHOLE * whole, 2 * (na + len(lags) + len(blocks))) <= N:
             return _in_arx(blocks, na, lags)
-    return _in_response(response)
+    return _in_response(response, first)
 
 
-def _rows(data: Dataset, na: int, lags: int) -> list[Matrix]:
+def _rows(data: Dataset, na: int, lags: range) -> list[Matrix]:
     """Return [y lagged, u lagged, y] of each experiment about its means, complete rows only."""
     blocks = []
     for part in data.experiments():
-        rows = arx_rows(part.u, part.y, na=na, lags=range(lags))
+        rows = arx_rows(part.u, part.y, na=na, lags=lags)
         whole = np.column_stack([rows.Phi, rows.y])[rows.usable]
         if whole.shape[0]:
             whole -= whole.mean(axis=0)
@@ -137,40 +148,41 @@ def _rows(data: Dataset, na: int, lags: int) -> list[Matrix]:
     return blocks
 
 
-def _in_arx(blocks: list[Matrix], most: int, lags: int) -> LagTests:
-    N, width = sum(block.shape[0] for block in blocks), most + lags + 1
+def _in_arx(blocks: list[Matrix], most: int, lags: range) -> LagTests:
+    N, width = sum(block.shape[0] for block in blocks), most + len(lags) + 1
     R = triangle((piece for block in blocks for piece in in_blocks(block, _BLOCK)), width)
     scale = column_norms(R)
     scale[scale == 0] = 1.0
-    na, nb = _orders(R / scale, most, lags, N)
+    na, nb = _orders(R / scale, most, len(lags), N)
     columns = [*range(na), *range(most + nb - 1, most - 1, -1), width - 1]
     T, d = _triangle_of(R / scale, columns), na + nb
-    first = np.arange(d - 1, na - 1, -1)  # u(t), u(t - 1), … in T
-    diagonal, t = np.diag(T)[first], T[first, -1]
+    latest_first = np.arange(d - 1, na - 1, -1)  # of the lags of u in T
+    diagonal, t = np.diag(T)[latest_first], T[latest_first, -1]
     left = max(float(T[d, -1] ** 2), _ROUNDING**2)
     s = np.sqrt(left / (N - d - len(blocks)))
     unit = scale[-1] / scale[most : most + nb]
     p_values = _joint(t / s, N - d - len(blocks))
     return LagTests(
+        first=lags.start,
         p_values=p_values,
         coefficient=t / diagonal * unit,
         std=s / np.abs(diagonal) * unit,
         loss=(left + np.append(0.0, np.cumsum(t**2)[:-1])) * scale[-1] ** 2 / N,
-        response=_response(T, scale[columns], na, _first(p_values)),
+        response=_response(T, scale[columns], na, _first(p_values), lags.start),
         na=na,
         N=N,
     )
 
 
 def _first(p_values: Vector) -> int:
-    """Return the first lag at which H_k is rejected; the number of lags where none is."""
+    """Return which is the first p value below the level; how many there are where none is."""
     found = np.flatnonzero(p_values < LEVEL)
     return int(found[0]) if found.size else p_values.size
 
 
-def _response(T: Matrix, scale: Vector, na: int, k: int) -> Vector:
-    """Return the answer to a pulse of the model that begins at lag k, from lag 0 on."""
-    d = T.shape[1] - 1 - k
+def _response(T: Matrix, scale: Vector, na: int, left_out: int, first: int) -> Vector:
+    """Return the answer to a pulse of the model without the least lags, from lag 0 on."""
+    d, k = T.shape[1] - 1 - left_out, first + left_out
     theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
     A, B = np.append(1.0, theta[:na]), np.append(np.zeros(k), theta[na:][::-1])
     return filtered(B, A, np.eye(1, k + _AHEAD)[0])
@@ -182,7 +194,7 @@ def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
 
 
 def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
-    """Return na and the number of lags of u, from lag 0 on, of least AIC."""
+    """Return na and the number of lags of u, from the least on, of least AIC."""
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
@@ -193,7 +205,7 @@ def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
     return na, last + 1
 
 
-def _in_response(response: ImpulseResponse) -> LagTests:
+def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     """Return Wald tests of the plain impulse response's first coefficients.
 
     With the covariance L L^T the components of L^-1 g are independent, and the k-th times L_kk is
@@ -203,8 +215,9 @@ def _in_response(response: ImpulseResponse) -> LagTests:
     covariance = response.covariance if response.rate is None else response.rate_covariance
     rounding = (_ROUNDING * np.linalg.norm(g)) ** 2 + np.finfo(np.float64).tiny
     L = np.linalg.cholesky(np.asarray(covariance) + rounding * np.eye(g.size))
-    score, std = np.linalg.solve(L, g), np.diag(L)
+    score, std = np.linalg.solve(L, g)[first:], np.diag(L)[first:]
     return LagTests(
+        first=first,
         p_values=_joint(score, max(response.N - g.size, 1)),
         coefficient=std * score,
         std=std,

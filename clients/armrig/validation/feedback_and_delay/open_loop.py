@@ -5,15 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.numerics.quantities import p_relation
+from armrig.numerics.quantities import p_relation, percent
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _SURE = 1e-3  # p value from which on another recording is asked for
+_EXACT = 1e-5  # share of u's deviation that y(t) leaves at most: the digits of a file
+_FEW_LEVELS = 20  # of u: a controller that carries noise into u makes more
+_LARGE = 1e6  # F beyond which its digits say nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -28,8 +33,13 @@ class OpenLoop:
     """Share of open-loop experiments that are called closed."""
     sims: Sims | None
     """The test in full."""
+    exact: bool
+    """u(t) is a multiple of y(t) and a constant, sample by sample, as under a P controller whose
+    set point rests."""
     remarks: tuple[str, ...]
     """What limits the answer, or why there is none."""
+    few_levels: bool
+    """The input has 20 levels at most, so that it carries none of y's noise, but by a relay."""
     output: str
     """Name of y."""
     unit: str
@@ -48,6 +58,12 @@ class OpenLoop:
             return "cannot tell whether there is feedback"
         return "FEEDBACK" if self.feedback else "open loop: no feedback found"
 
+    @property
+    def may_be_direct_term(self) -> bool:
+        """Only u(t) tells, none after it: a rig that answers within the sample looks the same."""
+        s = self.sims
+        return s is not None and not self.exact and s.p_value < self.level <= s.p_later
+
     def explain(self) -> str:
         """Say what was asked, what came out, and what it can and cannot mean."""
         if self.sims is None:
@@ -57,9 +73,7 @@ class OpenLoop:
             f"{self.verdict}.",
             f"Asked: does the input from t on know of {y}(t) what the past does not? In open loop "
             f"it does not: u was chosen without looking at {y}.",
-            f"Found: it explains {100 * max(s.explained, 0.0):.2g} % of what the past leaves of "
-            f"{y}; F = {s.F:.3g} with {s.q} and {s.degrees} degrees of freedom, p "
-            f"{p_relation(self.p_value)}.",
+            self._found(s),
         ]
         if self.feedback:
             lines += self._so()
@@ -75,6 +89,16 @@ class OpenLoop:
         """Say the answer, what to do where there is feedback, and what limits the answer."""
         verdict, *notes = repr(self).splitlines()
         return "\n".join([verdict, *(self._so() if self.feedback else []), *notes])
+
+    def _found(self, s: Sims) -> str:
+        if self.exact:
+            return f"Found: u(t) follows from {self.output}(t) exactly, in all samples."
+        F = f"{s.F:.3g}" if s.F < _LARGE else f"more than {_LARGE:.0e}"
+        return (
+            f"Found: it explains {percent(100 * max(s.explained, 0.0))} of what the past leaves of "
+            f"{self.output}; F = {F} with {s.q} and {s.degrees} degrees of freedom, p "
+            f"{p_relation(self.p_value)}."
+        )
 
     def _so(self) -> list[str]:
         """Return what follows from feedback."""
@@ -140,16 +164,21 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
         msg = f"level={level!r} must lie between 0 and 1, such as 0.05"
         raise ValueError(msg)
     found: Sims | None = None
+    remarks: tuple[str, ...] = ()
     try:
         found = sims(data)
-        remarks = _remarks(found, level)
     except CannotTellError as err:
         remarks = (str(err),)
+    exact = found is not None and _is_exact(data)
+    if found is not None and found.p_value < level:
+        remarks = _remarks(found, level, exact=exact)
     return OpenLoop(
         feedback=None if found is None else found.p_value < level,
         p_value=float("nan") if found is None else found.p_value,
         level=level,
         sims=found,
+        exact=exact,
+        few_levels=np.unique(data.u).size <= _FEW_LEVELS,
         remarks=remarks,
         output=data.output,
         unit=data.unit,
@@ -159,8 +188,23 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     )
 
 
-def _remarks(found: Sims, level: float) -> tuple[str, ...]:
-    """Say where only u(t) tells, which without delay may be the rig's answer as well."""
+def _is_exact(data: Dataset) -> bool:
+    """Tell whether u(t) is a multiple of y(t) and a constant."""
+    u, y = data.u[data.valid], data.y[data.valid]
+    if u.size < 2 or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return False
+    u, y = u - u.mean(), y - y.mean()
+    left = u - (u @ y) / (y @ y) * y
+    return bool(np.linalg.norm(left) < _EXACT * np.linalg.norm(u))
+
+
+def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
+    """Say where u is made of y(t), or only u(t) tells, which may be the rig's answer as well."""
+    if exact:
+        return (
+            "u(t) is a multiple of y(t) and a constant, as a P controller makes it whose set "
+            "point rests: such data tell the controller, not the rig; move the set point",
+        )
     if found.p_value < level <= found.p_later:
         return (
             "only u(t) itself tells, none after it: a rig that answers within the sample (nk = 0, "
