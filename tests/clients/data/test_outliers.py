@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, Mask, Vector, merge
 from armrig.data.treatment import hampel
-from armrig.data.treatment.wrong_samples import _gross
+from armrig.data.treatment.wrong_samples import _gross, _surely_wrong
 from armrig.excitation import telegraph
+from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
@@ -186,3 +187,26 @@ def test_a_reading_that_rests_and_moves_by_steps_of_its_converter_has_no_gross_s
     y[700] = 50.0
 
     assert np.flatnonzero(_gross(y)).tolist() == [700]
+
+
+def test_near_wrong_samples_are_let_go_one_by_one() -> None:
+    """Each time the least, in standard deviations of a fit without those let go before."""
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((60, 12)) @ rng.standard_normal((12, 12))
+    columns[:, 5] = columns[:, 3]  # one of the two explains nothing beside the other
+    e = columns[:, :6] @ np.array([9.0, 0, 4, 7, 0, 0]) + rng.standard_normal(60)
+
+    kept, size = _surely_wrong(columns, e, 3.0)
+
+    left = [*range(12)]
+    while True:
+        basis = orthonormal(columns[:, left])
+        std = np.sqrt(np.sum(basis.W**2, axis=1))
+        b = basis.coefficients(e)
+        z = np.abs(b) / np.where(std > 0, std, np.inf)
+        if z.min() >= 3.0:
+            break
+        del left[int(np.argmin(z))]
+    assert kept.tolist() == left
+    np.testing.assert_allclose(size, b)
+    assert 0 < len(left) < 12

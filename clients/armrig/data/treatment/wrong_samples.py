@@ -154,18 +154,31 @@ def _expect(model: Whitening, u: Vector, y: Vector, marked: Mask, least: float) 
     expected, e = y.copy(), model.residuals(u, y)
     for group in _groups(np.flatnonzero(marked), n):
         rows = _rows(np.isfinite(e), group, n)
-        kept = group
-        while kept.size:
-            basis = orthonormal(_columns(model, rows, kept))
-            wrong_by = basis.coefficients(e[rows])
-            std = np.sqrt(np.sum(basis.W**2, axis=1))
-            size = np.abs(wrong_by) / np.where(std > 0, std, np.inf)
-            if size.min() >= least:
-                expected[kept] -= wrong_by
-                break
-            kept = np.delete(kept, np.argmin(size))
-        marked[np.setdiff1d(group, kept)] = False
+        kept, wrong_by = _surely_wrong(_columns(model, rows, group), e[rows], least)
+        expected[group[kept]] -= wrong_by
+        marked[np.delete(group, kept)] = False
     return expected
+
+
+def _surely_wrong(columns: Array, e: Vector, least: float) -> tuple[Indices, Vector]:
+    """Return which columns explain e by at least so much each, and by how much.
+
+    The least one is left out until all are: b and P, P s² the covariance of b, without column j are
+    b - P_j b_j / P_jj and P - P_j P_j^T / P_jj.
+    """
+    basis = orthonormal(columns)
+    kept, b, P = np.arange(columns.shape[1]), basis.coefficients(e), basis.W @ basis.W.T
+    while kept.size:
+        variance = np.diag(P)
+        size = np.abs(b) / np.sqrt(np.where(variance > 0, variance, np.inf))
+        j = int(np.argmin(size))
+        if size[j] >= least:
+            break
+        if variance[j] > 0:
+            b, P = b - P[:, j] * (b[j] / P[j, j]), P - np.outer(P[:, j], P[j] / P[j, j])
+        kept, b = np.delete(kept, j), np.delete(b, j)
+        P = np.delete(np.delete(P, j, axis=0), j, axis=1)
+    return kept, b
 
 
 def _rows(there: Mask, group: Indices, n: int) -> Indices:
