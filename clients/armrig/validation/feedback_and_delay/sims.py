@@ -20,7 +20,8 @@ Mask = NDArray[np.bool_]
 
 FUTURE = 5
 """Samples of u that are tested: u(t) … u(t + 4)."""
-_MOST_LAGS = 40
+_LAGS_PER_DECADE = 15  # of N
+_MOST_LAGS = 60
 _LEAST_LAGS = 4
 _SLOW = (0.0, 1 / 3, 1.0)  # the sums of older input forget this share of themselves in p samples
 _ROWS_PER_PARAMETER = 5  # fewer and the F distribution is a wish
@@ -76,7 +77,7 @@ def sims(data: Dataset) -> Sims:
     (Granger's test, of u on past y, supposes that u's own past is modelled; a PRBS or a held or
     low-pass input then passes for feedback.) In closed loop the noise in y(t) is in u(t).
 
-    p = 10 lg N, at most 40, and the sums w stand for the input before that: what is cut off of
+    p = 15 lg N, at most 60, and the sums w stand for the input before that: what is cut off of
     the past is what a future u could tell of in open loop. As y's past has more lags than the
     plant has poles, the F distribution holds where y integrates, too: see [2] and [3].
 
@@ -136,10 +137,10 @@ def _tail(F: float, q: int, degrees: int) -> float:
 
 
 def _lags(data: Dataset) -> int:
-    """Return p = 10 lg N, or fewer where there are not enough rows for so many parameters."""
+    """Return p = 15 lg N, or fewer where there are not enough rows for so many parameters."""
     there, fixed = data.N - data.missing, len(data.starts) + len(_SLOW) + FUTURE
     affordable = (there // _ROWS_PER_PARAMETER - fixed) // 2
-    p = min(round(10 * log10(max(there, 1))), _MOST_LAGS, affordable)
+    p = min(round(_LAGS_PER_DECADE * log10(max(there, 1))), _MOST_LAGS, affordable)
     if p < _LEAST_LAGS:
         needed = _ROWS_PER_PARAMETER * (2 * _LEAST_LAGS + fixed)
         msg = f"{there} samples came; the test for feedback needs at least {needed}: "
