@@ -32,7 +32,7 @@ _TWO_LEVELS = 2
 _FEWEST = 50  # residuals, to tell what is far
 _LISTED = 5
 _LAGS = 10  # that coloured residuals are looked for at
-_ORDER = 6  # of the model that an offset is looked for with
+_ORDER = 12  # of the model that an offset is looked for with, where there are samples enough
 _PART = 10_000  # samples that it is estimated from: an offset that matters shows in them
 _MANY = 1000.0  # standard deviations, beyond which their number says nothing
 _SURE = 4.0  # standard deviations: 6 of 100 000 estimates without an offset
@@ -117,10 +117,11 @@ def level_without_input(data: Dataset, least: float = _SURE) -> str:
     and no state at the beginning explains it for long.
     """
     parts = [(part.u, part.y) for part in data[:_PART].experiments()]
-    if data.N - data.missing < 10 * _ORDER:
+    n = min(_ORDER, (data.N - data.missing) // 10)
+    if n < 1:
         return ""
-    model = whitening(parts, _ORDER)
-    std = float(np.sqrt(model.covariance[2 * _ORDER + 1, 2 * _ORDER + 1]))
+    model = whitening(parts, n)
+    std = float(np.sqrt(model.covariance[2 * n + 1, 2 * n + 1]))
     gain = float(np.sum(model.A))
     if not (std > 0 and gain > 0 and abs(model.c) > least * std):
         return ""
