@@ -35,6 +35,7 @@ _LAGS = 10  # that coloured residuals are looked for at
 _ORDER = 12  # of the model that an offset is looked for with, where there are samples enough
 _PART = 10_000  # samples that it is estimated from: an offset that matters shows in them
 _MANY = 1000.0  # standard deviations, beyond which their number says nothing
+_ROUNDING = 1e-9  # share of y's largest value, below which nothing is a level
 _SURE = 4.0  # standard deviations: 6 of 100 000 estimates without an offset
 
 
@@ -123,7 +124,8 @@ def level_without_input(data: Dataset, least: float = _SURE) -> str:
     model = whitening(parts, n)
     std = float(np.sqrt(model.covariance[2 * n + 1, 2 * n + 1]))
     gain = float(np.sum(model.A))
-    if not (std > 0 and gain > 0 and abs(model.c) > least * std):
+    largest = float(np.max(np.abs(data.y[data.valid])))
+    if not (std > 0 and gain > 0 and abs(model.c) > max(least * std, _ROUNDING * largest)):
         return ""
     unit = f" {data.unit}" if data.unit else ""
     sigmas = min(abs(model.c) / std, _MANY)

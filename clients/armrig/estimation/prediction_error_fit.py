@@ -145,6 +145,9 @@ def _fit(
     theta: Array,
     name: str,
 ) -> Fit:
+    # Where rounding alone is left, no step tells better from worse: that is an end, too.
+    floor = rounding_floor(problem)
+    ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in ends]
     n, best = problem.structure, ends[0][1]
     p = problem.named(solution.ab, theta)
     found = _inference(data, problem, solution)

@@ -42,6 +42,8 @@ def test_noise_free_data_give_back_the_true_parameters(
 
     np.testing.assert_allclose(fit.F, F, atol=1e-6)
     np.testing.assert_allclose(fit.B, B, atol=1e-6)
+    assert fit.converged
+    assert not fit.warnings
 
 
 def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPlant) -> None:

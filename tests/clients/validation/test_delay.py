@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.numerics.polynomial import filtered, impulse
+from armrig.validation.feedback_and_delay.delay import _hidden_by_steps, _Onset, _Readings
 from armrig.validation.feedback_and_delay.lag_tests import lag_tests
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
@@ -314,3 +315,20 @@ def test_a_gain_without_dynamics_is_a_direct_term() -> None:
     found = armrig.delay(Dataset(u=u, y=0.5 * u + 0.1 * e, Ts=1.0))
 
     assert (found.nk, found.interval) == (0, (0, 0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "t_q", "low"),
+    [(3, 0.025, 2), (3, 0.045, 1), (3, 0.2, 1), (10, 0.2, 2), (3, None, 2)],
+    ids=["3 samples", "5 samples", "all", "many changes", "not read in steps"],
+)
+def test_what_quantisation_hides_is_not_ruled_out(
+    changes: int, t_q: float | None, low: int
+) -> None:
+    """Of lags 2 to 6 at 10 ms; where u changes often an error of reading averages out."""
+    read = _Readings(quantum=1e-3, largest_step=5.0, changes=changes, acceleration=1.0, t_q=t_q)
+
+    found, remarks = _hidden_by_steps(_Onset(first=2, last=6, misfit={}), read, 0.01)
+
+    assert found == low
+    assert bool(remarks) == (changes < 10 and t_q is not None)

@@ -137,6 +137,9 @@ def test_a_missing_output_costs_its_own_row_only(plant: HandoutPlant) -> None:
         return sims(whole.replaced(valid=valid, step=None))
 
     assert (rows - with_gap(1).N, rows - with_gap(5).N) == (1, 5)
+    half = sims(whole).p // 2
+    assert rows - with_gap(half).N == half
+    assert rows - with_gap(half + 1).N > 3 * half
     long = with_gap(500)
     assert whole.N - 500 - 2 * (long.p + 4) == long.N
 
@@ -263,3 +266,19 @@ def test_a_u_made_of_y_alone_is_told_as_such() -> None:
         assert "u(t) follows from y(t) exactly" in found.explain()
         assert "tell the controller, not the rig" in found.brief()
     assert not armrig.open_loop(under_feedback(1)).exact
+
+
+def test_the_inputs_after_u_t_have_a_test_of_their_own() -> None:
+    """Of a white u their coefficients are independent: F is the mean of their squares over std."""
+    from scipy.special import fdtrc
+
+    rng = np.random.default_rng(3)
+    u, e = rng.standard_normal((2, 4000))
+    found = sims(Dataset(u=u, y=filtered([0, 1.0], [1.0, -0.5], u) + e, Ts=1.0))
+    later = found.lags < 0
+
+    z = found.coefficients[later] / found.std[later]
+
+    assert np.count_nonzero(later) == found.q - 1
+    p = fdtrc(z.size, found.degrees, np.mean(z**2))
+    assert found.p_later == pytest.approx(p, abs=0.03)
