@@ -272,13 +272,12 @@ def test_the_inputs_after_u_t_have_a_test_of_their_own() -> None:
     """Of a white u their coefficients are independent: F is the mean of their squares over std."""
     from scipy.special import fdtrc
 
-    rng = np.random.default_rng(3)
-    u, e = rng.standard_normal((2, 4000))
-    found = sims(Dataset(u=u, y=filtered([0, 1.0], [1.0, -0.5], u) + e, Ts=1.0))
-    later = found.lags < 0
+    for seed in (1, 4, 11):  # of small F, where the degrees of freedom matter most
+        u, e = np.random.default_rng(seed).standard_normal((2, 10_000))
+        found = sims(Dataset(u=u, y=filtered([0, 1.0], [1.0, -0.5], u) + e, Ts=1.0))
+        later = found.lags < 0
+        z = found.coefficients[later] / found.std[later]
 
-    z = found.coefficients[later] / found.std[later]
-
-    assert np.count_nonzero(later) == found.q - 1
-    p = fdtrc(z.size, found.degrees, np.mean(z**2))
-    assert found.p_later == pytest.approx(p, abs=0.03)
+        assert np.count_nonzero(later) == found.q - 1
+        p = fdtrc(z.size, found.degrees, np.mean(z**2))
+        assert found.p_later == pytest.approx(p, abs=0.01)
