@@ -71,7 +71,9 @@ def search(
         Numbers of poles to try, >= 1, an integrator's included.
     nk : int or iterable of int, optional
         Samples before u reaches y, all of them tried; by default what `delay` finds, and 1 beside
-        a direct term (0), which in closed loop is never tried: it would be the controller's.
+        direct term (0). In closed loop that is not tried, for it would be the controller's; where
+        feedback and a direct term look the same it is, and `doubts` say so.
+        feedback and a direct term look the same it is, and `doubts` say so.
     integrator : bool, optional
         Whether structures that can have one get a pole at 1 exactly; by default where the output
         is an angle, or is found to integrate.
@@ -205,7 +207,8 @@ def _likely_delays(known: Tested) -> list[int]:
     """Return the least nk that is not ruled out, 1 where it cannot be told or is 0, too."""
     if not isinstance(known.late, Delay):
         return [1]
-    return [0, 1] if known.late.nk == 0 else [known.late.nk]
+    nk = max(known.late.nk, 1)
+    return [0, nk] if known.late.interval[0] == 0 else [nk]
 
 
 def _orders(family: Family, n: int) -> list[dict[str, int]]:

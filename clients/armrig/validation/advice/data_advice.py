@@ -44,10 +44,9 @@ class Tested:
     def closed(self) -> bool:
         """There is feedback, beyond what chance makes of one open-loop recording in twenty.
 
-        A direct term that looks the same is believed where u has few levels.
+        Not where a direct term looks the same.
         """
-        direct = self.loop is not None and self.loop.may_be_direct_term and self.loop.few_levels
-        return self.together and not direct
+        return self.together and not (self.loop is not None and self.loop.may_be_direct_term)
 
     @property
     def together(self) -> bool:
@@ -216,7 +215,8 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
     text = f"u answers to {loop.output} ({p}): OE, spectra and correlations are biased; use "
     text += "ARMAX or BJ with nk >= 1, or record in open loop"
     if loop.may_be_direct_term:
-        text += ". A rig that answers within the sample looks the same: if yours does, take nk=0"
+        text += ". A rig whose y is read after u is applied looks the same, and has nk=0; else "
+        text += "take nk=1"
     if loop.p_value >= _CHANCE:
         text += f". By chance one open-loop recording in {1 / loop.level:.0f} looks so"
     yield finding("feedback", text, good=False)
