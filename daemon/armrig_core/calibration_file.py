@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from armrig_core.bounded import TextError, read_bounded, read_text
-from armrig_core.calibration import Calibration
+from armrig_core.calibration import Calibration, Made
 
 RAW_LIMIT = 1 << 20
 """Most that the samples of a calibration may take, compressed, in B."""
@@ -81,6 +81,35 @@ def read_calibration(path: Path) -> Calibration:
     except msgspec.ValidationError as err:
         msg = f"{path}: {err}; `armrig calibrate` writes such files"
         raise CalibrationFileError(msg) from err
+
+
+def check_measured(calibration: Calibration, raw: bytes) -> Made:
+    """Return how a calibration was made; refuse one that no file of `armrig calibrate` holds.
+
+    Parameters
+    ----------
+    raw : bytes
+        The compressed samples that it was estimated from.
+
+    Raises
+    ------
+    CalibrationFileError
+        It was not measured, is longer than a file may be, or `raw` are not its samples.
+    """
+    made, error = calibration.made, ""
+    if made is None:
+        msg = "the calibration does not say how it was made; `armrig calibrate` makes one"
+        raise CalibrationFileError(msg)
+    if len(toml_of(calibration).encode()) > _TOML_LIMIT:
+        error = f"the calibration takes more than the {_TOML_LIMIT} B allowed"
+    elif len(raw) > RAW_LIMIT:
+        error = f"its samples take {len(raw)} B, at most {RAW_LIMIT} B are allowed"
+    elif (hashlib.sha256(raw).hexdigest() if raw else "") != made.raw_sha256:
+        error = "the samples beside it are not those that it was estimated from"
+    if error:
+        msg = f"{error}; calibrate anew with `armrig calibrate`"
+        raise CalibrationFileError(msg)
+    return made
 
 
 def raw_samples(calibration: Calibration) -> bytes:

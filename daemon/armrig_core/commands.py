@@ -7,6 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import msgspec
 from msgspec import Meta
 
+from armrig_core.calibration import Calibration
 from armrig_core.printable import printable
 from armrig_core.rehearsal import Rehearsal
 from armrig_core.volts import U_MAX_V
@@ -98,6 +99,16 @@ class Reset(Request, frozen=True, kw_only=True):
     name: ClassVar[str] = "reset"
 
 
+class Calibrate(Request, frozen=True, kw_only=True):
+    """Use a measured calibration from now on; taken only while the rig is safe."""
+
+    name: ClassVar[str] = "calibrate"
+    calibration: Calibration
+    """As in the file that `armrig calibrate` writes."""
+    raw: bytes = b""
+    """The samples that it was estimated from, compressed, as base64."""
+
+
 class Status(Request, frozen=True, kw_only=True):
     """Ask how things are; answered by a `StatusReport`."""
 
@@ -106,7 +117,7 @@ class Status(Request, frozen=True, kw_only=True):
 
 MOST_DETAILS = 1 << 20
 """Longest `details` of a run, as JSON in B."""
-Requests = Arm | Disarm | Run | Renew | Set | Stop | Reset | Status
+Requests = Arm | Disarm | Run | Renew | Set | Stop | Reset | Calibrate | Status
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
 """Class of each command."""
@@ -189,6 +200,10 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     """Directory of the recordings."""
     calibration: str = ""
     """File and date of the calibration in force; empty where the daemon does not say."""
+    calibration_sha256: str = ""
+    """Hash of the calibration in force, as its recordings carry it."""
+    calibration_file: str = ""
+    """File that the daemon's configuration names, in force or not; empty where it names none."""
     arm_removed: bool = False
     """Whether the configuration says that the rotating part is taken off."""
 

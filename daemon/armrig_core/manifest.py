@@ -53,6 +53,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     """Kernel, scheduling and locked memory of the loop, baud rate, port."""
     config_sha256: str = ""
     """Hash of the attached configuration."""
+    calibration_sha256: str = ""
+    """Hash of the attached calibration; empty in recordings of earlier releases."""
     rehearsal: Rehearsal | None = None
     """What the model of the rig did under the input before the run."""
 

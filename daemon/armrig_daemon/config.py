@@ -6,6 +6,7 @@ Command line over `ARMRIG_<TABLE>_<KEY>` over `$XDG_CONFIG_HOME/armrig/armrig.to
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -211,6 +212,11 @@ class Config(Table, frozen=True, kw_only=True):
         return "given in the configuration, not measured"
 
     @property
+    def calibration_sha256(self) -> str:
+        """Return the hash of the calibration in force, as it is attached to recordings."""
+        return hashlib.sha256(msgspec.json.encode(self.calibration)).hexdigest()
+
+    @property
     def ts_us(self) -> int:
         """Sampling time in µs."""
         return round(self.timing.Ts * 1e6)
@@ -229,7 +235,7 @@ class Config(Table, frozen=True, kw_only=True):
             stop_after=self.timing.stop_after,
             turns=round(limits.revolutions * 100),
             rail_ticks=0,
-            calibration=self.calibration,
+            calibration=msgspec.structs.replace(self.calibration, made=None),
         )
 
 

@@ -11,6 +11,7 @@ from struct import Struct
 from typing import Any
 
 import msgspec
+from armrig_core.calibration import Calibration
 
 _HEAD = Struct("<IB")
 _SAMPLE, _RECORD = 0, 1
@@ -198,6 +199,13 @@ class Reset(Order, frozen=True, kw_only=True):
     """Leave a latched fault."""
 
 
+class Calibrate(Order, frozen=True, kw_only=True):
+    """Convert samples with this calibration from now on."""
+
+    calibration: Calibration
+    """Without how it was made: the core needs its figures only, and they fit into a trace."""
+
+
 class Alive(Order, frozen=True, kw_only=True):
     """Nothing is asked: the service only shows that it can."""
 
@@ -208,7 +216,7 @@ class Quit(Order, frozen=True, kw_only=True):
     reason: str
 
 
-Orders = Acquire | Release | SetVoltage | Play | Halt | Reset | Alive | Quit
+Orders = Acquire | Release | SetVoltage | Play | Halt | Reset | Calibrate | Alive | Quit
 """What the service asks of the loop."""
 
 _RECORDS = msgspec.msgpack.Decoder(Record)

@@ -10,6 +10,7 @@ from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiom
 from armrig_core.calibration_file import (
     RAW_LIMIT,
     CalibrationFileError,
+    check_measured,
     raw_path,
     raw_samples,
     read_calibration,
@@ -110,3 +111,34 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
     path.write_text(toml_of(plain), encoding="utf-16")
     with pytest.raises(CalibrationFileError, match=r"toml: it is saved as UTF-16: save it as"):
         read_calibration(path)
+
+
+TOO_MANY = {f"figure_{n}": Figure(value=1.0, std=0.1) for n in range(500)}
+
+
+@pytest.mark.parametrize(
+    ("calibration", "raw", "said"),
+    [
+        (replace(MEASURED, made=None), SAMPLES, "does not say how it was made"),
+        (replace(MEASURED, made=replace(MADE, figures=TOO_MANY)), SAMPLES, "the 16384 B allowed"),
+        (MEASURED, bytes(RAW_LIMIT + 1), "1048577 B, at most 1048576 B are allowed"),
+        (MEASURED, b"others", "not those that it was estimated from"),
+        (MEASURED, b"", "not those that it was estimated from"),
+        (replace(MEASURED, made=replace(MADE, raw_sha256="")), SAMPLES, "not those that it was"),
+    ],
+)
+def test_what_comes_by_a_command_is_held_to_what_a_file_may_be(
+    calibration: Calibration, raw: bytes, said: str
+) -> None:
+    """Measured, as long at most, and with its own samples; the way out is told."""
+    with pytest.raises(CalibrationFileError, match=said) as refused:
+        check_measured(calibration, raw)
+    assert "`armrig calibrate`" in str(refused.value)
+
+
+def test_a_measured_calibration_says_how_it_was_made() -> None:
+    """With its samples, or without any where it names none."""
+    alone = replace(MADE, raw_sha256="")
+
+    assert check_measured(MEASURED, SAMPLES) == MADE
+    assert check_measured(replace(MEASURED, made=alone), b"") == alone

@@ -11,6 +11,11 @@ from armrig_core.commands import REQUESTS, Arm, Run, Set, Stop, json_schema, par
 LEASE = "0" * 32
 
 
+def _calibration(tables: str, beside: str = "") -> str:
+    """Return the fields of `calibrate`, with these tables in the calibration."""
+    return f'{{"calibration": {{{tables}}}{"," if beside else ""}{beside}}}'
+
+
 def test_a_command_is_read_with_its_fields() -> None:
     """JSON to a frozen value."""
     assert parse("arm", b'{"owner": "a student", "Ts": 0.01}') == Arm(owner="a student", Ts=0.01)
@@ -49,6 +54,14 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "experiment": "../x"}}', "experiment"),
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "dead_man": 0}}', r">= 0.5.*dead_man"),
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "dead_man": 61}}', r"<= 60.*dead_man"),
+        ("calibrate", "{}", "missing required field `calibration`"),
+        ("calibrate", _calibration('"driver": {"gain": 11}'), r"gain=11.0 .* 0.1 to 10.*\$.c"),
+        ("calibrate", _calibration('"driver": {"gain": NaN}'), "calibrate: "),
+        ("calibrate", _calibration('"driver": {"offset_v": -6}'), "offset_v=-6.0 .* -5 to 5"),
+        ("calibrate", _calibration('"theta_1": {"rad_per_count": 0}'), "must be finite and not 0"),
+        ("calibrate", _calibration('"alpha": {"zero_counts": 1e999}'), "calibrate: "),
+        ("calibrate", _calibration('"beta": {}'), "unknown field `beta`"),
+        ("calibrate", _calibration("", '"raw": "no base64!"'), r"Invalid base64.*\$.raw"),
     ],
 )
 def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str) -> None:
@@ -59,7 +72,7 @@ def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str)
 
 def test_every_command_serves_its_schema() -> None:
     """JSON Schema with the fields' bounds."""
-    names = {"arm", "disarm", "run", "renew", "set", "stop", "reset", "status"}
+    names = {"arm", "disarm", "run", "renew", "set", "stop", "reset", "calibrate", "status"}
     assert set(REQUESTS) == names
     text = json.loads(json_schema("set"))
 

@@ -60,6 +60,16 @@ def test_orders_are_told_apart_as_in_the_recordings_that_there_are() -> None:
     """The steps of a run carry them: under another tag an old run could not be decided again."""
     tags = {kind.__struct_config__.tag for kind in get_args(Orders)}
 
-    assert tags == {"Take", "Release", "Hold", "Play", "Halt", "Reset", "Alive", "Quit"}
+    assert tags == {
+        "Take",
+        "Release",
+        "Hold",
+        "Play",
+        "Halt",
+        "Reset",
+        "Calibrate",
+        "Alive",
+        "Quit",
+    }
     assert Acquire.__struct_config__.tag == "Take"
     assert SetVoltage.__struct_config__.tag == "Hold"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from math import inf, isfinite
 from random import Random
 
-from armrig_core.commands import REQUESTS, Requests, Run, Set, parse
+from armrig_core.commands import REQUESTS, Calibrate, Requests, Run, Set, parse
 from armrig_core.volts import U_MAX_V
 
 from fuzz.mutation import mutated
@@ -22,6 +23,12 @@ CORPUS = [
         "run",
         b'{%s, "u": [1, 2], "experiment": "black-box", "details": {"seed": 1}, "dead_man": 1.5}'
         % _LEASE,
+    ),
+    (
+        "calibrate",
+        b'{"calibration": {"theta_1": {"zero_counts": 8000.5, "rad_per_count": -9e-5, "wraps": '
+        b'true}, "driver": {"gain": 1.02, "offset_v": -0.1}, "made": {"date": "2026-11-20", "rig": '
+        b'"1", "device_uid": "1", "armrig": "0.2"}}, "raw": "AAAA"}',
     ),
 ]
 _PAYLOADS = [data for _, data in CORPUS]
@@ -53,6 +60,13 @@ def check(request: Requests) -> None:
     """Assert that what was taken is allowed: S1 at the first of its gates."""
     if isinstance(request, Set):
         assert 0.0 <= request.u <= U_MAX_V, request.u
+    if isinstance(request, Calibrate):
+        for pot in (request.calibration.theta_1, request.calibration.alpha):
+            assert isfinite(pot.zero_counts), pot
+            assert 0 < abs(pot.rad_per_count) < inf, pot
+        driver = request.calibration.driver
+        assert 0.1 <= driver.gain <= 10, driver
+        assert abs(driver.offset_v) <= U_MAX_V, driver
     if isinstance(request, Run):
         assert request.u
         assert all(0.0 <= volts <= U_MAX_V for volts in request.u), request.u

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,10 +17,15 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
-from armrig_core.calibration_file import raw_path, read_calibration
-from armrig_core.manifest import CALIBRATION_RAW
+from armrig.rig.client import RefusedError
+from armrig_core.calibration import Calibration, Made, Potentiometer
+from armrig_core.calibration_file import raw_path, read_calibration, toml_of
+from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW
+from driving import check_every_k, driven, recorded
+from msgspec.structs import replace
 from processes import Bench, wait_for
 
+ALPHA = Potentiometer(zero_counts=32768.0, wraps=False)
 UNKNOWN = """
 theta_1_reversed = true
 theta_1_range_deg = 340.0
@@ -35,57 +42,110 @@ def _command(bench: Bench, *arguments: str) -> list[str]:
     return [sys.executable, "-m", "armrig", "calibrate", "--connect", where, *arguments]
 
 
-def _calibrated(bench: Bench, output: Path) -> dict[str, Any]:
-    """Calibrate on the command line; return what it printed."""
+def _calibrated(bench: Bench, output: Path, *arguments: str) -> tuple[dict[str, Any], str]:
+    """Calibrate on the command line, Enter at each question; return what it printed and said."""
+    ours, theirs = os.openpty()
+    os.write(ours, b"\n" * 5)
     done = subprocess.run(
         _command(
             bench,
-            *("--yes", "--json", "-o", str(output), "--volts", "5"),
+            *("--json", "--save", str(output), "--volts", "5", *arguments),
             *("--level-seconds", "5", "--rest-seconds", "0.5", "--meter", "32768=2.5"),
         ),
-        stdin=subprocess.DEVNULL,
+        stdin=theirs,
         capture_output=True,
         text=True,
         check=False,
         timeout=60,
     )
+    os.close(ours)
+    os.close(theirs)
     assert done.returncode == 0, done.stderr
     found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    return found, done.stderr
 
 
 def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> None:
-    """Found without a terminal, written, named in the configuration, attached, applied, fresh."""
+    """In force at once, until the daemon ends; and from its start where the configuration says so.
+
+    Found, written, attached, applied, decided once more by the replay.
+    """
     bench.configure(more=UNKNOWN)
     bench.emulate()
     daemon = bench.serve()
     output = bench.folder / "calibration.toml"
 
-    found = _calibrated(bench, output)
+    found, said = _calibrated(bench, output)
+    at_once = _recorded(bench)
+    with bench.rig() as rig:
+        status = rig.status()
+    daemon.end()
+    daemon = bench.serve()
+    with bench.rig() as rig:
+        restarted = rig.status()
     daemon.end()
     with bench.config.open("a") as config:
         config.write('[calibration]\nfile = "calibration.toml"\n')
     bench.serve()
-    with bench.rig() as rig:
-        rig.arm("a test")
-        rec = armrig.load(rig.run(np.full(100, 1.0)))
+    by_configuration = _recorded(bench)
 
     scale = found["figures"]["theta_1_rad_per_count"]
     true = -np.radians(340) / ((5.0 - 0.2) / 5 * 65536)
     assert abs(scale["value"] - true) < 3 * scale["std"] < 1e-3 * abs(true)
     assert found["alpha_sign"] == -1
     assert bench.volts() == 0.0
-    assert rec.calibration == read_calibration(output)
-    shown = rec.theta_1[rec.valid]
-    assert shown[-1] > shown[0] + 0.5, "a voltage turns towards positive angles"
-    assert armrig.recordings.calibration.remarks(rec.calibration, rec.manifest) == []
-    assert replay(rec.path).difference == ""
-    content = read(rec.path)
-    assert content is not None
-    samples = content.attachments[CALIBRATION_RAW]
-    assert samples == raw_path(output).read_bytes()
+    assert "Use it now? The running daemon takes it [Y/n]" in said
+    assert f'[calibration]\nfile = "{output}"' in said
+    assert found["in_use"]
+    assert "sent by `armrig calibrate`, made 20" in status.calibration
+    assert restarted.calibration.startswith("none")
+    written = read_calibration(output)
+    assert written.made is not None
+    for rec, file in ((at_once, ""), (by_configuration, str(output))):
+        assert rec.calibration == replace(written, made=replace(written.made, file=file))
+        shown = rec.theta_1[rec.valid]
+        assert shown[-1] > shown[0] + 0.5, "a voltage turns towards positive angles"
+        assert armrig.recordings.calibration.remarks(rec.calibration, rec.manifest) == []
+        assert replay(rec.path).difference == ""
+        content = read(rec.path)
+        assert content is not None
+        samples = content.attachments[CALIBRATION_RAW]
+        assert samples == raw_path(output).read_bytes()
+        attached = hashlib.sha256(content.attachments[CALIBRATION]).hexdigest()
+        assert rec.manifest.calibration_sha256 == attached
+    assert at_once.manifest.calibration_sha256 == status.calibration_sha256
     again = estimate(**decompressed(samples), meter=[(2.5, 2.5)])
     assert again.figures()["theta_1_rad_per_count"].value == pytest.approx(scale["value"])
+
+
+def _recorded(bench: Bench) -> armrig.Recording:
+    with bench.rig() as rig:
+        rig.arm("a test")
+        return armrig.load(rig.run(np.full(100, 1.0)))
+
+
+def test_a_calibration_is_taken_between_runs_only(served: Bench) -> None:
+    """Refused while the motor turns, and the run goes on; taken once the rig is at rest."""
+    path = served.folder / "c.toml"
+    with served.rig() as rig:
+        made = Made(
+            date="2026-11-20", rig="1", device_uid=str(rig.status().device["uid"]), armrig="0"
+        )
+        other = Calibration(theta_1=Potentiometer(zero_counts=9.0), alpha=ALPHA, made=made)
+        path.write_text(toml_of(other))
+        with driven(served):
+            with pytest.raises(RefusedError, match=r"^a test has the rig: wait until it is free"):
+                rig.calibrate(path)
+            assert "none" in rig.status().calibration
+        rig.stop()
+        interrupted = recorded(served)
+        rig.calibrate(path)
+        calibrated = _recorded(served)
+
+    assert interrupted.calibration != calibrated.calibration
+    assert calibrated.calibration == other
+    assert replay(interrupted.path).difference == ""
+    check_every_k(interrupted)
 
 
 def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:
@@ -93,7 +153,9 @@ def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -
     bench.emulate()
     bench.serve()
     output = bench.folder / "calibration.toml"
-    command = _command(bench, "--yes", "-o", str(output), "--rest-seconds", "0.5", "--volts", "3")
+    command = _command(
+        bench, "--yes", "--save", str(output), "--rest-seconds", "0.5", "--volts", "3"
+    )
     asked = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     wait_for(lambda: bench.volts() > 2.9)
 

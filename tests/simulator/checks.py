@@ -20,6 +20,7 @@ from armrig_daemon.loop.outbox import MOST_WAITING
 from armrig_daemon.pipe import (
     Acquire,
     Answer,
+    Calibrate,
     Gap,
     Halt,
     Leased,
@@ -188,6 +189,10 @@ class Checks:
             self.grant += 1
             self.lease, self.run, self.offered, self.cut_off = order.lease, None, None, None
             self.command_ns = given_ns
+        elif isinstance(order, Calibrate):
+            self.seen["calibrated"] += 1
+            if self.phase != "safe" or self.lease is not None:
+                self._wrongly(now_ns, f"took a calibration while {self.phase}")
         elif isinstance(order, SetVoltage):
             low, high = self.options.u_min, self.options.u_max
             if not self._is_valid(order) or not low <= order.code <= high:

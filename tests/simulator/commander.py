@@ -5,9 +5,11 @@ from __future__ import annotations
 from random import Random
 from struct import pack
 
+from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_daemon.pipe import (
     Acquire,
     Answer,
+    Calibrate,
     Halt,
     Order,
     Play,
@@ -21,6 +23,7 @@ from armrig_daemon.pipe import State as StateRecord
 
 from simulator.options import Options
 
+_OTHER = Calibration(theta_1=Potentiometer(rad_per_count=-1.0), driver=Driver(gain=10.0))
 _PATIENCE = 20
 """Acts after which an answer that has not come is no longer awaited."""
 
@@ -128,6 +131,8 @@ class Commander:
             return Halt(order=self._other())
         if what < 6:
             return Acquire(order=self._other(), owner="another", lease="b" * 32, ts_us=0)
+        if what == 11:
+            return Calibrate(order=self._other(), calibration=_OTHER)
         return SetVoltage(order=self._other(), lease="b" * 32, n=1 << 30, code=65_535)
 
     def codes(self) -> list[int]:

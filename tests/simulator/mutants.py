@@ -185,6 +185,11 @@ def _only_said(state: Any, now_ns: int, *, driving: bool) -> Any:
     return state, []
 
 
+def _calibrated(state: Any, order: Any) -> Any:
+    rules = replace(state.rules, calibration=order.calibration)
+    return replace(state, rules=rules), [Emit(Answer(order=order.order))]
+
+
 def _out_of_fault(state: Any, now_ns: int, order: Any) -> Any:
     if state.phase is Phase.FAULT and state.device is not None and state.asked is None:
         return transitions.begin_arming(replace(state, lease=None), now_ns, order)
@@ -342,6 +347,12 @@ MUTANTS = (
         breaks=frozenset({"S6"}),
         faults=("hang", "intruder"),
         first=1019,
+    ),
+    Mutant(
+        name="a calibration taken in a run",
+        plant=_put(orders, "_calibrate", _calibrated),
+        breaks=frozenset({"A1"}),
+        faults=("intruder",),
     ),
     Mutant(
         name="a queue without a bound",

@@ -5,13 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from armrig.cli.calibration_in_use import take_into_use
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
 from armrig.cli.chosen_recording import recording_path
+from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
 from armrig.numerics.quantities import with_std
@@ -22,9 +25,14 @@ if TYPE_CHECKING:
     from armrig.recordings.calibration import Estimate
     from armrig.recordings.recording import Recording
 
-Output = Annotated[
+Save = Annotated[
     Path | None,
-    typer.Option("-o", "--output", metavar="TOML", help="File to write; the user's by default."),
+    typer.Option(
+        "--save",
+        metavar="TOML",
+        help="File to write the calibration to.",
+        show_default="calibration-<rig>.toml in ~/.config/armrig",
+    ),
 ]
 Volts = Annotated[
     list[float] | None,
@@ -65,13 +73,24 @@ TurnsFile = Annotated[
 SamplingTime = Annotated[
     float | None, typer.Option("--Ts", help="Sampling time in s; the daemon's by default.")
 ]
-Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing.")]
+Yes = Annotated[
+    bool, typer.Option("--yes", help="Ask nothing: there is no meter, and the daemon takes it.")
+]
+Use = Annotated[
+    bool | None,
+    typer.Option(
+        "--use/--no-use",
+        help="Whether the running daemon takes it, until it ends.",
+        show_default="asked",
+    ),
+]
 
 _LEVELS_V = (1.0, 2.0, 3.0)
 
 
 def calibrate(
-    output: Output = None,
+    plot: Plot = None,
+    save: Save = None,
     volts: Volts = None,
     level_seconds: LevelSeconds = 12.0,
     rest_seconds: RestSeconds = 3.0,
@@ -82,6 +101,7 @@ def calibrate(
     turns_file: TurnsFile = None,
     Ts: SamplingTime = None,
     yes: Yes = False,
+    use: Use = None,
     rig: RigId = "1",
     connect: Connect = None,
     json: Json = False,
@@ -99,15 +119,22 @@ def calibrate(
         rest_file=rest_file,
         turns_file=turns_file,
     )
-    path = _checked(output or _default(rig))
+    path = _checked(save or _default(rig))
+    _check_figure(plot, wanted)
     check_turns(wanted.levels, level_seconds)
     _check_terminal(wanted, yes=yes)
     measured = _measured(wanted, Dialogue(yes=yes), Player(Ts=Ts, rig=rig, connect=connect))
     base = _base(measured.rest)
     found = _estimated(measured, meter_std, base)
     _write(path, found, base, measured.recordings())
-    _print(path, found, json=json)
+    if measured.turns is not None:
+        write_plot(plot, partial(found.plot, measured.turns), height=6.0)
     if not json:
+        _print(path, found)
+    used = take_into_use(path, wanted=use, asks=not yes, rig=rig, connect=connect)
+    if json:
+        _print_facts(path, found, used=used)
+    else:
         say_next("calibrate")
 
 
@@ -179,6 +206,17 @@ def _estimated(measured: _Measured, meter_std_v: float, base: Calibration) -> Es
     )
 
 
+def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
+    """Refuse, before any work, a figure that cannot be written or has nothing to show."""
+    if plot is not None and plot.suffix == ".toml":
+        msg = f"-o {plot}: a figure goes there; the calibration's file is --save {plot}"
+        raise ValueError(msg)
+    if plot is not None and wanted.by_hand and wanted.turns_file is None:
+        msg = f"-o {plot}: the figure shows turns, and --by-hand makes none; leave one of them out"
+        raise ValueError(msg)
+    check_plot(plot, [file for file in (wanted.rest_file, wanted.turns_file) if file])
+
+
 def _default(rig: str) -> Path:
     import platformdirs
 
@@ -190,18 +228,18 @@ def _checked(path: Path) -> Path:
     from armrig_core.calibration_file import CalibrationFileError, read_calibration
 
     if path.suffix != ".toml":
-        msg = f"-o {path}: a calibration is a TOML; give a name that ends in .toml"
+        msg = f"--save {path}: a calibration is a TOML; give a name that ends in .toml"
         raise ValueError(msg)
     if path.exists():
         try:
             made = read_calibration(path).made
         except CalibrationFileError as err:
             if "csv.gz" not in str(err):  # a calibration that has lost its samples may be replaced
-                msg = f"-o {path}: is there already, and no calibration; give another name"
+                msg = f"--save {path}: is there already, and no calibration; give another name"
                 raise ValueError(msg) from err
         else:
             if made is None:
-                msg = f"-o {path}: is there already, and was not made by `armrig calibrate`"
+                msg = f"--save {path}: is there already, and was not made by `armrig calibrate`"
                 raise ValueError(msg)
     return path
 
@@ -270,18 +308,16 @@ def _write(
         whole.replace(target)
 
 
-def _print(path: Path, found: Estimate, *, json: bool) -> None:
+def _print(path: Path, found: Estimate) -> None:
     for warning in found.warnings:
         tell(warning)
-    figures = found.figures()
-    if json:
-        facts = {"calibration": str(path), "figures": figures, "alpha_sign": found.alpha_sign}
-        print_json(facts | {"warnings": found.warnings})
-        return
-    rows = [(name, with_std(figure.value, figure.std)) for name, figure in figures.items()]
+    rows = [(name, with_std(figure.value, figure.std)) for name, figure in found.figures().items()]
     sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
     print_table(*rows, ("alpha", sign[found.alpha_sign]), ("calibration", str(path)))
-    tell(
-        f'to use it, set [calibration] file = "{path.absolute()}" in armrigd\'s configuration and '
-        "start armrigd anew"
-    )
+
+
+def _print_facts(path: Path, found: Estimate, *, used: bool) -> None:
+    for warning in found.warnings:
+        tell(warning)
+    facts = {"calibration": str(path), "figures": found.figures(), "alpha_sign": found.alpha_sign}
+    print_json(facts | {"warnings": found.warnings, "in_use": used})

@@ -47,9 +47,14 @@ AFTER: Mapping[str, str] = {
 
 
 def say_next(after: str, **values: str | float) -> None:
-    """Print the line after a command, beside what was asked for; it is not folded, to be copied."""
+    """Print the line after a command, beside what was asked for."""
+    say_to_copy(next_line(after, **values))
+
+
+def say_to_copy(text: str) -> None:
+    """Print what a person may copy, beside what was asked for: its lines are not folded."""
     with suppress(OSError):  # the terminal may be closed
-        print(next_line(after, **values), file=sys.stderr)
+        print(printable(text, keep="\n"), file=sys.stderr)
 
 
 def next_line(after: str, **values: str | float) -> str:

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import zenoh
 from armrig_core import commands, topics
+from armrig_core.calibration_file import raw_samples, read_calibration
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
@@ -273,6 +274,28 @@ class Rig:
     def reset(self) -> bool:
         """Leave a latched fault, disarmed; return whether there was one."""
         return self._ask_again(commands.Reset(), commands.Done).done
+
+    def calibrate(self, path: str | Path) -> None:
+        """Have the daemon use the calibration in a TOML of `armrig calibrate` until it ends.
+
+        It is taken while the rig is safe only, and converts the samples from the next one on;
+        repeats a command refused for the moment only, for up to 2.5 s.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; the samples that it was estimated from lie beside it.
+
+        Raises
+        ------
+        CalibrationFileError
+            The file holds no calibration; a ValueError.
+        RefusedError
+            Somebody has the rig, it is in a fault, or the calibration is of another one.
+        """
+        found = read_calibration(Path(path))
+        request = commands.Calibrate(calibration=found, raw=raw_samples(found))
+        self._ask_again(request, commands.Done)
 
     def disarm(self) -> None:
         """Give the rig back, at 0 V."""

@@ -14,6 +14,7 @@ from armrig_daemon.core.transitions import begin_arming
 from armrig_daemon.pipe import (
     Acquire,
     Alive,
+    Calibrate,
     Halt,
     Leased,
     Order,
@@ -26,6 +27,7 @@ from armrig_daemon.pipe import (
 
 NOT_HELD = "not the lease in force: arm first"
 """What is said to who commands without holding the rig."""
+NO_DEVICE_YET = "there is no device yet: see that it is plugged in"
 BY_HAND = "the motor is driven by hand: disarm first"
 _AT_REST = (DeviceState.IDLE, DeviceState.READY)
 
@@ -42,6 +44,8 @@ def handle(state: State, now_ns: int, order: Order) -> Step:
             return quit_(state, now_ns)
         case Reset():
             return _reset(state, now_ns, order)
+        case Calibrate():
+            return _calibrate(state, order)
         case Acquire():
             return _acquire(state, now_ns, order)
         case Leased():
@@ -88,6 +92,26 @@ def _reset(state: State, now_ns: int, order: Reset) -> Step:
     return ask(state, now_ns, Want.CLEAR if latched else Want.HELLO, order)
 
 
+def _calibrate(state: State, order: Calibrate) -> Step:
+    """Take another calibration at rest, so that a run has one from its first sample to its last.
+
+    Only the conversion of samples reads it: it leads to no frame, and changes no limit.
+    """
+    error = ""
+    if state.phase is Phase.FAULT:
+        error = f"in fault ({state.reason}): mend it, then reset"
+    elif state.lease is not None:
+        error = held_by(state.lease.owner)
+    elif state.phase is Phase.INIT:
+        error = NO_DEVICE_YET
+    elif state.phase is not Phase.SAFE or state.asked is not None:
+        error = "the rig is not at rest yet: try again"
+    if error:
+        return state, refuse(order, error)
+    rules = replace(state.rules, calibration=order.calibration)
+    return replace(state, rules=rules), answer(order, {"done": True})
+
+
 def _acquire(state: State, now_ns: int, order: Acquire) -> Step:
     if state.quitting:
         return state, refuse(order, "the daemon is ending")
@@ -96,7 +120,7 @@ def _acquire(state: State, now_ns: int, order: Acquire) -> Step:
     if state.lease is not None:
         return state, refuse(order, held_by(state.lease.owner))
     if state.phase is not Phase.SAFE or state.device is None:
-        return state, refuse(order, "there is no device yet: see that it is plugged in")
+        return state, refuse(order, NO_DEVICE_YET)
     if state.asked is not None:
         return state, refuse(order, f"busy with {state.asked.want}: try again")
     age_ns, limit_ns = now_ns - state.fresh_ns, state.rules.age_ns(state.ts_us)

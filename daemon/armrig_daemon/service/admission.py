@@ -6,14 +6,17 @@ is let in is judged anew, by the service and by the core; the core alone decides
 
 from __future__ import annotations
 
-from armrig_core.commands import REQUESTS, Leased, Run
+from armrig_core.calibration_file import RAW_LIMIT
+from armrig_core.commands import REQUESTS, Calibrate, Leased, Run
 
 from armrig_daemon.core.orders import NOT_HELD
 
 LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, Leased))
 """Names of the commands that carry a lease."""
 MOST_BYTES = 4096
-"""Longest payload of any command but `run`."""
+"""Longest payload of any command but a run and a calibration."""
+MOST_OF_CALIBRATION = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
+"""Longest payload of `calibrate`: its samples in base64, and its figures."""
 
 
 def refusal(name: str, payload: bytes, lease: bytes) -> str:
@@ -31,6 +34,7 @@ def refusal(name: str, payload: bytes, lease: bytes) -> str:
     """
     if name in LEASED and not (lease and lease in payload):
         return NOT_HELD
-    if name != Run.name and len(payload) > MOST_BYTES:
-        return f"{name}: {len(payload)} B, at most {MOST_BYTES} B are allowed"
+    most = MOST_OF_CALIBRATION if name == Calibrate.name else MOST_BYTES
+    if name != Run.name and len(payload) > most:
+        return f"{name}: {len(payload)} B, at most {most} B are allowed"
     return ""

@@ -23,6 +23,7 @@ from armrig_daemon.core.state import Phase
 from armrig_daemon.pipe import (
     Acquire,
     Answer,
+    Calibrate,
     Halt,
     Leased,
     Orders,
@@ -31,6 +32,7 @@ from armrig_daemon.pipe import (
     Reset,
     SetVoltage,
 )
+from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.child import LoopChild
 from armrig_daemon.service.publish import Command, Kind, Session
 from armrig_daemon.service.rig_view import RigView
@@ -74,6 +76,7 @@ class Commands:
         self._loop = loop
         self._say = say
         self._waiting: dict[int, _Waiting] = {}
+        self._calibration: tuple[int, commands.Calibrate] | None = None  # ordered, not yet taken
         self._numbers = 0
         self._Ts = config.ts_us / 1e6  # of the newest lease
         self._lease = ""
@@ -100,12 +103,17 @@ class Commands:
             self._try(command)
         for command in self._session.waiting(Kind.LEASED, min(_MOST_AT_ONCE, self.room)):
             self._try(command)
-        for kind in (Kind.STATUS, Kind.OTHER):
+        for kind in (Kind.STATUS, Kind.CALIBRATE, Kind.OTHER):
             for command in self._session.waiting(kind, _MOST_AT_ONCE):
                 self._try(command)
 
     def answer(self, answer: Answer) -> None:
         """Pass on what the loop has answered."""
+        if self._calibration is not None and answer.order == self._calibration[0]:
+            # Also where who asked was told that it takes too long: the loop converts by it now.
+            (_, request), self._calibration = self._calibration, None
+            if not answer.error:
+                self._note_calibration(request)
         waiting = self._waiting.pop(answer.order, None)
         if waiting is None:
             return  # it came too late: who asked has been told so
@@ -168,8 +176,27 @@ class Commands:
                 self._order(command, Halt(reason=f"stopped by {who}") if who else Halt())
             case commands.Reset():
                 self._order(command, Reset())
+            case commands.Calibrate():
+                self._calibrate(command, request)
             case _:
                 assert_never(request)
+
+    def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
+        """Hand a calibration to the loop, which needs its figures only."""
+        if self._calibration is not None:
+            msg = "another calibration is on its way: try again"
+            raise ValueError(msg)
+        device = self._rig.state.device
+        checked = checked_calibration(request.calibration, request.raw, self._config, device)
+        self._order(command, Calibrate(calibration=replace(checked, made=None)))
+        self._calibration = self._numbers, replace(request, calibration=checked)
+
+    def _note_calibration(self, request: commands.Calibrate) -> None:
+        """Tell of a calibration that the loop has taken, and have the runs carry it."""
+        self._rig.note_calibration(request.calibration)
+        self._runs.note_calibration(request.calibration, request.raw)
+        now = self._rig.status(None)
+        self._say("info", f"calibration: {now.calibration}, sha256 {now.calibration_sha256[:8]}")
 
     def _objection(self) -> str:
         """Return why the rig is not to be armed, as far as the loop cannot know it, or nothing."""
@@ -199,7 +226,7 @@ class Commands:
 
     def _order(self, command: Command, order: Orders, body: Any = None) -> None:
         """Give the loop an order; its answer is that of the command."""
-        if len(self._waiting) >= _MOST_ASKED and isinstance(order, Acquire | Reset):
+        if len(self._waiting) >= _MOST_ASKED and isinstance(order, Acquire | Reset | Calibrate):
             msg = "too many commands are waiting: try again"
             raise ValueError(msg)
         self._numbers += 1

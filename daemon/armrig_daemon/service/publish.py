@@ -14,7 +14,7 @@ from typing import Any, Self
 import msgspec
 import zenoh
 from armrig_core import protobuf
-from armrig_core.commands import REQUESTS, Refused, Renew, Status, Stop, json_schema
+from armrig_core.commands import REQUESTS, Calibrate, Refused, Renew, Status, Stop, json_schema
 from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
 
 from armrig_daemon.service import admission, token_bucket
@@ -36,12 +36,14 @@ class Kind(Enum):
     STATUS = Status.name
     LEASED = "leased"
     """Of the holder, a sign of whom is a kind of its own."""
+    CALIBRATE = Calibrate.name
+    """Long, and seldom: one of them waits at most."""
     OTHER = "other"
 
 
 def kind_of(name: str) -> Kind:
     """Return the kind of a command, whether there is such a one or not."""
-    if name in (Stop.name, Renew.name, Status.name):
+    if name in (Stop.name, Renew.name, Status.name, Calibrate.name):
         return Kind(name)
     return Kind.LEASED if name in admission.LEASED else Kind.OTHER
 
@@ -146,7 +148,10 @@ class Session:
             The endpoint is taken or cannot be made.
         """
         self.lease = b""  # the one in force; without it no command of a holder is let in
-        self._waiting = {kind: queue.Queue[Command](MOST_WAITING) for kind in Kind}
+        self._waiting = {
+            kind: queue.Queue[Command](1 if kind is Kind.CALIBRATE else MOST_WAITING)
+            for kind in Kind
+        }
         self._wake = wake
         self._buckets: dict[str, token_bucket.Bucket] = {}
         self._session = _opened(endpoint)

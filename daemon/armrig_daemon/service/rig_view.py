@@ -6,6 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from armrig_core.calibration import Calibration
 from armrig_core.commands import LastRun, StatusReport
 from armrig_core.telemetry import Sample
 from msgspec.structs import replace
@@ -13,6 +14,7 @@ from msgspec.structs import replace
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import Host, State, Timing
 from armrig_daemon.service import pressure, readings
+from armrig_daemon.service.calibration import taken
 
 _VERSION = version("armrig")  # read from a file: not at each status
 _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})
@@ -26,6 +28,9 @@ class RigView:
         self._state = _UNKNOWN
         self._host: dict[str, Any] = {}
         self._config = config
+        self._calibration = config.calibration_sentence
+        made = config.calibration.made
+        self._calibration_file = made.file if made else ""
         self._endpoint = endpoint
         self._directory = directory
         self._turns_per_volt_s = config.arm.turns_per_volt_s
@@ -67,6 +72,12 @@ class RigView:
         """Take note of what the kernel gave the loop."""
         self._host = host.granted
 
+    def note_calibration(self, calibration: Calibration) -> None:
+        """Take note of another calibration that the loop has taken."""
+        # What is remembered of the readings is in counts, and stays.
+        self._config = replace(self._config, calibration=calibration)
+        self._calibration = taken(calibration)
+
     def note_sample(self, sample: Sample) -> None:
         """Take note of a sample."""
         self._readings = readings.updated(self._readings, sample)
@@ -107,6 +118,8 @@ class RigView:
             host=self._host,
             last_run=last_run,
             recordings=str(self._directory),
-            calibration=config.calibration_sentence,
+            calibration=self._calibration,
+            calibration_sha256=config.calibration_sha256,
+            calibration_file=self._calibration_file,
             arm_removed=config.arm.removed,
         )

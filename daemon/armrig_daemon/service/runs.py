@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import raw_samples
 from armrig_core.commands import LastRun, Renew, Run, RunAccepted
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
@@ -87,6 +88,11 @@ class Runs:
     def no_room(self) -> str:
         """Return why nothing could be recorded, or nothing."""
         return check_directory(self._directory, _ROOM)
+
+    def note_calibration(self, calibration: Calibration, raw: bytes) -> None:
+        """Have runs from now on carry another calibration, and its samples."""
+        self._config = msgspec.structs.replace(self._config, calibration=calibration)
+        self._calibration_raw = raw
 
     def plan(
         self, request: Run, Ts: float, theta_1_rad: float | None = None
@@ -297,6 +303,7 @@ class Runs:
                 **host,
             },
             config_sha256=hashlib.sha256(msgspec.json.encode(config)).hexdigest(),
+            calibration_sha256=config.calibration_sha256,
             rehearsal=planned.rehearsal,
         )
 

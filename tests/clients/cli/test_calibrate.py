@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+from collections.abc import Iterator
 from math import tau
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,23 @@ from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
+from armrig_core import commands
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from calibration_rig import recording_of
+from fake_daemon import FakeDaemon
 from made_recordings import recorded, sample, written
 from made_turns import D, made_turns, still
+from msgspec.structs import replace
 
 TURNED = made_turns(noise=32.0, direction=-1)
+
+
+@pytest.fixture(autouse=True)
+def sockets(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep away from a daemon that the user may have."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("s")))
 
 
 def _files(folder: Path) -> tuple[str, ...]:
@@ -41,11 +52,12 @@ def test_recordings_made_before_are_calibrated_without_a_rig_or_a_question(
     """Values, deviations, where it came from, and the samples beside it."""
     output = tmp_path / "new" / "c.toml"
 
-    code = main(["calibrate", *_files(tmp_path), "--meter", "65535=4.9", "-o", str(output)])
+    code = main(["calibrate", *_files(tmp_path), "--meter", "65535=4.9", "--save", str(output)])
 
     said = capsys.readouterr()
     assert code == 0, said.err
-    assert f'[calibration] file = "{output}"' in said.err
+    assert "not in use: no daemon of rig 1 answers" in said.err
+    assert f'[calibration]\nfile = "{output}"\n' in said.err
     found = read_calibration(output)
     assert found.theta_1.rad_per_count == pytest.approx(-tau / D, rel=1e-3)
     assert found.driver.gain == pytest.approx(4.9 / 5, rel=1e-3)
@@ -59,12 +71,112 @@ def test_recordings_made_before_are_calibrated_without_a_rig_or_a_question(
     assert " ± " in said.out
 
 
+class _Daemon(FakeDaemon):
+    """Says which calibration file its configuration names."""
+
+    named = ""
+
+    def status(self) -> commands.StatusReport:
+        return replace(super().status(), calibration_file=self.named)
+
+
+@pytest.fixture
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
+    """Give a daemon that takes any calibration."""
+    with _Daemon(f"unixsock-stream/{tmp_path_factory.mktemp('d')}/1.sock") as daemon:
+        yield daemon
+
+
+@pytest.mark.parametrize(
+    ("options", "typed", "is_used", "said"),
+    [
+        ((), "\n", True, "Use it now? The running daemon takes it [Y/n]"),
+        ((), "n\n", False, "armrig: not in use"),
+        ((), None, False, "not in use: --use has the running daemon take it"),
+        (("--use",), None, True, "rig 1 uses it from the next sample on, until armrigd ends"),
+        (("--yes",), None, True, "rig 1 uses it from the next sample on, until armrigd ends"),
+        (("--no-use", "--yes"), None, False, "armrig: not in use"),
+    ],
+)
+def test_the_running_daemon_takes_it_where_that_is_wanted(
+    options: tuple[str, ...],
+    typed: str | None,
+    is_used: bool,
+    said: str,
+    daemon: _Daemon,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The calibration of the file, with its samples; asked at a terminal only."""
+    monkeypatch.setattr(sys, "stdin", _Terminal(typed) if typed else io.StringIO())
+    output = tmp_path / "c.toml"
+    given = [*_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint, *options]
+
+    assert main(["calibrate", *given]) == 0
+
+    told = capsys.readouterr().err
+    assert said in told
+    assert f'[calibration]\nfile = "{output}"\n' in told
+    sent = [r for r in daemon.asked if isinstance(r, commands.Calibrate)]
+    assert [r.calibration for r in sent] == [read_calibration(output)] * is_used
+    assert [r.raw for r in sent] == [raw_path(output).read_bytes()] * is_used
+
+
+def test_what_the_configuration_names_is_told_with_the_copy_that_replaces_it(
+    daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both files; and nothing is to be done where it is that very one."""
+    output = tmp_path / "c.toml"
+    given = ["calibrate", *_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint]
+
+    daemon.named = "/etc/armrig/it is here.toml"
+    assert main([*given, "--use"]) == 0
+    other = capsys.readouterr().err
+    daemon.named = str(output)
+    assert main([*given, "--use"]) == 0
+
+    assert "armrigd reads /etc/armrig/it is here.toml at its next start" in other
+    copies = f"cp {output} '/etc/armrig/it is here.toml'"
+    copies += f" && cp {tmp_path}/c.csv.gz '/etc/armrig/it is here.csv.gz'\n"
+    assert copies in other
+    assert "reads this very file at its next start, too" in capsys.readouterr().err
+
+
+def test_a_daemon_that_refuses_leaves_the_file_and_an_exit_code(
+    daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its reason is told, with the whole command that helps."""
+    output = tmp_path / "c.toml"
+    given = ["calibrate", *_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint]
+    daemon.refusals["calibrate"] = "in fault (link lost): mend it, then reset"
+
+    assert main([*given, "--use"]) == 1
+
+    said = capsys.readouterr().err.replace("\n", " ")
+    assert f"{output} is written, but not in use: in fault (link lost): mend it, then" in said
+    assert f"`armrig reset --connect {daemon.endpoint}`" in said
+    assert read_calibration(output).made is not None
+
+
+def test_its_figure_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Track and edges, and the motor's line."""
+    figure = tmp_path / "f.svg"
+
+    given = [*_files(tmp_path), "--save", str(tmp_path / "c.toml"), "-o", str(figure)]
+    assert main(["calibrate", *given]) == 0
+
+    assert f"figure: {figure}" in capsys.readouterr().err
+    assert "<svg" in figure.read_text()
+
+
 def test_a_meter_is_held_against_what_the_device_made_of_the_code(tmp_path: Path) -> None:
     """1000 is 76.3 mV, but the nearest of 1024 duties is 16 of them, 78.1 mV."""
     output = tmp_path / "c.toml"
 
     assert (
-        main(["calibrate", *_files(tmp_path), "--meter", "1000=0.078125", "-o", str(output)]) == 0
+        main(["calibrate", *_files(tmp_path), "--meter", "1000=0.078125", "--save", str(output)])
+        == 0
     )
 
     assert read_calibration(output).driver.gain == pytest.approx(1.0, rel=1e-4)
@@ -86,7 +198,7 @@ def test_the_person_is_led_through_it(
     monkeypatch.setattr(sys, "stdin", _Terminal("\ny\n\n0.97\n\n"))
     output = tmp_path / "c.toml"
 
-    code = main(["calibrate", "--volts", "1", "--volts", "2", "-o", str(output)])
+    code = main(["calibrate", "--volts", "1", "--volts", "2", "--save", str(output)])
 
     said = capsys.readouterr().err
     assert code == 0, said
@@ -116,7 +228,7 @@ def test_without_a_meter_none_is_asked_for(
     monkeypatch.setattr(sys, "stdin", _Terminal("\n\n"))
     output = tmp_path / "c.toml"
 
-    assert main(["calibrate", *files[:2], "-o", str(output)]) == 0
+    assert main(["calibrate", *files[:2], "--save", str(output)]) == 0
 
     assert "did the meter show" not in capsys.readouterr().err
     assert read_calibration(output).driver.gain == 1.0
@@ -136,7 +248,7 @@ def test_without_a_terminal_nothing_is_asked_and_nothing_done(
     paths = dict(zip(files[::2], files[1::2], strict=True))
     options = [text for name in given for text in (name, *filter(None, [paths.get(name)]))]
 
-    assert main(["calibrate", *options, "-o", str(tmp_path / "c.toml")]) == 1
+    assert main(["calibrate", *options, "--save", str(tmp_path / "c.toml")]) == 1
 
     assert "there is no terminal to ask at: give --yes" in capsys.readouterr().err
 
@@ -148,8 +260,11 @@ def test_without_a_terminal_nothing_is_asked_and_nothing_done(
         (["--meter", "65536=2"], "--meter 65536=2: must be CODE=VOLTS"),
         (["--volts", "5.1"], "--volts 5.1: must be more than 0 and at most 5 V"),
         (["--level-seconds", "3"], "--level-seconds 3: must be more than 3 s"),
-        (["-o", "c.json"], "a calibration is a TOML"),
-        (["-o", "{}/other.toml"], "is there already, and no calibration"),
+        (["--save", "c.json"], "a calibration is a TOML"),
+        (["-o", "c.toml"], "-o c.toml: a figure goes there; the calibration's file is --save"),
+        (["-o", "f.png", "--by-hand"], "the figure shows turns, and --by-hand makes none"),
+        (["-o", "f.xyz"], "f.xyz"),
+        (["--save", "{}/other.toml"], "is there already, and no calibration"),
         (["--rest-seconds", "nan"], "--seconds nan: must be a number of seconds"),
     ],
 )
@@ -160,7 +275,7 @@ def test_what_cannot_be_used_is_refused_before_a_rig_is_asked(
     (tmp_path / "other.toml").write_text("[device]\n")
     given = [a.format(tmp_path) for a in arguments]
 
-    output = [] if "-o" in given else ["-o", str(tmp_path / "c.toml")]
+    output = [] if "--save" in given else ["--save", str(tmp_path / "c.toml")]
     assert main(["calibrate", "--yes", *given, *output]) == 1
 
     assert said in capsys.readouterr().err
@@ -197,7 +312,7 @@ def test_info_tells_a_rig_that_was_not_calibrated(
     """And a stale calibration, and says nothing against a good one."""
     path = str(written(tmp_path, recorded([sample(k) for k in range(3)])))
     output = tmp_path / "c.toml"
-    assert main(["calibrate", *_files(tmp_path), "-o", str(output)]) == 0
+    assert main(["calibrate", *_files(tmp_path), "--save", str(output)]) == 0
     capsys.readouterr()
 
     assert main([*command, path]) == 0

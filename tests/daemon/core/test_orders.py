@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
+from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.core.faults import Fault, Id
@@ -10,6 +13,7 @@ from armrig_daemon.core.state import Event, Exit, Ordered, Phase, Run, State, Ti
 from armrig_daemon.pipe import (
     Acquire,
     Answer,
+    Calibrate,
     Halt,
     Order,
     Play,
@@ -196,6 +200,65 @@ def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, as
 
     assert type(sent) is asks
     assert not isinstance(sent, ClearFault) or sent.token == 12345
+
+
+# -- the calibration -----------------------------------------------------------------------------
+
+OTHER = Calibration(
+    theta_1=Potentiometer(zero_counts=100.0, rad_per_count=-1.0),
+    alpha=Potentiometer(zero_counts=200.0, rad_per_count=2.0, wraps=False),
+    driver=Driver(gain=10.0, offset_v=5.0),
+)
+CALIBRATE = Calibrate(order=74, calibration=OTHER)
+
+
+def test_a_calibration_is_taken_at_rest_and_changes_nothing_but_how_samples_are_shown() -> None:
+    """S1 to S6: no frame is sent, no code, no limit and no phase is another one."""
+    bench = rested()
+    before = bench.loop.state
+
+    decided = ordered(bench, CALIBRATE)
+
+    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert len(decided.actions) == 1
+    rules = replace(before.rules, calibration=OTHER)
+    assert decided.state == replace(before, rules=rules, service_ns=bench.ports.now)
+
+
+def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
+    """Angles of the same counts; the voltage stays that of the code."""
+    bench = rested()
+    assert not bench.ask(Calibrate, calibration=OTHER).error
+    k = bench.loop.state.k
+    bench.run_for(50)
+
+    later = [s for s in bench.samples if s.k > k]
+    assert later
+    assert all(s.theta_1_rad == 100 - s.theta_1_counts for s in later)
+    assert all(s.alpha_rad == 2.0 * (s.alpha_counts - 200) for s in later)
+    assert {s.u_applied_v for s in later} == {0.0}
+
+
+@pytest.mark.parametrize("make", [armed, driven])
+def test_a_rig_that_is_held_keeps_its_calibration(make: Callable[[], Bench]) -> None:
+    """A run has one from its first sample to its last; the refusal names who has the rig."""
+    assert _refusal(make(), CALIBRATE) == "a student has the rig: wait until it is free, or stop it"
+
+
+def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
+    """In fault, before the device is met, on the way to an arming, and until a stop is done."""
+    bench = rested()
+    state = bench.loop.state
+    fault = replace(state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
+    not_yet = "the rig is not at rest yet: try again"
+
+    assert _refusal(bench, CALIBRATE, fault) == "in fault (it ran out): mend it, then reset"
+    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.INIT)) == (
+        "there is no device yet: see that it is plugged in"
+    )
+    arming = awaiting(state, Want.CONFIGURE, ACQUIRE)
+    assert _refusal(bench, CALIBRATE, arming) == not_yet
+    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.ACTIVE)) == not_yet
 
 
 # -- the stop ------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from armrig_core.calibration import Calibration, Potentiometer
 from armrig_daemon.core import step as core_step
 from armrig_daemon.core import trace
 from armrig_daemon.core.state import (
@@ -19,7 +20,7 @@ from armrig_daemon.core.state import (
     ServiceGone,
     Tick,
 )
-from armrig_daemon.pipe import Answer, Play, RunStarted, SetVoltage, Trace
+from armrig_daemon.pipe import Answer, Calibrate, Play, RunStarted, SetVoltage, Trace
 from virtual_bench import LEASE, Bench, codes
 
 VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
@@ -173,3 +174,28 @@ def test_the_trace_begins_behind_the_start_and_ends_before_the_end() -> None:
     assert names.index("RunStarted") < names.index("Trace")
     assert len(names) - 1 - names[::-1].index("Trace") < names.index("RunEnded")
     assert [type(r) for r in bench.of(RunStarted)] == [RunStarted]
+
+
+def test_a_run_after_another_calibration_is_decided_once_more_as_it_was() -> None:
+    """It is in the first state; and one that is refused during the run fits into the steps."""
+    bench = Bench()
+    other = Calibration(theta_1=Potentiometer(zero_counts=1 / 3, rad_per_count=-1e-4))
+    assert not bench.ask(Calibrate, calibration=other).error
+    bench.arm()
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
+    bench.run_for(100)
+    refused = bench.ask(Calibrate, calibration=Calibration())
+    bench.run_for(2_500)
+
+    chunks = bench.of(Trace)
+    assert "has the rig" in refused.error
+    assert [c.number for c in chunks] == list(range(len(chunks)))
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    assert state.rules.calibration == other
+    again = []
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        again += [a.sample for a in actions if isinstance(a, Publish)]
+    shown = {s.k: str(s) for s in bench.samples}  # an angle in the dead band is no number
+    assert len(again) > 150
+    assert [shown[s.k] for s in again] == [str(s) for s in again]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from armrig_core.calibration_file import RAW_LIMIT
 from armrig_core.commands import REQUESTS, Renew, Run, Set
 from armrig_daemon.service.admission import LEASED, refusal
 
@@ -32,8 +33,8 @@ def test_the_holder_is_let_in(request_: Run | Set | Renew) -> None:
     assert refusal(request_.name, msgspec.json.encode(request_), LEASE.encode()) == ""
 
 
-@pytest.mark.parametrize("name", sorted({*REQUESTS, "explode"} - {"run"}))
-def test_no_command_but_a_run_is_long(name: str) -> None:
+@pytest.mark.parametrize("name", sorted({*REQUESTS, "explode"} - {"run", "calibrate"}))
+def test_no_command_but_a_run_and_a_calibration_is_long(name: str) -> None:
     """What waits takes memory; the longest sensible command has a hundred bytes."""
     payload = LEASE.encode().ljust(4096)
 
@@ -48,3 +49,13 @@ def test_what_needs_no_lease_is_let_in(name: str) -> None:
     """A stop above all; and a command that there is not, which is told so inside."""
     assert refusal(name, b"", b"") == ""
     assert refusal(name, b"{}", LEASE.encode()) == ""
+
+
+def test_a_calibration_is_as_long_as_its_samples_may_be() -> None:
+    """R1: 1 MiB of them in base64, and 64 KiB for the rest; only one such waits."""
+    longest = msgspec.json.encode(bytes(RAW_LIMIT))[2:] + bytes(1 << 16)
+
+    assert refusal("calibrate", longest, b"") == ""
+    assert refusal("calibrate", longest + b" ", b"") == (
+        f"calibrate: {len(longest) + 1} B, at most {len(longest)} B are allowed"
+    )

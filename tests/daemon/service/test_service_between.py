@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import select
 import signal
@@ -15,10 +16,12 @@ from typing import Any
 import msgspec
 import pytest
 from armrig.rig.session import open_session
+from armrig_core.calibration import Calibration, Made, Potentiometer
+from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Disarm, Renew, Run, Set, Stop
 from armrig_core.commands import Reset as AskedReset
+from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
 from armrig_core.manifest import RUN as OF_RUN
-from armrig_core.manifest import manifest_of
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key
 from armrig_daemon.config import Config
@@ -26,6 +29,7 @@ from armrig_daemon.core.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import (
     Alive,
     Answer,
+    Calibrate,
     Clock,
     Distribution,
     Gap,
@@ -415,3 +419,96 @@ def test_a_command_is_the_loop_s_to_carry_out_and_to_answer(
     between.service._handle([Answer(order=1)])
 
     assert next(iter(replies)).ok is not None
+
+
+MEASURED = Calibration(
+    theta_1=Potentiometer(zero_counts=7.5),
+    alpha=Potentiometer(zero_counts=32000.0, wraps=False),
+    made=Made(
+        date="2026-11-20",
+        rig="1",
+        device_uid="",
+        armrig="0.2.0",
+        raw_sha256=hashlib.sha256(b"raw").hexdigest(),
+    ),
+)
+ASKED = AskedCalibrate(calibration=MEASURED, raw=b"raw")
+
+
+def _calibrated(between: Between) -> Any:
+    """Have a calibration sent and ordered; return its replies."""
+    replies = between.ask(ASKED)
+    between.commands.serve()
+    assert between.loop.orders() == [
+        Calibrate(order=1, calibration=msgspec.structs.replace(MEASURED, made=None))
+    ]
+    return replies
+
+
+def test_a_calibration_is_in_force_once_the_loop_has_taken_it(
+    between: Between, tmp_path: Path
+) -> None:
+    """Said, shown by the status, and carried by the next run: itself, its samples, its hash."""
+    before = between.service._rig.status(None)
+    replies = _calibrated(between)
+    assert between.service._rig.status(None) == before
+
+    between.service._handle([Answer(order=1, body={"done": True})])
+    between.begin_run()
+    between.service._runs.end("complete")
+    between.service._say_finished(60.0)
+
+    assert next(iter(replies)).ok is not None
+    status = between.service._rig.status(None)
+    digest = hashlib.sha256(msgspec.json.encode(MEASURED)).hexdigest()
+    assert "sent by `armrig calibrate`, made 2026-11-20" in status.calibration
+    assert status.calibration_sha256 == digest
+    (path,) = tmp_path.glob("*.mcap")
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        attached = {a.name: a.data for a in reader.iter_attachments()}
+        (of_run,) = (m.metadata for m in reader.iter_metadata() if m.name == OF_RUN)
+    assert msgspec.json.decode(attached[CALIBRATION], type=Calibration) == MEASURED
+    assert attached[CALIBRATION_RAW] == b"raw"
+    assert manifest_of(of_run).calibration_sha256 == digest
+
+
+def test_a_calibration_that_the_core_refuses_is_not_in_force(between: Between) -> None:
+    """Its sender hears the core's reason."""
+    before = between.service._rig.status(None)
+    replies = _calibrated(between)
+
+    between.service._handle([Answer(order=1, error="anna has the rig")])
+
+    assert b"anna has the rig" in next(iter(replies)).err.payload.to_bytes()
+    assert between.service._rig.status(None) == before
+
+
+def test_a_calibration_that_is_taken_late_is_in_force_all_the_same(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its sender has been told that the loop does not answer; the loop converts by it now."""
+    monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
+    replies = _calibrated(between)
+    between.commands.refuse_overdue()
+    assert b"the loop does not answer" in next(iter(replies)).err.payload.to_bytes()
+    second = between.ask(ASKED)
+    between.commands.serve()
+    assert b"on its way: try again" in next(iter(second)).err.payload.to_bytes()
+
+    between.service._handle([Answer(order=1, body={"done": True})])
+
+    assert "sent by" in between.service._rig.status(None).calibration
+    between.ask(ASKED)
+    between.commands.serve()
+    assert len(between.loop.orders()) == 1
+
+
+def test_one_calibration_waits_at_most(between: Between) -> None:
+    """R1: each may have more than a megabyte."""
+    between.ask(ASKED)
+
+    refused = between.ask(ASKED)
+
+    assert b"too many commands are waiting: try again" in next(iter(refused)).err.payload.to_bytes()
+    assert len(list(between.service._session.waiting(Kind.CALIBRATE))) == 1

@@ -1,0 +1,60 @@
+"""A calibration that a client sends, held against the rig that it is to be for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from armrig_core.calibration import Calibration
+from armrig_core.calibration_file import check_measured
+from msgspec.structs import replace
+
+from armrig_daemon.config import Config
+
+_LONGEST = 80  # of a name or a date, in characters
+
+
+def checked_calibration(
+    calibration: Calibration, raw: bytes, config: Config, device: dict[str, Any]
+) -> Calibration:
+    """Return the calibration as it is recorded, or refuse it.
+
+    Its zeros, angles, gain and offset are within their bounds already: those of a file's.
+
+    Parameters
+    ----------
+    raw : bytes
+        The samples that it was estimated from.
+    device : dict
+        What the device says of itself.
+
+    Raises
+    ------
+    ValueError
+        It was not measured, or on another rig or device; its samples are not its own; or it says
+        that another potentiometer wraps, which is the configuration's to say.
+    """
+    made = check_measured(calibration, raw)
+    uid = str(device.get("uid", made.device_uid))  # without a device the core refuses
+    if (made.rig, made.device_uid) != (config.rig.id, uid):
+        whose = f"rig {made.rig[:_LONGEST]}, device {made.device_uid[:_LONGEST]}"
+        msg = f"the calibration is of {whose}, and this is rig {config.rig.id}, device {uid}: "
+        msg += "calibrate this one with `armrig calibrate`"
+        raise ValueError(msg)
+    if len(made.date) > _LONGEST or not made.date.isprintable():
+        msg = f"made.date: at most {_LONGEST} characters that print are allowed"
+        raise ValueError(msg)
+    for name in ("theta_1", "alpha"):
+        now, wraps = getattr(config.calibration, name).wraps, getattr(calibration, name).wraps
+        if wraps != now:
+            # Where alpha wraps, arming does not look for it at the end of its range.
+            msg = f"{name}.wraps = {str(wraps).lower()}: must be {str(now).lower()}, as the "
+            msg += "configuration of this rig says"
+            raise ValueError(msg)
+    # The daemon has read no file.
+    return replace(calibration, made=replace(made, file=""))
+
+
+def taken(calibration: Calibration) -> str:
+    """Return what the status says of a calibration that was sent."""
+    date = calibration.made.date if calibration.made else ""
+    return f"sent by `armrig calibrate`, made {date}; in force until armrigd ends"

@@ -1,0 +1,56 @@
+"""A calibration that a client sends is of this rig and this device, or it is refused."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import pytest
+from armrig_core.calibration import Calibration, Made, Potentiometer
+from armrig_daemon.config import Config, Rig
+from armrig_daemon.service.calibration import checked_calibration, taken
+from msgspec.structs import replace
+
+RAW = b"samples"
+MADE = Made(
+    date="2026-11-20T08:00:00+01:00",
+    rig="2",
+    device_uid="abc",
+    armrig="0.2.0",
+    raw_sha256=hashlib.sha256(RAW).hexdigest(),
+    file="/home/a/calibration-2.toml",
+)
+SENT = Calibration(
+    theta_1=Potentiometer(zero_counts=7.5, rad_per_count=-9e-5),
+    alpha=Potentiometer(wraps=False),
+    made=MADE,
+)
+CONFIG = Config(rig=Rig(id="2"))
+
+
+def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read() -> None:
+    """Where no device is known the core has its say."""
+    found = checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"})
+
+    assert found == replace(SENT, made=replace(MADE, file=""))
+    assert checked_calibration(SENT, RAW, CONFIG, {}) == found
+    assert "made 2026-11-20T08:00:00+01:00; in force until armrigd ends" in taken(found)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"made": None}, "does not say how it was made"),
+        ({"made": replace(MADE, raw_sha256="0" * 64)}, "samples beside it are not those"),
+        ({"made": replace(MADE, rig="1")}, "of rig 1, device abc, and this is rig 2, device abc"),
+        ({"made": replace(MADE, device_uid="d")}, "of rig 2, device d, and this is rig 2, dev"),
+        ({"made": replace(MADE, date="\x1b[2J")}, r"made.date: at most 80 characters that print"),
+        ({"made": replace(MADE, date="2" * 81)}, r"made.date: at most 80 characters that print"),
+        ({"theta_1": Potentiometer(wraps=False)}, "theta_1.wraps = false: must be true"),
+        ({"alpha": Potentiometer(wraps=True)}, "alpha.wraps = true: must be false"),
+    ],
+)
+def test_what_is_not_of_this_rig_is_refused(fields: dict[str, Any], said: str) -> None:
+    """Nor does it turn off a check of arming: whether alpha wraps is the configuration's to say."""
+    with pytest.raises(ValueError, match=said):
+        checked_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"})
