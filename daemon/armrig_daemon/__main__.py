@@ -48,11 +48,15 @@ def run(
     emulate: Annotated[bool, typer.Option("--emulate", help="Drive an emulated rig.")] = False,
     port: Annotated[str | None, typer.Option(help="Serial port.")] = None,
     rig: Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.")] = None,
+    parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Run the daemon until SIGTERM or Ctrl-C; the motor ends at 0 V."""
     from armrig_daemon import config as configuration
+    from armrig_daemon.loop.realtime import end_with_parent
     from armrig_daemon.service.service import Service
 
+    if parent is not None:  # of `armrig lab`, which may be killed and cannot tell us then
+        end_with_parent(parent)
     overrides: dict[str, dict[str, Any]] = {}
     below = _FOR_EMULATED if emulate else {}
     if port is not None:

@@ -11,6 +11,7 @@ import threading
 import time
 from pathlib import Path
 
+import armrig
 import pytest
 from armrig.rig.client import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded
@@ -77,6 +78,29 @@ def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
         bench.trace.unlink()
 
         _ends_in_good_order(bench, daemon, signal.SIGINT)
+
+
+def test_a_lab_that_is_killed_takes_its_daemon_along(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`kill -9`: 0 V, the run recorded up to then, the socket free for the next."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(bench.folder))
+    bench.emulate()
+    lab = bench.start("armrig", "lab", "--config", str(bench.config), "--port", str(bench.port))
+    wait_for(lambda: bench.phase() == "safe", within_s=30)
+    with driven(bench):
+        told_ns = lab.kill(signal.SIGKILL)
+
+        wait_for(lambda: list(bench.recordings.glob("*.mcap")))
+        assert bench.went_to_0_v_after(told_ns) < STOPPED_S
+    (path,) = bench.recordings.glob("*.mcap")
+    recording = armrig.load(path)
+    assert outcome(recording) == "the daemon was ended"
+    check_every_k(recording)
+    check_volts(bench)
+    assert not list(bench.recordings.glob("*.active"))
+    wait_for(lambda: bench.phase() == "")
+    bench.serve()
 
 
 def _killed_again_and_again(daemon: Process, *pids: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -22,6 +23,9 @@ _POLL_S = 0.1
 def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run `armrigd run` with these arguments until the block ends; the motor is then at 0 V.
 
+    The daemon ends in the same good order where this process is killed, or the thread that called
+    ends: the kernel tells it.
+
     Parameters
     ----------
     rig : str
@@ -39,12 +43,16 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     RigError
         The daemon ended, or does not answer; quotes its last line.
     """
-    program = [sys.executable, "-m", "armrig_daemon", "run", *arguments]
+    program = [sys.executable, "-m", "armrig_daemon", "run", "--parent", str(os.getpid())]
     log.unlink(missing_ok=True)  # and not emptied: another daemon may still write to it
     with log.open("wb") as output:
         # A session of its own: Ctrl-C is ours, and we stop it in order.
         daemon = subprocess.Popen(
-            program, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+            [*program, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
         )
         try:
             _wait_until_it_answers(daemon, rig, log)

@@ -92,9 +92,15 @@ def leave_fifo() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def end_with_parent() -> None:
-    """Have the kernel end this process, by SIGTERM, when its parent ends."""
-    parent = os.getppid()
+def end_with_parent(parent: int | None = None) -> None:
+    """Have the kernel end this process, by SIGTERM, when its parent ends.
+
+    Parameters
+    ----------
+    parent : int, optional
+        The process that started this one; it may have ended before this is called.
+    """
+    parent = os.getppid() if parent is None else parent
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:  # it ended before we asked
         os.kill(os.getpid(), signal.SIGTERM)

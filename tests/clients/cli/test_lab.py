@@ -48,7 +48,7 @@ def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
                 time.sleep(0.1)
             yield process
         finally:
-            process.terminate()  # killed, it would leave its daemon behind
+            process.terminate()
             process.wait(_PATIENCE_S)
 
 

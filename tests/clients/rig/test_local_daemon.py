@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -45,6 +48,15 @@ def test_one_that_refuses_to_start_is_quoted(tmp_path: Path) -> None:
         running(["--config", str(config), "--emulate"], rig=RIG, log=tmp_path / "log"),
     ):
         pass
+
+
+def test_one_whose_parent_was_killed_before_it_looked_ends_at_once() -> None:
+    """The kernel tells of a parent that ends later only."""
+    program = [sys.executable, "-m", "armrig_daemon", "run", "--emulate", "--rig", RIG]
+
+    done = subprocess.run([*program, "--parent", "999999999"], check=False, timeout=60)
+
+    assert done.returncode == -signal.SIGTERM
 
 
 def _interrupted_when_it_answers(rig: Rig) -> None:
