@@ -23,7 +23,7 @@ from typing import NamedTuple
 from processes import burning
 
 LONGEST_S = 900.0
-AGAIN = "; once more"
+AGAIN = " once more: "
 VIRTUAL = "the demonstration goes on in virtual time"
 BETWEEN_S = (0.2, 2.0)
 STOPPED_S = (0.02, 0.5)
@@ -112,7 +112,7 @@ def once(folder: Path, seconds: float, *, ordinary: bool, rng: Random | None) ->
     return Ended(
         demo.returncode,
         time.monotonic() - began_s,
-        [line.removesuffix(AGAIN) for line in said if line.endswith(AGAIN)],
+        [line.partition(AGAIN)[2] for line in said if AGAIN in line],
         said[at - 1] if at else "",
         stops,
         said[-1] if said else "",

@@ -139,7 +139,7 @@ def test_a_device_that_answers_has_nothing_said_of_its_line() -> None:
     assert again.state.asked is not None
     lost = Decided(silent, bench.ports.now, LinkDown("gone"))
     assert lost.told(StateRecord)[-1].line.startswith(
-        "there is no link to it, and it is waited for"
+        "no rig is there, and the daemon waits for it"
     )
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +47,9 @@ def _demo(folder: Path, seed: int, **environ: str) -> dict[str, bytes]:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    (telegraph,) = re.findall(r"^next: armrig plot (\S.*) -o data.png$", done.stderr, re.MULTILINE)
+    (path,) = shlex.split(telegraph)
+    assert armrig.load(path).manifest.details["seed"] == seed
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.suffix != ".toml"}
 
 
@@ -69,3 +75,20 @@ def test_the_same_seed_gives_the_same_bytes_anywhere(tmp_path: Path) -> None:
     assert [r.samples.size for r in recordings if r.manifest.experiment == "blackbox"] == [500, 500]
     assert all(r.missing == 0 for r in recordings)
     assert all(not replay(p).difference for p in paths)
+
+
+def test_a_program_is_told_where_everything_lies(tmp_path: Path) -> None:
+    """One line of JSON on standard output; what a person reads is beside it."""
+    program = [sys.executable, "-m", "armrig", "demo", "--virtual", "--seconds", "5", "--json"]
+    done = subprocess.run(
+        [*program, "--directory", str(tmp_path)], capture_output=True, text=True, check=False
+    )
+
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert list(found["recordings"]) == ["step", "telegraph", "validation"]
+    assert found["in_virtual_time"] == list(found["recordings"])
+    assert [armrig.load(p).missing for p in found["recordings"].values()] == [0, 0, 0]
+    assert [model["model"] for model in found["models"]] == ["ARX", "OE", "physics"]
+    assert all(Path(p).exists() for p in [*found["figures"], found["report"]])
+    assert "next:" not in done.stderr

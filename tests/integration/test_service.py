@@ -177,9 +177,9 @@ def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
     with bench.rig() as rig:
         wait_for(lambda: rig.status().line)
         assert rig.status().line.startswith(
-            f"{bench.port}: there is no link to it, and it is waited for"
+            f"{bench.port}: no rig is there, and the daemon waits for it"
         )
-        with pytest.raises(RefusedError, match="there is no link to it, and it is waited for"):
+        with pytest.raises(RefusedError, match="no rig is there, and the daemon waits for it"):
             rig.arm("a test")
 
     bench.emulate()

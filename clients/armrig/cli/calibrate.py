@@ -15,7 +15,7 @@ from armrig.cli.calibration_in_use import take_into_use
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
 from armrig.cli.chosen_recording import recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import say_next
+from armrig.cli.next_step import naming, say_next
 from armrig.cli.options import Connect, Json, RigId, print_json, print_table, tell
 from armrig.numerics.quantities import with_std
 
@@ -135,7 +135,7 @@ def calibrate(
     if json:
         _print_facts(path, found, used=used)
     else:
-        say_next("calibrate")
+        say_next("calibrate", rig=naming(rig, connect))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

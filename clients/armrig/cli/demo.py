@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -14,7 +14,7 @@ from armrig.cli.demo_plan import Experiment, experiments, write_config
 from armrig.cli.demo_virtual import record_in_virtual_time
 
 if TYPE_CHECKING:
-    from armrig.report.study import Study
+    from armrig.report.study import Assessed, Study
 
 _EMULATED = (
     "The rig was emulated: its plant obeys the same equations as the physical model below, read "
@@ -35,8 +35,10 @@ def demo(
     seed: int = 1,
     virtual: bool = False,
     console: Console | None = None,
-) -> None:
+) -> dict[str, Any]:
     """Record an emulated rig, identify and validate it, and write a report into `directory`.
+
+    Returns what was found and where it lies, by name.
 
     In virtual time the same seed gives the same bytes. In real time a machine that stalls too often
     has the rest recorded in virtual time, which the report says.
@@ -52,7 +54,8 @@ def demo(
     paths: list[Path] = []
     why = "" if virtual else _record(plan, config, console, paths)
     if why:
-        console.print(f"  {why}", highlight=False, markup=False, soft_wrap=True)
+        given_up = f"  not in real time: {why}"
+        console.print(given_up, highlight=False, markup=False, soft_wrap=True)
         console.print("the demonstration goes on in virtual time", highlight=False)
     n_real = len(paths)
     with console.status("recording in virtual time"):
@@ -66,6 +69,14 @@ def demo(
     _print_results(console, done, names, directory, pdf)
     if not virtual:
         console.print(f"the daemon's log: {directory / 'armrigd.log'}", highlight=False)
+    recordings = dict(zip(names, map(str, paths), strict=True))
+    return {
+        "recordings": recordings,
+        "in_virtual_time": names[n_real:],
+        "models": [_row(model) for model in done.models],
+        "figures": sorted(map(str, directory.glob("*.svg"))),
+        "report": str(pdf),
+    }
 
 
 def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
@@ -135,13 +146,25 @@ def _print_results(
     for recording, name in zip(done.recordings, names, strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
         samples = f"{recording.samples.size} samples{missing}, sha256 {recording.short_hash}"
-        path = escape(str(_from_here(recording.path)))
+        path = escape(str(from_here(recording.path)))
         where.add_row(name, f"{path}\n[dim]{samples}[/dim]")
     where.add_row("figures", escape(str(directory / "*.svg")))
     where.add_row("report", f"[bold]{escape(str(pdf))}[/bold]")
     console.print(where)
 
 
-def _from_here(path: Path) -> Path:
+def _row(model: Assessed) -> dict[str, Any]:
+    """Return how a model simulates the validation recording, the angle in rad."""
+    row = model.comparison
+    return {
+        "model": row.name,
+        "rms_error": row.rms_error,
+        "fit_percent": row.fit_percent,
+        "velocity_fit_percent": row.velocity_fit_percent,
+    }
+
+
+def from_here(path: Path) -> Path:
+    """Return a path as short as it may be typed here."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path

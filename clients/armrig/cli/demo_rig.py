@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from armrig_core.commands import TRY_AGAIN
 from rich.console import Console
 
 from armrig.cli.demo_plan import RIG, Experiment, Ts
@@ -66,8 +67,11 @@ def record_in_real_time(
     log = config.with_name("armrigd.log")
     arguments = ["--config", str(config), "--emulate"]
     with running(arguments, rig=RIG, log=log), Rig(RIG) as rig:
+        wait_until_safe(rig)
+        seconds = sum(experiment.seconds for experiment in plan)
         console.print(
-            f"daemon and emulator run: rig {RIG} at {rig.status().endpoint}", markup=False
+            f"an emulated rig and its daemon run; {len(plan)} experiments take {seconds:.0f} s",
+            highlight=False,
         )
         for line in scheduling_sentences(rig.status().host):
             console.print(f"  {line}", highlight=False, markup=False)
@@ -94,10 +98,11 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
                 raise
             if has_ended:
                 patience.run_ended()
+            why, _, _ = str(err).partition("; recorded in ")
             if patience.is_over:
-                why, _, _ = str(err).partition("; recorded in ")
                 raise TooBusyError(why) from err
-            console.print(f"  {err}; once more", highlight=False, markup=False, soft_wrap=True)
+            again = f"  {experiment.name} once more: {why.removesuffix(TRY_AGAIN)}"
+            console.print(again, highlight=False, markup=False, soft_wrap=True)
             if not has_tripped:
                 rig.stop()  # gives back a rig that is still armed
 
@@ -107,8 +112,8 @@ def wait_until_safe(rig: Rig) -> None:
     until = time.monotonic() + _SAFE_S
     while (status := rig.status()).phase != "safe":
         if time.monotonic() > until:
-            msg = f"rig {rig.rig} is {status.phase} {status.reason}, not safe, after "
-            msg += f"{_SAFE_S:g} s; look at the daemon's log"
+            why = status.reason or status.line or status.phase
+            msg = f"the emulated rig is not ready after {_SAFE_S:g} s: {why}"
             raise RigError(msg)
         if status.phase == "fault":
             rig.reset()

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from armrig.cli.files import check_output
+from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, echo, print_json
 
 _LONGEST_DEMO_S = 600.0
@@ -23,12 +24,18 @@ def demo(
         bool,
         typer.Option("--virtual", help="In virtual time: at once, the same bytes for each seed."),
     ] = False,
+    json: Json = False,
 ) -> None:
     """Emulate a rig, record it, identify it, write a report.
 
     Two minutes, no hardware; with --virtual 20 s, on any system with Python.
+
+    With --json where everything lies, and each model's fit, are a line of JSON at the end.
     """
+    from rich.console import Console
+
     from armrig.cli.demo import demo as run_demo
+    from armrig.cli.demo import from_here
 
     if directory.exists() and not directory.is_dir():
         msg = f"--directory {directory}: is a file; give a directory, which is made where none is"
@@ -36,7 +43,12 @@ def demo(
     if not seconds <= _LONGEST_DEMO_S:  # NaN neither
         msg = f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s"
         raise ValueError(msg)
-    run_demo(directory, seconds=seconds, seed=seed, virtual=virtual)
+    console = Console(stderr=json)
+    done = run_demo(directory, seconds=seconds, seed=seed, virtual=virtual, console=console)
+    if json:
+        print_json(done)
+    else:
+        say_next("demo", file=typed(from_here(Path(done["recordings"]["telegraph"]))))
 
 
 def bench(

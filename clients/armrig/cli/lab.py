@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.printable import printable
 
-from armrig.cli.next_step import next_line
-from armrig.cli.options import RigId, echo
+from armrig.cli.next_step import naming, next_line
+from armrig.cli.options import Json, RigId, echo, print_json, tell
 
 if TYPE_CHECKING:
     import subprocess
@@ -36,11 +36,13 @@ _VIEW_S = 0.1
 _BLANK = "–"
 
 
-def lab(port: Port = None, config: Config = None, rig: RigId = "1") -> None:
+def lab(port: Port = None, config: Config = None, rig: RigId = "1", json: Json = False) -> None:
     """Start a rig with its daemon, and show it live until Ctrl-C.
 
     Without --port the rig is an emulated one. All other commands find it, in a second terminal.
     The motor ends at 0 V.
+
+    With --json each change of its phase is a line, as of `armrig status --json`: "safe" is ready.
     """
     import platformdirs
 
@@ -54,26 +56,29 @@ def lab(port: Port = None, config: Config = None, rig: RigId = "1") -> None:
     what = "an emulated rig" if port is None else port
     with running(arguments, rig=rig, log=log) as daemon, Rig(rig) as opened:
         try:
-            _show(opened, daemon, log, what)
-        finally:
-            echo("ending: the motor goes to 0 V")
+            _show(opened, daemon, log, what, json=json)
+        except KeyboardInterrupt:
+            tell("ending: the motor goes to 0 V")
+            raise
 
 
-def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str) -> None:
+def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, json: bool) -> None:
     """Say when the rig is ready, and show what it does; on a terminal in place."""
     from armrig.rig.local_daemon import require_running
 
     shown = told = ""
     status, asked_s = rig.status(), time.monotonic()
-    with rig.arrivals("sample") as newest, _view() as (say, draw):
+    with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
         sample = None
         while True:
             require_running(daemon, log)
             if time.monotonic() - asked_s >= _STATUS_S:
                 status, asked_s = rig.status(), time.monotonic()
             sample = (newest() or [sample])[-1]
-            if (now := _sentence(status, what)) and now != told:
-                say(now)
+            how = f"{status.phase} {status.reason} {status.line}"
+            now = how if json else _sentence(status, what)
+            if now and now != told:
+                say(status if json else now)
                 told = now
             if (view := _lines(status, sample)) != shown:
                 draw(view)
@@ -84,11 +89,16 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str) -> No
 def _sentence(status: StatusReport, what: str) -> str:
     """Return that the rig is ready, or what it waits for; "" for what passes by itself."""
     if status.phase == "safe":
-        ready = f"rig ready, 0 V: {what}, rig {status.rig}; recordings go to {status.recordings}"
-        return f"{ready}\nin a second terminal:\n{next_line('lab')}"
+        return (
+            f"rig ready, 0 V: {what}, rig {status.rig}; Ctrl-C ends it\n"
+            f"recordings go to {status.recordings}\n"
+            f"in a second terminal:\n{next_line('lab', rig=naming(status.rig))}"
+        )
     if status.reason:
-        return f"{status.reason}; {status.remedy}, then `armrig reset`"
-    return f"waiting for the rig: {status.line}" if status.line else ""
+        from armrig.rig.collection import reset_command
+
+        return f"{status.reason}; {status.remedy}, then {reset_command(status.rig, None)}"
+    return f"not ready: {status.line}; Ctrl-C ends it" if status.line else ""
 
 
 def _lines(status: StatusReport, sample: Any) -> str:
@@ -112,10 +122,10 @@ def _angle(x: float) -> str:
 
 
 @contextmanager
-def _view() -> Iterator[tuple[Callable[[str], None], Callable[[str], None]]]:
+def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
     """Give what says a line for good, and what draws the live view below, on a terminal only."""
-    if not sys.stdout.isatty():
-        yield echo, lambda _: None
+    if json or not sys.stdout.isatty():
+        yield print_json if json else echo, lambda _: None
         return
     from rich.console import Console
     from rich.live import Live

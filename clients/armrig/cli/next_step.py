@@ -11,11 +11,12 @@ from pathlib import Path
 from armrig_core.printable import printable
 
 AFTER: Mapping[str, str] = {
-    "lab": "armrig collect step --Ts 0.002 --seconds 10 --name first",
+    "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
     "model": "armrig model --set J_2=0.005 --set K_lin=2.4 -o step.png",
     "model --set": "armrig lab",
-    "calibrate": "armrig collect step --Ts 0.002 --seconds 10 --name first",
-    "status": "armrig collect step --Ts 0.002 --seconds 10 --name first",
+    "calibrate": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
+    "status": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
+    "demo": "armrig plot {file} -o data.png",
     "stop": "armrig status{rig}",
     "reset": "armrig status{rig}",
     "ls": "armrig info {file}",
@@ -60,6 +61,12 @@ def say_to_copy(text: str) -> None:
 def next_line(after: str, **values: str | float) -> str:
     """Return the line after a command."""
     return f"next: {printable(AFTER[after].format(**values))}"
+
+
+def naming(rig: str, connect: str | None = None) -> str:
+    """Return the options that name a rig, as typed behind a command; "" for the usual one."""
+    named = "" if rig == "1" else f" --rig {rig}"
+    return f"{named} --connect {shlex.quote(connect)}" if connect else named
 
 
 def typed(path: Path) -> str:

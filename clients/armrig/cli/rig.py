@@ -5,12 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from shlex import quote
 from typing import Annotated, Any
 
 import typer
 
-from armrig.cli.next_step import say_next
+from armrig.cli.next_step import naming, say_next
 from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_table
 
 By = Annotated[
@@ -57,8 +56,8 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         ),
         ("recordings", report.recordings),
     )
-    if report.phase == "safe" and not report.line and rig == "1" and not connect:
-        say_next("status")
+    if report.phase == "safe" and not report.line:
+        say_next("status", rig=naming(rig, connect))
 
 
 def _device_text(device: dict[str, Any]) -> str:
@@ -86,29 +85,35 @@ def watch(
                 _watch_in_lines(samples)
 
 
-def stop(rig: RigId = "1", connect: Connect = None, by: By = "") -> None:
-    """Bring the rig to 0 V, whoever has it."""
+def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = False) -> None:
+    """Bring the rig to 0 V, whoever has it.
+
+    With --json it prints {"rig": "1", "stopped": true}, and where nothing answers exits with 1.
+    """
     with _opened(rig, connect) as opened:
         opened.stop(by)
+    if json:
+        print_json({"rig": rig, "stopped": True})
+        return
     echo(f"rig {rig} was told to stop")
-    say_next("stop", rig=_given(rig, connect))
+    say_next("stop", rig=naming(rig, connect))
 
 
-def reset(rig: RigId = "1", connect: Connect = None) -> None:
-    """Leave a latched fault; the rig is then at 0 V and nobody's."""
+def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
+    """Leave a latched fault; the rig is then at 0 V and nobody's.
+
+    With --json it prints {"rig": "1", "was_latched": true}, or false where nothing was latched.
+    """
     with _opened(rig, connect) as opened:
         was_latched = opened.reset()
+    if json:
+        print_json({"rig": rig, "was_latched": was_latched})
+        return
     if was_latched:
         echo(f"rig {rig} was reset")
     else:
         echo(f"rig {rig}: nothing is latched, so there is nothing to reset")
-    say_next("reset", rig=_given(rig, connect))
-
-
-def _given(rig: str, connect: str | None) -> str:
-    """Return the options that name the rig, as typed behind a command."""
-    named = "" if rig == "1" else f" --rig {rig}"
-    return f"{named} --connect {quote(connect)}" if connect else named
+    say_next("reset", rig=naming(rig, connect))
 
 
 @contextmanager

@@ -95,7 +95,10 @@ def motor(state: State) -> str:
 def unanswered(state: State) -> str:
     """Return why there is no device that says who it is, and what to try, or nothing."""
     if not state.link_up:
-        return "there is no link to it, and it is waited for; see that the rig is plugged in there"
+        return (
+            "no rig is there, and the daemon waits for it: see that it is plugged in, and that "
+            "this is its port"
+        )
     asked, came, baud = state.asked, state.came, state.rules.baud
     if asked is None or asked.want is not Want.HELLO or asked.tries < MANY_TRIES:
         return ""

@@ -109,6 +109,8 @@ def _reason(port: str, err: Exception) -> str:
     if not Path(port).exists():
         return "it is not there; see that the rig is plugged in, and the name in the config"
     text = str(err).lower()
+    if not Path(port).is_char_device() or "inappropriate ioctl" in text:
+        return "it is no serial port; give that of the rig, such as /dev/ttyACM0"
     if "exclusively lock" in text or "busy" in text:
         return "it is taken by another program; end that one"
     if "permission" in text:

@@ -639,6 +639,22 @@ def test_what_nohup_ignores_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
+def test_a_program_is_told_in_json_what_was_done(
+    where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stopped; and whether a fault was latched."""
+    with FakeDaemon(where):
+        assert main(["stop", "--connect", where, "--json"]) == 0
+        assert main(["reset", "--connect", where, "--json"]) == 0
+
+    said = capsys.readouterr()
+    assert [json.loads(line) for line in said.out.splitlines()] == [
+        {"rig": "1", "stopped": True},
+        {"rig": "1", "was_latched": True},
+    ]
+    assert said.err == ""
+
+
 @pytest.mark.parametrize("command", ["stop", "reset"])
 def test_stop_and_reset_need_nobodys_leave(command: str, daemon: FakeDaemon, where: str) -> None:
     """They are sent at once, without arming."""

@@ -58,8 +58,8 @@ def test_what_a_stalling_machine_costs_is_done_once_more(
         path = _recorded(rig, out)
 
     assert str(path) == daemon.recording
-    said = [line for line in out.getvalue().splitlines() if line.endswith("; once more")]
-    assert [LATE in line for line in said] == [True, True, False]
+    said = [line for line in out.getvalue().splitlines() if line.startswith("  step once more: ")]
+    assert [line.endswith("264 ms late in the last second") for line in said] == [True, True, False]
     assert "WATCHDOG (load 3)" in said[2]
 
 

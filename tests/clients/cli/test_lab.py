@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -21,7 +23,7 @@ _LAB = """
 import signal, sys
 from armrig.cli import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
-sys.exit(main(["lab"]))
+sys.exit(main(["lab", *sys.argv[1:]]))
 """
 
 
@@ -34,22 +36,29 @@ def folders(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
         monkeypatch.setenv(name, str(directory))
 
 
-@pytest.fixture
-def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """Give a lab whose rig is ready."""
-    said = tmp_path / "said"
+@contextmanager
+def started(said: Path, until: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Give a lab that has said this."""
     with said.open("w") as out:
-        process = subprocess.Popen([sys.executable, "-c", _LAB], stdout=out, stderr=out, text=True)
+        program = [sys.executable, "-c", _LAB, *arguments]
+        process = subprocess.Popen(program, stdout=out, stderr=out, text=True)
         try:
-            until = time.monotonic() + _PATIENCE_S
-            while "rig ready, 0 V" not in said.read_text():
+            until_s = time.monotonic() + _PATIENCE_S
+            while until not in said.read_text():
                 assert process.poll() is None, said.read_text()
-                assert time.monotonic() < until, said.read_text()
+                assert time.monotonic() < until_s, said.read_text()
                 time.sleep(0.1)
             yield process
         finally:
             process.terminate()
             process.wait(_PATIENCE_S)
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Give a lab whose rig is ready."""
+    with started(tmp_path / "said", "rig ready, 0 V") as process:
+        yield process
 
 
 def of_this_test() -> list[str]:
@@ -98,3 +107,33 @@ def test_a_second_lab_is_told_of_the_first(lab: subprocess.Popen[str]) -> None:
     assert lab.poll() is None
     with Rig() as rig:
         assert rig.status().phase == "safe"
+
+
+def test_a_port_that_is_not_there_is_told_with_the_way_out(tmp_path: Path) -> None:
+    """At once; Ctrl-C ends the waiting, and nothing is left."""
+    said = tmp_path / "said"
+    with started(said, "Ctrl-C ends it", "--port", "/dev/nowhere") as lab:
+        assert (
+            "not ready: /dev/nowhere: no rig is there, and the daemon waits for it: see that "
+            in (said.read_text())
+        )
+        lab.send_signal(signal.SIGINT)
+        assert lab.wait(_PATIENCE_S) == 128 + signal.SIGINT
+
+    assert of_this_test() == []
+
+
+def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
+    """As `armrig status --json` prints it; ready is "safe"."""
+    said = tmp_path / "said"
+    with started(said, '"phase":"safe"', "--json"), Rig() as rig:
+        rig.arm("a student")
+        until_s = time.monotonic() + _PATIENCE_S
+        while '"phase":"armed"' not in said.read_text():
+            assert time.monotonic() < until_s
+            time.sleep(0.1)
+
+    lines = said.read_text().splitlines()
+    phases = [json.loads(line)["phase"] for line in lines if line.startswith("{")]
+    assert phases[-2:] == ["safe", "armed"]
+    assert "armrig: ending: the motor goes to 0 V" in lines

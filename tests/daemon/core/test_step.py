@@ -164,7 +164,7 @@ def test_a_port_that_cannot_be_opened_is_told_to_whoever_asks() -> None:
 
     [said] = decided.told(StateRecord)
     assert said.phase == "init"
-    assert said.line.startswith("there is no link to it, and it is waited for")
+    assert said.line.startswith("no rig is there, and the daemon waits for it")
     [log] = decided.told(Log)
     assert (log.level, log.message) == (
         "warning",

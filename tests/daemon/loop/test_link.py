@@ -103,10 +103,14 @@ def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
     Link(port, 115_200).close()
 
 
-def test_a_port_that_is_no_serial_line_is_refused_for_what_the_system_says(tmp_path: Path) -> None:
-    """It is neither taken nor forbidden: either would send a person the wrong way."""
-    path = tmp_path / "file"
-    path.touch()
+@pytest.mark.parametrize("what", ["a file", "a folder", "/dev/null"])
+def test_what_is_no_serial_port_is_refused(what: str, tmp_path: Path) -> None:
+    """In words, with what would be one."""
+    port = what if what.startswith("/") else str(tmp_path / what)
+    if what == "a file":
+        Path(port).touch()
+    elif what == "a folder":
+        Path(port).mkdir()
 
-    with pytest.raises(LinkError, match=r"file cannot be opened: .*Inappropriate ioctl"):
-        Link(str(path), 115_200)
+    with pytest.raises(LinkError, match=r" cannot be opened: it is no serial port; give that of"):
+        Link(port, 9600)
