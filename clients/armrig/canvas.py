@@ -60,6 +60,11 @@ def axes(ax: Axes | None) -> Axes:
     return plt.subplots(layout="constrained")[1]
 
 
+def figure_of(ax: Axes) -> Figure:
+    """Return the whole figure in which axes lie: what a result's `.plot()` gives, to be saved."""
+    return ax.figure.figure
+
+
 def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
     """Return `ax`, shortened, and a panel below it that takes `share` of the height of both.
 

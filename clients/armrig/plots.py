@@ -1,5 +1,9 @@
 """Figures: each takes `ax` or makes one, returns it, and names the recording it shows.
 
+A result's `.plot()` draws the same and returns the whole figure, to be saved:
+`armrig.delay(data).plot().savefig("delay.svg")`; its panels are `.axes`. For several in one figure
+give each its own axes: `.plot(ax=ax)`.
+
 Colours are Okabe and Ito's, told apart by the colour-blind; line styles tell the same in black and
 white. A second panel, where a figure has one, takes its place from the lower part of `ax`.
 """

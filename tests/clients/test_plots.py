@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
+from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
 
+import armrig
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -355,5 +359,43 @@ def test_a_recording_and_its_data_show_themselves(recording: Recording) -> None:
     for source in (recording, recording.dataset("alpha")):
         ax = Figure().add_subplot()
 
-        assert source.plot(ax=ax) is ax
+        assert source.plot(ax=ax) is ax.figure
         assert ax.get_title(loc="right") == f"recording {recording.short_hash}"
+
+
+def _results_that_plot() -> list[type]:
+    """Return the classes of armrig that have `.plot`, protocols left out."""
+    found: set[type] = set()
+    for module in walk_packages(armrig.__path__, "armrig."):
+        if module.name.endswith("__main__"):
+            continue
+        for value in vars(import_module(module.name)).values():
+            if isinstance(value, type) and value.__module__ == module.name and is_dataclass(value):
+                found |= {value} if "plot" in vars(value) else set()
+    return sorted(found, key=lambda one: one.__qualname__)
+
+
+def test_every_result_plots_a_figure_that_can_be_saved() -> None:
+    """One way for all: what `.plot()` returns is matplotlib's Figure."""
+    results = _results_that_plot()
+    returned = {one.__name__: inspect.signature(one.plot).return_annotation for one in results}  # type: ignore[attr-defined]
+
+    assert len(returned) > 15
+    assert {
+        name: what for name, what in returned.items() if what not in ("Figure", "Drawing")
+    } == {}
+
+
+def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Recording) -> None:
+    """So that what is saved is what is seen."""
+    whole = Figure()
+    ax = whole.subfigures(1, 2)[1].add_subplot()
+
+    assert recording.plot(ax=ax) is whole
+
+
+def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path) -> None:
+    """In any format of matplotlib's, by the name's ending."""
+    recording.plot().savefig(tmp_path / "data.svg")
+
+    assert (tmp_path / "data.svg").read_text().startswith("<?xml")

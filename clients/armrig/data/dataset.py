@@ -21,6 +21,7 @@ from armrig.numerics.stretches import Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 
@@ -169,8 +170,8 @@ class Dataset:
 
     def plot(
         self, kind: Literal["time", "spectrum", "values"] = "time", *, ax: Axes | None = None
-    ) -> Axes:
-        """Show output and input, whatever may be wrong with them.
+    ) -> Figure:
+        """Return a figure of output and input, whatever may be wrong with them.
 
         Parameters
         ----------
@@ -178,13 +179,14 @@ class Dataset:
             Against time, their power spectra, or how often each value was taken: see
             `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
         """
+        from armrig.canvas import figure_of
         from armrig.data.figures import plot_data, plot_spectrum, plot_values
 
         kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
         if kind not in kinds:
             msg = f"kind={kind!r} must be one of {', '.join(kinds)}"
             raise ValueError(msg)
-        return kinds[kind](self, ax=ax)
+        return figure_of(kinds[kind](self, ax=ax))
 
     def __len__(self) -> int:
         """Return the number of instants."""

@@ -31,6 +31,7 @@ from armrig.numerics.triangular import triangle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -222,11 +223,12 @@ class OrderTable:
         best = [int(np.flatnonzero(d == n)[np.argmin(values[d == n])]) for n in np.unique(d)]
         return np.array([i for i in best if np.isfinite(values[i])], dtype=np.int_)
 
-    def plot(self, criterion: Criterion | None = None, *, ax: Axes | None = None) -> Axes:
-        """Show the share of y that is not explained against the number of parameters."""
+    def plot(self, criterion: Criterion | None = None, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of the share of y not explained against the number of parameters."""
+        from armrig.canvas import figure_of
         from armrig.estimation.figures import plot_orders
 
-        return plot_orders(self, criterion, ax=ax)
+        return figure_of(plot_orders(self, criterion, ax=ax))
 
     def __repr__(self) -> str:
         """Say the choices, and the best structure for each number of parameters."""

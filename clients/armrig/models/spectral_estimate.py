@@ -13,6 +13,7 @@ from armrig.numerics.polynomial import summation
 if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -100,11 +101,12 @@ class SpectralEstimate:
         known = np.isfinite(self.G)
         return control.frd(self.G[known], self.omega[known], self.Ts)
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show magnitude and phase with ±2 σ: see `armrig.plots.plot_spectral`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of magnitude and phase with ±2 σ: see `armrig.plots.plot_spectral`."""
+        from armrig.canvas import figure_of
         from armrig.models.spectral_figure import plot_spectral
 
-        return plot_spectral(self, ax=ax)
+        return figure_of(plot_spectral(self, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a few lines."""

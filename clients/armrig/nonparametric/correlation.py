@@ -20,6 +20,7 @@ from armrig.numerics.whiteness import autoregression, joined
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 
@@ -59,11 +60,12 @@ class Correlation:
         """Return the half width that holds each g of lags without a relation."""
         return two_sided(level) * self.std
 
-    def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
-        """Show g and its band: see `armrig.plots.plot_correlation`."""
+    def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
+        """Return a figure of g and its band: see `armrig.plots.plot_correlation`."""
+        from armrig.canvas import figure_of
         from armrig.nonparametric.figures import plot_correlation
 
-        return plot_correlation(self, level=level, ax=ax)
+        return figure_of(plot_correlation(self, level=level, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a few lines."""

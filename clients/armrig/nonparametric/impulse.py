@@ -25,6 +25,7 @@ from armrig.numerics.whiteness import LJUNG_BOX, Whiteness, default_lags, joined
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
@@ -161,11 +162,12 @@ class ImpulseResponse:
                 source=self.source,
             )
 
-    def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
-        """Show g with its band about zero: see `armrig.plots.plot_impulse`."""
+    def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
+        """Return a figure of g with its band about zero: see `armrig.plots.plot_impulse`."""
+        from armrig.canvas import figure_of
         from armrig.nonparametric.figures import plot_impulse
 
-        return plot_impulse(self, level=level, ax=ax)
+        return figure_of(plot_impulse(self, level=level, ax=ax))
 
     @property
     def white(self) -> Whiteness:

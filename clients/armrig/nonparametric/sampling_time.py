@@ -29,6 +29,7 @@ from armrig.numerics.stretches import constant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 
@@ -88,11 +89,12 @@ class SamplingTime:
     notes: tuple[str, ...]
     """What a reader should know."""
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show step response and spectrum with what was read: `armrig.plots.plot_sampling_time`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of step response and spectrum: `armrig.plots.plot_sampling_time`."""
+        from armrig.canvas import figure_of
         from armrig.nonparametric.figures import plot_sampling_time
 
-        return plot_sampling_time(self, ax=ax)
+        return figure_of(plot_sampling_time(self, ax=ax))
 
     def __repr__(self) -> str:
         """Give the recommendation and its reasons."""

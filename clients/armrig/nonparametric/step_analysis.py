@@ -21,6 +21,7 @@ from armrig.numerics.stretches import Mask, constant, stretches
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 
@@ -89,11 +90,12 @@ class StepAnalysis:
         """1/tau, in rad/s (handout, 3.1.1)."""
         return 1 / self.tau
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show the answer with its figures: see `armrig.plots.plot_step_analysis`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of the answer to a step: see `armrig.plots.plot_step_analysis`."""
+        from armrig.canvas import figure_of
         from armrig.nonparametric.figures import plot_step_analysis
 
-        return plot_step_analysis(self, ax=ax)
+        return figure_of(plot_step_analysis(self, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a few lines."""

@@ -20,6 +20,7 @@ from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -75,11 +76,12 @@ class StructureHints:
     response: ImpulseResponse
     """Regularised impulse response."""
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show magnitude and phase with what was read: see `armrig.plots.plot_structure`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of |G| with what was read off it: see `armrig.plots.plot_structure`."""
+        from armrig.canvas import figure_of
         from armrig.nonparametric.figures import plot_structure
 
-        return plot_structure(self, ax=ax)
+        return figure_of(plot_structure(self, ax=ax))
 
     def explain(self) -> str:
         """Return the argument, point by point."""

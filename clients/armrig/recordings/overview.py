@@ -18,6 +18,7 @@ from armrig.recordings.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 _Output = Literal["theta_1", "alpha", "velocity"]
@@ -70,11 +71,12 @@ class Overview:
             "not_looked_at": dict(self.reasons),
         }
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show u, theta_1, its rate and alpha against time, with what was found."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of u, theta_1, its rate and alpha against time, with what was found."""
+        from armrig.canvas import figure_of
         from armrig.recordings.overview_figure import plot_overview
 
-        return plot_overview(self, ax=ax)
+        return figure_of(plot_overview(self, ax=ax))
 
 
 def overview(recording: Recording) -> Overview:

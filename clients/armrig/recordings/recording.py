@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from pandas import DataFrame
     from xarray import Dataset as XarrayDataset
 
@@ -185,11 +186,12 @@ class Recording:
 
         return to_xarray(self)
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show theta_1 and u against time: see `armrig.plots.plot_data`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of theta_1 and u against time: see `armrig.plots.plot_data`."""
+        from armrig.canvas import figure_of
         from armrig.data.figures import plot_data
 
-        return plot_data(self, ax=ax)
+        return figure_of(plot_data(self, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a line."""

@@ -27,7 +27,7 @@ Draw = Callable[[Axes], object]
 class Shown(Protocol):
     """What shows itself."""
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
+    def plot(self, *, ax: Axes | None = None) -> Figure:
         """Draw into `ax`."""
 
 

@@ -21,6 +21,7 @@ from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 
@@ -130,11 +131,12 @@ class SearchResult:
         """Which of `ranked` are within one standard error of the best, (n,)."""
         return np.asarray(self.excess <= self.excess_std)
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show error against number of parameters: see `armrig.plots.plot_search`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of error against number of parameters: see `armrig.plots.plot_search`."""
+        from armrig.canvas import figure_of
         from armrig.validation.search_figure import plot_search
 
-        return plot_search(self, ax=ax)
+        return figure_of(plot_search(self, ax=ax))
 
     def explain(self) -> str:
         """Return in words what speaks against the data, what was chosen, and why."""

@@ -158,7 +158,7 @@ def test_data_show_themselves_with_their_gaps(kind: str) -> None:
     )
     figure, ax = plt.subplots()
 
-    assert merge([part, part]).plot(kind, ax=ax) is ax  # type: ignore[arg-type]
+    assert merge([part, part]).plot(kind, ax=ax) is ax.figure  # type: ignore[arg-type]
 
     figure.canvas.draw()
     texts = [text.get_text() for text in ax.texts]

@@ -176,7 +176,8 @@ def test_the_figure_marks_what_each_criterion_chooses(validated: bool) -> None:
     table = select_orders(_data(1), validation=_data(2) if validated else None)
 
     figure = Figure()
-    ax = table.plot(ax=figure.subplots())
+    ax = figure.subplots()
+    table.plot(ax=ax)
 
     texts = [text.get_text() for text in ax.texts]
     o = table.best("mdl")

@@ -49,15 +49,15 @@ RESULTS: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.parametrize("made", RESULTS.values(), ids=RESULTS.keys())
 def test_a_result_plots_itself(made: Callable[[Any], Any], arm: Any) -> None:
-    """Into the axes it is given, or its own; signed; and its text has no surprise."""
+    """Into the axes it is given, or those of a new figure; signed; no surprise in its text."""
     result = made(arm)
     ax = Figure().add_subplot()
 
-    assert result.plot(ax=ax) is ax
+    assert result.plot(ax=ax) is ax.figure
     assert plt.get_fignums() == []
     ax.figure.canvas.draw()
     assert "abcdef012345" in ax.get_title(loc="right")
-    assert result.plot().has_data()
+    assert result.plot().axes[0].has_data()
     assert len(plt.get_fignums()) == 1
     assert not re.search(r"\bnan\b", repr(result))
 
@@ -68,7 +68,7 @@ def test_the_band_about_zero_is_where_coefficients_are_judged(second: Any) -> No
         second.dataset(np.random.default_rng(1)), 30, kernel=None, integrator=False
     )
 
-    ax = found.plot(level=0.95)
+    [ax] = found.plot(level=0.95).axes
 
     band = np.max(np.abs(ax.collections[0].get_paths()[0].vertices[:, 1]))
     assert band == pytest.approx(float(np.max(found.band(0.95))), rel=1e-6)

@@ -104,7 +104,7 @@ def test_the_arm_s_points_lie_on_the_edge_at_the_limit() -> None:
 def test_the_residual_of_the_grey_box_is_the_noise(data: Dataset) -> None:
     """The lower panel shows 2 mrad, not the ramp."""
     fit = armrig.greybox(data)
-    ax = fit.plot(data, ax=Figure().add_subplot())
+    ax = fit.plot(data, ax=Figure().add_subplot()).axes[0]
 
     error = np.asarray(ax.figure.axes[1].lines[0].get_ydata())
     assert np.std(error) == pytest.approx(fit.loss**0.5, rel=1e-3)

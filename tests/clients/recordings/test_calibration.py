@@ -317,7 +317,7 @@ def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
     rest, turns = runs(unknown_rig(1000), REST, TURNS)
     found = estimate(rest, turns)
 
-    ax = found.plot(turns, ax=Canvas().add_subplot())
+    [ax, *_] = found.plot(turns, ax=Canvas().add_subplot()).axes
 
     assert found.turned is not None
     edges = [line.get_ydata()[0] for line in ax.lines if len(line.get_ydata()) == 2]

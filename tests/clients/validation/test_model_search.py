@@ -179,7 +179,7 @@ def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
     """Error against number of parameters, a line for each structure."""
     found = search(_data(1, [1.0], [1.0]), _data(2, [1.0], [1.0]), families=("arx", "oe"))
 
-    ax = found.plot(ax=Figure().add_subplot())
+    ax = found.plot(ax=Figure().add_subplot()).axes[0]
 
     legend = ax.get_legend()
     assert legend is not None

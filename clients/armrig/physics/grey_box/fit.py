@@ -17,6 +17,7 @@ from armrig.physics.grey_box.sampled_model import Physics
 if TYPE_CHECKING:
     import control
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
     from armrig.data.dataset import Dataset
 
@@ -161,11 +162,12 @@ class GreyFit:
         )
         return linear_parts(model, column("u", u))[0]
 
-    def plot(self, data: Dataset, *, ax: Axes | None = None) -> Axes:
-        """Show measured and simulated output and, below, the error."""
+    def plot(self, data: Dataset, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of measured and simulated output and, below, the error."""
+        from armrig.canvas import figure_of
         from armrig.physics.grey_box.figures import plot_greybox
 
-        return plot_greybox(self, data, ax=ax)
+        return figure_of(plot_greybox(self, data, ax=ax))
 
     def explain(self) -> str:
         """Say what was found and what it rests on."""

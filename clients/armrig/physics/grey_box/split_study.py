@@ -19,6 +19,7 @@ from armrig.physics.grey_box.fit import GreyFit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 _LEVEL = 0.01  # below this p value the parts are called different
@@ -151,11 +152,12 @@ class SplitStudy:
             "information but that for the initial states."
         ]
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show the estimates with ±2 standard deviations and, below, the law 1/sqrt(N)."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of the estimates with ±2 deviations and, below, the law 1/sqrt(N)."""
+        from armrig.canvas import figure_of
         from armrig.physics.grey_box.figures import plot_split
 
-        return plot_split(self, ax=ax)
+        return figure_of(plot_split(self, ax=ax))
 
     def __repr__(self) -> str:
         """Show the table: a line a part, a line a split."""

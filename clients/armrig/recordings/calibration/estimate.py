@@ -33,6 +33,7 @@ from armrig.recordings.calibration.rotation import Turning, turning
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Drawing
 
     from armrig.recordings.recording import Recording
 
@@ -85,11 +86,12 @@ class Estimate:
         std = hypot(low.std, high.std, share * d.std) / d.value
         return Figure(value=tau * (1 - share), std=tau * std)
 
-    def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Axes:
-        """Show what the turns say: see `armrig.plots.plot_calibration`."""
+    def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Drawing:
+        """Return a figure of what the turns say: see `armrig.plots.plot_calibration`."""
+        from armrig.canvas import figure_of
         from armrig.recordings.calibration.figures import plot_calibration
 
-        return plot_calibration(self, turns, ax=ax)
+        return figure_of(plot_calibration(self, turns, ax=ax))
 
     def figures(self) -> dict[str, Figure]:
         """Return all that was measured, by names that end in their units."""

@@ -12,6 +12,7 @@ from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -145,11 +146,12 @@ class Delay:
             "coefficient is larger."
         )
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show impulse response and losses: see `armrig.plots.plot_delay`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of impulse response and losses: see `armrig.plots.plot_delay`."""
+        from armrig.canvas import figure_of
         from armrig.validation.feedback_and_delay.figures import plot_delay
 
-        return plot_delay(self, ax=ax)
+        return figure_of(plot_delay(self, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a few lines."""

@@ -14,6 +14,7 @@ from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _SURE = 1e-3  # p value from which on another recording is asked for
 _EXACT = 1e-5  # share of u's deviation that y(t) leaves at most: the digits of a file
@@ -114,11 +115,12 @@ class OpenLoop:
             )
         return lines
 
-    def plot(self, *, ax: Axes | None = None) -> Axes:
-        """Show the coefficients of future and past u: see `armrig.plots.plot_open_loop`."""
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of how y regresses on u: see `armrig.plots.plot_open_loop`."""
+        from armrig.canvas import figure_of
         from armrig.validation.feedback_and_delay.figures import plot_open_loop
 
-        return plot_open_loop(self, ax=ax)
+        return figure_of(plot_open_loop(self, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a line or two."""
