@@ -21,6 +21,11 @@ _SECONDS = 2.0  # after which the speed is steady to five digits
 _STEPS = 200_000
 _STATES = ("theta_1", "alpha", "theta_1'", "alpha'")
 _PRIME = "'"
+_TIMES = {
+    "rise_time": "63 % time [s]",
+    "equivalent_time": "equivalent [s]",
+    "slowest_time": "slowest pole [s]",
+}
 
 
 def model(
@@ -97,13 +102,15 @@ def _state_space(p: ArmParameters) -> str:
 
 def _table(found: dict[str, _Answer]) -> str:
     """Return the figures by which the models differ, a model a column."""
-    columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", "poles [1/s]", "", "", "zeros [1/s]"]]
+    columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
+    columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
     for name, answer in found.items():
         p = answer.predicted
         poles = _roots(p.poles)
         poles += [""] * (3 - len(poles))
-        figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *poles, *_roots(p.zeros)]
-        columns.append([name, *figures])
+        times = [f"{getattr(p, time):.4f}" for time in _TIMES]
+        figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *times, *poles]
+        columns.append([name, *figures, *_roots(p.zeros)])
     widths = [max(map(len, column)) for column in columns]
     rows = zip(*columns, strict=True)
     return "\n".join(
@@ -139,6 +146,7 @@ def _facts(answer: _Answer) -> dict[str, Any]:
         "rigid_slope": p.rigid_slope,
         "poles": [[z.real, z.imag] for z in p.poles.tolist()],
         "zeros": [[z.real, z.imag] for z in p.zeros.tolist()],
+        **{time: getattr(p, time) for time in _TIMES},
         "simulated": {"slope": answer.slope, "speed": answer.speed, "seconds": _SECONDS},
     }
 

@@ -14,6 +14,7 @@ from armrig.models.parameter_draws import Draws, directions, drawn
 from armrig.models.uncertainty import pole_regions
 from armrig.numerics.confidence_regions import FEWEST, Band, band, linearised_band, sampled_band
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
+from armrig.numerics.step_times import mean_lag, rise_time, slowest_time
 
 if TYPE_CHECKING:
     from armrig.models.model import Model
@@ -21,7 +22,16 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-SCALARS = ("gain", "resonance", "antiresonance", "bandwidth", "rise_time", "overshoot")
+SCALARS = (
+    "gain",
+    "resonance",
+    "antiresonance",
+    "bandwidth",
+    "rise_time",
+    "equivalent_time",
+    "slowest_time",
+    "overshoot",
+)
 DRAWS = 400
 """Draws of the parameters that the figures are sampled with."""
 GONE = 0.05
@@ -31,7 +41,6 @@ _STEP = 1e-2  # of a standard deviation
 _POINTS = 600
 _LOWEST = 1 / 3000  # of Nyquist
 _LONGEST = 2000  # samples of a step response
-_RISE = 1 - 1 / np.e
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,8 +64,12 @@ class ModelCharacteristics:
     rise_time: float
     """The 63 % time: from a step to 63 % of the gain, less the dead time of nk - 1 samples, in s.
 
-    Of a rate, which is that of the middle of each interval, as `step_analysis` takes it.
+    The times are defined in `armrig.numerics.step_times`, for data and physics, too.
     """
+    equivalent_time: float
+    """The area above the step response over the gain, less the same dead time, in s."""
+    slowest_time: float
+    """Of the slowest pole, 1/|Re s|, in s; the integrator's left out, NaN without one."""
     overshoot: float
     """Highest point of the step response over the gain, less 1, in percent."""
     std: dict[str, float]
@@ -179,14 +192,22 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
         return abs(_horner(b, at)) ** 2 / max(abs(_horner(f, at)) ** 2, 1e-300)
 
     y = filtered(B, F, np.ones(_length(F)))
-    k = np.arange(y.size, dtype=np.float64) - max(model.nk - 1, 0) - 0.5 * integrating
+    dead = max(model.nk - 1, 0)
+    answer = y / gain
+    # Of a rate, the mean of each interval, the area is exact; of an output by the trapezoidal rule.
+    first = 1.0 if integrating else 0.5 * (1 - float(answer[dead]))
+    shown = (model.Ts * np.cumsum(answer) if integrating else answer)[dead:]
+    with np.errstate(divide="ignore"):
+        decay = np.log(np.abs(roots(F))) / model.Ts
     return {
         "gain": gain,
         "resonance": _extreme(omega, of_grid, power, sign=1),
         "antiresonance": _extreme(omega, of_grid, power, sign=-1),
-        "bandwidth": _crossing(omega, of_grid, gain**2 / 2, falling=True),
-        "rise_time": _crossing(model.Ts * k, y / gain, _RISE, falling=False),
-        "overshoot": 100 * (float(np.max(y / gain)) - 1),
+        "bandwidth": _first_below(omega, of_grid, gain**2 / 2),
+        "rise_time": rise_time(shown, model.Ts, integrated=integrating),
+        "equivalent_time": model.Ts * (mean_lag(B, F) - first - dead),
+        "slowest_time": slowest_time(decay),
+        "overshoot": 100 * (float(np.max(answer)) - 1),
     }
 
 
@@ -245,9 +266,9 @@ def _horner(p: list[float], x: complex) -> complex:
     return value
 
 
-def _crossing(x: Vector, y: Vector, level: float, *, falling: bool) -> float:
-    """Return the first x at which y passes the level, between samples by a straight line."""
-    beyond = y < level if falling else y >= level
+def _first_below(x: Vector, y: Vector, level: float) -> float:
+    """Return the first x at which y is below the level, between samples by a straight line."""
+    beyond = y < level
     if not beyond.any():
         return float("nan")
     i = int(np.argmax(beyond))

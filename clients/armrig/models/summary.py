@@ -24,9 +24,16 @@ _UNITS = {
     "antiresonance": "rad/s",
     "bandwidth": "rad/s",
     "rise_time": "s",
+    "equivalent_time": "s",
+    "slowest_time": "s",
     "overshoot": "%",
 }
-_NAMES = {"rise_time": "63 % time", "antiresonance": "anti-resonance"}
+_NAMES = {
+    "antiresonance": "anti-resonance",
+    "rise_time": "63 % time",
+    "equivalent_time": "equivalent time",
+    "slowest_time": "slowest pole",
+}
 _ROUNDING = 1e-9
 
 

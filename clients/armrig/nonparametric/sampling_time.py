@@ -18,13 +18,12 @@ from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.spectral import spa
 from armrig.nonparametric.step_analysis import (
-    SHARE,
     StepAnalysis,
-    crossing_time,
     dead_time,
     step_analysis,
 )
 from armrig.nonparametric.welch import welch
+from armrig.numerics.step_times import linear_crossing, rise_time
 from armrig.numerics.stretches import constant
 
 if TYPE_CHECKING:
@@ -243,8 +242,12 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
         msg = "the step response returns to 0: no time constant can be read from it"
         raise ValueError(msg)
     t, y = np.append(t[0] - data.Ts, t), np.append(0.0, y / gain)
-    crossing = crossing_time(t, y, SHARE)
-    dead, _ = dead_time(t, y, crossing_time(t, y, 0.5), data.Ts)  # counts for neither rule
+    shown = data.Ts * np.cumsum(y[1:]) if integrates else y[1:]
+    crossing = rise_time(shown, data.Ts, integrated=integrates)
+    if np.isnan(crossing):
+        msg = "the step response never reaches 63 % of its final value; record longer"
+        raise ValueError(msg)
+    dead, _ = dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # counts for neither rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
     return t, y, crossing - dead, end - dead

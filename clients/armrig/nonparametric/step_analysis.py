@@ -15,8 +15,10 @@ from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
 from armrig.nonparametric.integrator import integration
+from armrig.nonparametric.step_lag import area_above, lag_of_angle
 from armrig.nonparametric.step_rise import Rise, step_rise
 from armrig.numerics.quantities import plural
+from armrig.numerics.step_times import SHARE, linear_crossing
 from armrig.numerics.stretches import Mask, constant, stretches
 
 if TYPE_CHECKING:
@@ -25,7 +27,6 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-SHARE = 1 - np.exp(-1)  # 63.2 %: what a first-order system reaches after one time constant
 SHORTEST_HOLD = 8  # samples before and after a step
 SHORTEST_GAP, SMALL_GAP = 2, 0.1
 """Samples, and share of the 63 % time, from which on a gap on the rise is told."""
@@ -56,6 +57,11 @@ class StepAnalysis:
     """The 63 % time: from the step to 63.2 % of the final value, less the dead time, in s."""
     tau_std: float
     """Its standard deviation: noise and gaps on the rise, and the dead time's."""
+    equivalent_time: float
+    """The area above the answer over its final value, less the dead time, in s; of a rate how far
+    the angle lags the ramp that it ends up on, which a gap on the rise does not touch."""
+    equivalent_time_std: float
+    """Its standard deviation."""
     rise_t: Vector
     """Times of `rise`, in s."""
     rise: Vector
@@ -107,6 +113,8 @@ class StepAnalysis:
             f"  dead time {self.dead_time:.4g} s (95 %: {low:.4g} … {high:.4g} s)",
             f"  63 % time {self.tau:.4g} ± {self.tau_std:.2g} s, so omega_B = 1/tau = "
             f"{self.bandwidth:.4g} rad/s",
+            f"  equivalent time {self.equivalent_time:.4g} ± {self.equivalent_time_std:.2g} s "
+            "(area above the response)",
             f"  within 5 % after {self.settling:.4g} s, overshoot {100 * self.overshoot:.0f} %",
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
@@ -165,8 +173,9 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         raise ValueError(msg)
     smooth, window = _smoothed(y, k, gain)
     rise = _rise(own, k, data, steps, gain, integrates=integrates)
-    L, interval = dead_time(t, y / gain, crossing_time(rise.t, rise.y, 0.5), data.Ts)
+    L, interval = dead_time(t, y / gain, linear_crossing(rise.t, rise.y, 0.5), data.Ts)
     L_std = (interval[1] - interval[0]) / 4 if L else 0.0
+    lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
     after = t > 0
     off = np.abs(smooth / gain - 1)
     # What the settled third does is noise: of thousands of samples some are beyond any 2 of its
@@ -187,6 +196,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         dead_time_interval=interval,
         tau=rise.crossing - L,
         tau_std=float(np.hypot(rise.crossing_std, L_std)),
+        equivalent_time=lag - L,
+        equivalent_time_std=float(np.hypot(lag_std, L_std)),
         rise_t=rise.t,
         rise=rise.y * gain,
         rise_std=rise.std * abs(gain),
@@ -263,13 +274,43 @@ def _rise(
     after = y[k >= 0]
     after[0] = 0.0  # the input acts from here on
     after[_alone(np.isfinite(after))] = np.nan
-    parts = list(data.experiments())
     # The converter's steps do not show while the output rests.
-    sizes = [abs(p.u[at] - p.u[at - 1]) for p, at in ((parts[i], at) for i, at in steps.at)]
-    rounding = quantum(data) / (abs(gain) * float(np.linalg.norm(sizes)))
+    rounding = quantum(data) / (abs(gain) * _weight(data, steps))
     # Third differences: what still swings before the step is no noise.
     noise = max(float(np.nanmean(np.diff(y[k < 0], 3) ** 2)) / 20, rounding**2 / 12)
     return step_rise(after, SHARE, data.Ts, integrates=integrates, least_variance=noise)
+
+
+def _weight(data: Dataset, steps: _Steps) -> float:
+    """Return what divides the noise of one sample in the mean answer to a unit step."""
+    parts = list(data.experiments())
+    sizes = [p.u[at] - p.u[at - 1] for p, at in ((parts[i], at) for i, at in steps.at)]
+    return float(np.linalg.norm(sizes))
+
+
+def _lag(
+    y: Vector,
+    k: NDArray[np.int_],
+    data: Dataset,
+    steps: _Steps,
+    gain: tuple[float, float],
+    *,
+    integrates: bool,
+) -> tuple[float, float]:
+    """Return the equivalent time from the step on, and its deviation."""
+    settled = k >= (2 * k[-1]) // 3
+    if integrates:
+        n = steps.pre // 2 + 1
+        return lag_of_angle(
+            data.Ts * k[settled],
+            y[settled],
+            before=(n, n * data.Ts),
+            rounding=quantum(data) / _weight(data, steps),
+        )
+    value, std = gain
+    rising = (k >= 0) & ~settled
+    own = float(np.nanstd(y[settled])) / abs(value)
+    return area_above(data.Ts * k[rising], y[rising] / value, own, std / abs(value))
 
 
 def _alone(known: Mask) -> Mask:
@@ -313,20 +354,6 @@ def _moving_average(y: Vector, window: int) -> Vector:
     # late. Where holes are scattered all over, half of the usual number is enough.
     enough = (count > 0) & (count > np.median(count) / 2)
     return np.convolve(np.nan_to_num(y), box, "same") / np.where(enough, count, np.nan)
-
-
-def crossing_time(t: Vector, y: Vector, share: float) -> float:
-    """Return when y first reaches `share` after the step, in s."""
-    known = np.isfinite(y)
-    t, y = t[known], y[known]
-    reached = np.flatnonzero((y >= share) & (t > 0))
-    if reached.size == 0:
-        msg = f"the answer never reaches {100 * share:.0f} % of its final value; hold u longer"
-        raise ValueError(msg)
-    i = int(reached[0])
-    if i == 0:
-        return float(t[0] * share / y[0])
-    return float(t[i - 1] + (share - y[i - 1]) * (t[i] - t[i - 1]) / (y[i] - y[i - 1]))
 
 
 def dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:

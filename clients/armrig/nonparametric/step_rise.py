@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from armrig.numerics.step_times import linear_crossing, rise_time
+
 Vector = NDArray[np.float64]
 
 _ROUNDS = 2  # the part that lambda comes from depends on the crossing, which depends on lambda
@@ -93,14 +95,15 @@ def step_rise(
         part = shorter
     response, std = part.y, part.deviations(Ts, integrates=integrates)
     t: Vector = Ts * (np.arange(response.size, dtype=np.float64) + 0.5 * integrates)
-    crossing = _crossing(t, response, level)
-    widths = [abs(_crossing(t, response + m * std, level) - crossing) / abs(m) for m in _MULTIPLES]
+    linear = linear_crossing(t, response, level)
+    edges = np.array([linear_crossing(t, response + m * std, level) for m in _MULTIPLES])
+    widths = np.abs(np.where(np.isnan(edges), t[-1], edges) - linear) / np.abs(_MULTIPLES)
     return Rise(
         t=t,
         y=response,
         std=std,
-        crossing=crossing,
-        crossing_std=max(widths),
+        crossing=rise_time(part.z, Ts, integrated=integrates, share=level),
+        crossing_std=float(widths.max()),
     )
 
 
@@ -115,6 +118,8 @@ class _Part:
     splines: list[_Spline]
     shares: Vector
     """Likelihood of each, 1 in all."""
+    z: Vector
+    """Their mean, (n,); 0 at the edge."""
     y: Vector
     """Their mean response, (n,)."""
     reached: int
@@ -135,9 +140,11 @@ class _Part:
         likely = weight > _UNLIKELY
         splines = [s for s, here in zip(every, likely, strict=True) if here]
         shares = weight[likely] / np.sum(weight[likely])
-        mean = shares @ np.array([_response(s.z, Ts, integrates=integrates) for s in splines])
+        z = shares @ np.array([s.z for s in splines])
+        mean = _response(z, Ts, integrates=integrates)
         at = np.flatnonzero(mean >= level)
-        return cls(splines=splines, shares=shares, y=mean, reached=int(at[0]) if at.size else -1)
+        reached = int(at[0]) if at.size else -1
+        return cls(splines=splines, shares=shares, z=z, y=mean, reached=reached)
 
     def deviations(self, Ts: float, *, integrates: bool) -> Vector:
         """Return the standard deviations of the mean response."""
@@ -148,17 +155,6 @@ class _Part:
 
 def _response(z: Vector, Ts: float, *, integrates: bool) -> Vector:
     return np.diff(z) / Ts if integrates else z
-
-
-def _crossing(t: Vector, y: Vector, level: float) -> float:
-    """Return when y first reaches the level, by a straight line; the end where it does not."""
-    reached = np.flatnonzero(y >= level)
-    if reached.size == 0:
-        return float(t[-1])
-    i = int(reached[0])
-    if i == 0:
-        return float(t[0] * level / y[0])
-    return float(t[i - 1] + (t[i] - t[i - 1]) * (level - y[i - 1]) / (y[i] - y[i - 1]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,6 +10,7 @@ from armrig_core.arm import ArmParameters
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.recursion import recursion
+from armrig.numerics.step_times import ramp_lag, rise_time, slowest_time
 from armrig.physics.grey_box.parameters import NAMES, SIGNED
 from armrig.physics.grey_box.response import sensitivity
 from armrig.physics.grey_box.sampled_model import Model, Physics, Sampled
@@ -17,6 +18,8 @@ from armrig.physics.systems import arm
 
 Vector = NDArray[np.float64]
 SPEED = "theta_1_rate"
+_SETTLED = 30.0  # times of the slowest pole after which the speed is steady to a rounding error
+_POINTS = 6001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,6 +38,12 @@ class Characteristics:
     """From u to theta_1, in 1/s, slowest first."""
     zeros: NDArray[np.complex128]
     """From u to theta_1, in 1/s."""
+    rise_time: float
+    """The speed's 63 % time, in s; the times are defined in `armrig.numerics.step_times`."""
+    equivalent_time: float
+    """By which the angle lags the ramp of the steady speed, in s."""
+    slowest_time: float
+    """Of the slowest pole, 1/|Re s|, in s; the integrator's left out."""
 
     def explain(self) -> str:
         """Say where each figure comes from."""
@@ -69,7 +78,7 @@ class Characteristics:
 
 
 def characteristics(p: ArmParameters | None = None) -> Characteristics:
-    """Return steady speed, initial slope, poles and zeros of the whole rig.
+    """Return steady speed, initial slope, times, poles and zeros of the whole rig.
 
     Parameters
     ----------
@@ -81,13 +90,20 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
     # The determinant's pole at 0 is exact: nothing depends on where the chassis stands.
     poles = np.append(np.linalg.eigvals(np.asarray(system.A)[1:, 1:]), 0.0).astype(np.complex128)
     swing = 1j * np.sqrt(p.K_lin / p.J_2)
+    steady_speed = p.torque_per_volt / p.damping
+    slowest = slowest_time(np.delete(poles.real, np.argmin(np.abs(poles))))
+    t = np.linspace(0.0, _SETTLED * slowest, _POINTS)
+    angle = step_response(p, t, state="theta_1") / steady_speed
     return Characteristics(
         parameters=p,
-        steady_speed=p.torque_per_volt / p.damping,
+        steady_speed=steady_speed,
         initial_slope=p.torque_per_volt / p.J_1,
         rigid_slope=p.torque_per_volt / (p.J_1 + p.J_2),
         poles=poles[np.argsort(np.abs(poles), kind="stable")],
         zeros=np.array([swing, -swing]),
+        rise_time=rise_time(angle, float(t[1]), integrated=True),
+        equivalent_time=ramp_lag(t[-2:], angle[-2:]),
+        slowest_time=slowest,
     )
 
 

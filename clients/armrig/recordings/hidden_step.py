@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.numerics.step_times import ramp_lag
 from armrig.numerics.stretches import stretches
 
 if TYPE_CHECKING:
@@ -36,9 +37,8 @@ class HiddenStep:
 def hidden_step(r: Recording) -> HiddenStep | None:
     """Return what is hidden of the rise, None where all of it is seen, or there is no step.
 
-    The rise is the time by which the angle falls behind the straight line that it ends up on, as
-    if the last rate had been there at once: the equivalent time constant, which needs no sample of
-    the rise.
+    The rise is taken to last for the equivalent time (`armrig.numerics.step_times`), by which the
+    angle lags the straight line that it ends up on: it needs no sample of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
     if edges.size != 1:
@@ -48,10 +48,12 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     before, after = known & (k < 0) & (k > -at // 2 - 2), known & (k > (r.N - at) // 2)
     if min(np.count_nonzero(before), np.count_nonzero(after)) < _FEWEST:
         return None
-    (v0, y0), (v1, y1) = (np.polyfit(r.Ts * k[m], r.theta_1[m], 1) for m in (before, after))
-    if v1 == v0:
+    v0, y0 = np.polyfit(r.Ts * k[before], r.theta_1[before], 1)
+    since = r.theta_1 - y0 - v0 * r.Ts * k
+    v1 = v0 + float(np.polyfit(r.Ts * k[after], since[after], 1)[0])
+    behind = ramp_lag(np.asarray(r.Ts * k[after], np.float64), since[after])
+    if np.isnan(behind):
         return None
-    behind = (y0 - y1) / (v1 - v0)
     gaps = [g for g in stretches(~known) if g.stop > at + 1 and (g.start - at) * r.Ts < behind]
     gap = max(gaps, key=lambda g: g.stop - g.start, default=None)
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:

@@ -161,6 +161,7 @@ def _comparison(study: HandoutStudy) -> Section:
             ("gain", found.gain, 1.0),
             ("antiresonance", found.antiresonance, 1.0),
             ("rise_time", found.rise_time, 1e3),
+            ("equivalent_time", found.equivalent_time, 1e3),
             ("overshoot", found.overshoot, 1.0),
         )
         velocity = c.velocity_fit_percent
@@ -187,7 +188,8 @@ def _comparison(study: HandoutStudy) -> Section:
                 "fit of the rate",
                 "gain [rad/(s V)]",
                 "antires. [rad/s]",
-                "63 % [ms]",
+                "63 % time [ms]",
+                "equivalent time [ms]",
                 "overshoot [%]",
             ),
             rows=tuple(rows),

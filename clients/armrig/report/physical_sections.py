@@ -81,6 +81,10 @@ def _step(found: Characteristics) -> Section:
             "The slope: at t = 0 the chassis stands, so there is no back-EMF, and the spring is "
             "not wound, so that the torque turns J₁ alone; with the arm screwed on it would be "
             f"{found.rigid_slope:.2f} rad/s². Then the arm swings: poles at {_pole(w)} 1/s.",
+            f"The speed reaches 63 % after {1e3 * found.rise_time:.1f} ms; the equivalent time, "
+            f"the area above the response, is {1e3 * found.equivalent_time:.1f} ms, and that of "
+            f"the slowest pole, 1/|Re s|, {1e3 * found.slowest_time:.1f} ms: of a first-order "
+            "system all three would be one.",
         ),
         figure="step",
         caption="Speed of the chassis after a step of 1 V: the handout's parameters, and two of "

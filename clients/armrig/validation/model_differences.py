@@ -21,6 +21,8 @@ _NAMES = {
     "antiresonance": "anti-resonance [rad/s]",
     "bandwidth": "bandwidth [rad/s]",
     "rise_time": "63 % time [s]",
+    "equivalent_time": "equivalent time [s]",
+    "slowest_time": "slowest pole [s]",
     "overshoot": "overshoot [%]",
 }
 _BECAUSE = {
@@ -31,6 +33,9 @@ _BECAUSE = {
     "chassis nor the motor has a part in it",
     "bandwidth": "the anti-resonance pulls |G| below −3 dB: it goes with K_lin/J_2 first",
     "rise_time": "J_1 R_m / (N K_m)² makes the first rise, before the spring is wound",
+    "equivalent_time": "(J_1 + J_2) R_m / (N K_m)²: both inertias make it, and the spring does not",
+    "slowest_time": "the motor's damping stops the swing of the arm, the later the heavier the "
+    "chassis is",
     "overshoot": "the spring gives back what it took; J_2 against J_1 and the motor's damping "
     "make its size",
 }

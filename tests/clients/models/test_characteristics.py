@@ -123,7 +123,7 @@ def test_the_table_has_a_column_for_each_model(plant: HandoutPlant) -> None:
 
     assert lines[0].split()[-2:] == ["mine", "theirs"]
     noted = [line for line in lines if "linearisation" in line or "summary()" in line]
-    assert len(lines) - len(noted) == 1 + 6 + 4
+    assert len(lines) - len(noted) == 1 + len(SCALARS) + 4
 
 
 def test_labels_are_one_a_model(plant: HandoutPlant) -> None:
@@ -161,7 +161,7 @@ def _any_fit() -> armrig.Fit:
 
 
 @pytest.mark.parametrize("Ts", [0.002, 0.01])
-def test_the_63_percent_time_is_that_of_the_step_analysis_whatever_Ts(Ts: float) -> None:
+def test_the_times_of_a_model_are_those_of_the_step_analysis_whatever_Ts(Ts: float) -> None:
     """Of a chassis with a time constant of 20 ms, whose rate is taken, and with a dead time."""
     pole = np.exp(-Ts / 0.02)
     # theta_1's answer to a held input: the integral of a first-order rate.
@@ -173,6 +173,10 @@ def test_the_63_percent_time_is_that_of_the_step_analysis_whatever_Ts(Ts: float)
     B_late = np.array([0.0, 0.0, 0.0, 1 - pole])
     late = replace(_any_fit(), B=B_late, nk=3, F=np.array([1.0, -pole]), Ts=Ts)
 
-    assert model_characteristics(fit).rise_time == pytest.approx(0.02, abs=0.1 * Ts + 2e-4)
-    assert armrig.step_analysis(data).tau == pytest.approx(0.02, abs=0.1 * Ts + 2e-4)
-    assert model_characteristics(late).rise_time == pytest.approx(0.02, abs=0.1 * Ts + 2e-4)
+    of_data, of_late = armrig.step_analysis(data), model_characteristics(late)
+    for t in (model_characteristics(fit), of_late):
+        assert t.rise_time == pytest.approx(0.02, rel=0.01)
+        assert t.equivalent_time == pytest.approx(0.02, rel=0.025)
+        assert t.slowest_time == pytest.approx(0.02, rel=1e-6)
+    assert of_data.tau == pytest.approx(0.02, rel=0.01)
+    assert of_data.equivalent_time == pytest.approx(0.02, rel=1e-3)

@@ -48,13 +48,16 @@ def test_dead_time_counts_for_itself() -> None:
 
 
 def test_the_deviations_said_are_those_made() -> None:
-    """Of gain and time constant, in 100 runs."""
+    """Of gain, 63 % time and equivalent time, in 100 runs."""
     found = [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(100)]
 
     gain, tau = np.array([f.gain for f in found]), np.array([f.tau for f in found])
     assert np.mean(gain) == pytest.approx(GAIN, abs=0.03)
     assert np.mean(tau) == pytest.approx(TAU, rel=0.1)
     assert 0.4 < np.std(tau) / np.mean([f.tau_std for f in found]) < 1.5
+    lag = np.array([f.equivalent_time for f in found])
+    assert np.mean(lag) == pytest.approx(TAU, rel=0.05)
+    assert 0.5 < np.std(lag) / np.mean([f.equivalent_time_std for f in found]) < 1.5
 
 
 def test_the_arm_is_analysed_by_its_velocity(arm: Any) -> None:
@@ -126,6 +129,8 @@ def test_a_gap_on_the_rise_enters_the_deviation_and_is_told(sampled: Any, begins
     )
 
     assert abs(cut.tau - 0.0206) < 3 * cut.tau_std
+    assert cut.equivalent_time == whole.equivalent_time
+    assert abs(cut.equivalent_time - 0.07237) < 3 * cut.equivalent_time_std
     told = [w for w in cut.warnings if "on the rise" in w]
     if begins_ms < 20:
         assert cut.hidden == pytest.approx((begins_ms / 1e3, begins_ms / 1e3 + 0.02), abs=0.0021)

@@ -1,0 +1,97 @@
+"""Each time of a step response is one thing, whoever reads it off what."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import armrig
+import numpy as np
+import pytest
+from armrig.models.characteristics import model_characteristics
+from armrig.numerics.step_times import linear_crossing, mean_lag, rise_time, slowest_time
+from armrig.physics.physical_model import physical_model
+from armrig.physics.step_response import step_response
+from armrig_core.arm import ArmParameters
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+OTHERS = {
+    "handout": ArmParameters(),
+    "J_1 doubled": ArmParameters(J_1=3.4e-3),
+    "soft spring": ArmParameters(K_lin=0.3),
+    "friction": ArmParameters(b_1=0.02),
+}
+EVERY = pytest.mark.parametrize("p", OTHERS.values(), ids=OTHERS.keys())
+
+
+def _stepped(p: ArmParameters, Ts: float) -> armrig.Dataset:
+    """Return the angle without noise before and after a step of 1 V."""
+    n = round(15 * armrig.characteristics(p).slowest_time / Ts)
+    angle = step_response(p, Ts * np.arange(n), state="theta_1")
+    y, u = np.concatenate([np.zeros(n), angle]), np.repeat([0.0, 1.0], n)
+    return armrig.Dataset(u=u, y=y, Ts=Ts, output="theta_1", unit="rad")
+
+
+def _shown(p: ArmParameters, Ts: float) -> Iterator[tuple[str, float, float]]:
+    """Iterate over what shows a 63 % time, an equivalent one, and the two."""
+    data = _stepped(p, Ts)
+    of_model = model_characteristics(physical_model(p, data))
+    of_data = armrig.step_analysis(data)
+    yield "model", of_model.rise_time, of_model.equivalent_time
+    yield "step analysis", of_data.tau, of_data.equivalent_time
+    yield "sampling time", armrig.sampling_time(data).tau, of_data.equivalent_time
+
+
+@EVERY
+@pytest.mark.parametrize("Ts", [0.005, 0.01])
+def test_a_time_is_the_same_wherever_it_is_shown(p: ArmParameters, Ts: float) -> None:
+    """`armrig model`, `compare`, the step analysis and `armrig sampling` give one number."""
+    truth = armrig.characteristics(p)
+
+    for where, rise, equivalent in _shown(p, Ts):
+        assert rise == pytest.approx(truth.rise_time, rel=0.01), where
+        assert equivalent == pytest.approx(truth.equivalent_time, rel=0.005), where
+
+
+@EVERY
+def test_the_slowest_pole_of_the_equations_is_that_of_the_sampled_model(p: ArmParameters) -> None:
+    """1/|Re s|, the integrator's pole left out."""
+    sampled = model_characteristics(physical_model(p, _stepped(p, 0.01)))
+
+    assert sampled.slowest_time == pytest.approx(armrig.characteristics(p).slowest_time, rel=1e-4)
+
+
+def test_the_arms_times_are_known_in_closed_form() -> None:
+    """The equivalent one holds both inertias: (J_1 + J_2) R_m/(N K_m)²."""
+    p = ArmParameters()
+    found = armrig.characteristics(p)
+
+    total = (p.J_1 + p.J_2) * p.R_m / (p.N * p.K_m) ** 2
+    assert found.equivalent_time == pytest.approx(total, rel=1e-6)
+    stiff = armrig.characteristics(replace(p, K_lin=1e5))
+    assert stiff.rise_time == pytest.approx(total, rel=0.01)
+    assert found.slowest_time == pytest.approx(-1 / found.poles[1].real)
+
+
+@given(tau=st.floats(1.0, 200.0), dead=st.integers(0, 5))
+def test_of_a_first_order_system_all_three_are_its_time_constant(tau: float, dead: int) -> None:
+    """In samples; the area by the trapezoidal rule, so to 1/12 of a sample squared."""
+    pole = np.exp(-1 / tau)
+    y = 1 - pole ** np.arange(round(12 * tau))
+    B, F = np.append(np.zeros(dead + 1), 1 - pole), np.array([1.0, -pole])
+
+    assert rise_time(y, 1.0) == pytest.approx(tau, rel=0.01)
+    assert mean_lag(B, F) - dead - 0.5 == pytest.approx(tau, abs=0.1 / tau)
+    assert slowest_time(np.log([pole])) == pytest.approx(tau)
+
+
+def test_what_is_never_reached_is_no_time() -> None:
+    """NaN, from the crossing of a spline and of straight lines alike."""
+    y: NDArray[np.float64] = np.linspace(0.0, 0.6, 20)
+
+    assert np.isnan(rise_time(y, 0.1))
+    assert np.isnan(linear_crossing(0.1 * np.arange(20), y, 0.9))
+    assert np.isnan(rise_time(np.array([0.0, np.inf, 1.0]), 0.1))
+    assert np.isnan([slowest_time([]), slowest_time([-1.0, 0.5])]).all()
