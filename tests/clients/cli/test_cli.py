@@ -939,7 +939,7 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
     assert "residuals coloured (p < 0.001, " in text
     assert " test): trust σ robust, not σ" in text
     assert "no dynamics missing: p" in text
-    assert "no feedback: p" in text
+    assert "no feedback seen in them: p" in text
 
 
 @pytest.mark.parametrize(

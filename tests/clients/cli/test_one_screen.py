@@ -22,7 +22,7 @@ COMMANDS = {
         "no dynamics missing: p",
     ),
     "compare": ("compare {1} {2}", "physics is closest", "poles [1/s]"),
-    "check": ("check {1} --level 0.01", "open loop (handout 3.7): no feedback found", "Asked:"),
+    "check": ("check {1} --level 0.001", "open loop (handout 3.7): no feedback found", "Asked:"),
     "greybox": ("greybox {1}", "J_1 = ", "robust"),
     "split": ("split {1} --parts 1,2", "From 1 to 2 parts", "Each sample adds its share"),
 }
