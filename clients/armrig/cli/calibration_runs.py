@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from armrig.cli.options import tell
+from armrig.cli.options import question, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
@@ -27,12 +27,14 @@ class Dialogue:
     def ready(self, text: str) -> None:
         """Say what to do, and wait until it is done."""
         if not self._quiet:
-            typer.prompt(f"{text} Then press Enter", default="", show_default=False, err=True)
+            typer.prompt(
+                question(f"{text} Then press Enter"), default="", show_default=False, err=True
+            )
 
     def has_meter(self) -> bool:
         """Return whether a meter is at the motor's terminals; asked before the motor turns."""
         text = "Is a meter at the motor's terminals? Then note what it shows at each voltage"
-        return not self._quiet and typer.confirm(text, default=False, err=True)
+        return not self._quiet and typer.confirm(question(text), default=False, err=True)
 
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
         """Return what a meter showed at the motor's terminals."""
@@ -41,7 +43,7 @@ class Dialogue:
         readings: list[tuple[int, float]] = []
         for u in levels:
             text = f"What did the meter show for {u:g} V, in V (Enter: nothing)"
-            shown = typer.prompt(text, default="", show_default=False, err=True)
+            shown = typer.prompt(question(text), default="", show_default=False, err=True)
             if shown:
                 readings.append(meter_reading(f"{code_of(u)}={shown}"))
         return readings

@@ -95,6 +95,7 @@ Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]
 Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE), the integrator's included.")]
 Nk = Annotated[int, typer.Option("--nk", help="Samples before u reaches y.")]
 
+_ANSWER = 16  # characters for a default and an answer behind a question
 _NO_BREAK_SPACE = "\u00a0"
 
 SAME_DATA = (
@@ -127,6 +128,12 @@ def echo(text: str) -> None:
 def _for_terminal(text: str, keep: str = "") -> str:
     """Return the text for a terminal; a number's blank before its unit becomes an ordinary one."""
     return printable(text.replace(_NO_BREAK_SPACE, " "), keep)
+
+
+def question(text: str) -> str:
+    """Return what a person is asked, in lines that leave room for the answer."""
+    columns = _columns(sys.stderr)
+    return folded(text, columns - _ANSWER, indent=0) if columns > 2 * _ANSWER else text
 
 
 def folded(text: str, columns: int, indent: int | None = None) -> str:

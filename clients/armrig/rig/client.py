@@ -219,7 +219,7 @@ class Rig:
                 last = status.last_run
                 if last is None or last.run_id != run.run_id:
                     msg = f"the daemon does not know the run {run.run_id} any more: it was "
-                    msg += "started anew meanwhile; look at its log"
+                    msg += "started anew meanwhile; `armrig ls` shows what it had recorded"
                     raise RigError(msg)
                 # A complete run may lack samples that are missing; it has ended all the same.
                 total = len(request.u)

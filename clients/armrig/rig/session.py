@@ -100,7 +100,7 @@ def no_reply(rig: str, where: str) -> NoReplyError:
     """Return the error of a daemon that does not answer."""
     return NoReplyError(
         f"no reply from rig {rig} at {where}: not running, or not permitted; "
-        "start it with `armrigd run`, or give its endpoint with --connect"
+        "start it with `armrig lab` or `armrigd run`, or give its endpoint with --connect"
     )
 
 

@@ -121,7 +121,9 @@ def _is_alive(session: zenoh.Session, rig: str) -> bool:
 
 
 def _gone(rig: str) -> NoReplyError:
-    return NoReplyError(f"rig {rig}: its daemon went away; start it with `armrigd run`")
+    return NoReplyError(
+        f"rig {rig}: its daemon went away; start it with `armrig lab` or `armrigd run`"
+    )
 
 
 def _stream_of(key: str) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from armrig_daemon.core.requests import Step, answer, ask, refuse
 from armrig_daemon.core.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.core.stopping import end_run, stop
-from armrig_daemon.core.transitions import begin_arming
+from armrig_daemon.core.transitions import begin_arming, state_name
 from armrig_daemon.pipe import (
     Acquire,
     Alive,
@@ -132,7 +132,7 @@ def _acquire(state: State, now_ns: int, order: Acquire) -> Step:
         return state, refuse(order, text)
     if state.device_state not in _AT_REST:
         # HELLO finds out what it is at, and leads back to rest.
-        error = f"the device is in state {state.device_state}, not at rest: try again"
+        error = f"the device is in {state_name(state.device_state)}, not at rest: try again"
         state, actions = ask(state, now_ns, Want.HELLO)
         return state, [*refuse(order, error), *actions]
     return begin_arming(state, now_ns, order)
@@ -194,7 +194,9 @@ def _cannot_pace(state: State, order: Play) -> str:
 
 def _too_short_for_exchange(state: State) -> str:
     ts_s = state.lease.ts_us / 1e6 if state.lease else 0
-    return f"Ts={ts_s:g} s cannot be carried in exchange mode: run scheduled, or arm with a longer"
+    return (
+        f"Ts={ts_s:g} s cannot be carried in exchange mode: run scheduled, or arm with a longer Ts"
+    )
 
 
 def _out_of_range(before: int, code: int, rules: Rules) -> str:

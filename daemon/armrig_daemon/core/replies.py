@@ -25,7 +25,7 @@ from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.core import clock_comparison, sampling, transitions
-from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.faults import Fault, Id, of_device
 from armrig_daemon.core.requests import Step, ask, log, say_state, send
 from armrig_daemon.core.state import Action, Phase, RoundTrip, State, Want
 from armrig_daemon.core.stopping import end_run, trip
@@ -110,11 +110,11 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
 def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
     if _is_other_boot(state, event.boot):
         return _rebooted(state, now_ns)
-    cause = Cause(event.cause).name if event.cause in set(Cause) else str(event.cause)
     state = replace(state, token=event.token)
     if event.token and state.phase is not Phase.FAULT:
-        detail = f", code {event.detail}" if event.detail else ""
+        detail = f" (code {event.detail})" if event.detail else ""
         state = replace(state, device_state=event.state)
-        fault = Fault(Id.DEVICE, f"the device stopped by itself: {cause}{detail}")
+        cause = f"the device stopped by itself: {of_device(event.cause)}{detail}"
+        fault = Fault(Id.DEVICE, cause)
         return trip(state, now_ns, fault)
     return transitions.note_state(state, now_ns, event.state, ended=event.cause == Cause.END)

@@ -52,7 +52,7 @@ def refill(state: State, now_ns: int) -> Step:
     ):
         codes = [run.code(i) for i in range(sent, min(sent + SETPOINTS_PER_FRAME, end))]
         if not all(map(state.rules.allows, [run.code(sent - 1), *codes], codes)):
-            fault = Fault(Id.LIMITS, f"u[{sent} …] is not within the limits")
+            fault = Fault(Id.LIMITS, f"a voltage from u[{sent}] on is not within the limits")
             state, actions = trip(state, now_ns, fault)
             return state, done + actions
         n = len(codes)

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from armrig_daemon.core import setpoints
 from armrig_daemon.core.budget import check, exchange_us
 from armrig_daemon.core.clockmap import ClockMap
-from armrig_daemon.core.faults import Fault, Id, sentence
+from armrig_daemon.core.faults import OF_DEVICE, Fault, Id, of_device, sentence
 from armrig_daemon.core.requests import (
     MANY_TRIES,
     Step,
@@ -148,12 +148,11 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
         state, actions = rest(state, now_ns, None)
         return state, done + actions
     expected = _EXPECTED.get(state.phase)
-    if expected is not None and state.asked is None and reported != expected:
-        name = DeviceState(reported).name if reported in set(DeviceState) else reported
-        if reported not in _LATCHED:
-            cause = f"the device is in {name}, and nobody asked it to"
-            return trip(state, now_ns, Fault(Id.STATE, cause))
     latched = reported in _LATCHED
+    strayed = expected is not None and state.asked is None and reported != expected
+    if strayed and not latched:
+        cause = f"the device is in {state_name(reported)}, and nobody asked it to"
+        return trip(state, now_ns, Fault(Id.STATE, cause))
     if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
         cause = f"the device is in {DeviceState(reported).name}"
         return trip(state, now_ns, Fault(Id.DEVICE, cause))
@@ -271,6 +270,8 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
         return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
     if reply.state in _LATCHED:
         cause = f"the device is in {DeviceState(reply.state).name}"
+        if reply.cause in OF_DEVICE:
+            cause += f": {of_device(reply.cause)}"
         return _latch(state, now_ns, asked, Fault(Id.DEVICE, cause))
     if reply.state in _DRIVES:
         # Left over from another host, or from a fault whose STOPs were lost: stop first.
@@ -361,7 +362,7 @@ def begin_arming(state: State, now_ns: int, order: Acquire) -> Step:
     device = state.device
     ts_us = order.ts_us or state.rules.ts_us
     if device is None:
-        return state, refuse(order, "there is no device")
+        return state, refuse(order, "there is no device: see that it is plugged in")
     scheduled = bool(device.capabilities & Capability.SCHEDULED)
     try:
         check(ts_us, state.rules.baud, device.skew_us, scheduled=scheduled)
@@ -379,3 +380,8 @@ def begin_arming(state: State, now_ns: int, order: Acquire) -> Step:
 def name_of(code: int) -> str:
     """Return the name of an answer's code, or its number where it has none."""
     return Code(code).name if code in set(Code) else str(code)
+
+
+def state_name(state: int) -> str:
+    """Return the name of a state of the device, or its number where it has none."""
+    return DeviceState(state).name if state in set(DeviceState) else str(state)

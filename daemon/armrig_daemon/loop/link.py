@@ -107,7 +107,7 @@ def latency_timer_ms(port: str) -> int | None:
 
 def _reason(port: str, err: Exception) -> str:
     if not Path(port).exists():
-        return "it is not there; see that the rig is plugged in, and the name in the config"
+        return "it is not there; see that the rig is plugged in, and that this is its port"
     text = str(err).lower()
     if not Path(port).is_char_device() or "inappropriate ioctl" in text:
         return "it is no serial port; give that of the rig, such as /dev/ttyACM0"

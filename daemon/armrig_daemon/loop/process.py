@@ -218,7 +218,12 @@ def main(arguments: list[str]) -> int:
         return NO_PORT
     timer = latency_timer_ms(settings.port)
     if timer is not None and timer > 1:
-        ports.put(_line("warning", f"{settings.port}: latency timer {timer} ms; 1 ms is wanted"))
+        ports.put(
+            _line(
+                "warning",
+                f"{settings.port}: latency timer {timer} ms, 1 ms is wanted: see `armrig doctor`",
+            )
+        )
 
     def quit_(number: int, _frame: FrameType | None) -> None:
         ports.quit_reason = signal.Signals(number).name

@@ -40,6 +40,7 @@ from armrig_daemon.service.runs import Runs, checked
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
+_SILENT = f"the loop did not answer within {ANSWER_S:g} s: ask again, or start armrigd anew"
 _MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
 _MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
 _LONGEST_NAME = 80  # of who stops a run, in its recording
@@ -131,7 +132,7 @@ class Commands:
         """Refuse what the loop has not answered in time."""
         now = time.monotonic()
         for number in [n for n, w in self._waiting.items() if now > w.until]:
-            self._give_up(self._waiting.pop(number), "the loop does not answer: see the log")
+            self._give_up(self._waiting.pop(number), _SILENT)
 
     def _give_up(self, waiting: _Waiting, error: str) -> None:
         if isinstance(waiting.order, Play):

@@ -121,7 +121,10 @@ class Service:
             code = loop.end()
             realtime.ignore_signals()
         if not self._quitting and code != NO_PORT:
-            print_line(f"armrigd: the loop died with code {code}")
+            print_line(
+                f"armrigd: the loop died with code {code}: the device stops the motor by itself; "
+                "start armrigd anew"
+            )
         return 0 if self._quitting and code == 0 else 1
 
     def _connect(self, loop: child.LoopChild, session: Session) -> None:

@@ -132,7 +132,7 @@ def test_no_daemon_is_told_with_what_to_do(
 
     said = told(capsys)
     assert where in said
-    assert "not running, or not permitted; start it with `armrigd run`" in said
+    assert "not running, or not permitted; start it with `armrig lab` or `armrigd run`" in said
 
 
 @pytest.mark.parametrize(

@@ -93,5 +93,5 @@ def test_where_there_is_no_directory_nobody_answers(directory: Path) -> None:
     """As before a daemon was ever started."""
     directory.rename(directory.with_name("elsewhere"))
 
-    with pytest.raises(NoReplyError, match="start it with `armrigd run`"), Rig():
+    with pytest.raises(NoReplyError, match="start it with `armrig lab` or `armrigd run`"), Rig():
         pass

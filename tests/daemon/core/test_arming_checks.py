@@ -84,7 +84,7 @@ def test_a_device_that_is_not_at_rest_is_not_armed_but_led_back() -> None:
     rig.ports.from_device = lambda data: data
     rig.run_for(300)
 
-    assert "the device is in state 5, not at rest" in refused.error
+    assert "the device is in RUN, not at rest" in refused.error
     assert rig.arm().error == ""
 
 

@@ -145,7 +145,7 @@ def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> 
     decided = ordered(bench, ACQUIRE, replace(bench.loop.state, device_state=int(state)))
 
     (answer,) = decided.told(Answer)
-    assert f"in state {int(state)}, not at rest" in answer.error
+    assert answer.error == f"the device is in {state.name}, not at rest: try again"
     assert [type(m) for m in decided.sent] == [Hello]
 
 

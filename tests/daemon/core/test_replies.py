@@ -175,8 +175,9 @@ def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("cause", "detail", "words"),
     [
-        (int(Cause.WATCHDOG), 0, "WATCHDOG"),
-        (int(Cause.RANGE), 123, "RANGE, code 123"),
+        (int(Cause.WATCHDOG), 0, "WATCHDOG, it heard nothing from this host in time"),
+        (int(Cause.RANGE), 123, "RANGE, a voltage was outside its limits (code 123)"),
+        (int(Cause.REQUEST), 0, "REQUEST"),
         (250, 0, "250"),
     ],
 )

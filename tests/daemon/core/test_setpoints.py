@@ -179,7 +179,9 @@ def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: b
     assert whole == ([len(volts)] if not trips else [24] if len(volts) > 24 else [])
     if after.fault is not None:
         at = 24 if len(volts) > 24 else 0
-        assert after.fault == Fault(Id.LIMITS, f"u[{at} …] is not within the limits")
+        assert after.fault == Fault(
+            Id.LIMITS, f"a voltage from u[{at}] on is not within the limits"
+        )
 
 
 def test_a_run_begins_by_filling_at_0_v() -> None:

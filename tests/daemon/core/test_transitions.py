@@ -14,6 +14,7 @@ from armrig_protocol.messages import (
     TYPES,
     Ack,
     Arm,
+    Cause,
     ClearFault,
     Code,
     Config,
@@ -279,6 +280,21 @@ def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: De
 
     assert [type(m) for m in decided.sent] == [Stop]
     assert (decided.state.phase, decided.state.device_state) == (phase, state)
+
+
+def test_a_device_that_is_met_latched_says_why() -> None:
+    """Its EVENT was told to another daemon, or lost."""
+    bench = rested()
+    device = bench.loop.state.device
+    assert device is not None
+    met = replace(bench.loop.state, device=None, phase=Phase.INIT)
+    latched = device._replace(state=int(DeviceState.FAULT), cause=int(Cause.WATCHDOG))
+
+    decided = heard(bench, latched, awaiting(met, Want.HELLO))
+
+    assert decided.state.reason == (
+        "the device is in FAULT: WATCHDOG, it heard nothing from this host in time"
+    )
 
 
 def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:

@@ -182,7 +182,9 @@ def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
 
     between.service._each_second()
 
-    assert _refusal(replies) == "the loop does not answer: see the log"
+    assert (
+        _refusal(replies) == "the loop did not answer within 3 s: ask again, or start armrigd anew"
+    )
     assert between.service._runs.is_idle
     between.service._handle([Answer(order=play.order)])
 
@@ -491,7 +493,7 @@ def test_a_calibration_that_is_taken_late_is_in_force_all_the_same(
     monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
     replies = _calibrated(between)
     between.commands.refuse_overdue()
-    assert b"the loop does not answer" in next(iter(replies)).err.payload.to_bytes()
+    assert b"the loop did not answer within" in next(iter(replies)).err.payload.to_bytes()
     second = between.ask(ASKED)
     between.commands.serve()
     assert b"on its way: try again" in next(iter(second)).err.payload.to_bytes()
