@@ -13,7 +13,20 @@ from armrig.cli.chosen_recording import File, OtherFile
 from armrig.cli.comparison_rows import row_facts, row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import CalibrationFile, Json, Na, Nb, Nf, Nk, Verbose, echo, print_json, say
+from armrig.cli.options import (
+    CalibrationFile,
+    From,
+    Json,
+    Na,
+    Nb,
+    Nf,
+    Nk,
+    To,
+    Verbose,
+    echo,
+    print_json,
+    say,
+)
 from armrig.cli.parameters import HANDOUT, Given, physics_beside
 from armrig.cli.recorded_data import (
     dataset_of,
@@ -51,6 +64,8 @@ def compare(
     horizon: Horizon = None,
     given: Given = None,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     plot: Plot = None,
     json: Json = False,
     verbose: Verbose = False,
@@ -69,7 +84,7 @@ def compare(
     files = [file] if other is None else [file, other]
     check_plot(plot, [*files, *(model or [])])
     saved = _saved_models(model or [])
-    recordings = loaded(files, calibration)
+    recordings = loaded(files, calibration, start, stop)
     if other is None:
         data = dataset_of(recordings[0], saved[0][1])
         compared = _Compared(models=saved, data=data, where=str(file))

@@ -193,7 +193,8 @@ def report(
 ) -> None:
     """Typeset a report.
 
-    The first recording that is no step estimates, the next validates.
+    The first recording that is no step estimates, the next validates. A report tells of whole runs:
+    it takes no --from and --to.
     """
     files = files or []
     if not (files or handout):

@@ -13,16 +13,17 @@ from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     CalibrationFile,
+    From,
     Json,
     NoOutput,
+    To,
     Verbose,
     echo,
     print_json,
     say,
-    warned,
 )
 from armrig.cli.parameters import Given, cases, parameters, physics_beside
-from armrig.cli.recorded_data import recorded
+from armrig.cli.recorded_data import loaded
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from armrig.models.model import Model
     from armrig.physics.grey_box.fit import GreyFit
     from armrig.physics.grey_box.split_study import SplitStudy
+    from armrig.recordings.recording import Recording
 
 GreySignal = Annotated[Literal["theta_1", "alpha"], typer.Option("--signal", help="Which output.")]
 Free = Annotated[
@@ -61,6 +63,8 @@ def greybox(
     signal: GreySignal = "theta_1",
     output: NoOutput = None,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     json: Json = False,
     verbose: Verbose = False,
     plot: Plot = None,
@@ -71,7 +75,9 @@ def greybox(
 
     check_plot(plot, [file])
     fixed = parameters(given)
-    data, model = _data_and_rig(file, signal, calibration, model)
+    [recording] = loaded([file], calibration, start, stop)
+    model = _rig(recording, model)
+    data = recording.dataset(signal)
     with spinner("estimating"):
         fit = estimate(
             data, _model(model), tuple(free or ("J_1",)), fixed, signal, friction=friction
@@ -126,6 +132,8 @@ def split(
     signal: GreySignal = "theta_1",
     output: NoOutput = None,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     json: Json = False,
     verbose: Verbose = False,
     plot: Plot = None,
@@ -140,7 +148,9 @@ def split(
 
     check_plot(plot, [file])
     cuts, fixed = _cuts(parts), parameters(given)
-    data, model = _data_and_rig(file, signal, calibration, model)
+    [recording] = loaded([file], calibration, start, stop)
+    model = _rig(recording, model)
+    data = recording.dataset(signal)
     rig = _model(model)
 
     def estimate(part: Dataset) -> Any:
@@ -191,6 +201,8 @@ def simulate(
     ] = None,
     given: Given = None,
     calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
     json: Json = False,
     plot: Plot = None,
 ) -> None:
@@ -202,8 +214,9 @@ def simulate(
     physics = physics_beside(given)
     check_plot(plot, [f for f in (file, *(model or ())) if f is not None])
     if file is None:
-        if model:
-            msg = "--model needs a recording, whose input it is simulated with: armrig simulate F"
+        given_for_file = {"--model": model, "--from": start, "--to": stop}
+        for option in (name for name, value in given_for_file.items() if value not in (None, [])):
+            msg = f"{option} needs a recording, whose input is simulated with: armrig simulate F"
             raise typer.BadParameter(msg)
         _step(cases(given), json=json, plot=plot)
         return
@@ -213,7 +226,7 @@ def simulate(
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 
-    data = recorded(file, "theta_1", calibration)
+    data = loaded([file], calibration, start, stop)[0].dataset()
     fits: list[Model] = [load_fit(path) for path in model or ()]
     fits += [physical_model(p, data) for p in physics.values()]
     labels = [*(path.stem for path in model or ()), *physics]
@@ -246,21 +259,19 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
     say_next("simulate")
 
 
-def _data_and_rig(
-    file: Path, signal: Any, calibration: Path | None, model: Literal["chassis", "arm"] | None
-) -> tuple[Dataset, Literal["chassis", "arm"]]:
-    """Return the data, and of which rig they are; refuse another one than was given."""
+def _rig(
+    recording: Recording, model: Literal["chassis", "arm"] | None
+) -> Literal["chassis", "arm"]:
+    """Return which rig was recorded; refuse another one than was given."""
     from armrig.recordings.findings import alpha_moves
-    from armrig.recordings.loading import load
 
-    recording = warned(load(file, calibration))
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"
     if model is not None and model != seen:
         what = "alpha moves: the arm was on" if seen == "arm" else "alpha rests: the arm was off"
-        msg = f"{file}: --model {model}, but {what}; leave --model out, or record the {model} "
-        msg += "(`armrig collect greybox` is for the chassis alone)"
+        msg = f"{recording.path}: --model {model}, but {what}; leave --model out, or record the "
+        msg += f"{model} (`armrig collect greybox` is for the chassis alone)"
         raise ValueError(msg)
-    return recording.dataset(signal), seen
+    return seen
 
 
 def _model(name: str) -> Any:

@@ -43,11 +43,6 @@ def loaded(
     return [warned(recording) for recording in recordings]
 
 
-def recorded(file: Path, output: OutputName, calibration: Path | None) -> Dataset:
-    """Return the data of one output, and tell the recording's damage."""
-    return loaded([file], calibration)[0].dataset(output)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signals:
     """What to take from files: recordings, or data of any other origin."""

@@ -1,0 +1,55 @@
+"""--from and --to, wherever a recording is read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from armrig.cli import app, main
+
+WHOLE = {"report", "calibrate"}
+"""A report tells of whole runs, and a calibration is of one."""
+
+
+def _commands() -> dict[str, set[str]]:
+    """Return the options of every command that reads recordings, by its name."""
+    group: Any = typer.main.get_command(app)
+    options = {
+        name: {option for p in command.params for option in p.opts}
+        for name, command in group.commands.items()
+    }
+    return {name: known for name, known in options.items() if "--calibration" in known}
+
+
+def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
+    """By the same two options."""
+    found = _commands()
+
+    assert len(found) > 8
+    lacking = {name for name, known in found.items() if not {"--from", "--to"} <= known}
+    assert lacking <= WHOLE
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["greybox {1}", "split {1} --parts 1,2", "simulate {1}", "compare {1} {2}"],
+    ids=lambda line: line.partition(" ")[0],
+)
+def test_the_part_is_what_is_used(
+    line: str, three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The numbers are of the part; one beyond the end is refused in a line."""
+    arguments = [word.format(*map(str, three_recordings)) for word in line.split()]
+
+    found = []
+    for part in ((), ("--from", "2", "--to", "9")):
+        assert main([*arguments, *part, "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0] != found[1]
+    if "N" in found[1]:
+        assert 600 < found[1]["N"] <= 700
+    assert main([*arguments, "--from", "1000"]) == 1
+    assert "1000" in capsys.readouterr().err
