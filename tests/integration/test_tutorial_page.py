@@ -70,7 +70,7 @@ def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
                 _assert_printed(line, printed)
                 compared += 1
 
-    assert (commands, compared) == (17, 29)
+    assert (commands, compared) == (17, 27)
     assert (recorded.parent / "report.pdf").stat().st_size > 0
 
 

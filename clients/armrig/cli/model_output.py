@@ -13,7 +13,7 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.equation import form, heading, signals, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.subspace_fit import SubspaceFit
-from armrig.numerics.quantities import p_relation, places
+from armrig.numerics.quantities import NBSP, p_relation, places, with_std
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.advice import advice
 from armrig.validation.advice.model_advice import COLOURED
@@ -23,6 +23,7 @@ from armrig.validation.residuals import ResidualTest
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from armrig.models.responses import Roots
     from armrig.recordings.usability import Finding
     from armrig.validation.search_result import SearchResult
 
@@ -59,9 +60,43 @@ def simulated_to(row: Comparison, unit: str) -> str:
 
 
 def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
-    """Return equation and signals, the parameters with their deviations, and poles and zeros."""
-    lines = [f"  {_equation(fit)}", f"  {signals(fit)}", *coefficients(fit)]
-    return lines + (root_lines(fit) if roots else [])
+    """Return equation and signals, a line for each polynomial's coefficients, poles and zeros.
+
+    Each with the standard deviation that is to be trusted.
+    """
+    std, which = (fit.std_robust, "σ robust") if fit.trusts_robust else (fit.std, "σ")
+    texts: dict[str, list[str]] = {}
+    for name, value, deviation in zip(fit.names, fit.theta, std, strict=True):
+        texts.setdefault(name[0], []).append(with_std(float(value), float(deviation)))
+    lines = [f"  {_equation(fit)}", f"  {signals(fit)}; below, ± is {which}"]
+    lines += [f"  {letter}1 …   {_listed(values)}" for letter, values in texts.items()]
+    if roots:
+        lines += [f"  poles  {_roots(fit.poles())}", f"  zeros  {_roots(fit.zeros())}"]
+    return lines
+
+
+def _roots(found: Roots) -> str:
+    """Return roots with their deviations, a pair as one, those of both its parts in brackets."""
+    with np.errstate(invalid="ignore"):  # a variance that rounding made negative is not known
+        stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
+    texts = []
+    for z, (real, imag) in zip(found.values.tolist(), stds.tolist(), strict=True):
+        if z.imag > 0:
+            least = min((s for s in (real, imag) if s > 0), default=0.0)
+            decimals = min(places(least), _MOST_DECIMALS)
+            pair = f"{z.real:.{decimals}f} ± {z.imag:.{decimals}f}i"
+            texts.append(f"{pair} (σ {real:.2g}, {imag:.2g})")
+        elif z.imag == 0:
+            text = with_std(z.real, real)
+            if "e" in text:  # a root near 1 is read best beside 1
+                text = f"{z.real:.{min(places(real), _MOST_DECIMALS)}f} ± {real:.1e}"
+            texts.append(text if real else f"{z.real:g} (fixed)")
+    return _listed(texts) or "none"
+
+
+def _listed(numbers: Sequence[str]) -> str:
+    """Return numbers with commas, none of which is broken at the end of a line."""
+    return ", ".join(number.replace(" ", NBSP) for number in numbers)
 
 
 def model_lines(fit: Fit) -> list[str]:

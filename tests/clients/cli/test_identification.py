@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import armrig
@@ -181,7 +182,7 @@ def test_a_file_that_is_no_model_is_told_in_a_line(
 def test_identify_says_roots_and_advice(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Poles and zeros with standard deviations, a pair in a line, and what to act on."""
+    """Poles and zeros with standard deviations, and what to act on; in full with -v."""
     arguments = ["identify", str(three_recordings[1]), "--structure", "oe", "--integrator"]
 
     assert main(arguments) == 0
@@ -189,7 +190,12 @@ def test_identify_says_roots_and_advice(
     assert main([*arguments, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
 
-    rows = [line.split() for line in text.splitlines() if line.startswith(("  pole", "  zero"))]
+    assert main([*arguments, "-v"]) == 0
+    whole = capsys.readouterr().out
+    [poles] = re.findall(r"^  poles  1 \(fixed\), (.+)$", text, re.MULTILINE)
+    assert re.fullmatch(r"0\.9\d+ ± 0\.1\d+i \(σ \S+, \S+\), 0\.6\d+ ± \S+", poles)
+    assert re.search(r"^  zeros  -0\.\d+ ± ", text, re.MULTILINE)
+    rows = [line.split() for line in whole.splitlines() if line.startswith(("  pole", "  zero"))]
     assert ["pole", "1.00000", "fixed"] in rows
     [pair] = [row for row in rows if row[0] == "pole" and "±" in row]
     assert len(pair) == 6
@@ -217,3 +223,23 @@ def test_the_figure_of_a_search_has_a_point_for_each_model(
         if rms < 10 * found.rms.min():  # others are left out
             assert [one.parameters, rms] in shown.tolist()
     assert ring.get_xydata().tolist() == [[found.ranked[i].parameters, found.rms[i]]]
+
+
+def test_a_short_answer_has_each_coefficient_with_the_deviation_to_trust(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line for each polynomial; the robust deviation where the residuals are coloured."""
+    recording = str(three_recordings[1])
+
+    assert main(["identify", recording, "--structure", "arx", "--na", "2", "--nb", "2"]) == 0
+    text = capsys.readouterr().out
+
+    fit = armrig.arx(armrig.load(recording), na=2, nb=2)
+    assert fit.trusts_robust
+    assert "below, ± is σ robust" in text
+    for letter in "ab":
+        [shown] = re.findall(rf"^  {letter}1 …   (.+)$", text, re.MULTILINE)
+        pairs = [[float(x) for x in pair.split(" ± ")] for pair in shown.split(", ")]
+        where = [i for i, name in enumerate(fit.names) if name[0] == letter]
+        assert [value for value, _ in pairs] == pytest.approx(fit.theta[where], rel=0.1)
+        assert [std for _, std in pairs] == pytest.approx(fit.std_robust[where], rel=0.06)

@@ -16,6 +16,16 @@ COMMANDS = {
         "OE(nb=4, nf=4, nk=1) fits theta_1 to",
         "starts agree",
     ),
+    "identify with warnings": (
+        "identify {1} --structure arx --na 4 --nb 4 --validate {2}",
+        "ARX(na=4, nb=4, nk=1) fits theta_1 to",
+        "FPE",
+    ),
+    "identify with four polynomials": (
+        "identify {1} --structure bj --nc 2 --nd 2 --integrator",
+        "BJ(nb=4, nc=2, nd=2, nf=4, nk=1) fits theta_1 to",
+        "FPE",
+    ),
     "validate": (
         "validate {2} --model model.json",
         "Simulated, OE(nb=4, nf=4, nk=1) fits theta_1 to",
