@@ -18,9 +18,10 @@ from armrig.recordings.recording import RecordingError
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.data_facts import treatment
 from armrig.report.document import content, report
-from armrig.report.figures import write_figures
 from armrig.report.recording_facts import role
 from armrig.report.study import AssessedFit, Orders, Study, assessed, study
+from armrig.report.typesetting import recorded as recorded_at
+from armrig.report.typesetting import typeset
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
 from made_recordings import of_the_arm, recorded, sample, written
@@ -32,11 +33,21 @@ def done(three_recordings: tuple[Path, Path, Path]) -> Study:
     return study([load(path) for path in three_recordings])
 
 
-def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, tmp_path: Path) -> None:
-    """Typeset without a network, with its fonts inside."""
-    path = report(done, tmp_path / "report.pdf")
+@pytest.fixture(scope="module")
+def made(done: Study, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, Path]:
+    """Give the report's bytes, and where its figures were left."""
+    return typeset_with_figures(done, tmp_path_factory.mktemp("report"))
 
-    pdf = path.read_bytes()
+
+def typeset_with_figures(study: Study, folder: Path) -> tuple[bytes, Path]:
+    """Typeset a study; return the PDF's bytes and the folder of its figures."""
+    return report(study, folder / "report.pdf", figures=folder).read_bytes(), folder
+
+
+def test_the_report_is_a_pdf_of_three_to_six_pages(made: tuple[bytes, Path]) -> None:
+    """Typeset without a network, with its fonts inside."""
+    pdf, _ = made
+
     assert pdf.startswith(b"%PDF-")
     pages = re.search(rb"/Type/Pages/Count (\d+)", pdf)
     assert pages is not None
@@ -44,9 +55,9 @@ def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, tmp_path: Path) 
     assert pdf.count(b"/FontFile") >= 3
 
 
-def test_every_figure_names_its_recording(done: Study, tmp_path: Path) -> None:
+def test_every_figure_names_its_recording(done: Study, made: tuple[bytes, Path]) -> None:
     """As text in the SVG, so that it can be searched for."""
-    figures = {path.stem: path.read_text() for path in write_figures(done, tmp_path)}
+    figures = {path.stem: path.read_text() for path in made[1].glob("*.svg")}
 
     hashes = {r.manifest.experiment: r.short_hash for r in done.recordings[:1]}
     of_estimation = {"timing", "data", "bode", "step_poles"}
@@ -107,9 +118,12 @@ def test_a_line_that_was_taken_is_told_with_its_slope(done: Study) -> None:
 
 
 def test_nothing_done_is_told_as_such(
-    done: Study, three_recordings: tuple[Path, ...], tmp_path: Path
+    done: Study, made: tuple[bytes, Path], three_recordings: tuple[Path, ...]
 ) -> None:
-    """No list, and the claim that nothing was removed stands only then."""
+    """No list, and the claim that nothing was removed stands only then.
+
+    Both are typeset; here with the figures of the study of untreated data, for they take seconds.
+    """
     halved = study([load(three_recordings[1])])
     treated = study([load(path) for path in three_recordings[1:]], treat=armrig.detrend)
 
@@ -120,7 +134,9 @@ def test_nothing_done_is_told_as_such(
     ]
     claims = ["no mean and no trend" in content(s, [])["data"] for s in (done, halved, treated)]
     assert claims == [True, True, False]
-    assert report(treated, tmp_path / "treated.pdf").stat().st_size > 0
+    date = recorded_at(treated.recordings)
+    pdf, _ = typeset(made[1], "report.typ", content(treated, []), date, "place")
+    assert pdf.startswith(b"%PDF-")
 
 
 def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
@@ -257,9 +273,10 @@ def test_a_report_of_three_models_is_typeset_with_all_of_them(
     of_three: Study, tmp_path: Path
 ) -> None:
     """In the tables and in the figures."""
-    figures = {path.stem: path.read_text() for path in write_figures(of_three, tmp_path)}
+    pdf, folder = typeset_with_figures(of_three, tmp_path)
+    figures = {path.stem: path.read_text() for path in folder.glob("*.svg")}
 
-    assert report(of_three, tmp_path / "three.pdf").stat().st_size > 0
+    assert pdf.startswith(b"%PDF-")
     for name in ("compare", "velocity", "bode", "step_poles", "residuals"):
         assert all(model in figures[name] for model in ("ARMAX", "ARX", "OE")), name
 
@@ -362,18 +379,19 @@ def test_the_units_of_the_data_are_told_with_what_they_rest_on(done: Study) -> N
     assert "that of a meter at the motor's terminals" in said(scale | meter)
 
 
-def test_the_same_recordings_give_the_same_bytes(done: Study, tmp_path: Path) -> None:
+def test_the_same_recordings_give_the_same_bytes(
+    done: Study, made: tuple[bytes, Path], tmp_path: Path
+) -> None:
     """Report and figures bear the date of the recordings, and no time of day.
 
     To draw the figures anew takes more than a second, the resolution of a PDF's date.
     """
-    pdfs = [report(done, tmp_path / name).read_bytes() for name in ("a.pdf", "b.pdf")]
-    figures = []
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        figures.append([path.read_bytes() for path in write_figures(done, tmp_path / name)])
+    pdf, folder = made
+    again, other = typeset_with_figures(done, tmp_path)
 
-    assert pdfs[0] == pdfs[1]
+    assert again == pdf
     started = datetime.fromisoformat(done.recordings[-1].manifest.started)
-    assert f"/CreationDate(D:{started:%Y%m%d}".encode() in pdfs[0]
-    assert figures[0] == figures[1]
+    assert f"/CreationDate(D:{started:%Y%m%d}".encode() in pdf
+    names = sorted(path.name for path in folder.glob("*.svg"))
+    assert sorted(path.name for path in other.glob("*.svg")) == names
+    assert all((folder / name).read_bytes() == (other / name).read_bytes() for name in names)
