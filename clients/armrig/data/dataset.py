@@ -205,14 +205,15 @@ class Dataset:
         if b <= a:
             msg = f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples"
             raise ValueError(msg)
-        whole = (a, b) == (0, self.N)
+        if (a, b) == (0, self.N):
+            return self  # it cannot be changed
         return self.replaced(
             u=self.u[a:b],
             y=self.y[a:b],
             valid=self.valid[a:b],
             starts=(0, *(s - a for s in self.starts if a < s < b)),
             trends=self._trends_between(a, b),
-            step=None if whole else f"took samples {a} to {b - 1} of {self.N}",
+            step=f"took samples {a} to {b - 1} of {self.N}",
         )
 
     def _trends_between(self, a: int, b: int) -> tuple[Trend, ...]:

@@ -56,8 +56,9 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
         return
     yield from _wrong_samples(data, e)
     if way_out and data.output not in INTEGRATING_OUTPUTS and _doubtful(residuals):
-        level = "" if integrating(data) else level_without_input(data)
-        yield from [f"{level}, which the model cannot make: {way_out}"] if level else []
+        level = level_without_input(data)
+        if level and not integrating(data):
+            yield f"{level}, which the model cannot make: {way_out}"
 
 
 def swapped(data: Dataset) -> Iterator[str]:
