@@ -22,12 +22,7 @@ from armrig.nonparametric.figures import (
     plot_step_analysis,
     plot_structure,
 )
-from armrig.physics.figures import (
-    beside_the_handout,
-    plot_physical_step,
-    plot_rig,
-    plot_sensitivities,
-)
+from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
 from armrig.physics.grey_box.figures import plot_greybox, plot_split
 from armrig.physics.integrators.figures import (
     plot_convergence,
@@ -35,6 +30,7 @@ from armrig.physics.integrators.figures import (
     plot_stability_edge,
     plot_stability_regions,
 )
+from armrig.physics.systems import beside_the_handout
 from armrig.recordings.calibration.figures import plot_calibration
 from armrig.recordings.figures import plot_timing
 from armrig.validation.feedback_and_delay.figures import plot_delay, plot_open_loop

@@ -27,7 +27,7 @@ from armrig.cli.options import (
     print_json,
     say,
 )
-from armrig.cli.parameters import HANDOUT, Given, physics_beside
+from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.recorded_data import (
     dataset_of,
     loaded,
@@ -89,6 +89,8 @@ def compare(
         data = dataset_of(recordings[0], saved[0][1])
         compared = _Compared(models=saved, data=data, where=str(file))
     else:
+        from armrig.physics.systems import HANDOUT
+
         compared = _studied(recordings, saved, na=na, nb=nb, nf=nf, nk=nk)
         changed.pop(HANDOUT, None)  # the physics is there already
     compared = _with_physics(compared, changed)

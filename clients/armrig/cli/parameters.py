@@ -37,8 +37,6 @@ Given = Annotated[
 ]
 _FAR = 100.0
 """Times that a parameter differs from the handout's before it is doubted."""
-HANDOUT = "handout"
-"""What the handout's own parameters are called in tables and figures."""
 
 
 def parameters(given: list[str] | None) -> ArmParameters:
@@ -52,20 +50,15 @@ def parameters(given: list[str] | None) -> ArmParameters:
 
 def cases(given: list[str] | None) -> dict[str, ArmParameters]:
     """Return what is compared in 2.3: the handout's, each change alone, and all of them."""
-    from dataclasses import replace
+    from armrig.physics.systems import beside_the_handout
 
-    from armrig_core.arm import ArmParameters
-
-    values = _values(given)
-    alone = {f"{name}={value:g}": {name: value} for name, value in values.items()}
-    if len(values) > 1:
-        alone["both" if len(values) == 2 else "all"] = values
-    handout = ArmParameters()
-    return {HANDOUT: handout} | {name: replace(handout, **one) for name, one in alone.items()}
+    return beside_the_handout(parameters(given))
 
 
 def physics_beside(given: list[str] | None) -> dict[str, ArmParameters]:
     """Return the physical models that stand beside others: the changed one with the handout's."""
+    from armrig.physics.systems import HANDOUT
+
     handout = parameters(None)
     return {HANDOUT: handout, changes(given): parameters(given)} if given else {"physics": handout}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING
@@ -9,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, legend, pens, symbol
-from armrig.physics.grey_box.parameters import UNITS
 from armrig.physics.step_response import characteristics, step_response, step_sensitivities
 from armrig.physics.systems import ArmParameters
 
@@ -38,6 +38,7 @@ _QUANTITIES = (
     ((2.25, 0.08), (1.8, 0.08), "$Q_s$", (2.03, 0.28)),
     ((1.8, -0.08), (2.25, -0.08), r"$\alpha$", (2.03, -0.28)),
 )
+_PARAMETER = re.compile(rf"\b({'|'.join(f.name for f in fields(ArmParameters))})\b")
 
 
 def plot_rig(*, ax: Axes | None = None) -> Axes:
@@ -78,7 +79,8 @@ def plot_physical_step(
     Parameters
     ----------
     cases : mapping of str to ArmParameters, optional
-        Label -> parameters; the handout's by default. See `beside_the_handout`.
+        Label -> parameters; the handout's by default. See
+        `armrig.physics.systems.beside_the_handout`.
     u : float, default 1
         Height of the step in V.
     """
@@ -91,7 +93,7 @@ def plot_physical_step(
         top = max(top, float(speed.max()))
         found = characteristics(p)
         steady, slope = u * found.steady_speed, u * found.initial_slope
-        text = f"{label}: {steady:.4f} rad/s, slope {slope:.2f} rad/s²"
+        text = f"{_in_symbols(label)}: {steady:.4f} rad/s, slope {slope:.2f} rad/s²"
         ax.plot(t, speed, label=text, **pen)
     first = characteristics(next(iter(cases.values())))
     steady = first.steady_speed * u
@@ -107,16 +109,9 @@ def plot_physical_step(
     return ax
 
 
-def beside_the_handout(p: ArmParameters) -> dict[str, ArmParameters]:
-    """Return the handout's parameters and these, by what was changed: cases to be shown."""
-    own = ArmParameters()
-    changed = {f.name: getattr(p, f.name) for f in fields(p)}
-    texts = [
-        f"{symbol(name)} = {value:g} {UNITS[name]}".strip()
-        for name, value in changed.items()
-        if value != getattr(own, name)
-    ]
-    return {"handout": own} | ({", ".join(texts): p} if texts else {})
+def _in_symbols(label: str) -> str:
+    """Return a label with the names of parameters in it as mathematics."""
+    return label if "$" in label else _PARAMETER.sub(lambda found: symbol(found[0]), label)
 
 
 def plot_sensitivities(

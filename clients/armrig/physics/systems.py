@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices
@@ -11,7 +12,25 @@ from armrig_core.rehearsal import rehearse
 if TYPE_CHECKING:
     import control
 
-__all__ = ["ArmParameters", "arm", "chassis", "rehearse"]
+__all__ = ["ArmParameters", "arm", "beside_the_handout", "chassis", "rehearse"]
+
+HANDOUT = "handout"
+"""What the handout's own parameters are called in tables and figures."""
+
+
+def beside_the_handout(p: ArmParameters) -> dict[str, ArmParameters]:
+    """Return what assignment 2.3 compares, by what was changed in it.
+
+    The handout's parameters, each change of `p` alone, and all of them where there are several.
+    """
+    own = ArmParameters()
+    changed = {f.name: getattr(p, f.name) for f in fields(p)}
+    changed = {name: value for name, value in changed.items() if value != getattr(own, name)}
+    cases = {HANDOUT: own}
+    cases |= {f"{n}={value:g}": replace(own, **{n: value}) for n, value in changed.items()}
+    if len(changed) > 1:
+        cases["both" if len(changed) == 2 else "all"] = p
+    return cases
 
 
 @checked_call

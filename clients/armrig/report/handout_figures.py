@@ -47,10 +47,7 @@ def write_handout_figures(study: HandoutStudy, directory: Path) -> frozenset[str
 def _drawn(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
     """Return height and panels of each figure."""
     A, _, _ = arm_matrices(ArmParameters())
-    cases = {
-        name.replace("K_lin", "$K_{lin}$").replace("J₁", "$J_1$"): p
-        for name, p in changed(study.parameters).items()
-    }
+    cases = {name.replace("J₁", "J_1"): p for name, p in changed(study.parameters).items()}
     studies = [convergence(study.problem, m) for m in METHODS.values()]
     found: dict[str, tuple[float, list[Draw]]] = {
         "rig": (_LOWER, [lambda ax: plots.plot_rig(ax=ax)]),

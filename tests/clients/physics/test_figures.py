@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.physics.figures import (
-    beside_the_handout,
     plot_physical_step,
     plot_rig,
     plot_sensitivities,
@@ -25,6 +24,7 @@ from armrig.physics.integrators.figures import (
     plot_stability_edge,
     plot_stability_regions,
 )
+from armrig.physics.systems import beside_the_handout
 from armrig_core.arm import ArmParameters, arm_matrices
 from chassis_data import Make
 from matplotlib import pyplot as plt
@@ -117,7 +117,7 @@ def test_an_edge_that_is_not_there_is_refused() -> None:
 
 
 def test_changed_parameters_stand_beside_the_handouts_own() -> None:
-    """Assignment 2.3: both curves, named by what was changed, with their numbers."""
+    """Assignment 2.3: each change alone and both, by what was changed, with their numbers."""
     p = ArmParameters()
     cases = beside_the_handout(replace(p, J_1=2 * p.J_1, K_lin=2 * p.K_lin))
     ax = plot_physical_step(cases, ax=Figure().add_subplot())
@@ -126,7 +126,9 @@ def test_changed_parameters_stand_beside_the_handouts_own() -> None:
     assert legend is not None
     assert [" ".join(t.get_text().split()) for t in legend.get_texts()] == [
         "handout: 1.8623 rad/s, slope 98.40 rad/s²",
-        "$J_1$ = 0.0034 kg m², $K_{lin}$ = 2.38 Nm/rad: 1.8623 rad/s, slope 49.20 rad/s²",
+        "$J_1$=0.0034: 1.8623 rad/s, slope 49.20 rad/s²",
+        "$K_{lin}$=2.38: 1.8623 rad/s, slope 98.40 rad/s²",
+        "both: 1.8623 rad/s, slope 49.20 rad/s²",
     ]
     own, changed = (np.asarray(line.get_ydata()) for line in ax.lines[:2])
     assert changed[5] == pytest.approx(own[5] / 2, rel=0.1)
