@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -12,10 +13,15 @@ RUN = "armrig.run"
 """Name of the metadata record written before the first sample."""
 OUTCOME = "armrig.outcome"
 """Name of the metadata record written at the end; a recording without it was cut off."""
+RECOVERED = "armrig.recovered"
+"""Name of the metadata record that says that a daemon left the file unfinished."""
 CONFIG, CALIBRATION, INPUT = "config.json", "calibration.json", "input.csv"
 """Names of the attachments; the input has one voltage a line, under the heading u_v."""
 CALIBRATION_RAW = "calibration.csv.gz"
 """Name of the attachment with the samples that the calibration was estimated from."""
+
+_DEPTH_LIMIT = 32
+_LATEST = 1 << 62
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,9 +64,17 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     rehearsal: Rehearsal | None = None
     """What the model of the rig did under the input before the run."""
 
+    @property
+    def due(self) -> range:
+        """Indices of the samples that are due from the file's first on, to the end of the run."""
+        if self.k_first < 0:
+            return range(_LATEST)  # any may be of it
+        first = self.part_k_first if self.part > 1 else self.k_first
+        return range(max(first, 0), min(self.k_first + self.samples, _LATEST))
+
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""
-        return {k: msgspec.json.encode(v).decode() for k, v in msgspec.structs.asdict(self).items()}
+        return _metadata(self)
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,7 +89,31 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""
-        return {k: msgspec.json.encode(v).decode() for k, v in msgspec.structs.asdict(self).items()}
+        return _metadata(self)
+
+
+class Recovered(msgspec.Struct, frozen=True, kw_only=True):
+    """How a file that its daemon left unfinished was completed."""
+
+    when: str
+    """Wall-clock time, ISO 8601 with the offset from UTC."""
+    armrig: str
+    """Version of armrig that did so."""
+    kept_bytes: int
+    """What was whole, from the beginning of the file on."""
+    cut_off_bytes: int
+    """What stood behind it."""
+    damage: str
+    """Why that could not be read; empty for a file that was whole."""
+
+    def metadata(self) -> dict[str, str]:
+        """Return the fields as MCAP wants them: each a JSON text."""
+        return _metadata(self)
+
+
+def _metadata(record: Manifest | Outcome | Recovered) -> dict[str, str]:
+    fields = msgspec.structs.asdict(record)
+    return {key: msgspec.json.encode(value).decode() for key, value in fields.items()}
 
 
 def _fields(metadata: dict[str, str]) -> dict[str, Any]:
@@ -96,3 +134,33 @@ def manifest_of(metadata: dict[str, str]) -> Manifest:
 def outcome_of(metadata: dict[str, str]) -> Outcome:
     """Return the outcome in a metadata record named `OUTCOME`; raises as `manifest_of`."""
     return msgspec.convert(_fields(metadata), Outcome)
+
+
+def recovered_of(metadata: dict[str, str]) -> Recovered:
+    """Return the recovery in a metadata record named `RECOVERED`; raises as `manifest_of`."""
+    return msgspec.convert(_fields(metadata), Recovered)
+
+
+def check_whole_numbers(record: Manifest | Outcome | Recovered) -> None:
+    """Raise ValueError where a whole number needs more than 64 bit: no time, index or count does.
+
+    Python reads 400 digits as gladly, and then fails wherever they meet a float. And where what
+    is nested lies deeper than anything we write: whoever prints it would exceed the recursion.
+    """
+    for name in record.__struct_fields__:
+        value = getattr(record, name)
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            msg = f"{name} does not fit into 64 bit"
+            raise ValueError(msg)
+        depth, layer = 0, [value]
+        while layer := [v for outer in layer for v in _within(outer)]:
+            depth += 1
+            if depth > _DEPTH_LIMIT:
+                msg = f"{name} is nested more than {_DEPTH_LIMIT} deep"
+                raise ValueError(msg)
+
+
+def _within(value: Any) -> Iterable[Any]:
+    if isinstance(value, dict):
+        return value.values()
+    return value if isinstance(value, list) else ()

@@ -48,3 +48,9 @@ def alive_key(rig: str) -> str:
 def topic(rig: str, stream: str) -> str:
     """Return the topic of a stream in a recording, such as `/rig/1/sample`."""
     return "/" + stream_key(rig, stream)
+
+
+def stream_of(topic: str) -> str:
+    """Return the stream of a topic such as /rig/1/sample, "" where it is none of ours."""
+    found = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]{1,20})", topic)
+    return found[1] if found and found[1] in RECORDED else ""

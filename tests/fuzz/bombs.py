@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import zstandard
-from armrig.recordings import budget, container
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME
+from armrig_core.recording_file import budget, file_records
 from mcap.opcode import Opcode
 
 from fuzz.cuts import edges, noisy
@@ -61,7 +61,7 @@ def _gigabyte() -> bytes:
 def _full_chunks() -> bytes:
     """Return chunks as large as is allowed, of messages that nobody asked for."""
     message = _record(0x05, struct.pack("<HIQQ", 999, 0, 0, 0) + bytes(1000))
-    data = message * (container.CHUNK_LIMIT // len(message))
+    data = message * (file_records.CHUNK_LIMIT // len(message))
     return _chunk(zstandard.compress(data), len(data)) * 12
 
 
@@ -86,7 +86,7 @@ def _messages(stream: str, name: str, **fields: object) -> Callable[[], bytes]:
         channel = struct.pack("<HH", 9, 9) + _text(f"/rig/1/{stream}".encode()) + bytes(8)
         message = protobuf.message_class(name)(**fields).SerializeToString()
         one = _record(0x05, struct.pack("<HIQQ", 9, 0, 0, 0) + message)
-        data = one * (container.CHUNK_LIMIT // len(one))
+        data = one * (file_records.CHUNK_LIMIT // len(one))
         return schema + _record(0x04, channel) + _chunk(zstandard.compress(data), len(data)) * 7
 
     return made

@@ -17,13 +17,14 @@ from random import Random
 
 import numpy as np
 from armrig.recordings import container
-from armrig.recordings.budget import DamageError
-from armrig.recordings.byte_source import ByteSource
-from armrig.recordings.file_records import Wanted, file_records
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig_core import telemetry
 from armrig_core.manifest import INPUT
+from armrig_core.recording_file import file_records
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.byte_source import ByteSource
+from armrig_core.recording_file.file_records import Wanted
 from mcap.opcode import Opcode
 
 from fuzz.files import in_memory, in_one_line, recording
@@ -62,7 +63,7 @@ def fuzz(most: int, seed: int) -> Counter[str]:
 
 def edges(data: bytes) -> Iterator[int]:
     """Give where each record begins."""
-    at = len(container.MAGIC)
+    at = len(file_records.MAGIC)
     while at + 9 <= len(data):
         yield at
         at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
@@ -90,7 +91,7 @@ def _by_record(data: bytes) -> Counter[str]:
 def _said(reader: container._Reader, rest: bytes) -> str:
     try:
         source = ByteSource(BytesIO(rest), len(rest))
-        for record in file_records(source, Wanted(left=INPUT), reader.spend_work):
+        for record in file_records.file_records(source, Wanted(left=INPUT), reader.spend_work):
             reader.add(record)
     except DamageError as damage:
         return str(damage)

@@ -106,12 +106,24 @@ def test_kill_9_of_a_service_whose_disk_keeps_it_from_dying(run: Run) -> None:
 
 
 def test_kill_9_of_the_service(run: Run) -> None:
-    """The loop sees its pipes end and stops the motor; the file loads."""
+    """The loop sees its pipes end and stops the motor; the file loads, and the next start ends it.
+
+    With all that was read before, and a word in the log.
+    """
     killed_ns = run.daemon.kill()
 
     assert run.bench.went_to_0_v_after(killed_ns) < STOPPED_S
     wait_for(lambda: not _alive(run.loop_pid))
     _reads_up_to_the_last_flush(run, killed_ns)
+
+    left = run.left_behind()
+    daemon = run.bench.serve()
+    wait_for(lambda: "recovered" in daemon.said)
+    (path,) = run.bench.recordings.iterdir()
+    recording = armrig.load(path)
+    assert not recording.truncated
+    np.testing.assert_array_equal(recording.samples, left.samples)
+    assert f"{path}: recovered, {left.samples.size} samples" in daemon.said
 
 
 def test_kill_9_of_the_loop(run: Run) -> None:

@@ -98,7 +98,7 @@ def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) ->
 
 
 def test_what_only_looks_like_a_recording_does_not_keep_the_daemon(bench: Bench) -> None:
-    """A pipe, a link to nowhere, a name that is no UTF-8: told, and what was left is told, too."""
+    """A pipe, a link to nowhere, an empty file, a name that is no UTF-8: each is told."""
     bench.emulate()
     bench.recordings.mkdir()
     os.mkfifo(bench.recordings / "1-a.mcap.active")
@@ -108,10 +108,11 @@ def test_what_only_looks_like_a_recording_does_not_keep_the_daemon(bench: Bench)
 
     daemon = bench.serve()
 
+    wait_for(lambda: "1-d.mcap.active" in daemon.said)
     for name in "ab":
         assert f"1-{name}.mcap.active: not a regular file; passed over" in daemon.said
     for name in ("c\N{REPLACEMENT CHARACTER}", "d"):
-        assert f"1-{name}.mcap.active: left by a daemon that died" in daemon.said
+        assert f"1-{name}.mcap.active: 0 B: nothing was recorded; delete it" in daemon.said
     assert "Traceback" not in daemon.said
     assert daemon.end() == 0
 

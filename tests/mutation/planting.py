@@ -74,7 +74,8 @@ def plant(module: str, tree: ast.Module) -> None:
 
 def plant_named(name: str) -> None:
     """Plant the bug of this name, without an import of anything beside it."""
-    module, _, number = f"{PACKAGE}.{name}".rpartition(":")
+    whole = name if name.startswith("armrig_") else f"{PACKAGE}.{name}"
+    module, _, number = whole.rpartition(":")
     plant(module, planted(path_of(module).read_text(encoding="utf-8"), int(number)).tree)
 
 
@@ -86,12 +87,12 @@ def plant_in_started(name: str) -> dict[str, str]:
 
 
 def path_of(module: str) -> Path:
-    """Return the file of a module of the daemon.
+    """Return the file of a module.
 
     Found by its package, which is not imported: a bug must be there before its module is.
     """
-    package = find_spec(PACKAGE)
+    name, *rest = module.split(".")
+    package = find_spec(name)
     assert package is not None
     assert package.submodule_search_locations is not None
-    folder = Path(package.submodule_search_locations[0])
-    return folder.joinpath(*module.split(".")[1:]).with_suffix(".py")
+    return Path(package.submodule_search_locations[0]).joinpath(*rest).with_suffix(".py")

@@ -29,6 +29,7 @@ from armrig.cli import (
     listing,
     physical_step,
     physics,
+    recovery,
     rig,
     validation,
 )
@@ -83,6 +84,7 @@ for _command, _example in (
     (files.report, "@blackbox @blackbox/validation -o report.pdf"),
     (evidence.verify, "@last"),
     (evidence.export, "@last data.mat"),
+    (recovery.recover, ""),
     (files.replay, "@last"),
     (host.demo, "--directory demo"),
     (host.bench, ""),

@@ -28,6 +28,8 @@ from armrig.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from armrig_core.manifest import Recovered
+
     from armrig.cli.replay import Replay
     from armrig.recordings.recording import Recording
 
@@ -72,6 +74,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
         "sha256": rec.sha256,
         "manifest": rec.manifest,
         "outcome": rec.outcome,
+        "recovered": rec.recovered,
         "samples": int(rec.samples.size),
         "missing": rec.missing,
         "invalid": rec.hidden,
@@ -106,6 +109,8 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     yield "experiment", f"{manifest.experiment}: {details}" if details else manifest.experiment
     yield "samples", _sample_count(rec)
     yield "outcome", _outcome(rec)
+    if rec.recovered is not None:
+        yield "recovered", _recovered(rec.recovered)
     yield "calibrated", calibrated(rec.calibration)
     for text in remarks(rec.calibration, manifest):
         yield "remark", text
@@ -296,6 +301,12 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
     if not path.absolute().parent.is_dir():
         msg = f"{name}: there is no directory {path.parent}; make it first"
         raise ValueError(msg)
+
+
+def _recovered(how: Recovered) -> str:
+    cut_off = f", {how.cut_off_bytes} B behind them cut off" if how.cut_off_bytes else ""
+    when = how.when[:19].replace("T", " ")
+    return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were whole{cut_off}"
 
 
 def _outcome(rec: Recording) -> str:

@@ -87,5 +87,5 @@ def _tell_of_the_rest(
     elif damaged := len(paths) - len(found):
         told.append(f"{damaged} that are not whole: `armrig info FILE` says why")
     if unfinished:
-        told.append(f"{unfinished} being written, or left by a daemon that died (*.active)")
+        told.append(f"{unfinished} being written, or left by a daemon that died: `armrig recover`")
     tell("; ".join(told))

@@ -71,8 +71,9 @@ def naming(rig: str, connect: str | None = None) -> str:
 
 def typed(path: Path) -> str:
     """Return a recording as a person would type it: its @name where it has one, or its path."""
+    from armrig_core.recording_file.budget import DamageError
+
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder, short_name
-    from armrig.recordings.budget import DamageError
     from armrig.recordings.folder import newest_first, summary_of
 
     try:
@@ -97,7 +98,8 @@ def estimation_of(path: Path) -> str:
 
 def kind_of(path: Path) -> str:
     """Return the kind of experiment of a recording; "" where it does not say."""
-    from armrig.recordings.budget import DamageError
+    from armrig_core.recording_file.budget import DamageError
+
     from armrig.recordings.folder import summary_of
 
     try:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.manifest import RUN, Manifest, manifest_of
+from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
 from armrig_core.volts import code_of
 from armrig_daemon.core import step as core_step
@@ -18,7 +19,6 @@ from armrig_daemon.pipe import Log
 from armrig_protocol.frame import Spoilt, Unknown, decode
 from numpy.typing import NDArray
 
-from armrig.recordings.budget import DamageError
 from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.recorded_input import recorded_input
 from armrig.recordings.recording import RecordingError

@@ -6,13 +6,9 @@ stops and says where. What it has by then is a prefix without holes.
 
 from __future__ import annotations
 
-import os
-import re
-import stat
 import struct
 import zlib
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -20,38 +16,43 @@ from struct import Struct
 from typing import Any
 
 import numpy as np
-import zstandard
 from armrig_core import protobuf
-from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, OUTCOME, RUN
-from armrig_core.topics import STREAMS
-from google.protobuf.message import DecodeError
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata
-from numpy.typing import NDArray
-
-from armrig.recordings.budget import KEPT, UNPACKED, WORK, Budget, DamageError
-from armrig.recordings.byte_source import ByteSource
-from armrig.recordings.file_records import (
-    CHUNK_LIMIT,
-    MAGIC,
+from armrig_core.manifest import (
+    CALIBRATION,
+    CALIBRATION_RAW,
+    CONFIG,
+    INPUT,
+    OUTCOME,
+    RECOVERED,
+    RUN,
+)
+from armrig_core.recording_file.budget import KEPT, WORK, Budget, DamageError
+from armrig_core.recording_file.byte_source import ByteSource
+from armrig_core.recording_file.chunks import Unpacker
+from armrig_core.recording_file.file_records import (
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    UNREADABLE,
     CutOffError,
     Place,
     Record,
     Wanted,
     file_records,
 )
+from armrig_core.recording_file.opening import byte_source
+from armrig_core.topics import STREAMS, stream_of
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+from numpy.typing import NDArray
+
 from armrig.recordings.sample_rows import (
-    MESSAGE_HEAD,
-    RECORD_HEAD,
     ROW_LENGTH,
     SAMPLE_DTYPE,
     SampleRows,
 )
 
 _IDS = Struct("<HH")  # a channel and its schema, or a schema
-_CHUNK_HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of a name
 _MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if it is a message
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _NAME_LIMIT = 100  # B
@@ -60,8 +61,6 @@ _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, roughly
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 READ = STREAMS
 """What most readers want; the core's steps are for who decides a run once more."""
-# The libraries raise these on damaged bytes. The CRCs make it rare.
-_UNREADABLE = (McapError, struct.error, DecodeError, ValueError, OverflowError)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -123,7 +122,7 @@ def read(
     DamageError
         It is no regular file: a pipe or a device would keep us waiting, or never end.
     """
-    with _source(path) as source:
+    with byte_source(path) as source:
         if source is None:
             return None
         reader = _Reader(Content(size=source.at + source.left), streams)
@@ -139,33 +138,13 @@ def streamed(path: Path, stream: str) -> Iterator[Any]:
 
     Raises as `read`.
     """
-    with _source(path) as source:
+    with byte_source(path) as source:
         if source is None:
             return
         reader = _Reader(Content(size=source.at + source.left), (stream,))
         for _ in _walked(source, reader, None):
             yield from reader.content.messages.pop(stream, ())
             reader.budget.regain(KEPT)
-
-
-@contextmanager
-def _source(path: Path) -> Iterator[ByteSource | None]:
-    """Give the file behind its magic; None where it has none."""
-    with open(path, "rb", opener=opened) as stream:
-        found = os.fstat(stream.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            msg = "not a regular file"
-            raise DamageError(msg)
-        source = ByteSource(stream, found.st_size)
-        yield source if source.read(len(MAGIC)) == MAGIC else None
-
-
-def opened(path: str, flags: int) -> int:
-    """Open a file that may be anything, as the opener of `open`."""
-    # Do not wait until somebody writes to a pipe. Windows has neither of the two flags, but another
-    # one without which it would change bytes.
-    more = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY")
-    return os.open(path, flags | sum(getattr(os, name, 0) for name in more))
 
 
 def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[None]:
@@ -180,14 +159,14 @@ def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[
             yield
     except DamageError as damage:
         content.damage, content.cut_off = str(damage), isinstance(damage, CutOffError)
-    except _UNREADABLE as err:
+    except UNREADABLE as err:
         content.damage = _unreadable(err)
     content.read = source.whole
     try:
         reader.rows.pack()
     except DamageError as damage:
         content.damage = content.damage or str(damage)
-    except _UNREADABLE as err:
+    except UNREADABLE as err:
         content.damage = content.damage or _unreadable(err)
     content.samples = reader.rows.finish()
     yield
@@ -207,7 +186,7 @@ class _Reader:
         self.streams: dict[int, str] = {}
         self.budget = Budget(content.size, messages)
         self.rows = SampleRows(lambda: self.budget.spend(WORK, _SAMPLE_WORK))
-        self.zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
+        self.chunks = Unpacker(self.budget)
 
     def spend_work(self, cost: int) -> None:
         """Count work with records."""
@@ -236,7 +215,7 @@ class _Reader:
         self.budget.spend(WORK, 1 if opcode == Opcode.MESSAGE else _RECORD_WORK)
         match opcode:
             case Opcode.CHUNK:
-                self._walk(self._chunk(body))
+                self._walk(self.chunks.records(body))
             case Opcode.MESSAGE:
                 self._message(body)
             case Opcode.SCHEMA:
@@ -249,7 +228,7 @@ class _Reader:
                     self.streams[channel] = stream
             case Opcode.METADATA:
                 name = _text(body, 0)
-                if name in (RUN, OUTCOME) and name not in self.content.metadata:
+                if name in (RUN, OUTCOME, RECOVERED) and name not in self.content.metadata:
                     self.content.metadata[name] = Metadata.read(_stream(body)).metadata
             case Opcode.ATTACHMENT:
                 self._attachment(body)
@@ -264,40 +243,6 @@ class _Reader:
         attachment = Attachment.read(_stream(body))
         if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG):
             self.content.attachments.setdefault(attachment.name, attachment.data)
-
-    def _chunk(self, body: bytes) -> bytes:
-        """Return the records of a chunk, unpacked and checked."""
-        _, _, size, crc, n = _CHUNK_HEAD.unpack_from(body)
-        at = _CHUNK_HEAD.size
-        compression, at = body[at : at + n].decode(), at + n
-        packed = memoryview(body)[at + 8 :]
-        if size > CHUNK_LIMIT:
-            msg = f"a chunk of {size} B is larger than the {CHUNK_LIMIT} B allowed"
-            raise DamageError(msg)
-        self.budget.spend(UNPACKED, size)
-        if compression == "zstd":
-            data = self._unpack(packed, size)
-        elif compression:
-            msg = f"compression {compression!r} is not known; known are zstd and none"
-            raise DamageError(msg)
-        else:
-            data = bytes(packed)
-        if len(data) != size or (crc and zlib.crc32(data) != crc):
-            msg = "the checksum or the size of a chunk is wrong"
-            raise DamageError(msg)
-        return data
-
-    def _unpack(self, packed: memoryview, size: int) -> bytes:
-        try:
-            # A frame says how long it is, and no more comes out; where it says nothing, so much is
-            # taken. decompress(max_output_size=…) would believe whatever a frame says.
-            if zstandard.frame_content_size(packed) == size:
-                return self.zstd.decompress(packed)
-            with self.zstd.stream_reader(packed) as stream:
-                return stream.read(size + 1)
-        except zstandard.ZstdError as err:
-            msg = f"a chunk cannot be unpacked ({err})"
-            raise DamageError(msg) from err
 
     def _walk(self, data: bytes) -> None:
         """Take the records of a chunk: runs of samples of constant layout at once."""
@@ -341,12 +286,6 @@ class _Reader:
         self.budget.spend(WORK, _RECORD_WORK)
         self.budget.spend(KEPT, len(data) + _OVERHEADS[stream])
         self.content.messages.setdefault(stream, []).append(parsed)
-
-
-def stream_of(topic: str) -> str:
-    """Return the stream of a topic such as /rig/1/sample, "" where it is none of ours."""
-    found = re.fullmatch(r"/rig/[a-z0-9-]{1,40}/([a-z]{1,20})", topic)
-    return found[1] if found and found[1] in protobuf.OF_STREAM else ""
 
 
 def _text(body: bytes, at: int) -> str:

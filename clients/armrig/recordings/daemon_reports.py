@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from math import nan
 from operator import attrgetter
 from typing import Any
 
-from armrig_core.manifest import Manifest, Outcome
-
-_DEPTH_LIMIT = 32
 _LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
 
 
@@ -118,31 +114,6 @@ class Clock:
     def seconds(self, host_ns: int) -> float:
         """Return a time of the monotonic clock in s from the first sample."""
         return (host_ns - self.zero_ns) / 1e9
-
-
-def check_whole_numbers(record: Manifest | Outcome) -> None:
-    """Raise ValueError where a whole number needs more than 64 bit: no time, index or count does.
-
-    Python reads 400 digits as gladly, and then fails wherever they meet a float. And where what
-    is nested lies deeper than anything we write: whoever prints it would exceed the recursion.
-    """
-    for name in record.__struct_fields__:
-        value = getattr(record, name)
-        if isinstance(value, int) and not -(2**63) <= value < 2**63:
-            msg = f"{name} does not fit into 64 bit"
-            raise ValueError(msg)
-        depth, layer = 0, [value]
-        while layer := [v for outer in layer for v in _within(outer)]:
-            depth += 1
-            if depth > _DEPTH_LIMIT:
-                msg = f"{name} is nested more than {_DEPTH_LIMIT} deep"
-                raise ValueError(msg)
-
-
-def _within(value: Any) -> Iterable[Any]:
-    if isinstance(value, dict):
-        return value.values()
-    return value if isinstance(value, list) else ()
 
 
 def gap_of(message: Any, clock: Clock) -> Gap:

@@ -11,8 +11,8 @@ from typing import Any
 
 import msgspec
 from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome, manifest_of, outcome_of
+from armrig_core.recording_file.budget import DamageError
 
-from armrig.recordings.budget import DamageError
 from armrig.recordings.metadata import read_metadata
 
 VALIDATION_OF = "validation_of"

@@ -8,9 +8,8 @@ from heapq import heappop, heappush
 
 import numpy as np
 from armrig_core.manifest import Manifest, Outcome
+from armrig_core.recording_file.budget import SAMPLES_LIMIT
 from numpy.typing import NDArray
-
-from armrig.recordings.budget import SAMPLES_LIMIT
 
 # The grid has rows for missing samples: a file of two samples must not ask for 10^18 rows.
 _MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10

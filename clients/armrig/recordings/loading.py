@@ -12,16 +12,15 @@ import numpy as np
 from armrig_core import manifest as records
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import CalibrationFileError, read_calibration
-from armrig_core.manifest import Manifest, Outcome
+from armrig_core.manifest import Manifest, Outcome, Recovered
+from armrig_core.recording_file.budget import DamageError
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
-from armrig.recordings.budget import DamageError
 from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import (
     Clock,
     Gap,
-    check_whole_numbers,
     device_clock_of,
     event_of,
     gap_of,
@@ -140,10 +139,12 @@ def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
         manifest = records.manifest_of(entries)
         outcome = content.metadata.get(records.OUTCOME)
         ended = None if outcome is None else records.outcome_of(outcome)
-        attached = _calibration(content)
-        check_whole_numbers(manifest)
+        attached, recovered = _calibration(content), _recovered(content)
+        records.check_whole_numbers(manifest)
         if ended is not None:
-            check_whole_numbers(ended)
+            records.check_whole_numbers(ended)
+        if recovered is not None:
+            records.check_whole_numbers(recovered)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         msg = f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
         raise RecordingError(msg) from err
@@ -190,6 +191,11 @@ def _calibration(content: Content) -> Calibration | None:
     return None if text is None else msgspec.json.decode(text, type=Calibration)
 
 
+def _recovered(content: Content) -> Recovered | None:
+    entries = content.metadata.get(records.RECOVERED)
+    return None if entries is None else records.recovered_of(entries)
+
+
 def _assembled(
     path: Path,
     content: Content,
@@ -229,6 +235,7 @@ def _assembled(
         sha256=content.sha256,
         manifest=manifest,
         outcome=outcome,
+        recovered=_recovered(content),
         calibration=calibration,
         k_first=rows.k_first,
         t=t,

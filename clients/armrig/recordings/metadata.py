@@ -11,15 +11,13 @@ from struct import Struct, error
 from typing import IO
 
 from armrig_core.manifest import OUTCOME, RUN
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.file_records import MAGIC, RECORD_HEAD, RECORD_LIMIT, CutOffError
+from armrig_core.recording_file.opening import opened
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata, MetadataIndex
-
-from armrig.recordings.budget import DamageError
-from armrig.recordings.container import opened
-from armrig.recordings.file_records import MAGIC, RECORD_LIMIT, CutOffError
-from armrig.recordings.sample_rows import RECORD_HEAD
 
 _FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, CRC
 _FOOTER_BODY = 8 + 8 + 4

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from armrig_core.manifest import OUTCOME, RUN, Manifest
+from armrig_core.manifest import OUTCOME, RECOVERED, RUN, Manifest
 
 from armrig.recordings.container import Content
 
@@ -69,6 +69,8 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
     for content in contents:
         for stream, messages in content.messages.items():
             whole.messages.setdefault(stream, []).extend(messages)
+        if RECOVERED in content.metadata:
+            whole.metadata[RECOVERED] = content.metadata[RECOVERED]
     if OUTCOME in contents[-1].metadata:
         whole.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
     k = whole.samples["k"]

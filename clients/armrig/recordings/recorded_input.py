@@ -6,10 +6,9 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.file_records import Place
 from numpy.typing import NDArray
-
-from armrig.recordings.budget import DamageError
-from armrig.recordings.file_records import Place
 
 _BLOCK = 1 << 20  # B
 _TIMES = 8 + 8  # B, before the name in an attachment

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from armrig_core.calibration import Calibration
-from armrig_core.manifest import Manifest, Outcome
+from armrig_core.manifest import Manifest, Outcome, Recovered
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
@@ -48,6 +48,8 @@ class Recording:
     """How the run was made."""
     outcome: Outcome | None
     """How the run ended, which a file may tell before its own end; None where it does not."""
+    recovered: Recovered | None
+    """How the file was completed after its daemon had died; None where that was not needed."""
     calibration: Calibration | None
     """Counts to angles, codes to volts; None where it is missing: the daemon's are used then.
 

@@ -5,24 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from operator import attrgetter
-from struct import Struct
 from typing import Any
 
 import numpy as np
 from armrig_core import protobuf, telemetry
+from armrig_core.recording_file.budget import SAMPLES_LIMIT, DamageError
+from armrig_core.recording_file.file_records import MESSAGE_HEAD, RECORD_HEAD
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
-
-from armrig.recordings.budget import SAMPLES_LIMIT, DamageError
 
 _FORMATS = {"fixed64": "<u8", "sfixed64": "<i8", "double": "<f8", "fixed32": "<u4"}
 SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMPLE_FIELDS])
 """One sample as a numpy record: the fields of `armrig_core.telemetry.Sample`."""
 
-RECORD_HEAD = Struct("<BQ")
-"""Opcode and length, before each record's content."""
-MESSAGE_HEAD = Struct("<HIQQ")
-"""Channel, sequence, log time, publish time, before each message."""
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
 """Length that the record of a sample of constant layout says."""
 

@@ -15,12 +15,12 @@ from typing import Literal
 import msgspec
 import numpy as np
 from armrig_core.manifest import CONFIG
+from armrig_core.recording_file.budget import DamageError
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, plural
-from armrig.recordings.budget import DamageError
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.loading import beginning, load
 from armrig.recordings.recorded_input import recorded_input

@@ -19,12 +19,13 @@ from typing import IO
 
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.rewriting import compact, sync_directory
+from armrig_core.recording_file.unfinished import ACTIVE, COPY
 from armrig_core.topics import RECORDED, topic
 from mcap.writer import CompressionType, Writer
 
-from armrig_daemon.service.compact import compact
-from armrig_daemon.service.directory import sync_directory
-from armrig_daemon.service.file_lock import lock
 from armrig_daemon.service.protobuf_out import Outgoing
 
 CHUNK = 128 * 1024
@@ -67,7 +68,7 @@ class Recording:
             The file cannot be made.
         """
         self.path = path
-        self.active = path.with_name(path.name + ".active")
+        self.active = path.with_name(path.name + ACTIVE)
         self.kept = self.active
         """Where the file is: under its own name once it is complete, or where it was moved to."""
         self.samples = 0
@@ -192,7 +193,7 @@ class Recording:
         try:
             compact(self.active, self._compacted)
             self._compacted.replace(self.active)
-        except OSError:  # no room for a second copy: the first is complete, too
+        except (OSError, DamageError):  # no room for a second copy: the first is complete, too
             self._follow()
             with contextlib.suppress(OSError):
                 self._compacted.unlink(missing_ok=True)
@@ -203,7 +204,7 @@ class Recording:
 
     @property
     def _compacted(self) -> Path:
-        return self.path.with_name(self.path.name + ".compact")
+        return self.path.with_name(self.path.name + COPY)
 
     def _follow(self) -> None:
         """See that the open file is still the one of our name; else go where it was moved to.
@@ -219,7 +220,7 @@ class Recording:
         if not self._is_at(moved):
             raise RecordingError(errno.ENOENT, "removed while it was written")
         self.active = self.kept = moved
-        self.path = moved.with_name(moved.name.removesuffix(".active"))
+        self.path = moved.with_name(moved.name.removesuffix(ACTIVE))
         self.moved = "its recording was moved while it was written"
         self._changed()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from pathlib import Path
 
 from armrig_core.printable import printable
 
@@ -19,21 +18,6 @@ def served(config: Config) -> str:
         f"port {config.device.port} at {config.device.baud} baud, {limits.u_min_v:g} to "
         f"{limits.u_max_v:g} V; ask it with `armrig status{rig}`, end it with Ctrl-C"
     )
-
-
-def left_behind(path: Path, error: str) -> str:
-    """Return what is said of an unfinished recording that was found at the start.
-
-    Parameters
-    ----------
-    path : Path
-        Whatever bytes it has: a message is UTF-8.
-    error : str
-        Why it cannot be looked at; empty for a recording that nobody writes.
-    """
-    left = "left by a daemon that died; `armrig info` says what it holds"
-    found = f"{error}; passed over" if error else left
-    return f"{bytes(path).decode(errors='replace')}: {found}"
 
 
 def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:

@@ -1,7 +1,8 @@
 """The service: starts the loop, publishes and records what it says, hands it what is asked.
 
-One thread of ours beside the recording's writer; zenoh's threads put commands into queues, or turn
-them away by `admission`. It may wait for disk and network, for the loop never waits for it.
+Two threads of ours beside its own: the recording's writer, and one that recovers what was left.
+zenoh's threads put commands into queues, or turn them away by `admission`. It may wait for disk and
+network, for the loop never waits for it.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ from armrig_daemon.pipe import (
 )
 from armrig_daemon.service import child, pressure
 from armrig_daemon.service.commands import Commands
-from armrig_daemon.service.directory import left_over
+from armrig_daemon.service.left_over import LeftOver
 from armrig_daemon.service.protobuf_out import Outgoing, outgoing
 from armrig_daemon.service.publish import Session
 from armrig_daemon.service.recorder import RecordingError
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
-from armrig_daemon.service.sentences import endpoint_error, left_behind, print_line, served
+from armrig_daemon.service.sentences import endpoint_error, print_line, served
 from armrig_daemon.service.thinning import Thinning
 
 SILENCE_NS = 3_000_000_000
@@ -75,9 +76,9 @@ class Service:
         self._config = config
         self._stalls_fd = stalls_fd
         self._endpoint = endpoint
-        self._directory = directory
         self._rig = RigView(config, endpoint, directory)
         self._runs = Runs(config, directory, self._wake)
+        self._left_over = LeftOver(directory, config.rig.id, self._wake)
         self._thinning = Thinning()
         self._quitting = False
         self._kill_at = float("inf")
@@ -109,8 +110,7 @@ class Service:
                 self._connect(loop, session)
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
                 self._say("info", served(config))
-                for path, error in left_over(self._directory, config.rig.id):
-                    self._say("warning", left_behind(path, error))
+                self._left_over.start()
                 self._serve()
                 self._runs.end("the loop ended")
                 self._say_finished(_FINISH_S)
@@ -240,6 +240,7 @@ class Service:
 
     def _begin_run(self, started: RunStarted) -> None:
         self._anchor_clock()
+        self._left_over.rest()
         try:
             path = self._runs.begin(started, self._rig.state, self._rig.host, self._offset_ns)
         except (RecordingError, LookupError) as err:
@@ -270,10 +271,14 @@ class Service:
         if reason:
             self._loop.order(Halt(reason=reason))
         self._say_finished()
+        for level, text in self._left_over.lines():
+            self._say(level, text)
 
     def _each_second(self) -> None:
         self._loop.order(Alive())
         self._commands.refuse_overdue()
+        if self._runs.is_idle:
+            self._left_over.go_on()
         self._runs.add(self._published(self._thinning.due(realtime.now_ns())))
         if self._rig.is_known:
             self._publish(replace(self._rig.state, t_host_ns=realtime.now_ns()))

@@ -17,6 +17,7 @@ COMMANDS = [
     "bench",
     "doctor",
     "info",
+    "recover",
     "replay",
     "identify",
     "validate",

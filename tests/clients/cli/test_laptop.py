@@ -129,3 +129,15 @@ def test_what_needs_linux_says_so_in_a_line(command: tuple[str, ...], tmp_path: 
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert "needs Linux" in " ".join(done.stderr.split())
+
+
+def test_what_a_daemon_left_is_recovered(run: Path) -> None:
+    """A copy of it, where files have no locks."""
+    left = run.with_name("kopie.mcap.active")
+    left.write_bytes(run.read_bytes()[:-1000])
+
+    done = on_a_laptop(_COMMAND, "recover", left)
+
+    assert done.returncode == 0, done.stderr
+    assert not left.exists()
+    assert not armrig.load(left.with_suffix("")).truncated

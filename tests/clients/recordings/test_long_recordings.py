@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.recordings.budget import DamageError
 from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.loading import load
 from armrig.recordings.recorded_input import recorded_input
+from armrig_core.recording_file.budget import DamageError
 from made_recordings import manifest, recorded, sample, timing, written
 
 _PEAK = """

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.recordings import container
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig_core.manifest import Outcome
+from armrig_core.recording_file.chunks import Unpacker
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_recordings import (
@@ -70,13 +70,13 @@ def test_what_lies_outside_the_part_is_not_unpacked(
 ) -> None:
     """But for the first chunk, which says how the clocks go together."""
     unpacked = []
-    chunk = container._Reader._chunk
+    records = Unpacker.records
 
-    def counted(self: container._Reader, body: bytes) -> bytes:
+    def counted(self: Unpacker, body: bytes) -> bytes:
         unpacked.append(len(body))
-        return chunk(self, body)
+        return records(self, body)
 
-    monkeypatch.setattr(container._Reader, "_chunk", counted)
+    monkeypatch.setattr(Unpacker, "records", counted)
     load(long)
     of_the_whole = len(unpacked)
     load(long, start=10.0, stop=10.5)

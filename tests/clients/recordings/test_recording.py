@@ -18,8 +18,7 @@ import numpy as np
 import pytest
 import zstandard
 from armrig.numerics.quantities import NBSP
-from armrig.recordings import budget, container, grid, sample_rows
-from armrig.recordings.byte_source import ByteSource
+from armrig.recordings import container, grid, sample_rows
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording, RecordingError
@@ -27,6 +26,8 @@ from armrig.recordings.timing_disturbances import disturbances
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.manifest import RUN, Manifest, Outcome
+from armrig_core.recording_file import budget, file_records
+from armrig_core.recording_file.byte_source import ByteSource
 from armrig_protocol.messages import Flag
 from fuzz.cuts import edges
 from hypothesis import given, settings
@@ -433,8 +434,8 @@ def test_a_cut_file_gives_its_beginning_wherever_it_is_cut(tmp_path: Path) -> No
 def test_a_changed_opcode_makes_no_hole() -> None:
     """A chunk that looks like something to pass over ends the prefix; each bit of each opcode."""
     path = Path(SMALL_DIRECTORY.name) / "opcode.mcap"
-    at = len(container.MAGIC)
-    while at < len(SMALL) - len(container.MAGIC):
+    at = len(file_records.MAGIC)
+    while at < len(SMALL) - len(file_records.MAGIC):
         _, length = struct.unpack_from("<BQ", SMALL, at)
         for bit in range(8):
             spoilt = bytearray(SMALL)
@@ -467,7 +468,7 @@ def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
 def test_random_bytes_raise_nothing_else(noise: bytes, at: int) -> None:
     """Behind the magic, or in the middle of a recording."""
     path = Path(SMALL_DIRECTORY.name) / "noise.mcap"
-    path.write_bytes(container.MAGIC + SMALL[8:at] + noise)
+    path.write_bytes(file_records.MAGIC + SMALL[8:at] + noise)
     rec, told = tried(path)
     assert rec is not None or told.count("\n") == 0
 
@@ -574,8 +575,8 @@ def test_a_flood_of_messages_ends_the_reading(
 def test_a_small_file_cannot_cost_hours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Chunks of messages that nobody asked for: 260 000 in each, hardly any bytes in the file."""
     message = _record(0x05, struct.pack("<HIQQ", 999, 0, 0, 0))
-    chunk = _chunk(message * (container.CHUNK_LIMIT // len(message)))
-    monkeypatch.setattr(budget, "UNPACKED_LIMIT", 2 * container.CHUNK_LIMIT)
+    chunk = _chunk(message * (file_records.CHUNK_LIMIT // len(message)))
+    monkeypatch.setattr(budget, "UNPACKED_LIMIT", 2 * file_records.CHUNK_LIMIT)
 
     rec = load(written(tmp_path, _broken_off(chunk * 20)))
 

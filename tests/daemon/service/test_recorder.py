@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import Gap
-from armrig_daemon.service.compact import compact
-from armrig_daemon.service.directory import LeftOver, check_directory, left_over
+from armrig_daemon.service.directory import check_directory
 from armrig_daemon.service.protobuf_out import Outgoing, outgoing
 from armrig_daemon.service.recorder import Recording, RecordingError
 from mcap.reader import make_reader
@@ -132,40 +133,6 @@ def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
 
     recording.finish("complete", 0)
     recording.join(5)
-
-
-def test_what_a_daemon_left_is_told_from_what_another_writes(tmp_path: Path) -> None:
-    """By rig, and by whether somebody has it open."""
-    ours, theirs = tmp_path / "1-x.mcap.active", tmp_path / "2-x.mcap.active"
-    for path in (ours, theirs):
-        path.touch()
-    writing = _recording(tmp_path / "1-y.mcap")
-
-    assert left_over(tmp_path, "1") == [LeftOver(ours)]
-    assert left_over(tmp_path / "nowhere", "1") == []
-
-    writing.finish("complete", 0)
-    writing.join(5)
-
-
-def test_what_only_looks_like_a_recording_hides_none_and_is_not_waited_for(
-    tmp_path: Path,
-) -> None:
-    """A pipe, links, a directory: each is told by itself, and nothing is read through it."""
-    names = ["a", "b", "c", "d", "e", "z"]
-    pipe, dangling, link, folder, loop, ours = (tmp_path / f"1-{n}.mcap.active" for n in names)
-    os.mkfifo(pipe)
-    dangling.symlink_to(tmp_path / "nowhere")
-    link.symlink_to(ours)
-    folder.mkdir()
-    loop.symlink_to(loop)
-    ours.touch()
-
-    *others, last = left_over(tmp_path, "1")
-
-    assert last == LeftOver(ours)
-    assert [one.path for one in others] == [pipe, dangling, link, folder, loop]
-    assert {one.error for one in others} == {"not a regular file"}
 
 
 @pytest.mark.parametrize("way", ["file", "folder", "folder above"])
@@ -397,14 +364,17 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
     ]
 
 
+@pytest.mark.parametrize(
+    "err", [OSError(28, "No space left on device"), DamageError("read back otherwise")]
+)
 def test_no_room_for_the_compact_copy_keeps_the_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, err: Exception
 ) -> None:
     """It is complete, only in smaller chunks."""
 
     def full(source: Path, target: Path) -> None:
         target.write_bytes(source.read_bytes()[:100])
-        raise OSError(28, "No space left on device")
+        raise err
 
     monkeypatch.setattr("armrig_daemon.service.recorder.compact", full)
     recording = _recording(tmp_path / "run.mcap")

@@ -22,7 +22,8 @@ class ByteSource:
     def read(self, n: int) -> bytes:
         """Return the next n bytes, fewer at the end of the file."""
         data = self.stream.read(min(n, self.left))
-        self.left = self.left - len(data) if data else 0
+        # One that has become shorter since it was opened ends here.
+        self.left = self.left - len(data) if data or not n else 0
         self.at += len(data)
         return data
 

@@ -9,23 +9,13 @@ from typing import IO
 
 try:
     import fcntl
-except ImportError:  # virtual time runs where the rest of the daemon does not
+except ImportError:  # a recording is recovered, and made in virtual time, also on other systems
     _HAS_LOCKS = False
 else:
     _HAS_LOCKS = True
 
 
 def lock(file: IO[bytes]) -> None:
-    """Lock a file that we write; raises OSError where another process has it."""
+    """Lock a file; raises BlockingIOError where another process has it."""
     if _HAS_LOCKS:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def is_locked(fd: int) -> bool:
-    """Return whether another process has locked the file."""
-    if _HAS_LOCKS:
-        try:
-            fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False

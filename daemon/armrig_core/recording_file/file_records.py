@@ -5,25 +5,33 @@ Nothing is believed that a file says of its own sizes, and at the first damage r
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from struct import Struct
 from typing import NamedTuple
 
+from google.protobuf.message import DecodeError
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import DataEnd
 
-from armrig.recordings.budget import DamageError
-from armrig.recordings.byte_source import ByteSource
-from armrig.recordings.sample_rows import RECORD_HEAD
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.byte_source import ByteSource
 
 MAGIC = b"\x89MCAP0\r\n"
+RECORD_HEAD = Struct("<BQ")
+"""Opcode and length, before each record's content."""
+MESSAGE_HEAD = Struct("<HIQQ")
+"""Channel, sequence, log time, publish time, before each message."""
 CHUNK_LIMIT = 8 << 20
 """Largest chunk that is unpacked, in B."""
 RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
-"""Longest record that is read, in B; a longer attachment is passed over."""
+"""Longest record that is read, in B; attachments apart."""
+UNREADABLE = (McapError, struct.error, DecodeError, ValueError, OverflowError)
+"""What the libraries raise on damaged bytes. The CRCs make it rare."""
 
 _PASSED_OVER = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
 _INDEX_HEAD = Struct("<HI")  # of a message index: channel, length of what follows
@@ -75,6 +83,8 @@ class Wanted:
     """Whether it wants the chunk with messages of these log times, in ns."""
     left: str = ""
     """Name of the attachment that stays in the file, to be read from its place."""
+    attachment: int = RECORD_LIMIT
+    """Longest attachment that it wants, in B; a longer one is passed over."""
 
 
 def file_records(
@@ -121,10 +131,10 @@ def file_records(
                 yield Record(opcode, b"", place)
                 source.skip(length - len(begin))
                 continue
-            if length > RECORD_LIMIT:
+            if length > wanted.attachment:
                 source.skip(length - len(begin))
                 continue
-        if length > RECORD_LIMIT:
+        elif length > RECORD_LIMIT:
             msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
             raise DamageError(msg)
         if opcode == Opcode.CHUNK:

@@ -6,7 +6,8 @@ import random
 from pathlib import Path
 
 import pytest
-from armrig_daemon.service.compact import CHUNK, compact
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.rewriting import CHUNK, compact
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
@@ -101,3 +102,19 @@ def test_a_file_that_is_there_is_not_written_over(first: Path, tmp_path: Path) -
     """Whatever has that name is somebody's."""
     with pytest.raises(FileExistsError):
         compact(first, first)
+
+
+@pytest.mark.parametrize("wrong", ["cut off", "changed"])
+def test_a_file_that_is_not_whole_is_not_copied_as_if_it_were(
+    first: Path, tmp_path: Path, wrong: str
+) -> None:
+    """A copy of its beginning would take its place."""
+    data = bytearray(first.read_bytes())
+    if wrong == "cut off":
+        del data[-9:]
+    else:
+        data[len(data) // 2] ^= 1
+    first.write_bytes(data)
+
+    with pytest.raises(DamageError):
+        compact(first, tmp_path / "copy")

@@ -1,0 +1,92 @@
+"""The command recover: what a daemon left unfinished is completed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from armrig.cli.chosen_recording import recording_folder
+from armrig.cli.options import Json, echo, print_json, tell
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from armrig_core.recording_file.recovery import RecoveredFile
+
+Where = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="FILE|FOLDER…",
+        help="Unfinished recordings (*.mcap.active), or folders with such.",
+        show_default="the folder of the recordings",
+    ),
+]
+
+
+def recover(where: Where = None, json: Json = False) -> None:
+    """Complete recordings that a daemon left unfinished when it died.
+
+    A daemon does so by itself when it starts again; this is for files that were copied elsewhere.
+    What is whole is kept, and the file named *.mcap. Exit code 1 where one cannot be recovered,
+    which then stays as it is.
+    """
+    from armrig_core.recording_file.recovery import sentence
+    from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
+
+    paths = list(_files(where or [recording_folder()]))
+    done: list[RecoveredFile] = []
+    left: list[tuple[Path, str]] = []
+    failed = False
+    recovery = _recovery()
+    for path, is_named in paths:
+        try:
+            done.append(recovery.recover(path))
+        except RecoveryError as err:
+            left.append((path, str(err)))
+            failed |= is_named or not isinstance(err, NotOursError)
+            tell(str(err))
+        else:
+            if not json:
+                echo(sentence(done[-1]))
+    if json:
+        unfinished = [{"recording": str(path), "why": why} for path, why in left]
+        print_json({"recovered": [_facts(file) for file in done], "left": unfinished})
+    elif not paths:
+        tell(f"nothing to recover in {', '.join(map(str, where or [recording_folder()]))}")
+    if failed:
+        raise typer.Exit(1)
+
+
+def _files(where: list[Path]) -> Iterator[tuple[Path, bool]]:
+    """Give the files that are meant, and whether each was named by itself."""
+    from armrig_core.recording_file.unfinished import unfinished
+
+    for path in where:
+        if path.is_dir():
+            yield from ((file, False) for file in unfinished(path))
+        else:
+            yield path, True
+
+
+def _recovery() -> Any:
+    from datetime import UTC, datetime
+    from importlib.metadata import version
+
+    from armrig_core.recording_file.recovery import Recovery
+
+    return Recovery(
+        armrig=version("armrig"),
+        now=lambda: datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+    )
+
+
+def _facts(file: RecoveredFile) -> dict[str, Any]:
+    return {
+        "recording": str(file.path),
+        "samples": file.outcome.samples,
+        "missing": file.outcome.missing,
+        "outcome": file.outcome.outcome,
+        "recovered": file.recovered,
+    }

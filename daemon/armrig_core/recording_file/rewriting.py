@@ -1,0 +1,175 @@
+"""A recording written once more, in chunks of a size that readers like.
+
+While a run goes on a chunk ends at each flush, ten times a second: small, but safe. What is kept
+has chunks of 1 MiB.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from struct import Struct
+from typing import IO
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from armrig_core.recording_file.budget import Budget, DamageError
+from armrig_core.recording_file.byte_source import ByteSource
+from armrig_core.recording_file.chunks import Unpacker
+from armrig_core.recording_file.file_records import (
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    UNREADABLE,
+    Record,
+    Wanted,
+    file_records,
+)
+from armrig_core.recording_file.opening import byte_source
+
+CHUNK = 1 << 20
+_CRC = Struct("<I")
+
+
+class Rewriter:
+    """Writes records to a new file."""
+
+    def __init__(self, target: IO[bytes], size: int) -> None:
+        """Write to `target` what a file of `size` B holds."""
+        self.metadata: dict[str, dict[str, str]] = {}
+        """Metadata records written so far, by name."""
+        self.topics: dict[int, str] = {}
+        """Topic of each channel of the source."""
+        self._writer = Writer(
+            target, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
+        self._chunks = Unpacker(Budget(size))
+        self._schemas = {0: 0}
+        self._channels: dict[int, int] = {}
+
+    def add(self, record: Record) -> Iterator[tuple[int, bytes]]:
+        """Write a record of a file; give channel and payload of each message in it."""
+        if record.opcode != Opcode.CHUNK:
+            yield from self._add(record.opcode, record.body)
+            return
+        data, at = self._chunks.records(record.body), 0
+        while at < len(data):
+            opcode, length = RECORD_HEAD.unpack_from(data, at)
+            begin, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
+            if at > len(data):
+                msg = "a record runs over the end of its chunk"
+                raise DamageError(msg)
+            yield from self._add(opcode, data[begin:at])
+
+    def add_metadata(self, name: str, metadata: dict[str, str]) -> None:
+        """Write a metadata record."""
+        self.metadata[name] = metadata
+        self._writer.add_metadata(name, metadata)
+
+    def finish(self) -> None:
+        """Complete the file."""
+        self._writer.finish()
+
+    def _add(self, opcode: int, body: bytes) -> Iterator[tuple[int, bytes]]:
+        writer = self._writer
+        match opcode:
+            case Opcode.MESSAGE:
+                channel, sequence, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(body)
+                data = body[MESSAGE_HEAD.size :]
+                if channel not in self._channels:
+                    msg = f"a message is of channel {channel}, which there is not"
+                    raise DamageError(msg)
+                writer.add_message(self._channels[channel], log_ns, data, publish_ns, sequence)
+                yield channel, data
+            case Opcode.HEADER:
+                header = Header.read(_stream(body))
+                writer.start(header.profile, header.library)
+            case Opcode.SCHEMA:
+                schema = Schema.read(_stream(body))
+                if schema.id not in self._schemas:
+                    number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    self._schemas[schema.id] = number
+            case Opcode.CHANNEL:
+                self._add_channel(Channel.read(_stream(body)))
+            case Opcode.METADATA:
+                metadata = Metadata.read(_stream(body))
+                self.add_metadata(metadata.name, metadata.metadata)
+            case Opcode.ATTACHMENT:
+                self._add_attachment(body)
+            case _:
+                pass  # indexes, which the new file has of its own
+
+    def _add_channel(self, channel: Channel) -> None:
+        if channel.id in self._channels:
+            return
+        if channel.schema_id not in self._schemas:
+            msg = f"a channel is of schema {channel.schema_id}, which there is not"
+            raise DamageError(msg)
+        self.topics[channel.id] = channel.topic
+        self._channels[channel.id] = self._writer.register_channel(
+            channel.topic,
+            channel.message_encoding,
+            self._schemas[channel.schema_id],
+            channel.metadata,
+        )
+
+    def _add_attachment(self, body: bytes) -> None:
+        (crc,) = _CRC.unpack(body[-_CRC.size :])
+        if crc and crc != zlib.crc32(body[: -_CRC.size]):
+            msg = "the checksum of an attachment is wrong"
+            raise DamageError(msg)
+        a = Attachment.read(_stream(body))
+        self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
+
+
+def compact(source: Path, target: Path) -> None:
+    """Write all that `source`, a complete recording, holds to `target`, and have it on the disk.
+
+    Raises
+    ------
+    OSError
+        There is no room, or `target` is there already.
+    DamageError
+        `source` is not whole.
+    """
+    with byte_source(source) as read, target.open("xb") as written:
+        if read is None:
+            msg = "not an MCAP file"
+            raise DamageError(msg)
+        rewriter = Rewriter(written, read.at + read.left)
+        try:
+            for record in all_records(read):
+                for _ in rewriter.add(record):
+                    pass
+        except UNREADABLE as err:
+            msg = f"a record cannot be read ({err or type(err).__name__})"
+            raise DamageError(msg) from err
+        rewriter.finish()
+        written.flush()
+        os.fsync(written.fileno())
+
+
+def all_records(source: ByteSource) -> Iterator[Record]:
+    """Give the records of a file, the longest attachment included."""
+    return file_records(source, Wanted(attachment=source.at + source.left), lambda _: None)
+
+
+def sync_directory(directory: Path) -> None:
+    """Have the names in `directory` on the disk, where the system can be asked for that."""
+    if sys.platform == "win32":  # it opens no directory
+        return
+    fd = os.open(directory, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def _stream(data: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(data))

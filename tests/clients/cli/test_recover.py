@@ -1,0 +1,97 @@
+"""`armrig recover`: files and folders, what is said, and the exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig.cli import main
+from armrig_core.recording_file.file_lock import lock
+from made_recordings import manifest, recorded, sample, written
+
+N = 30
+DATA = recorded(
+    [sample(k) for k in range(N)],
+    manifest=manifest(k_first=0, samples=2 * N),
+    outcome=None,
+    flush_every=10,
+)[:-100]
+
+
+def test_a_folder_is_recovered_but_for_what_is_being_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line for each; that a daemon lives is no failure."""
+    for name in "ab":
+        written(tmp_path, DATA, f"1-{name}.mcap.active")
+    with written(tmp_path, DATA, "1-c.mcap.active").open("rb") as file:
+        lock(file)
+
+        assert main(["recover", str(tmp_path)]) == 0
+
+    out, err = capsys.readouterr()
+    assert out.count(f"recovered, {N} samples, 0.3 s of 0.6 s") == 2
+    assert "1-c.mcap.active: is being written; wait for its end" in err
+    assert [p.name for p in sorted(tmp_path.iterdir())] == [
+        *("1-a.mcap", "1-b.mcap", "1-c.mcap.active")
+    ]
+    assert main(["info", str(tmp_path / "1-a.mcap")]) == 0
+    info = capsys.readouterr().out
+    assert "cut off: its daemon died" in info
+    assert "B were whole" in info
+
+
+def test_one_that_cannot_be_recovered_is_named_and_the_rest_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 1, one line, and the file is as it was."""
+    bad, good = written(tmp_path, b"", "1-a.mcap.active"), written(tmp_path, DATA, "x.mcap.active")
+
+    assert main(["recover", str(bad), str(good)]) == 1
+
+    out, err = capsys.readouterr()
+    assert "x.mcap: recovered" in out
+    assert err == f"armrig: {bad}: 0 B: nothing was recorded; delete it\n"
+    assert bad.exists()
+
+
+def test_json_says_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What was recovered, and what was left, each with what a program needs."""
+    written(tmp_path, b"", "1-a.mcap.active")
+    written(tmp_path, DATA, "1-b.mcap.active")
+
+    assert main(["recover", "--json", str(tmp_path)]) == 1
+
+    told = json.loads(capsys.readouterr().out)
+    (file,), (left,) = told["recovered"], told["left"]
+    assert (file["recording"], file["samples"]) == (str(tmp_path / "1-b.mcap"), N)
+    assert file["recovered"]["cut_off_bytes"] > 0
+    assert "0 B" in left["why"]
+
+
+def test_without_a_path_it_is_the_folder_of_the_recordings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As `armrig ls` has it, which names the command."""
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
+    written(tmp_path, DATA, "1-a.mcap.active")
+    assert main(["ls"]) == 0
+    assert "left by a daemon that died: `armrig recover`" in capsys.readouterr().err
+
+    assert main(["recover"]) == 0
+    assert armrig.load(tmp_path / "1-a.mcap").samples.size == N
+    capsys.readouterr()
+
+    assert main(["recover"]) == 0
+    assert f"nothing to recover in {tmp_path}" in capsys.readouterr().err
+
+
+def test_a_file_that_is_named_and_not_there_fails(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In one line."""
+    assert main(["recover", str(tmp_path / "1-a.mcap.active")]) == 1
+
+    assert "there is no such file" in capsys.readouterr().err

@@ -1,0 +1,404 @@
+"""What a daemon left unfinished is completed as far as it is whole, or stays as it is."""
+
+from __future__ import annotations
+
+import os
+import resource
+import struct
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig.recordings.verification import verify
+from armrig_core.manifest import INPUT, RECOVERED, RUN, Outcome
+from armrig_core.recording_file import recovery, unfinished
+from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.file_records import MAGIC, RECORD_LIMIT
+from armrig_core.recording_file.recovery import (
+    CUT_OFF,
+    MOST_CUT_OFF,
+    Recovery,
+    sentence,
+)
+from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
+from made_recordings import gap, manifest, recorded, sample, written
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+NAME = "1-test-20261120T040000-0000abcd.mcap"
+LEFT = f"{NAME}.active"
+N = 60
+RECOVERY = Recovery(armrig="0.2.0", now=lambda: "2026-11-20T06:00:00.000+01:00")
+
+
+def _data(*, outcome: Outcome | None = None) -> bytes:
+    """Return a recording of N samples less three in a gap, flushed every five messages."""
+    samples = [sample(k) for k in range(N)]
+    messages = [*samples[:20], gap(20, 3, 1.0), *samples[23:]]
+    about = manifest(k_first=0, samples=2 * N)
+    return recorded(messages, manifest=about, outcome=outcome, flush_every=5)
+
+
+DATA = _data()
+U = [1.0] * (2 * N)
+
+
+def _edges(data: bytes) -> list[int]:
+    """Return where each record begins."""
+    found, at = [], len(MAGIC)
+    while at + 9 <= len(data):
+        found.append(at)
+        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    return found
+
+
+def _kept(path: Path) -> tuple[list[int], int]:
+    recording = armrig.load(path)
+    return recording.samples["k"].tolist(), recording.missing
+
+
+def _untouched(path: Path, data: bytes, why: str, recovery: Recovery = RECOVERY) -> RecoveryError:
+    """Check that a file is refused, stays as it is, and nothing is left beside it."""
+    before = sorted(path.parent.iterdir())
+    with pytest.raises(RecoveryError, match=why) as refused:
+        recovery.recover(path)
+    assert path.read_bytes() == data
+    assert sorted(path.parent.iterdir()) == before
+    assert str(path) in str(refused.value)
+    return refused.value
+
+
+@pytest.mark.parametrize("off", [-1, 0, 1])
+def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
+    tmp_path: Path, off: int
+) -> None:
+    """The same samples and gaps that a reader of the cut file sees, in a file that is whole."""
+    begins = _edges(DATA)
+    first = next(i for i, at in enumerate(begins) if DATA[at] == Opcode.CHUNK)
+    assert len(begins[first:]) > 2 * N / 5
+    for cut in begins[first + 1 + off :: 3]:  # a third of them each way
+        left = written(tmp_path, DATA[: cut + off], LEFT)
+        before = _kept(left)
+
+        done = RECOVERY.recover(left)
+
+        assert [path.name for path in tmp_path.iterdir()] == [NAME]
+        assert _kept(done.path) == before
+        recording = armrig.load(done.path)
+        assert not recording.truncated
+        assert recording.outcome == Outcome(
+            outcome=CUT_OFF, samples=len(before[0]), missing=before[1]
+        )
+        checks = {check.about: check.result for check in verify(done.path).checks}
+        assert (checks["file"], checks["samples"]) == ("passed", "passed")
+        done.path.unlink()
+
+
+def test_another_project_s_reader_finds_every_message(tmp_path: Path) -> None:
+    """By the index at the end, which the cut file had not."""
+    half = _edges(DATA)[len(_edges(DATA)) // 2]
+    left = written(tmp_path, DATA[: half + 5], LEFT)
+
+    done = RECOVERY.recover(left)
+
+    with done.path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        messages = list(reader.iter_messages())
+        summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(messages) > done.outcome.samples > 10
+
+
+def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
+    """When, by which version, and what was cut off."""
+    cut = _edges(DATA)[-20] + 7
+    left = written(tmp_path, DATA[:cut], LEFT)
+
+    done = RECOVERY.recover(left)
+
+    said = armrig.load(done.path).recovered
+    assert said is not None
+    assert (said.when, said.armrig) == ("2026-11-20T06:00:00.000+01:00", "0.2.0")
+    assert (said.kept_bytes, said.cut_off_bytes) == (cut - 7, 7)
+    assert "cut off" in said.damage
+    assert "a torn write of 7 B behind them is cut off" in sentence(done)
+    assert armrig.load(written(tmp_path, DATA)).recovered is None
+
+
+def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
+    """Its daemon died between the end of the file and its name."""
+    ended = Outcome(outcome="stopped by a student", samples=N - 3, missing=3)
+    left = written(tmp_path, _data(outcome=ended), LEFT)
+
+    done = RECOVERY.recover(left)
+
+    assert armrig.load(done.path).outcome == done.outcome == ended
+    assert done.recovered.cut_off_bytes == 0
+
+
+def test_a_run_of_no_sample_is_a_recording_too(tmp_path: Path) -> None:
+    """Its daemon died before the first flush: how the run was made is kept."""
+    nothing = recorded([], manifest=manifest(k_first=0), outcome=None, u=[1.0] * 10)
+    left = written(tmp_path, nothing[: _edges(nothing)[-8]], LEFT)
+
+    done = RECOVERY.recover(left)
+
+    assert (done.outcome.samples, done.outcome.missing) == (0, 0)
+    assert armrig.load(done.path).N == 0
+
+
+def test_a_long_input_is_kept(tmp_path: Path) -> None:
+    """An attachment may be longer than any other record."""
+    u = [0.123456789012345 + 1e-7 * k for k in range(500_000)]
+    data = recorded([sample(0)], manifest=manifest(k_first=0, samples=len(u)), outcome=None, u=u)
+    left = written(tmp_path, data[:-20], LEFT)
+
+    done = RECOVERY.recover(left)
+
+    with done.path.open("rb") as file:
+        (kept,) = [a for a in make_reader(file).iter_attachments() if a.name == INPUT]
+    assert len(kept.data) > RECORD_LIMIT
+    assert kept.data.count(b"\n") == len(u) + 1
+
+
+def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
+    """Its daemon holds the lock, and lives."""
+    left = written(tmp_path, DATA, LEFT)
+    with left.open("rb") as file:
+        lock(file)
+
+        assert isinstance(_untouched(left, DATA, "is being written"), NotOursError)
+
+    RECOVERY.recover(left)
+
+
+@pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder", "a link to itself"])
+def test_what_only_looks_like_a_recording_is_not_touched(tmp_path: Path, kind: str) -> None:
+    """Nothing is read through it, and nobody waits for it."""
+    left, elsewhere = tmp_path / LEFT, written(tmp_path, DATA, "elsewhere")
+    match kind:
+        case "a link":
+            left.symlink_to(elsewhere)
+        case "a pipe":
+            os.mkfifo(left)
+        case "a folder":
+            left.mkdir()
+        case _:
+            left.symlink_to(left)
+
+    with pytest.raises(RecoveryError, match="not a regular file; passed over"):
+        RECOVERY.recover(left)
+
+    assert elsewhere.read_bytes() == DATA
+    assert sorted(p.name for p in tmp_path.iterdir()) == [LEFT, "elsewhere"]
+
+
+def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Just after it was looked at."""
+    left, elsewhere = written(tmp_path, DATA, LEFT), written(tmp_path, DATA, "elsewhere")
+    check = unfinished._check_regular
+
+    def replaced(*args: Any) -> None:
+        check(*args)
+        left.unlink()
+        left.symlink_to(elsewhere)
+
+    monkeypatch.setattr(unfinished, "_check_regular", replaced)
+    with pytest.raises(RecoveryError, match="symbolic links"):
+        RECOVERY.recover(left)
+
+    assert left.is_symlink()
+    assert elsewhere.read_bytes() == DATA
+
+
+def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its daemon ends it just before we have the lock, and another file has the name by then."""
+    left = written(tmp_path, DATA, LEFT)
+
+    def ended(_: object) -> None:
+        left.rename(tmp_path / "elsewhere")
+        left.write_bytes(b"precious")
+
+    monkeypatch.setattr(unfinished, "lock", ended)
+    with pytest.raises(NotOursError, match="another file has that name"):
+        RECOVERY.recover(left)
+
+    assert left.read_bytes() == b"precious"
+    assert (tmp_path / "elsewhere").read_bytes() == DATA
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"", "0 B: nothing was recorded; delete it"),
+        (b"something else", "not an MCAP file"),
+        (DATA[:20], "no manifest of a run: the file is cut off"),
+        (recorded([sample(0)]).replace(RUN.encode(), b"armrig.ran"), "no manifest of a run"),
+    ],
+)
+def test_what_is_no_recording_stays_as_it_is(tmp_path: Path, data: bytes, why: str) -> None:
+    """Whatever it is called; and it is said."""
+    _untouched(written(tmp_path, data, LEFT), data, why)
+
+
+def test_a_manifest_of_another_form_stays_as_it_is(tmp_path: Path) -> None:
+    """There is such metadata, but not of ours."""
+    out = BytesIO()
+    writer = Writer(out)
+    writer.start()
+    writer.add_metadata(RUN, {"rig": "no JSON"})
+    writer.finish()
+
+    _untouched(written(tmp_path, out.getvalue(), LEFT), out.getvalue(), "manifest is not armrig's")
+
+
+def test_the_file_of_another_user_stays_as_it_is(tmp_path: Path) -> None:
+    """Anybody may put one into a folder that others can write to."""
+    left = written(tmp_path, DATA, LEFT)
+    of_another = Recovery(armrig="0", now=lambda: "", owner=os.geteuid() + 1)
+
+    _untouched(left, DATA, "another user's file; passed over", of_another)
+
+
+def test_the_file_of_another_rig_is_left_to_its_daemon(tmp_path: Path) -> None:
+    """Files of rig 1-b look like those of rig 1 by their names."""
+    data = recorded([sample(0)], manifest=manifest(rig="1-b"), outcome=None)
+    left = written(tmp_path, data, "1-b-test-20261120T040000-0000abcd.mcap.active")
+    for rig in ("1", "1-b", ""):
+        assert unfinished.unfinished(tmp_path, rig) == [left]
+    assert unfinished.unfinished(tmp_path, "2") == []
+    of_rig_1 = Recovery(armrig="0", now=lambda: "", rig="1")
+
+    assert isinstance(_untouched(left, data, "of rig 1-b", of_rig_1), NotOursError)
+
+
+def test_a_recording_of_that_name_is_not_written_over(tmp_path: Path) -> None:
+    """One of them may be somebody's copy."""
+    written(tmp_path, b"precious", NAME)
+
+    _untouched(written(tmp_path, DATA, LEFT), DATA, f"{NAME} is there already")
+
+
+def test_a_damage_in_the_middle_takes_nothing_away(tmp_path: Path) -> None:
+    """A torn write is small. What stands behind more than that may be read some day."""
+    rng = np.random.default_rng(1)
+    noise = rng.integers(0, 65536, (40_000, 2)).tolist()
+    samples = [sample(k, theta_1_counts=a, alpha_counts=b) for k, (a, b) in enumerate(noise)]
+    about = manifest(k_first=0, samples=len(samples))
+    data = bytearray(recorded(samples, manifest=about, outcome=None, flush_every=100))
+    assert len(data) > 1.2 * MOST_CUT_OFF
+    data[len(data) // 10] ^= 1
+
+    _untouched(written(tmp_path, bytes(data), LEFT), bytes(data), "B stand behind it; it stays")
+
+    del data[MOST_CUT_OFF:]
+    assert RECOVERY.recover(written(tmp_path, bytes(data), LEFT)).outcome.samples > 1000
+
+
+def test_no_room_for_the_copy_takes_nothing_away(tmp_path: Path) -> None:
+    """And it says what to do when there is room again."""
+    left = written(tmp_path, DATA, LEFT)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        _untouched(left, DATA, "File too large; it stays as it is: .* `armrig recover` it")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    RECOVERY.recover(left)
+
+
+@pytest.mark.parametrize("is_link", [False, True])
+def test_a_copy_that_was_begun_before_is_begun_anew(tmp_path: Path, is_link: bool) -> None:
+    """Who wrote it has died; where somebody put a link, nothing is written through it."""
+    elsewhere = written(tmp_path, b"precious", "elsewhere")
+    left, copy = written(tmp_path, DATA, LEFT), tmp_path / f"{NAME}.compact"
+    if is_link:
+        copy.symlink_to(elsewhere)
+    else:
+        copy.write_bytes(b"half a copy")
+
+    done = RECOVERY.recover(left)
+
+    assert done.outcome.samples == N - 3
+    assert elsewhere.read_bytes() == b"precious"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [NAME, "elsewhere"]
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_whatever_dies_while_it_recovers_the_next_one_finds_it_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
+) -> None:
+    """Before the copy has the name, between the two renames, and behind them."""
+    left, calls = written(tmp_path, DATA, LEFT), []
+    replace = Path.replace
+
+    class Died(BaseException):
+        """As `kill -9` does: nothing is tidied up."""
+
+    def dying(self: Path, target: Path) -> Path:
+        if len(calls) == n:
+            monkeypatch.setattr(Path, "unlink", lambda *_, **__: None)
+            raise Died
+        calls.append(self.name)
+        return replace(self, target)
+
+    def not_synced(_: Path) -> None:
+        raise Died
+
+    monkeypatch.setattr(Path, "replace", dying)
+    monkeypatch.setattr(recovery, "sync_directory", not_synced)
+    with pytest.raises(Died):
+        RECOVERY.recover(left)
+    monkeypatch.undo()
+
+    if n < 2:
+        RECOVERY.recover(left)
+
+    assert [p.name for p in tmp_path.iterdir()] == [NAME]
+    recording = armrig.load(tmp_path / NAME)
+    assert (recording.samples.size, recording.missing) == (N - 3, 3)
+    assert recording.recovered is not None
+    with recording.path.open("rb") as file:
+        names = [record.name for record in make_reader(file).iter_metadata()]
+    assert names.count(RECOVERED) == 1
+
+
+def test_the_copy_is_on_the_disk_before_it_has_the_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """L1: a machine that loses its power in between has one whole recording."""
+    synced = []
+    fsync = os.fsync
+
+    def noted(fd: int) -> None:
+        fsync(fd)
+        path = Path(f"/proc/self/fd/{fd}").readlink()
+        whole = path.is_dir() or path.read_bytes().endswith(MAGIC)
+        synced.append((path.name, whole, sorted(p.name for p in tmp_path.iterdir())))
+
+    monkeypatch.setattr(os, "fsync", noted)
+    RECOVERY.recover(written(tmp_path, DATA[:-500], LEFT))
+
+    copy = f"{NAME}.compact"
+    assert synced == [(copy, True, [LEFT, copy]), (tmp_path.name, True, [NAME])]
+
+
+def test_only_what_has_the_name_of_an_unfinished_recording_is_recovered(tmp_path: Path) -> None:
+    """A file that is cut off for another reason is somebody's own."""
+    whole = written(tmp_path, DATA[:-500], "copy.mcap")
+
+    _untouched(whole, DATA[:-500], r"ends in \.mcap\.active")
+    with pytest.raises(NotOursError, match="there is no such file"):
+        RECOVERY.recover(tmp_path / LEFT)
+    assert unfinished.unfinished(tmp_path) == []
+    assert unfinished.unfinished(tmp_path / "nowhere") == []
