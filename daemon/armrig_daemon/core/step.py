@@ -127,14 +127,35 @@ def _beat(state: State, now_ns: int) -> Step:
     if state.asked is not None:
         return transitions.retry(state, now_ns)
     drives = state.device_state == _RUN
-    if not state.link_up or (drives and setpoints.is_stopping(state)):
+    if not state.link_up or (drives and (setpoints.is_stopping(state) or _lapsed(state, now_ns))):
         return replace(state, any_ns=now_ns), []  # nothing that would feed its watchdog
     return send(state, now_ns, encode(Keepalive(0, state.seq)))
 
 
+def _lapsed(state: State, now_ns: int) -> bool:
+    """Tell whether the next tick will stop the motor: after a pause a beat comes before it."""
+    rules = state.rules
+    if state.k >= 0 and now_ns - state.tick_ns > rules.pause_ns(
+        state.ts_us, scheduled=_is_self_paced(state)
+    ):
+        return True
+    return state.run is None and state.phase is _ACTIVE and _has_run_out(state, now_ns)
+
+
+def _has_run_out(state: State, now_ns: int) -> bool:
+    """Tell whether the lease's holder has given no command for too long (S2)."""
+    lease = state.lease
+    return lease is not None and now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us)
+
+
+def _is_self_paced(state: State) -> bool:
+    """Tell whether the device plays a schedule by its own clock."""
+    return state.scheduled and state.device_state == _RUN
+
+
 def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     done: list[Action] = []
-    self_paced = state.scheduled and state.device_state == _RUN
+    self_paced = _is_self_paced(state)
     skipped = tick.k - state.k - 1 if state.k >= 0 else 0
     pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
     if skipped > 0 and not self_paced:
@@ -208,7 +229,7 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
     if state.phase is not _ACTIVE:
         return state, 0, []
     if state.run is None:
-        if now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us):
+        if _has_run_out(state, now_ns):
             fault = Fault(Id.LEASE, "the lease ran out: no command from its holder")
             state, actions = trip(state, now_ns, fault)
             return state, 0, actions

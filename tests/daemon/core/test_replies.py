@@ -295,6 +295,26 @@ def test_nothing_keeps_a_motor_on_that_is_to_stop() -> None:
     assert Decided(replace(at_rest, link_up=False), now, Beat()).sent == []
 
 
+def test_no_keepalive_before_the_tick_that_stops() -> None:
+    """S2: a beat comes before the tick after a pause, and would feed the watchdog for another."""
+    bench = driven()
+    state, now = bench.loop.state, bench.ports.now
+    lease = state.lease
+    assert lease is not None
+    lease_ns, pause_ns = state.rules.lease_ns(state.ts_us), state.rules.pause_ns(state.ts_us)
+
+    for paused_ns, run_out_ns, keeps in (
+        (pause_ns, lease_ns, True),
+        (pause_ns + 1, lease_ns, False),
+        (pause_ns, lease_ns + 1, False),
+    ):
+        held = replace(lease, renewed_ns=now - run_out_ns)
+        paused = replace(state, tick_ns=now - paused_ns, lease=held)
+        assert bool(Decided(paused, now, Beat()).sent) == keeps
+    plays = replace(state, lease=replace(lease, renewed_ns=now - lease_ns - 1), run=PLAY)
+    assert Decided(replace(plays, tick_ns=now), now, Beat()).sent
+
+
 def test_a_stop_is_a_stop_in_every_phase() -> None:
     """What is awaited decides, not the phase: no KEEPALIVE behind a STOP on its way."""
     bench = driven()
