@@ -5,6 +5,7 @@ A process of its own hides it all, and does with a recording what a student does
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -38,6 +39,16 @@ for name in Hidden.names:
 sys.meta_path.insert(0, Hidden())
 """
 _COMMAND = _HIDDEN + "from armrig.cli import main\nsys.exit(main(sys.argv[1:]))\n"
+_COMMANDS = (
+    _HIDDEN
+    + """
+import json
+from armrig.cli import main
+for arguments in json.loads(sys.argv[1]):
+    if main(arguments):
+        sys.exit(f"refused: {arguments}")
+"""
+)
 _TYPED = """
 import armrig
 rec = armrig.load(sys.argv[1], start=1.0)
@@ -75,11 +86,11 @@ def test_python_loads_and_identifies(run: Path) -> None:
 
 
 def test_the_commands_of_a_student_work(run: Path) -> None:
-    """One after the other, from the recording to the report."""
+    """One after the other in one process, from the recording to the report."""
     folder = run.parent
     model, table, matrices = folder / "modèle 1.json", folder / "données.csv", folder / "run.mat"
     orders = ("--structure", "arx", "--na", "4", "--nb", "4")
-    for arguments in (
+    typed = (
         ("info", run),
         ("export", run, table),
         ("export", run, matrices, "--from", "2", "--to", "10"),
@@ -87,10 +98,12 @@ def test_the_commands_of_a_student_work(run: Path) -> None:
         ("validate", run, "--model", model),
         ("identify", table, "--signal", "theta_1", *orders),
         ("report", run, "-o", folder / "compte rendu.pdf"),
-    ):
-        done = on_a_laptop(_COMMAND, *arguments)
-        assert done.returncode == 0, f"{arguments[0]}: {done.stderr}"
-        assert "Traceback" not in done.stderr
+    )
+
+    done = on_a_laptop(_COMMANDS, json.dumps([[str(word) for word in line] for line in typed]))
+
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
     assert (folder / "compte rendu.pdf").read_bytes().startswith(b"%PDF")
 
 
