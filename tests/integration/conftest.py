@@ -6,13 +6,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from fork_server import ForkServer
 from processes import Bench, wait_for
 
 
+@pytest.fixture(scope="session")
+def forks() -> Iterator[ForkServer]:
+    """Give an interpreter to be copied."""
+    forks = ForkServer()
+    yield forks
+    forks.end()
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
     """Give a bench, and end all that was started on it."""
-    bench = Bench(tmp_path)
+    bench = Bench(tmp_path, forks)
     yield bench
     bench.end()
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,11 +30,7 @@ def driven(
     """Have a client of its own process run 1 V and 4 V in turn; it is killed at the end."""
     endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     before = len(bench.voltage_changes())
-    client = subprocess.Popen(
-        [sys.executable, "-c", _RUNNER, endpoint, str(samples), pacing, str(Ts)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    client = bench.client(_RUNNER, endpoint, str(samples), pacing, str(Ts))
     try:
         wait_for(lambda: len(bench.voltage_changes()) > before + 20)
         yield

@@ -11,10 +11,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from armrig.rig.client import Rig
+from fork_server import Forked, ForkServer
 
 WITHIN_S = 10.0
+_COMMAND_S = 60.0
 _LAST_LINES = 1000  # B
 _BURNER = """
 import os
@@ -74,14 +77,26 @@ def burning(n: int) -> Iterator[None]:
 class Process:
     """A program of ours with its standard error kept."""
 
-    def __init__(self, log: Path, *arguments: str, env: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        log: Path,
+        *arguments: str,
+        env: dict[str, str] | None = None,
+        forks: ForkServer | None = None,
+    ) -> None:
         self.log = log
+        self.popen: subprocess.Popen[bytes] | Forked
+        environ = {**os.environ, **(env or {})}
         with log.open("wb") as stderr:
+            if forks is not None:
+                with Path(os.devnull).open("wb") as nothing:
+                    self.popen = forks.start(["-m", *arguments], environ, nothing, stderr)
+                return
             self.popen = subprocess.Popen(
                 [sys.executable, "-m", *arguments],
                 stderr=stderr,
                 stdin=subprocess.DEVNULL,
-                env={**os.environ, **(env or {})},
+                env=environ,
             )
 
     @property
@@ -104,8 +119,9 @@ class Process:
 class Bench:
     """One rig in a folder of its own."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, forks: ForkServer | None = None) -> None:
         self.folder = folder
+        self.forks = forks
         self.port = folder / "tty"
         self.trace = folder / "trace.csv"
         self.recordings = folder / "recordings"
@@ -125,9 +141,30 @@ class Bench:
         """Start a program of ours."""
         log = self.folder / f"log{len(self.processes)}"
         env = {"XDG_RUNTIME_DIR": str(self.folder)}
-        process = Process(log, *arguments, env=env)
+        process = Process(log, *arguments, env=env, forks=self.forks)
         self.processes.append(process)
         return process
+
+    def client(self, program: str, *arguments: str) -> subprocess.Popen[bytes] | Forked:
+        """Start a client's program; what it says is lost."""
+        command = ["-c", program, *arguments]
+        if self.forks is None:
+            nothing = subprocess.DEVNULL
+            return subprocess.Popen([sys.executable, *command], stdout=nothing, stderr=nothing)
+        with Path(os.devnull).open("wb") as nowhere:
+            return self.forks.start(command, os.environ, nowhere, nowhere)
+
+    def armrig(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        """Run a command of `armrig` on this rig."""
+        assert self.forks is not None
+        env = {**os.environ, "XDG_RUNTIME_DIR": str(self.folder)}
+        with TemporaryFile() as stdout, TemporaryFile() as stderr:
+            program = self.forks.start(["-m", "armrig", *arguments], env, stdout, stderr)
+            code = program.wait(_COMMAND_S)
+            stdout.seek(0)
+            stderr.seek(0)
+            said = stdout.read().decode(), stderr.read().decode()
+        return subprocess.CompletedProcess(arguments, code, *said)
 
     def emulate(self) -> Process:
         """Start the emulated rig with its witness."""

@@ -50,6 +50,7 @@ def test_a_step_of_the_real_time_clock_is_not_in_the_recording(
     """An hour forward in the middle of a run: no sample lost, none moved, no trip."""
     library, step = stepped_clock
     bench.emulate()
+    bench.forks = None  # a copy of an interpreter preloads nothing
     monkeypatch.setenv("LD_PRELOAD", str(library))
     bench.serve()
     monkeypatch.delenv("LD_PRELOAD")

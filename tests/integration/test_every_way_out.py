@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -40,11 +38,7 @@ class Run:
         self.loop_pid = bench.loop_pid(self.daemon)
         before = len(bench.voltage_changes())
         endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-        self.client = subprocess.Popen(
-            [sys.executable, "-c", RUNNER, endpoint, str(periods)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
+        self.client = bench.client(RUNNER, endpoint, str(periods))
         wait_for(lambda: len(bench.voltage_changes()) > before + 50)
 
     def end(self) -> None:

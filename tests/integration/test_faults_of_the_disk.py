@@ -138,6 +138,7 @@ def test_a_directory_that_cannot_be_written_is_told_before_the_motor_turns(
     bench.recordings.mkdir()
     launcher = bench.folder / "unprivileged.py"
     launcher.write_text(UNPRIVILEGED)
+    bench.forks = None  # a copy of an interpreter has its path already
     monkeypatch.setenv("PYTHONPATH", str(bench.folder))
     daemon = bench.start("unprivileged", "armrig_daemon", "run", "--config", str(bench.config))
     wait_for(lambda: bench.phase() == "safe")

@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 from armrig.recordings.timing_disturbances import disturbances
 from armrig.rig.client import RigError, RunEndedError
+from fork_server import ForkServer
 from processes import Bench, Process, wait_for
 
 TRIES = 5
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
     """Give a rig in a folder of its own."""
-    bench = Bench(tmp_path)
+    bench = Bench(tmp_path, forks)
     yield bench
     bench.end()
 

@@ -6,8 +6,6 @@ import os
 import re
 import select
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -16,18 +14,6 @@ from pathlib import Path
 
 import pytest
 from processes import Bench, wait_for
-
-
-def _armrig(bench: Bench, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run a command of `armrig` on the bench's rig."""
-    return subprocess.run(
-        [sys.executable, "-m", "armrig", *arguments],
-        env={**os.environ, "XDG_RUNTIME_DIR": str(bench.folder)},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
 
 
 def test_both_programs_say_what_they_serve(bench: Bench) -> None:
@@ -54,7 +40,7 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
     bench.emulate()
     daemon = bench.serve()
 
-    idle = _armrig(bench, "reset")
+    idle = bench.armrig("reset")
     with bench.rig() as rig:
         rig.arm("a test")
         pid = bench.loop_pid(daemon)
@@ -62,7 +48,7 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
         time.sleep(0.3)  # the device's watchdog has 0.1 s
         os.kill(pid, signal.SIGCONT)
         wait_for(lambda: rig.status().phase == "fault")
-    latched = _armrig(bench, "reset")
+    latched = bench.armrig("reset")
 
     assert (idle.returncode, idle.stderr) == (0, "next: armrig status\n")
     assert idle.stdout == "rig 1: nothing is latched, so there is nothing to reset\n"
@@ -93,7 +79,7 @@ def test_status_names_the_calibration_and_the_arm(
     bench.emulate()
     bench.serve()
 
-    lines = _armrig(bench, "status").stdout.splitlines()
+    lines = bench.armrig("status").stdout.splitlines()
 
     rows = {name: text.strip() for name, _, text in (line.partition(" ") for line in lines)}
     assert rows["calibration"] == calibration.format(folder=bench.folder)
@@ -141,8 +127,8 @@ def test_a_device_that_does_not_answer_is_told_with_what_to_try(
     with _deaf(bench, noise):
         daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
         wait_for(lambda: re.search(said, daemon.said))
-        status = _armrig(bench, "status")
-        armed = _armrig(bench, "collect", "step")
+        status = bench.armrig("status")
+        armed = bench.armrig("collect", "step")
         log = daemon.said
         assert daemon.end() == 0
 

@@ -1,0 +1,139 @@
+"""Programs that begin as copies of an interpreter that has loaded what they need.
+
+Each is a process of its own and does what `python -m` or `python -c` does, and ends as they do;
+but to load modules takes most of a short program's time, and is done here once. What the tests of
+a module share (`served`) is started as a person starts it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import runpy
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any
+
+LOADED = ("armrig_daemon.service.service", "armrig_daemon.emulator.pty", "armrig.rig.client")
+_MOST_BYTES = 1 << 20
+
+
+class Forked:
+    """A running program; has what `subprocess.Popen` has, as far as tests use it."""
+
+    def __init__(self, pid: int, ended_fd: int) -> None:
+        self.pid = pid
+        self.returncode: int | None = None
+        self._ended_fd = ended_fd
+
+    def poll(self) -> int | None:
+        """Return the exit code; None while it runs."""
+        return self._ended(0.0)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Return the exit code as soon as it has ended."""
+        code = self._ended(timeout)
+        if code is None:
+            raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
+        return code
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        """Send SIGTERM."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Send SIGKILL."""
+        self.send_signal(signal.SIGKILL)
+
+    def _ended(self, within_s: float | None) -> int | None:
+        if self.returncode is None and select.select([self._ended_fd], [], [], within_s)[0]:
+            self.returncode = int(os.read(self._ended_fd, 100))
+            os.close(self._ended_fd)
+        return self.returncode
+
+
+class ForkServer:
+    """The interpreter that is copied; it ends with whoever started it."""
+
+    def __init__(self) -> None:
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            program = [sys.executable, __file__, str(theirs.fileno())]
+            self._process = subprocess.Popen(program, pass_fds=(theirs.fileno(),))
+
+    def start(
+        self, arguments: list[str], env: Mapping[str, str], stdout: IO[bytes], stderr: IO[bytes]
+    ) -> Forked:
+        """Start `python` with arguments that begin with -m or -c; it has no standard input."""
+        ended_out, ended_in = os.pipe()
+        asked = json.dumps({"arguments": arguments, "env": dict(env), "folder": str(Path.cwd())})
+        fds = [ended_in, stdout.fileno(), stderr.fileno()]
+        socket.send_fds(self._socket, [asked.encode()], fds)
+        os.close(ended_in)
+        return Forked(int(self._socket.recv(100)), ended_out)
+
+    def end(self) -> None:
+        """End it; what it has started goes on."""
+        self._socket.close()
+        self._process.wait()
+
+
+def _copy(asked: socket.socket) -> dict[str, Any]:
+    """Return, in a new process for each, what it is asked to be."""
+    while True:
+        data, fds, _, _ = socket.recv_fds(asked, _MOST_BYTES, 3)
+        if not data:
+            sys.exit()
+        if os.fork() == 0:
+            break
+        for fd in fds:
+            os.close(fd)
+        with suppress(ChildProcessError):  # what it took counts as ours: `time make test`
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+    # A parent for one program: it tells the exit code, which only a parent is told.
+    ended_fd, stdout, stderr = fds
+    pid = os.fork()
+    if pid:
+        asked.send(b"%d" % pid)
+        asked.close()
+        _, status = os.waitpid(pid, 0)
+        os.write(ended_fd, b"%d" % os.waitstatus_to_exitcode(status))
+        os._exit(0)
+    asked.close()
+    os.close(ended_fd)
+    for of_program, fd in enumerate((os.open(os.devnull, os.O_RDONLY), stdout, stderr)):
+        os.dup2(fd, of_program)
+        os.close(fd)
+    return dict(json.loads(data))
+
+
+def _become(arguments: list[str], env: dict[str, str], folder: str) -> None:
+    """Do what `python` does with these arguments; who returns from here ends as it does."""
+    os.environ.clear()
+    os.environ.update(env)
+    os.chdir(folder)
+    how, what, *given = arguments
+    sys.argv = [how, *given]
+    if how == "-m":
+        runpy.run_module(what, run_name="__main__", alter_sys=True)
+    else:
+        exec(compile(what, "<string>", "exec"), {"__name__": "__main__"})
+
+
+if __name__ == "__main__":
+    for module in LOADED:
+        import_module(module)
+    _become(**_copy(socket.socket(fileno=int(sys.argv[1]))))
