@@ -399,3 +399,20 @@ def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path
     recording.plot().savefig(tmp_path / "data.svg")
 
     assert (tmp_path / "data.svg").read_text().startswith("<?xml")
+
+
+def test_the_step_of_models_that_integrate_is_their_rate(done: Study) -> None:
+    """The angle is a ramp; beside a model that does not integrate it is shown all the same."""
+    integrating = [m.model for m in done.models if m.model.integrator]
+    ax = plots.plot_step(*integrating, ax=Figure().add_subplot())
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(300)
+    data = Dataset(u=u, y=filtered([0, 0.5], [1, -0.5], u), Ts=done.best.fit.Ts, output="theta_1")
+    mixed = plots.plot_step(
+        done.best.fit, oe(data, nb=1, nf=1, integrator=False), ax=Figure().add_subplot()
+    )
+
+    assert ax.get_ylabel() == r"$\dot\theta_1$ [rad/s/V]"
+    last = [float(np.asarray(line.get_ydata())[-1]) for line in ax.lines]
+    assert last == pytest.approx([1.8623] * len(integrating), rel=0.02)
+    assert mixed.get_ylabel() == r"$\theta_1$ [rad/V]"

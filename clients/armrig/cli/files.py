@@ -266,7 +266,7 @@ def _report_handout(
     from armrig.report.study import Orders
     from armrig.report.typesetting import ReportError
 
-    recordings = loaded(files, calibration)
+    recordings = loaded(files, calibration, one_plant=False)
     with estimating("na, nb and nf"):
         done = handout_study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
     try:

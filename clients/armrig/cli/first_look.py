@@ -100,7 +100,7 @@ def sampling(
         choice = sampling_time(data)
         steps = _steps(data) if choice.from_step else None
     shown = [choice] if steps is None else [steps, choice]
-    write_plot(plot, *(_drawing(one) for one in shown), height=4.5)
+    write_plot(plot, *(_drawing(one) for one in shown), height=5.0)
     if json:
         print_json(source_facts(data) | _sampling_facts(choice))
         return

@@ -30,15 +30,17 @@ def loaded(
     calibration: Path | None,
     start: float | None = None,
     stop: float | None = None,
+    *,
+    one_plant: bool = True,
 ) -> list[Recording]:
-    """Return the recordings, and tell their damage."""
+    """Return the recordings, and tell their damage, and what speaks against using them together."""
     from armrig.cli.spinner import spinner
     from armrig.recordings.doubts import all_doubts
     from armrig.recordings.loading import load
 
     with spinner("reading"):
         recordings = [load(file, calibration, start=start, stop=stop) for file in files]
-    for text in all_doubts(recordings):
+    for text in all_doubts(recordings, one_plant=one_plant):
         tell(text)
     return [warned(recording) for recording in recordings]
 

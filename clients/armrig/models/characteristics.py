@@ -94,7 +94,7 @@ def model_characteristics(model: Model) -> ModelCharacteristics:
     Ranges are value ± 1.96 std, unless 400 draws of the parameters show that to be poor (see
     `armrig.numerics.confidence_regions`).
     """
-    integrating = _integrates(model)
+    integrating = integrates(model)
     own = _scalars(model, model.theta, integrating=integrating)
     s = _continuous(model, integrating=integrating)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -170,7 +170,7 @@ def _continuous(model: Model, *, integrating: bool) -> Complex:
     return np.asarray(s)
 
 
-def _integrates(model: Model) -> bool:
+def integrates(model: Model) -> bool:
     """Tell whether y integrates: by construction, or by a pole at 1 as far as it can be told."""
     return model.integrator or bool(np.any(np.abs(roots(model.denominator) - 1) < 5e-3))
 

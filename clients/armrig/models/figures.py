@@ -21,6 +21,7 @@ from armrig.canvas import (
     pens,
     sign,
 )
+from armrig.models.characteristics import integrates
 from armrig.models.labels import (
     Labels,
     gain_unit,
@@ -98,6 +99,8 @@ def plot_step(
 ) -> Axes:
     """Show the answer to a unit step, with 95 % bands, linearised or, where that is poor, by draws.
 
+    Of models that all integrate the rate is shown: the output itself is a ramp.
+
     Parameters
     ----------
     n : int, optional
@@ -106,8 +109,9 @@ def plot_step(
     ax = axes(ax)
     curves: list[NDArray[np.float64]] = []
     sampled: dict[str, Draws | None] = {}
+    rate = all(integrates(model) for model in models)
     for model, name, pen in zip(models, labels_of(models, labels), pens(len(models)), strict=True):
-        answer = model.step_response(n or max(50, round(1 / model.Ts)))
+        answer = model.step_response(n or max(50, round(1 / model.Ts)), rate=rate)
         curves.append(answer.y)
         if np.nan_to_num(answer.std).any():
             draws = drawn(model)
@@ -117,7 +121,10 @@ def plot_step(
             ax.fill_between(answer.t, band.low, band.high, color=pen["color"], alpha=0.25, lw=0)
         ax.plot(answer.t, answer.y, label=name, **pen)
     ax.set_xlabel("$t$ [s]")
-    ax.set_ylabel(f"{NAMES.get(models[0].output, models[0].output)} [{gain_unit(models)}]")
+    name = NAMES.get(models[0].output, models[0].output)
+    if rate:
+        name = NAMES["velocity"] if models[0].output == "theta_1" else f"rate of {name}"
+    ax.set_ylabel(f"{name} [{gain_unit(models, rate=rate)}]")
     ax.margins(x=0)
     _limited(ax, np.concatenate(curves))
     finish(ax)

@@ -30,11 +30,11 @@ def sources_of(models: Sequence[Any]) -> list[str]:
     return [getattr(model, "source", "") for model in models]
 
 
-def gain_unit(models: Sequence[Any]) -> str:
-    """Return the unit of y's per u's, of the first model that has both."""
+def gain_unit(models: Sequence[Any], *, rate: bool = False) -> str:
+    """Return the unit of y's (or its rate's) per u's, of the first model that has both."""
     for model in models:
         if getattr(model, "unit", "") and getattr(model, "input_unit", ""):
-            return f"{model.unit}/{model.input_unit}"
+            return f"{model.unit}{'/s' if rate else ''}/{model.input_unit}"
     return "–"
 
 

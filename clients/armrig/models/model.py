@@ -242,14 +242,23 @@ class Model:
         p: Vector = getattr(self, letter.upper())
         return p
 
-    def step_response(self, n: int) -> StepResponse:
-        """Return the first n samples, n >= 1, of the answer to a unit step from rest."""
+    def step_response(self, n: int, *, rate: bool = False) -> StepResponse:
+        """Return the first n samples, n >= 1, of the answer to a unit step from rest.
+
+        With `rate` those of (y(t) - y(t-1))/Ts, t = Ts, 2 Ts …, each at the middle of its interval:
+        of an output that integrates y itself is a ramp, in which nothing can be seen.
+        """
         require_integers(n=(n, 1))
         u = np.ones(n)
+        if rate:
+            u = np.zeros(n + 1)
+            u[0] = 1 / self.Ts
+        at = slice(int(rate), None)
         return StepResponse(
-            t=self.Ts * np.arange(n, dtype=np.float64),
-            y=self.simulate(u),
-            std=standard_deviations(self._sensitivity(u), self.trusted_covariance),
+            t=self.Ts * (np.arange(u.size, dtype=np.float64) - 0.5 * rate)[at],
+            y=self.simulate(u)[at],
+            std=standard_deviations(self._sensitivity(u), self.trusted_covariance)[at],
+            rate=rate,
         )
 
     def _sensitivity(self, u: Vector) -> Matrix:

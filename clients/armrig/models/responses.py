@@ -94,6 +94,8 @@ class StepResponse:
     """Output, (n,)."""
     std: Vector
     """Of y, (n,)."""
+    rate: bool = False
+    """y is the output's rate, in its unit per s."""
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return the output as a plain array."""

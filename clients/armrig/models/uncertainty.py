@@ -70,7 +70,11 @@ def frequency_bands(
 def step_band(model: Model, answer: StepResponse, draws: Draws | None = None) -> Band:
     """Return the 95 % band of a step response."""
     draws = drawn(model) if draws is None else draws
-    samples = None if draws is None else step_responses(model, draws.theta, answer.y.size)
+    if draws is None:
+        return band(answer.y, answer.std, None)
+    samples = step_responses(model, draws.theta, answer.y.size + answer.rate)
+    if answer.rate:
+        samples = np.diff(samples, axis=1) / model.Ts
     return band(answer.y, answer.std, samples)
 
 

@@ -236,15 +236,13 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     ax.set_ylabel("of the final value")
     s = result.spectrum
     level = float(np.mean(s.magnitude[: max(1, s.omega.size // 10)]))
-    below.plot(
-        s.omega, s.magnitude / level, color=BLUE, lw=1.1, label="$|G|$ over its low-frequency value"
-    )
+    below.plot(s.omega, s.magnitude / level, color=BLUE, lw=1.1, label="$|G|$")
     below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="output's power")
     below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":")
     for w, name, colour, dash in (
         (result.omega_step, r"$1/\tau$", GREEN, "-."),
         (result.omega_spectrum, "−3 dB", VERMILION, "--"),
-        (np.pi / result.Ts, r"$\pi/T_s$ recommended", INK, "-"),
+        (np.pi / result.Ts, r"$\pi/T_s$", INK, "-"),
     ):
         below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
     below.set_xscale("log")

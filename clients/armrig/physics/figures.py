@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,26 +17,29 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _TOP, _LOW, _BETWEEN = 2.0, 0.0, 1.0  # heights of the rows of the drawing
-_PARTS = (
-    ("circuit\n$R_m\\,i = u - u_m$", (1.25, _TOP), VERMILION),
-    ("motor\n$Q_m = K_m\\,i$", (2.65, _TOP), VERMILION),
-    ("gear\n$Q_E = N\\,Q_m$", (4.0, _TOP), INK),
-    ("back-EMF\n$u_m = K_m N\\,\\dot\\theta_1$", (2.2, _BETWEEN), VERMILION),
-    ("chassis\n$J_1\\,\\ddot\\theta_1 = Q_E + Q_s$", (4.0, _LOW), BLUE),
-    ("spring\n$Q_s = K_{lin}\\,\\alpha$", (2.65, _LOW), BLUE),
-    ("arm\n$J_2(\\ddot\\theta_1+\\ddot\\alpha) = -Q_s$", (1.25, _LOW), BLUE),
-)
+_PARTS = {
+    "circuit": ("$R_m\\,i = u - u_m$", (1.25, _TOP), VERMILION),
+    "motor": ("$Q_m = K_m\\,i$", (2.65, _TOP), VERMILION),
+    "gear": ("$Q_E = N\\,Q_m$", (4.0, _TOP), INK),
+    "back-EMF": ("$u_m = K_m N\\,\\dot\\theta_1$", (2.2, _BETWEEN), VERMILION),
+    "chassis": ("$J_1\\,\\ddot\\theta_1 = Q_E + Q_s$", (4.0, _LOW), BLUE),
+    "spring": ("$Q_s = K_{lin}\\,\\alpha$", (2.65, _LOW), BLUE),
+    "arm": ("$J_2(\\ddot\\theta_1+\\ddot\\alpha) = -Q_s$", (1.25, _LOW), BLUE),
+}
+_STRAIGHT = "arc3"
+_UP_THEN_LEFT = "angle,angleA=90,angleB=0,rad=0"
+_LEFT_THEN_UP = "angle,angleA=180,angleB=90,rad=0"
+# From which part to which, beside their centres by what, and the quantity's name and place.
 _QUANTITIES = (
-    ((0.3, _TOP), (0.8, _TOP), "$u$", (0.5, _TOP + 0.2)),
-    ((1.68, _TOP), (2.25, _TOP), "$i$", (1.95, _TOP + 0.2)),
-    ((3.05, _TOP), (3.6, _TOP), "$Q_m$", (3.3, _TOP + 0.2)),
-    ((4.2, _TOP - 0.3), (4.2, _LOW + 0.3), "$Q_E$", (4.4, _BETWEEN)),
-    ((3.75, _BETWEEN), (2.68, _BETWEEN), r"$\dot\theta_1$", (3.25, _BETWEEN + 0.22)),
-    ((1.25, _BETWEEN), (1.25, _TOP - 0.3), "$u_m$", (1.05, _BETWEEN + 0.35)),
-    ((3.05, 0.08), (3.45, 0.08), "$Q_s$", (3.25, 0.28)),
-    ((3.45, -0.08), (3.05, -0.08), r"$\theta_1$", (3.25, -0.28)),
-    ((2.25, 0.08), (1.8, 0.08), "$Q_s$", (2.03, 0.28)),
-    ((1.8, -0.08), (2.25, -0.08), r"$\alpha$", (2.03, -0.28)),
+    ("circuit", "motor", (0.0, 0.0), _STRAIGHT, "$i$", (1.95, _TOP + 0.2)),
+    ("motor", "gear", (0.0, 0.0), _STRAIGHT, "$Q_m$", (3.3, _TOP + 0.2)),
+    ("gear", "chassis", (0.2, 0.0), _STRAIGHT, "$Q_E$", (4.4, _BETWEEN)),
+    ("chassis", "back-EMF", (-0.25, 0.0), _UP_THEN_LEFT, r"$\dot\theta_1$", (3.25, 1.22)),
+    ("back-EMF", "circuit", (0.0, 0.0), _LEFT_THEN_UP, "$u_m$", (1.05, _BETWEEN + 0.35)),
+    ("chassis", "spring", (0.0, 0.08), _STRAIGHT, "$Q_s$", (3.25, 0.28)),
+    ("spring", "chassis", (0.0, -0.08), _STRAIGHT, r"$\theta_1$", (3.25, -0.28)),
+    ("spring", "arm", (0.0, 0.08), _STRAIGHT, "$Q_s$", (2.03, 0.28)),
+    ("arm", "spring", (0.0, -0.08), _STRAIGHT, r"$\alpha$", (2.03, -0.28)),
 )
 _PARAMETER = re.compile(rf"\b({'|'.join(f.name for f in fields(ArmParameters))})\b")
 
@@ -49,20 +52,32 @@ def plot_rig(*, ax: Axes | None = None) -> Axes:
     ax = axes(ax)
     points = 72 / ax.figure.dpi
     size = min(9.0, points * ax.bbox.width / 36, points * ax.bbox.height / 14)
-    for text, (x, y), colour in _PARTS:
+    boxes: dict[str, Any] = {}
+    places = {name: place for name, (_, place, _) in _PARTS.items()}
+    for name, (equation, (x, y), colour) in _PARTS.items():
         box = {"boxstyle": "round,pad=0.4", "fc": "white", "ec": colour}
-        ax.text(x, y, text, ha="center", va="center", fontsize=size, bbox=box)
-    for begin, end, label, (x, y) in _QUANTITIES:
-        ax.annotate("", end, begin, arrowprops={"arrowstyle": "->", "color": INK})
-        ax.text(x, y, label, ha="center", va="center", fontsize=size)
-    for corner in (([3.75, 3.75], [_LOW + 0.3, _BETWEEN]), ([1.72, 1.25], [_BETWEEN, _BETWEEN])):
-        ax.plot(*corner, color=INK, lw=1.0)
+        style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": size}
+        boxes[name] = ax.text(x, y, f"{name}\n{equation}", bbox=box, **style).get_bbox_patch()
+    arrow: dict[str, Any] = {"arrowstyle": "->", "color": INK, "shrinkA": 0, "shrinkB": 0}
+    ax.annotate("", places["circuit"], (0.3, _TOP), arrowprops=arrow | {"patchB": boxes["circuit"]})
+    ax.text(0.5, _TOP + 0.2, "$u$", **style)
+    for begin, end, beside, way, label, (x, y) in _QUANTITIES:
+        # From centre to centre, cut off at the boxes, however large they are.
+        ends = {"patchA": boxes[begin], "patchB": boxes[end], "connectionstyle": way}
+        first, last = (_beside(places[name], beside) for name in (begin, end))
+        last = last if way == _STRAIGHT else places[end]
+        ax.annotate("", last, first, arrowprops=arrow | ends)
+        ax.text(x, y, label, **style)
     ax.text(0.02, 1.45, "electrical", color=VERMILION, fontsize=size, va="center")
     ax.text(0.02, 0.0, "mechanical", color=BLUE, fontsize=size, va="center")
     ax.set_xlim(-0.05, 4.6)
     ax.set_ylim(-0.45, 2.4)
     ax.set_axis_off()
     return ax
+
+
+def _beside(place: tuple[float, float], by: tuple[float, float]) -> tuple[float, float]:
+    return place[0] + by[0], place[1] + by[1]
 
 
 def plot_physical_step(

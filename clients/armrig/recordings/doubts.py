@@ -45,8 +45,11 @@ def doubts_of_estimation(recording: Recording) -> list[str]:
     ]
 
 
-def doubts_of_pair(first: Recording, other: Recording) -> list[str]:
-    """Return what speaks against judging models of `first` by `other`, one sentence each."""
+def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True) -> list[str]:
+    """Return what speaks against judging models of `first` by `other`, one sentence each.
+
+    Without `one_plant` the chassis alone may stand beside the whole rig.
+    """
     a, b = first.manifest, other.manifest
     name = other.path.name
     found = []
@@ -66,7 +69,7 @@ def doubts_of_pair(first: Recording, other: Recording) -> list[str]:
             f"{first.path.name} and {name} were made with different calibrations: read both with "
             "one (--calibration TOML)"
         )
-    if _experiment(first) != _experiment(other):
+    if one_plant and _experiment(first) != _experiment(other):
         found.append(
             f"{first.path.name} is of {_experiment(first)}, {name} of {_experiment(other)}: the "
             "chassis alone and the whole rig are two plants"
@@ -74,12 +77,12 @@ def doubts_of_pair(first: Recording, other: Recording) -> list[str]:
     return found
 
 
-def all_doubts(recordings: Sequence[Recording]) -> list[str]:
+def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[str]:
     """Return what speaks against each, and against each with the first that excites."""
     found = [text for r in recordings for text in doubts(r)]
     excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
     for other in excited[1:]:
-        found += doubts_of_pair(excited[0], other)
+        found += doubts_of_pair(excited[0], other, one_plant=one_plant)
     return found
 
 

@@ -19,8 +19,9 @@ from armrig.report.figures import STYLE, WIDTH
 from armrig.report.handout_study import METHODS, HandoutStudy
 from armrig.report.physical_sections import changed
 
-_HEIGHT = 1.55
-_LOWER = 1.35
+_LOWER, _HEIGHT = 1.35, 1.55
+_HIGHER = 1.95
+"""Where two panels stand one below the other, or a panel has many names."""
 Draw = Callable[[Axes], object]
 
 
@@ -88,7 +89,12 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         "loop": study.loop,
         "delay": study.delay,
     }
-    found = {name: (_HEIGHT, [_drawing(v)]) for name, v in values.items() if v is not None}
+    heights = {"sampling": _HIGHER, "structure": _HIGHER}
+    found = {
+        name: (heights.get(name, _HEIGHT), [_drawing(value)])
+        for name, value in values.items()
+        if value is not None
+    }
     black, grey, chassis = study.black, study.grey, study.chassis
     if black is not None:
         names = [m.name for m in black.models]
@@ -96,9 +102,9 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         fit, data = black.best.fit, black.validation
         found["residuals"] = (_HEIGHT, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
         found["compare"] = (
-            1.9,
+            _HIGHER,
             [lambda ax: plots.plot_compare(data, *models, labels=names, ax=ax)],
         )
     if grey is not None and chassis is not None:
-        found["greybox"] = (_HEIGHT, [lambda ax: plots.plot_greybox(grey, chassis, ax=ax)])
+        found["greybox"] = (_HIGHER, [lambda ax: plots.plot_greybox(grey, chassis, ax=ax)])
     return found

@@ -189,7 +189,7 @@ def _comparison(study: HandoutStudy) -> Section:
                 "gain [rad/(s V)]",
                 "antires. [rad/s]",
                 "63 % time [ms]",
-                "equivalent time [ms]",
+                "equivalent [ms]",
                 "overshoot [%]",
             ),
             rows=tuple(rows),

@@ -117,7 +117,8 @@ def plot_residuals(
     stems(below, test.cross_lags, test.cross_correlation, VERMILION)
     below.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     below.set_ylabel("$r_{eu}$(lag)")
-    below.set_xlabel("lag [samples]")
+    for panel in (ax, below):
+        panel.set_xlabel("lag [samples]")
     for panel, values, width in (
         (ax, test.autocorrelation[1:], test.autocorrelation_band),
         (below, test.cross_correlation, float(np.nanmax(band, initial=0.0))),

@@ -263,3 +263,18 @@ def test_a_table_of_figures_stars_what_was_sampled(plain: Fit, near: Fit) -> Non
 
     assert "* linearisation poor (near" in table
     assert ")*" in table
+
+
+def test_the_rate_after_a_step_has_the_band_of_its_draws(plant: HandoutPlant) -> None:
+    """It is the difference of the response, and so are its deviations and its draws."""
+    fit = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
+    whole, rate = fit.step_response(51), fit.step_response(50, rate=True)
+    draws = drawn(fit)
+    assert draws is not None
+    scatter = np.std(np.diff(step_responses(fit, draws.theta, 51), axis=1) / fit.Ts, axis=0)
+
+    np.testing.assert_allclose(rate.y, np.diff(whole.y) / fit.Ts, atol=1e-12)
+    np.testing.assert_allclose(rate.t, whole.t[1:] - fit.Ts / 2)
+    np.testing.assert_allclose(rate.std, scatter, rtol=0.15)
+    shown = step_band(fit, rate, draws)
+    assert np.all((shown.low < rate.y) & (rate.y < shown.high))

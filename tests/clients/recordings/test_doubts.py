@@ -49,6 +49,8 @@ def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
         (chassis, "are two plants"),
     ):
         [text] = all_doubts([sound, other])
+        told_of_both = all_doubts([sound, other], one_plant=False)
+        assert told_of_both == ([] if "two plants" in text else [text])
         assert said in text
         assert sound.path.name in text
 

@@ -136,14 +136,17 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
         10.0 ** (3 * np.floor(np.log10(np.abs(np.concatenate(v)).max()) / 3))
         for v in ([s.values for s in study.splits], [s.std for s in study.splits])
     )
-    x, ticks = 0.0, []
+    x = 0.0
+    ticks: list[tuple[float, str]] = []
     for s in study.splits:
         place = x + np.arange(s.k)
         value, std = (part / size for part in s.pooled)
         bars: dict[str, Any] = {"fmt": "o", "color": BLUE, "ms": 4, "lw": 1.0, "capsize": 3}
-        ax.errorbar(place, s.values / size, 2 * s.std / size, **bars)
+        each, all_ = ("each part ±2 σ", "all parts ±2 σ") if not ticks else (None, None)
+        ax.errorbar(place, s.values / size, 2 * s.std / size, label=each, **bars)
         edge = (place[0] - 0.4, place[-1] + 0.4)
-        ax.fill_between(edge, value - 2 * std, value + 2 * std, color=VERMILION, alpha=0.2, lw=0)
+        band: dict[str, Any] = {"color": VERMILION, "alpha": 0.2, "lw": 0, "label": all_}
+        ax.fill_between(edge, value - 2 * std, value + 2 * std, **band)
         ax.plot(edge, [value, value], color=VERMILION, ls="--", lw=1.0)
         ticks.append((float(place.mean()), plural(s.k, "part")))
         x += s.k + 1
@@ -177,7 +180,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     finish(ax)
     finish(below)
     legend(below)
-    return sign(ax, study.source)
+    return sign(ax, study.source, above=legend(ax))
 
 
 def _with_ticks(low: float, high: float) -> tuple[float, float]:

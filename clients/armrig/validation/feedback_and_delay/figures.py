@@ -64,6 +64,8 @@ def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
 
     Where u came first stems may stand out; where it came later, shaded, none does in open loop.
     """
+    from matplotlib.ticker import MaxNLocator
+
     ax = axes(ax)
     if result.sims is None:
         ax.text(0.5, 0.5, result.verdict, transform=ax.transAxes, ha="center")
@@ -77,6 +79,7 @@ def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
     ax.axvspan(float(result.sims.lags[0]) - 0.5, 0.5, color=VERMILION, alpha=0.07, lw=0)
     ax.axvline(0.5, color=GREY, lw=0.6, ls=":")
     ax.set_xlabel("lag [samples]; shaded: y was read first")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     finish(ax)
     test = f"Sims' F-test: p {p_relation(result.p_value)}, {result.verdict}"
     return sign(ax, result.source, above=legend(ax, test))
@@ -95,7 +98,7 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     below.plot(nk, rise, marker="o", ms=4, lw=0.8, color=BLUE, label="ARX", mfc="none")
     below.axhline(CHI2_95_PERCENT, color=GREY, lw=0.8, ls=":", label="95 %")
     below.set_yscale("symlog", linthresh=10)
-    below.set_yticks([0, 10, 100, 1000, 10000], ["0", "10", "100", "1000", "10⁴"])
+    below.set_yticks([0, 10, 100, 1000, 10000], ["0", "10", "100", "1000", "10000"])
     below.set_ylim(bottom=-1)
     below.minorticks_off()
     below.set_ylabel("$N$ ln(loss/least)")
