@@ -1,0 +1,105 @@
+"""Where a figure draws: axes, panels below or beside them, the look of all, and the file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from armrig.canvas.colours import INK
+from armrig.numerics.stretches import stretches
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+MISSING = "#BBBBBB"
+_WIDE = 2.0  # width over height, from which on two panels stand side by side
+
+
+class Sampled(Protocol):
+    """What has a value at each sample, some of them missing: a `Dataset`, for example."""
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(N,), False where the value is missing."""
+
+    @property
+    def Ts(self) -> float:
+        """Sampling time, in s."""
+
+
+def axes(ax: Axes | None) -> Axes:
+    """Return `ax`, or those of a new figure of pyplot's, laid out so that nothing is cut off."""
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot as plt
+
+    return plt.subplots(layout="constrained")[1]
+
+
+def figure_of(ax: Axes) -> Figure:
+    """Return the whole figure in which axes lie: what a result's `.plot()` gives, to be saved."""
+    return ax.figure.figure
+
+
+def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
+    """Return `ax`, shortened, and a panel below it that takes `share` of the height of both.
+
+    Panels that share no axis stand side by side where `ax` is much wider than high.
+    """
+    ax = axes(ax)
+    place = ax.get_subplotspec()
+    if place is None:
+        # Placed by hand: a grid of one place, just there.
+        (x0, y0), (x1, y1) = ax.get_position().get_points()
+        place = ax.figure.add_gridspec(1, 1, left=x0, right=x1, bottom=y0, top=y1)[0]
+    # A layout engine makes room for labels itself.
+    room = 0.02 if ax.figure.get_layout_engine() is not None else 0.08 if sharex else 0.5
+    shares = (1 - share, share)
+    if not sharex and ax.bbox.width > _WIDE * ax.bbox.height:
+        grid = place.subgridspec(1, 2, width_ratios=shares, wspace=room)
+    else:
+        grid = place.subgridspec(2, 1, height_ratios=shares, hspace=room)
+    ax.set_subplotspec(grid[0])
+    below = ax.figure.add_subplot(grid[1], sharex=ax if sharex else None)
+    if sharex:
+        ax.tick_params(labelbottom=False)
+    return ax, below
+
+
+def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
+    """Give panels the look that all have."""
+    for ax in panels:
+        ax.grid(visible=True, which="major", color="#DDDDDD", lw=0.5)
+        ax.set_axisbelow(True)
+        for side in ("top", "right"):
+            ax.spines[side].set_visible(False)
+        if xlim:
+            ax.set_xlim(*xlim)
+    panels[0].figure.align_ylabels(panels)
+
+
+def save(figure: Figure, path: Path, **options: Any) -> None:
+    """Write a figure so that the same figure gives the same bytes: without date or random ids."""
+    import matplotlib as mpl
+
+    undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+    with mpl.rc_context({"svg.hashsalt": "armrig"}):
+        figure.savefig(path, metadata=undated.get(path.suffix.lower()), **options)
+
+
+def shade(ax: Axes, data: Sampled) -> None:
+    """Shade the time in which y is missing."""
+    for gap in stretches(~data.valid):
+        begin, end = (gap.start - 0.5) * data.Ts, (gap.stop - 0.5) * data.Ts
+        ax.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
+
+
+def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
+    """Draw values over lags, each as a stem from zero."""
+    ax.vlines(x, 0, y, color=colour, lw=1.0)
+    ax.plot(x, y, "o", color=colour, ms=2.6)
+    ax.axhline(0, color=INK, lw=0.6)
