@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import armrig
+import pytest
 from armrig.cli.replay import replay
 
 # Found by every Python below, that of `armrigd virtual` too: a system without POSIX's terminals,
@@ -36,59 +37,67 @@ for name in ("fdatasync", "openpty", "getuid", "mkfifo", "pipe2"):
 """
 
 
-def _demo(folder: Path, seed: int, **environ: str) -> dict[str, bytes]:
-    """Run the demonstration; return what it made, by name, but its configuration."""
-    program = [sys.executable, "-m", "armrig", "demo", "--virtual", "--seconds", "5"]
+def _demo(folder: Path, *more: str, **environ: str) -> subprocess.CompletedProcess[str]:
+    """Run the demonstration, with seed 7."""
+    program = [sys.executable, "-m", "armrig", "demo", "--virtual", "--seconds", "5", "--seed", "7"]
     done = subprocess.run(
-        [*program, "--seed", str(seed), "--directory", str(folder)],
+        [*program, "--directory", str(folder), *more],
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", **environ},
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    (telegraph,) = re.findall(r"^next: armrig plot (\S.*) -o data.png$", done.stderr, re.MULTILINE)
-    (path,) = shlex.split(telegraph)
-    assert armrig.load(path).manifest.details["seed"] == seed
+    return done
+
+
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """Give the folder, and both outputs, of one without terminals, that tells it to a program."""
+    hidden = tmp_path_factory.mktemp("elsewhere")
+    (hidden / "sitecustomize.py").write_text(ELSEWHERE)
+    path = os.pathsep.join([str(hidden), *filter(None, sys.path)])
+    folder = hidden / "anöther folder"
+    odd = {"PYTHONPATH": path, "TZ": "Asia/Tokyo", "PYTHONHASHSEED": "3"}
+    done = _demo(folder, "--json", **odd)
+    return folder, done.stdout, done.stderr
+
+
+def _made(folder: Path) -> dict[str, bytes]:
+    """Return what was made, by name, but the configuration."""
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.suffix != ".toml"}
 
 
-def test_the_same_seed_gives_the_same_bytes_anywhere(tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes_anywhere(
+    elsewhere: tuple[Path, str, str], tmp_path: Path
+) -> None:
     """Recordings, figures and report; without terminals, locks or SIGHUP, and in another zone."""
-    (tmp_path / "elsewhere").mkdir()
-    (tmp_path / "elsewhere" / "sitecustomize.py").write_text(ELSEWHERE)
-    path = os.pathsep.join([str(tmp_path / "elsewhere"), *filter(None, sys.path)])
+    said = _demo(tmp_path).stderr
+    here, there = _made(tmp_path), _made(elsewhere[0])
 
-    here = _demo(tmp_path / "one", 7)
-    elsewhere = _demo(
-        *(tmp_path / "anöther folder", 7),
-        **{"PYTHONPATH": path, "TZ": "Asia/Tokyo", "PYTHONHASHSEED": "3"},
-    )
-
-    assert sorted(here) == sorted(elsewhere)
-    assert [name for name in here if here[name] != elsewhere[name]] == []
+    assert sorted(here) == sorted(there)
+    assert [name for name in here if here[name] != there[name]] == []
     kinds = [Path(name).suffix for name in here]
     assert (kinds.count(".mcap"), kinds.count(".svg"), kinds.count(".pdf")) == (3, 8, 1)
-    paths = sorted((tmp_path / "one").glob("*.mcap"))
+    paths = sorted(tmp_path.glob("*.mcap"))
     recordings = [armrig.load(p) for p in paths]
     assert {r.manifest.host["time"] for r in recordings} == {"virtual"}
     assert [r.samples.size for r in recordings if r.manifest.experiment == "blackbox"] == [500, 500]
     assert all(r.missing == 0 for r in recordings)
     assert all(not replay(p).difference for p in paths)
+    (shown,) = re.findall(r"^next: armrig plot (\S.*) -o data.png$", said, re.MULTILINE)
+    (telegraph,) = shlex.split(shown)
+    assert armrig.load(telegraph).manifest.details["seed"] == 7
 
 
-def test_a_program_is_told_where_everything_lies(tmp_path: Path) -> None:
+def test_a_program_is_told_where_everything_lies(elsewhere: tuple[Path, str, str]) -> None:
     """One line of JSON on standard output; what a person reads is beside it."""
-    program = [sys.executable, "-m", "armrig", "demo", "--virtual", "--seconds", "5", "--json"]
-    done = subprocess.run(
-        [*program, "--directory", str(tmp_path)], capture_output=True, text=True, check=False
-    )
+    _, told, said = elsewhere
 
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    found = json.loads(told)
     assert list(found["recordings"]) == ["step", "telegraph", "validation"]
     assert found["in_virtual_time"] == list(found["recordings"])
     assert [armrig.load(p).missing for p in found["recordings"].values()] == [0, 0, 0]
     assert [model["model"] for model in found["models"]] == ["ARX", "OE", "physics"]
     assert all(Path(p).exists() for p in [*found["figures"], found["report"]])
-    assert "next:" not in done.stderr
+    assert "next:" not in said
