@@ -16,6 +16,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, reflected, roots, without_integrator
 
 ROUNDING = 1e-9  # a root on the circle is computed so far beside it at most
+_VAGUE = 0.1  # deviation of a pole that may be anywhere
 _SURELY = 3.0  # deviations from 1 beyond which a pole is no integrator
 REFLECT = "lower the orders, or stable=True reflects it"
 _MARGIN = 1e-6  # from the circle, of a pole that is brought inside from so near
@@ -109,6 +110,8 @@ def _integrator_hint(fit: Fit) -> str:
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
         real = z.imag == 0 and not fit.integrator
+        if real and abs(z) >= 1 - ROUNDING and std > _VAGUE:
+            return f"and its deviation is {std:.2g}, so the data do not determine the model"
         if real and abs(z) >= 1 - ROUNDING and abs(z - 1) < _SURELY * std + ROUNDING:
             able = KINDS[fit.structure].may_integrate
             then = "ask for integrator=True" if able else "take oe with integrator=True"

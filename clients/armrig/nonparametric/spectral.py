@@ -159,7 +159,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
 
 def _rate(data: Dataset) -> Dataset:
     """Return the rate without the first sample of each experiment, which has none."""
-    return merge([difference(part)[1:] for part in data.experiments()])
+    return merge([difference(part)[1:] for part in data.experiments() if part.N > 1])
 
 
 def _frequencies(omega: ArrayLike | None, data: Dataset, *, logarithmic: bool) -> Vector:

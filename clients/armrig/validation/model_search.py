@@ -29,6 +29,7 @@ Vector = NDArray[np.float64]
 _LIKELY = 2.0  # deviations of a level from 0, from which it is better estimated along
 _IN_CLOSED_LOOP: tuple[Family, ...] = ("arx", "armax", "bj")
 _NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
+_ROUNDING = 1e-9  # share of y below which errors are all the same
 _UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
 
 
@@ -266,6 +267,8 @@ def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
     squared, usable = squared[order], [usable[i] for i in order]
     difference = squared - squared[0]
     excess_std = standard_error(np.array([batch_means(d) for d in difference]))
+    rounding = _ROUNDING**2 * float(np.mean(validation.y[validation.valid] ** 2))
+    excess_std = np.maximum(excess_std, rounding)
     excess = difference.mean(axis=1)
     chosen = simplest_as_good(excess, excess_std, [s.parameters for s in usable])
     return _Ranking(

@@ -250,12 +250,12 @@ def _about_families(found: SearchResult) -> Iterator[str]:
 def _about_tests(tests: ResidualTest) -> Iterator[str]:
     if tests.powerless:
         yield f"the tests of its residuals have no power: {tests.powerless}"
-    for p, said in (
-        (tests.missing_dynamics, "the input still explains its residuals: dynamics are missing"),
-        (tests.feedback, "its residuals run ahead of the input: feedback, or nk is too large"),
-    ):
-        if p < WHITE_LEVEL:
-            yield f"{said} (p {p_relation(p)})"
+    if tests.missing_dynamics < WHITE_LEVEL:
+        p = p_relation(tests.missing_dynamics)
+        yield f"the input still explains its residuals: dynamics are missing (p {p})"
+    elif tests.feedback < WHITE_LEVEL:
+        p = p_relation(tests.feedback)
+        yield f"its residuals run ahead of the input: feedback, or nk is too large (p {p})"
     if tests.white.coloured:
         yield (
             f"its residuals are {tests.white}: good for simulation, but trust std_robust, and take "

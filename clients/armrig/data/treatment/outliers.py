@@ -9,7 +9,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.treatment.wrong_samples import MOST, wrong_samples
 from armrig.numerics.checks import require_integers, require_numbers
 
-_FALSE_ALARM = 0.05  # chance of one or more in a clean record
+_FALSE_ALARM = 0.01  # chance of one or more in a clean record
 _LISTED = 10
 
 
@@ -33,7 +33,7 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
         N samples; each experiment is searched by itself, with one model and one s for all.
     threshold : float, optional
         Least |z| of an outlier; by default the one that N normal residuals stay below with a
-        chance of 95 % (4.3 for 3000).
+        chance of 99 % (4.6 for 3000).
     order : int, optional
         n, by default 20, or a tenth of the samples where they are fewer than 200.
 

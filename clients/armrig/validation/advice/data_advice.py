@@ -26,6 +26,7 @@ ORDER = 4
 """Poles of the models that are compared, and coefficients of their numerators: those of the arm."""
 _AGREE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MOST_MISSING = 0.2
+_SURELY = 10.0  # deviations of a pole from 1: where it is right, a few would do
 _CHANCE = 1e-3  # p value from which one open-loop recording in twenty is called closed by chance
 
 
@@ -115,7 +116,7 @@ def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "
         text += "answer to u: play a u that switches often (telegraph, PRBS), or lower the orders"
         yield finding("excitation", text, good=False)
-    if known.integration.notes and not fit.integrator:
+    if known.integration.notes and not fit.integrator and not _all_within(fit):
         yield replace(_about_integrator(known.integration), level="warning")
     if known.together:
         yield from _about_feedback(known)
@@ -127,6 +128,13 @@ def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
         yield finding("delay", text, good=False)
 
 
+def _all_within(fit: Fit) -> bool:
+    """Tell whether the model says itself that none of its poles is 1."""
+    poles = fit.poles()
+    apart = np.abs(poles.values - 1) > _SURELY * np.asarray(poles.std)
+    return bool(fit.converged and np.all(apart))
+
+
 def _parameters_from_u(fit: Fit) -> int:
     """Return how many parameters B and F, or B and A, have together."""
     free = fit.slice_of("b"), fit.slice_of("f"), fit.slice_of("a")
@@ -134,7 +142,7 @@ def _parameters_from_u(fit: Fit) -> int:
 
 
 def _excitation(data: Dataset) -> int:
-    return min(describe_input(part.u, data.Ts).order for part in data.experiments())
+    return max(describe_input(part.u, data.Ts).order for part in data.experiments())
 
 
 def _about_input(data: Dataset) -> Finding:

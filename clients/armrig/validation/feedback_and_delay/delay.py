@@ -100,9 +100,11 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     onset = _onset(data, tests, integrates=decided.integrates)
     read = _readings(data, response, onset.first)
     low, remarks = _hidden_by_steps(onset, read, data.Ts)
+    either = zero is not None and zero.rig and bool(zero.remark)
     return Delay(
-        nk=max(low, min(1, onset.last)),
-        interval=(0 if zero is not None and zero.rig else low, onset.last),
+        nk=1 if either and first else max(low, min(1, onset.last)),
+        interval=(0 if either else low, onset.last),
+        may_be_feedback=either,
         p_values={k: float(tests.p_values[k - first]) for k in range(first, shown + 1)},
         before=tests.before(shown - 1) if shown > first else None,
         misfit=onset.misfit,
@@ -142,6 +144,10 @@ def _lag_zero(data: Dataset) -> _LagZero:
         return _LagZero(rig=True, controller=False)
     if not loop.feedback:
         return _LagZero(rig=True, controller=False)
+    if loop.exact:
+        msg = f"u(t) is a multiple of {data.output}(t) in every sample, as under a P controller "
+        msg += "whose set point rests: such data do not tell when the rig answers; move the set "
+        raise ValueError(msg + "point")
     if not loop.may_be_direct_term or data.output in SECOND_ORDER:
         return _LagZero(
             rig=False,

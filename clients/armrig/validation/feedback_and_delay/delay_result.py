@@ -24,6 +24,8 @@ class Delay:
     under a zero-order hold, and 0 stands only where lag 0 itself is shown."""
     interval: tuple[int, int]
     """Least and greatest nk that the data do not rule out, each test at 0.1 %."""
+    may_be_feedback: bool
+    """A controller's u(t) that depends on y(t) would show at lag 0 as the direct term does."""
     p_values: dict[int, float]
     """By lag k up to the first that is shown: of the hypothesis that u does not act at k, nor
     before."""
@@ -134,11 +136,15 @@ class Delay:
         return f"nk = {low}" if self.told else f"nk between {low} and {high}"
 
     def _answer(self) -> str:
+        if self.told and self.may_be_feedback:
+            return f"{self.nk_range}: a direct term, or feedback, which looks the same"
         if self.told:
             return f"{self.nk_range}: {_delay_sentence(self.delay, self.Ts)}"
         return f"{self.nk_range}: cannot be told at this Ts and noise"
 
     def _way_out(self) -> str:
+        if self.may_be_feedback:
+            return "Take nk = 1 if y was read before u was applied, and nk = 0 if after."
         return (
             f"No delay is claimed that is not shown: take nk = {self.nk}, for a coefficient too "
             "many costs little. To tell, record longer, with more and larger changes of u "
