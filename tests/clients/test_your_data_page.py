@@ -42,8 +42,8 @@ def test_every_line_of_the_page_runs_and_prints_what_it_says(
 
 def test_every_kind_of_file_of_the_page_is_read() -> None:
     """The table has the suffixes that the reader has."""
-    from armrig.data.files.loading import SUFFIXES
+    from armrig.data.files.suffixes import DATA
 
     table = "".join(x for x in PAGE.read_text(encoding="utf-8").splitlines() if x.startswith("| `"))
 
-    assert set(re.findall(r"`(\.[a-z]+)`", table)) == set(SUFFIXES)
+    assert set(re.findall(r"`(\.[a-z]+)`", table)) == set(DATA)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.options import tell
+from armrig.data.files.suffixes import OTHER_DATA, RECORDING
 
 if TYPE_CHECKING:
     from armrig.recordings.folder import RecordingSummary
@@ -57,7 +58,7 @@ def _check_bare_name(path: Path) -> None:
     """Refuse a word that is no file: a name without its @, or a file without its suffix."""
     if path.suffix or path.parent != Path() or path.exists():
         return
-    beside = path.with_suffix(".mcap")
+    beside = path.with_suffix(RECORDING)
     meant = str(beside) if path.name and beside.exists() else f"@{path}"
     raise NoSuchRecordingError(f"{path}: there is no such file; did you mean {meant}?")
 
@@ -149,6 +150,6 @@ DataFile = Annotated[
     typer.Argument(
         metavar="F",
         parser=recording_path,
-        help=f"Recording (*.mcap, {_NAMES}), or other data (.csv, .dat, .mat, .npz).",
+        help=f"Recording (*.mcap, {_NAMES}), or {OTHER_DATA}.",
     ),
 ]

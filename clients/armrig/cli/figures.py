@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from armrig.cli.files import check_output
 from armrig.cli.options import tell
+from armrig.cli.output_file import check_output
 
 Plot = Annotated[
     Path | None, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")

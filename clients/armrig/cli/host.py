@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from armrig.cli.files import check_output
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, echo, print_json
+from armrig.cli.output_file import check_output
 
 _LONGEST_DEMO_S = 600.0
 

@@ -11,7 +11,6 @@ import typer
 
 from armrig.cli.chosen_recording import DataFile, recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.files import check_output
 from armrig.cli.model_structures import (
     NaOrNone,
     NbOrNone,
@@ -47,6 +46,7 @@ from armrig.cli.options import (
     say,
     tell,
 )
+from armrig.cli.output_file import check_output
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, get_args
 import typer
 
 from armrig.cli.options import SAME_DATA, OutputName, tell, warned
+from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -110,17 +111,15 @@ class Signals:
 
     def _is_other(self, file: Path) -> bool:
         """Return whether a file is no recording: by its name, or where columns are asked for."""
-        from armrig.data.files.loading import SUFFIXES
-
         suffix = file.suffix.lower()
         asked = (self.input, self.time, self.Ts) != (None, None, None)
-        return suffix in SUFFIXES or (asked and suffix != ".mcap")
+        return suffix in DATA or (asked and suffix != RECORDING)
 
     def _recorded(self, file: Path, model: Model | None) -> Dataset:
         given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
         for name, value in given.items():
             if value is not None:
-                msg = f"{name} {value} goes with other data (.csv, .dat, .mat, .npz); the "
+                msg = f"{name} {value} goes with {OTHER_DATA}; the "
                 msg += f"recording {file} says it itself"
                 raise typer.BadParameter(msg)
         recording = loaded([file], self.calibration, self.start, self.stop)[0]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import PurePath
 from typing import Any
 
+from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import FAMILIES
 
 _ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab"})
@@ -17,7 +18,7 @@ _ELSEWHERE: dict[str, str] = {
     **{name: f"`armrig identify F --structure {name}` estimates one" for name in FAMILIES},
 }
 """What stands for a command that there is not."""
-_FILES = (".mcap", ".active", ".csv", ".tsv", ".txt", ".dat", ".mat", ".npz", ".json", ".pdf")
+_FILES = (RECORDING, ".active", *DATA, ".json", ".pdf")
 
 
 def usage_error(err: Any, given: Sequence[str]) -> str:

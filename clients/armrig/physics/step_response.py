@@ -10,7 +10,7 @@ from armrig_core.arm import ArmParameters
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.recursion import recursion
-from armrig.numerics.step_times import ramp_lag, rise_time, slowest_time
+from armrig.numerics.step_times import rise_time, slowest_time
 from armrig.physics.grey_box.parameters import NAMES, SIGNED
 from armrig.physics.grey_box.response import sensitivity
 from armrig.physics.grey_box.sampled_model import Model, Physics, Sampled
@@ -19,7 +19,8 @@ from armrig.physics.systems import arm
 Vector = NDArray[np.float64]
 SPEED = "theta_1_rate"
 _SETTLED = 30.0  # times of the slowest pole after which the speed is steady to a rounding error
-_POINTS = 6001
+_FINE = 50.0  # steps in 1/|p| of the fastest pole
+_POINTS, _LATER = 2001, 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,9 +92,7 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
     poles = np.append(np.linalg.eigvals(np.asarray(system.A)[1:, 1:]), 0.0).astype(np.complex128)
     swing = 1j * np.sqrt(p.K_lin / p.J_2)
     steady_speed = p.torque_per_volt / p.damping
-    slowest = slowest_time(np.delete(poles.real, np.argmin(np.abs(poles))))
-    t = np.linspace(0.0, _SETTLED * slowest, _POINTS)
-    angle = step_response(p, t, state="theta_1") / steady_speed
+    dying = np.delete(poles, np.argmin(np.abs(poles)))
     return Characteristics(
         parameters=p,
         steady_speed=steady_speed,
@@ -101,10 +100,24 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
         rigid_slope=p.torque_per_volt / (p.J_1 + p.J_2),
         poles=poles[np.argsort(np.abs(poles), kind="stable")],
         zeros=np.array([swing, -swing]),
-        rise_time=rise_time(angle, float(t[1]), integrated=True),
-        equivalent_time=ramp_lag(t[-2:], angle[-2:]),
-        slowest_time=slowest,
+        rise_time=_rise_time(p, dying, steady_speed),
+        # The area above a step response is -sum 1/p + sum 1/z; those of the two zeros cancel.
+        equivalent_time=-float(np.sum(1 / dying).real),
+        slowest_time=slowest_time(dying.real),
     )
+
+
+def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: float) -> float:
+    """Return the speed's 63 % time, looked for ever later, as parameters may be far apart."""
+    h = 1 / (_FINE * float(np.abs(poles).max()))
+    settled = _SETTLED * slowest_time(poles.real)
+    while h * _POINTS < _LATER * settled:
+        angle = step_response(p, h * np.arange(_POINTS), state="theta_1") / steady_speed
+        found = rise_time(angle, h, integrated=True)
+        if np.isfinite(found):
+            return found
+        h *= _LATER
+    return float("nan")
 
 
 def step_response(
@@ -179,7 +192,7 @@ def _stepped(
 ) -> tuple[Sampled, Vector, int]:
     """Return the sampled model with derivatives, the voltage at each time, and the state's row."""
     times = np.asarray(t, dtype=np.float64)
-    if times.ndim != 1 or times.size < 2 or times[0] != 0 or not np.ptp(np.diff(times)) < 1e-9:
+    if times.ndim != 1 or times.size < 2 or times[0] != 0 or not _even(times):
         msg = "t must be equidistant from 0, at least two times, such as np.linspace(0, 1, 501)"
         raise ValueError(msg)
     physics = Physics(model=model, fixed=p, output="theta_1")
@@ -189,6 +202,10 @@ def _stepped(
         raise ValueError(msg)
     sampled = physics.sampled({}, by, float(times[1]))
     return sampled, np.full(times.size, float(u)), states.index(state)
+
+
+def _even(times: Vector) -> bool:
+    return bool(np.ptp(np.diff(times)) < 1e-9 * max(1.0, float(times[-1])))
 
 
 def _roots(z: NDArray[np.complex128]) -> str:

@@ -17,6 +17,7 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
+from armrig.data.files.suffixes import OTHER_DATA, RECORDING
 from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import (
     Clock,
@@ -113,6 +114,10 @@ def load(
     return recording
 
 
+_READ = (
+    f"a recording of armrigd's (*{RECORDING}) is wanted; sampling, hints, identify, validate and "
+    f"check read {OTHER_DATA}, too"
+)
 _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
 
@@ -121,15 +126,11 @@ def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
     try:
         content = read(path, part=part, digest=digest)
     except DamageError as err:
-        msg = f"{path}: {err}; armrig reads what armrigd has recorded (*.mcap); "
-        msg += "identify, validate and check read other data, too (.csv, .dat, .mat, .npz)"
-        raise RecordingError(msg) from err
+        raise RecordingError(f"{path}: {err}; {_READ}") from err
     if content is None and not path.stat().st_size:
         raise RecordingError(f"{path}: is empty, 0 B: nothing was recorded; record again")
     if content is None:
-        msg = f"{path}: not an MCAP file; armrig reads what armrigd has recorded (*.mcap); "
-        msg += "identify, validate and check read other data, too (.csv, .dat, .mat, .npz)"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: not an MCAP file; {_READ}")
     entries = content.metadata.get(records.RUN)
     if entries is None:
         why = content.damage or "it holds no metadata named armrig.run"

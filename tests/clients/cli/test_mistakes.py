@@ -77,7 +77,7 @@ REFUSED = [
     ("info @last", "make one with `armrig collect`"),
     ("info none.mcap", "`armrig ls` lists the recordings, each taken as @NAME"),
     ("info folder", "give a file in it"),
-    ("info report.pdf", "reads what armrigd has recorded (*.mcap)"),
+    ("info report.pdf", "a recording of armrigd's (*.mcap) is wanted"),
     ("greybox data.csv", "identify, validate and check read other data"),
     ("info empty.mcap", "is empty, 0 B: nothing was recorded; record again"),
     ("identify run.mcap.active --structure arx", "is still being recorded, or the daemon was kill"),

@@ -108,7 +108,7 @@ def test_a_sampling_time_that_is_given_overrides_the_times(
 
     assert code == 0
     assert out.startswith("OE(nb=2, nf=2, nk=1) fits y to ")
-    assert "u to y, Ts 0.1 s, N 400\n" in out
+    assert "u to y, Ts 0.1 s, N 400;" in out
     assert said.startswith(
         f"armrig: {folder}/data.csv: 400 samples, 0.1 s apart; the input is column u; the"
     )
@@ -321,8 +321,11 @@ def test_what_needs_a_recording_says_so(
 
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.startswith(f"armrig: {path}: not an MCAP file; armrig reads what armrigd has")
-    assert "identify, validate and check read other data, too" in said.err
+    assert said.err.startswith(f"armrig: {path}: not an MCAP file; a recording of armrigd's")
+    assert (
+        "hints, identify, validate and check read other data (.csv, .dat, .mat, .npz), too"
+        in said.err
+    )
 
 
 def test_a_replay_needs_a_recording(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -401,7 +404,7 @@ def test_a_model_without_means_is_validated_so(
         ),
         (
             "book.xlsx",
-            "not an MCAP file; armrig reads what armrigd has recorded (*.mcap); identify",
+            "not an MCAP file; a recording of armrigd's (*.mcap) is wanted; sampling",
         ),
     ],
 )

@@ -87,6 +87,17 @@ def test_of_a_first_order_system_all_three_are_its_time_constant(tau: float, dea
     assert slowest_time(np.log([pole])) == pytest.approx(tau)
 
 
+def test_parameters_that_are_far_apart_have_their_times() -> None:
+    """The motor's decay beside an arm that rings a million times: neither hides the other."""
+    light, heavy = (
+        armrig.characteristics(p) for p in (ArmParameters(J_2=1e-9), ArmParameters(J_1=1e9))
+    )
+
+    assert light.rise_time == pytest.approx(light.equivalent_time, rel=0.01)
+    assert light.slowest_time > 1e6 * light.rise_time
+    assert heavy.rise_time == pytest.approx(heavy.equivalent_time, rel=0.01)
+
+
 def test_what_is_never_reached_is_no_time() -> None:
     """NaN, from the crossing of a spline and of straight lines alike."""
     y: NDArray[np.float64] = np.linspace(0.0, 0.6, 20)

@@ -19,8 +19,6 @@ from armrig.data.files.table import DataFileError, Table, Vector, chosen, listed
 
 MOST_BYTES = 1 << 27
 """Longest file, in B: a million rows of eight numbers have less."""
-SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".mat", ".npz")
-"""How the names of files of data end, in small letters."""
 SOURCE = "data"
 """What stands before the hash of a file that is no recording, where data say whence they are."""
 _TIMES = ("t", "time")

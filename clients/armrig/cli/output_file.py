@@ -1,0 +1,31 @@
+"""A file to be written: refused, before any work, where it cannot or must not be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+_MCAP = b"\x89MCAP0\r\n"
+
+
+def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
+    """Refuse, before any work, a file that cannot be written, or must not: a recording is kept."""
+    name = f"-o {path}" if suffix else str(path)
+    if path.is_dir():
+        example = path / ("report.pdf" if suffix else "timing.png")
+        msg = f"{name}: is a directory; give a file, such as {example}"
+        raise ValueError(msg)
+    if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
+        msg = f"{name}: is one of the recordings to read, which would be lost; give another name"
+        raise ValueError(msg)
+    if path.is_file():
+        with path.open("rb") as file:
+            if file.read(len(_MCAP)) == _MCAP:
+                msg = f"{name}: is a recording, which would be lost; give another name"
+                raise ValueError(msg)
+    if suffix and path.suffix.lower() != suffix:
+        msg = f"{name}: a report is a PDF; give a name that ends in {suffix}"
+        raise ValueError(msg)
+    if not path.absolute().parent.is_dir():
+        msg = f"{name}: there is no directory {path.parent}; make it first"
+        raise ValueError(msg)

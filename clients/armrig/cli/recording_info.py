@@ -1,0 +1,210 @@
+"""The commands that say what one recording holds: info and replay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from armrig.cli.chosen_recording import File
+from armrig.cli.figures import check_plot
+from armrig.cli.next_step import say_next, typed
+from armrig.cli.options import (
+    CalibrationFile,
+    From,
+    Json,
+    To,
+    Verbose,
+    print_json,
+    print_table,
+)
+
+if TYPE_CHECKING:
+    from armrig_core.manifest import Recovered
+
+    from armrig.cli.replay import Replay
+    from armrig.recordings.recording import Recording
+
+_GAPS = 3  # lines of them without --verbose
+
+
+def info(
+    file: File,
+    calibration: CalibrationFile = None,
+    start: From = None,
+    stop: To = None,
+    json: Json = False,
+    verbose: Verbose = False,
+    plot: Annotated[
+        Path | None, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure of the timing.")
+    ] = None,
+) -> None:
+    """Say what a recording holds and how well it was sampled."""
+    from armrig.recordings.loading import load
+
+    check_plot(plot, [file])
+    recording = load(file, calibration, start=start, stop=stop)
+    if plot is not None:
+        _plot_timing(recording, plot)
+    if json:
+        print_json(_recording_facts(recording))
+    else:
+        print_table(*_recording_rows(recording, verbose=verbose))
+        say_next("info", file=typed(file))
+
+
+def _recording_facts(rec: Recording) -> dict[str, Any]:
+    """Return what a recording holds, for a program."""
+    from armrig.recordings.calibration.staleness import remarks
+    from armrig.recordings.jitter import sampling_statistics
+    from armrig.recordings.timing_disturbances import disturbances
+    from armrig.recordings.usability import data_verdict
+
+    return {
+        "sha256": rec.sha256,
+        "manifest": rec.manifest,
+        "outcome": rec.outcome,
+        "recovered": rec.recovered,
+        "samples": int(rec.samples.size),
+        "missing": rec.missing,
+        "invalid": rec.hidden,
+        "truncated": rec.truncated,
+        "damage": rec.damage,
+        "sampling": sampling_statistics(rec),
+        "causes": disturbances(rec),
+        "calibration": rec.calibration,
+        "remarks": remarks(rec.calibration, rec.manifest),
+        "verdict": data_verdict(rec).facts(),
+        "gaps": rec.gaps,
+        "events": rec.events,
+    }
+
+
+def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
+    """Give what a recording holds, for a person: names and values."""
+    from armrig.recordings.calibration.staleness import calibrated, remarks
+    from armrig.recordings.gap_summary import gap_lines
+    from armrig.recordings.jitter import sampling_statistics
+    from armrig.recordings.timing_disturbances import disturbances
+    from armrig.recordings.usability import data_verdict
+
+    manifest, timing = rec.manifest, sampling_statistics(rec)
+    details = ", ".join(f"{k} {v}" for k, v in manifest.details.items())
+    verdict = data_verdict(rec)
+    yield "verdict", verdict.summary
+    yield "recording", str(rec.path)
+    if verbose:
+        yield "sha256", rec.sha256
+    yield "run", f"{manifest.run_id} of rig {manifest.rig}, {manifest.started}"
+    yield "experiment", f"{manifest.experiment}: {details}" if details else manifest.experiment
+    yield "samples", _sample_count(rec)
+    yield "outcome", _outcome(rec)
+    if rec.recovered is not None:
+        yield "recovered", _recovered(rec.recovered)
+    yield "calibrated", calibrated(rec.calibration)
+    for text in remarks(rec.calibration, manifest):
+        yield "remark", text
+    yield "jitter", _microseconds(timing.jitter, 0)
+    if verbose:
+        yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"
+        yield "lateness", _lateness(timing.lateness, manifest.pacing)
+    if verbose and (found := disturbances(rec).texts()):
+        yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
+    gaps = gap_lines(rec.gaps)
+    for text in gaps if verbose else gaps[:_GAPS]:
+        yield "gap", text
+    if len(gaps) > _GAPS and not verbose:
+        yield "gap", f"{len(gaps) - _GAPS} more lines; --verbose shows them"
+    if rec.truncated:
+        yield "damage", rec.damage
+    for finding in verdict.findings if verbose else ():
+        yield finding.about, finding.text
+
+
+def _sample_count(rec: Recording) -> str:
+    """Return how many samples there are, how many are missing, and up to when they go."""
+    text = (
+        f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
+        "an angle (dead band, and the sample after)"
+    )
+    if rec.truncated:
+        text += f"; up to {rec.N * rec.Ts:g} s of {rec.asked_s:g} s"
+    return text
+
+
+def _recovered(how: Recovered) -> str:
+    cut_off = f", {how.cut_off_bytes} B behind them cut off" if how.cut_off_bytes else ""
+    when = how.when[:19].replace("T", " ")
+    return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were whole{cut_off}"
+
+
+def _outcome(rec: Recording) -> str:
+    """Return how the run ended, and whether the file ends before that."""
+    if not rec.truncated:
+        return rec.outcome.outcome if rec.outcome else "not known: the file does not say"
+    what = "is cut off" if rec.cut_off else "is damaged"
+    writing = ", or is still being written" if rec.path.suffix == ".active" else ""
+    if rec.outcome:
+        return f"of the run: {rec.outcome.outcome}; but the file {what}"
+    return f"not known: the file {what} before it says{writing}"
+
+
+def _microseconds(spread: Any, decimals: int) -> str:
+    if spread.n == 0:
+        return "too few samples"
+    p50, p99 = f"{spread.p50:.{decimals}f}", f"{spread.p99:.{decimals}f}"
+    return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs"
+
+
+def _lateness(spread: Any, pacing: str) -> str:
+    text = _microseconds(spread, 1)
+    if spread.n == 0:
+        return text
+    if pacing == "scheduled":
+        return f"{text}; of the samples' arrival at the host, which changes nothing in them"
+    return f"{text}; of the host's request for each sample"
+
+
+def _plot_timing(recording: Any, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    from armrig.canvas import save
+    from armrig.plots import plot_timing
+
+    figure = Figure(figsize=(6.3, 2.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    plot_timing(recording, quantity="jitter", ax=left)
+    plot_timing(recording, quantity="lateness", ax=right)
+    save(figure, path, dpi=200)
+
+
+def replay(file: File, json: Json = False) -> None:
+    """Have the daemon's core decide a recorded run once more.
+
+    Exit code 1 where it differs.
+    """
+    from armrig.cli.replay import replay as decided_again
+
+    found = decided_again(file)
+    if json:
+        print_json(found)
+    else:
+        print_table(
+            ("replayed", f"{found.steps} steps of the core over {found.seconds:.3f} s"),
+            ("frames", f"{found.frames} to the device, as recorded"),
+            ("samples", f"{found.samples} as recorded"),
+            *((s.level, f"{s.t:.3f} s: {s.message}") for s in found.said),
+            ("verdict", _replay_verdict(found)),
+        )
+    if found.difference:
+        raise typer.Exit(1)
+
+
+def _replay_verdict(found: Replay) -> str:
+    if found.difference:
+        return f"DIFFERS: {found.difference}"
+    if found.until:
+        return f"decided the same, to the last bit, as far as both go: {found.until}"
+    return "decided the same, to the last bit"
