@@ -39,10 +39,10 @@ AFTER: Mapping[str, str] = {
     "compare": "armrig check {file}",
     "simulate": "armrig lab",
     "simulate F": "armrig check {file}",
-    "check": "armrig collect greybox --seconds 30",
+    "check": "armrig integrate -o integrate.png",
     "greybox": "armrig split {file} -o split.png",
     "split": "armrig integrate -o integrate.png",
-    "integrate": "armrig report {files} -o report.pdf",
+    "integrate": "armrig report --handout {files} -o report.pdf",
 }
 """The line after each command, with what stands in braces filled in."""
 

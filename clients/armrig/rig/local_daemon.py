@@ -41,8 +41,10 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     Raises
     ------
     RigError
-        The daemon ended, or does not answer; quotes its last line.
+        Another daemon answers for this rig; or ours ended, or does not answer: quotes its last
+        line.
     """
+    _require_none(rig)
     program = [sys.executable, "-m", "armrig_daemon", "run", "--parent", str(os.getpid())]
     log.unlink(missing_ok=True)  # and not emptied: another daemon may still write to it
     with log.open("wb") as output:
@@ -59,6 +61,17 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
             yield daemon
         finally:
             stop(daemon)
+
+
+def _require_none(rig: str) -> None:
+    """Refuse where another daemon answers: what is shown as ours would be its."""
+    try:
+        with Rig(rig) as opened:
+            opened.status()
+    except NoReplyError:
+        return
+    msg = f"a daemon of rig {rig} already runs; end it, or choose another --rig"
+    raise RigError(msg)
 
 
 def stop(daemon: subprocess.Popen[bytes]) -> None:

@@ -102,7 +102,7 @@ def test_a_second_lab_is_told_of_the_first(lab: subprocess.Popen[str]) -> None:
     )
 
     assert second.returncode == 1
-    assert "a daemon of rig 1 already runs at" in second.stderr
+    assert "a daemon of rig 1 already runs" in second.stderr
     assert "Traceback" not in second.stderr
     assert lab.poll() is None
     with Rig() as rig:

@@ -62,7 +62,7 @@ def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
         ("model --set J_1=0.002", "armrig lab"),
         ("ls", "armrig info @0000000a/validation"),
         ("info @0000000a", "armrig plot @0000000a"),
-        ("integrate", "armrig report @0000000a @0000000a/validation -o report.pdf"),
+        ("integrate", "armrig report --handout @0000000a @0000000a/validation -o report.pdf"),
     ],
 )
 def test_a_command_ends_with_what_comes_next(
