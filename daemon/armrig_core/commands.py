@@ -165,6 +165,9 @@ class LastRun(msgspec.Struct, frozen=True, kw_only=True):
     finished: bool
     """Whether it is complete on the disk."""
     samples: Counter
+    """Samples taken so far."""
+    synced: Counter = 0
+    """Samples that are on the disk, whatever dies: counted once a second, at the end all."""
     outcome: str
     """`complete`, or why it ended early; empty while it runs."""
 

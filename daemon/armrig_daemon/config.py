@@ -185,6 +185,12 @@ class Recording(Table, frozen=True, kw_only=True):
 
     directory: str = ""
     """Folder of the recordings; empty is armrig/recordings in $XDG_DATA_HOME (~/.local/share)."""
+    part_minutes: Annotated[float, Meta(ge=0, le=1e6)] = 60.0
+    """Longest file, in minutes; a longer run is recorded in parts; 0 is no limit."""
+    part_mb: Annotated[float, Meta(ge=0, le=1e6)] = 2000.0
+    """Largest file, in MB; a run that may take more is recorded in parts; 0 is no limit."""
+    stop_when_full: bool = True
+    """Whether a run is stopped when the disk takes no more of it; else it plays on, unrecorded."""
 
 
 class Config(Table, frozen=True, kw_only=True):

@@ -82,7 +82,7 @@ def make(path: Path, seconds: int, pacing: str = "scheduled") -> int:
             time.sleep(0.01)
         ended = [record for record in records if isinstance(record, RunEnded)]
         if ended:
-            recording.finish(ended[0].outcome, u.size - count)
+            recording.finish(ended[0].outcome)
             recording.join()
             if recording.error:
                 raise SystemExit(recording.error)

@@ -64,6 +64,7 @@ class FakeDaemon:
                 recording=self.recording if finished else self.recording + ".active",
                 finished=finished,
                 samples=total if finished else total * self._polls // self.polls_per_run,
+                synced=total if finished else 0,
                 outcome=self.outcome if finished else "",
             )
         running = last is not None and not last.finished

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.rewriting import CHUNK, compact
+from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.rewriting import CHUNK, Rewriter, compact
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
@@ -118,3 +119,22 @@ def test_a_file_that_is_not_whole_is_not_copied_as_if_it_were(
 
     with pytest.raises(DamageError):
         compact(first, tmp_path / "copy")
+
+
+def test_a_copy_is_locked_while_it_is_written(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another daemon that starts meanwhile does not take it for one that somebody died over."""
+    copy, locked = tmp_path / "copy", []
+    finish = Rewriter.finish
+
+    def tried(self: Rewriter) -> None:
+        with copy.open("rb") as file, pytest.raises(BlockingIOError):
+            lock(file)
+        locked.append(True)
+        finish(self)
+
+    monkeypatch.setattr(Rewriter, "finish", tried)
+    compact(first, copy)
+
+    assert locked

@@ -34,6 +34,7 @@ class Disk:
         """Put it below what the recorder calls."""
         counted = {name: self._counted(name) for name in ("fsync", "fdatasync")}
         counted["ftruncate"] = self._counted("ftruncate", os.ftruncate)
+        counted["posix_fallocate"] = self._counted("posix_fallocate", os.posix_fallocate)
         with mock.patch.multiple(os, **counted):
             yield
 
@@ -77,10 +78,12 @@ class _Path(type(Path())):  # type: ignore[misc]
     def with_name(self, name: str) -> Any:
         return self.disk.path(Path(self).with_name(name))
 
-    def open(self, mode: str = "r", *_: Any, **__: Any) -> Any:
+    def open(self, mode: str = "r", buffering: int = -1, **__: Any) -> Any:
         self.disk.asked("open")
         raw = _File(str(self), mode.replace("b", ""))
         raw.disk = self.disk
+        if buffering == 0:
+            return raw
         return io.BufferedReader(raw) if mode == "rb" else io.BufferedWriter(raw)
 
     def rename(self, target: Any) -> Any:

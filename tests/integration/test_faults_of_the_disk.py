@@ -182,7 +182,7 @@ def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, su
             Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
     else:
         recording = Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
-        recording.finish("complete", 0)
+        recording.finish("complete")
         recording.join(5)
         assert recording.error == ""
         assert not path.is_symlink()
@@ -199,7 +199,7 @@ def test_a_link_that_takes_the_place_of_a_file_is_not_written_through(tmp_path: 
     recording = Recording(directory / "run.mcap", MANIFEST, {}, t_first_ns=0, changed=lambda: None)
     recording.active.unlink()
     recording.active.symlink_to(elsewhere)
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     assert recording.done

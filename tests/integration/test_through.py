@@ -59,7 +59,7 @@ def _record(seed: int, path: Path) -> Path:
         s = decode_sample(data)
         if s is not None and 0 <= s.k - started.k_first < N:
             recording.add([Outgoing("sample", s.t_host_ns, s.t_sched_ns, s.k, data)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join()
     return path
 

@@ -143,15 +143,18 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         first = first or (done.path if verdict else None)
         if run.json:
             facts = {"recording": str(done.path), "samples": done.samples, "Ts": done.Ts}
+            facts |= {"synced": done.synced}
             facts |= {"rehearsal": done.rehearsal}
             print_json(facts | {"verdict": verdict.facts() if verdict else None})
         else:
             echo(str(done.path))
+        kept = f"{done.synced} samples are on the disk; " if done.synced else ""
         if verdict is None:
-            tell("the recording is on the daemon's machine: `armrig info` there says what it holds")
+            where = "the recording is on the daemon's machine: `armrig info` there says what it"
+            tell(f"{kept}{where} holds")
         elif not verdict.usable:
             raise RuntimeError(verdict.summary)
         else:
-            tell(verdict.summary)
+            tell(f"{kept}{verdict.summary}")
     if first is not None and not run.json:
         say_next(f"collect {each[0].experiment}", file=typed(first))

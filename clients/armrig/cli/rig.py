@@ -52,7 +52,7 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
             "none"
             if last is None
             else f"{last.recording}, {last.samples} samples, "
-            + (last.outcome if last.finished else "running"),
+            + (last.outcome if last.finished else f"running; {last.synced} are on the disk"),
         ),
         ("recordings", report.recordings),
     )

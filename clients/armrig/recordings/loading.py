@@ -14,6 +14,7 @@ from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import CalibrationFileError, read_calibration
 from armrig_core.manifest import Manifest, Outcome, Recovered
 from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.part_names import part_paths
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
@@ -28,7 +29,7 @@ from armrig.recordings.daemon_reports import (
     timing_of,
 )
 from armrig.recordings.grid import Grid, grid
-from armrig.recordings.parts import joined, part_paths
+from armrig.recordings.parts import joined
 from armrig.recordings.recording import Recording, RecordingError, Vector
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 

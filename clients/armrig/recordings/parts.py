@@ -5,33 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from armrig_core.manifest import OUTCOME, RECOVERED, RUN, Manifest
 
 from armrig.recordings.container import Content
-
-PART = ".part-"
-"""Between a run's name and a part's number: NAME.part-0001.mcap."""
-
-
-def part_paths(path: Path) -> list[Path]:
-    """Return the files that a path stands for.
-
-    The name of a run stands for its parts, in their order, where there is no file of that name;
-    the name of a part for that part.
-    """
-    if path.exists() or path.suffix != ".mcap":
-        return [path]
-    begin = path.stem + PART
-    found = path.parent.glob("*.mcap*") if path.parent.is_dir() else ()
-    parts = [p for p in found if p.name.startswith(begin) and _number(p.name[len(begin) :])]
-    return sorted(parts) or [path]
-
-
-def _number(rest: str) -> bool:
-    return rest.partition(".")[0].isdigit() and rest.partition(".")[2] in ("mcap", "mcap.active")
 
 
 def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:

@@ -79,6 +79,8 @@ class Rig:
         self._owner = ""
         self._n = 0
         self._limits_v = (0.0, U_MAX_V)
+        self.last_run: commands.LastRun | None = None
+        """What the daemon said of the newest run that `run` has waited for."""
 
     def __enter__(self) -> Self:
         """Connect."""
@@ -170,7 +172,8 @@ class Rig:
         Returns
         -------
         Path
-            The recording, complete on the disk of the daemon.
+            The recording, complete on the disk of the daemon, which is asked for it: what is
+            returned survives a loss of power. `last_run` counts its samples.
 
         Raises
         ------
@@ -196,6 +199,7 @@ class Rig:
             if accepted is not None:
                 accepted(run)
             last = self._finished(request, run, progress or (lambda done, total: None))
+            self.last_run = last
         except BaseException as err:
             if run is None and isinstance(err, RefusedError):
                 raise  # nothing began

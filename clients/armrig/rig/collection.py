@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from armrig_core.commands import LastRun, RunAccepted, StatusReport
+from armrig_core.recording_file.part_names import part_paths
 from armrig_core.rehearsal import Rehearsal, sentence
 from numpy.typing import NDArray
 
@@ -49,6 +50,8 @@ class Collected(NamedTuple):
     """Id of the run, part of the recording's name."""
     rehearsal: Rehearsal | None
     """What the daemon's model of the rig did; None from a daemon that rehearses nothing."""
+    synced: int = 0
+    """Samples that are on the disk; 0 from a daemon that does not say."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,8 +150,10 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
             raise
         except RigError as err:
             raise RigError(_reason(opened, err, connect)) from err
-    verdict = data_verdict(load(path)) if path.is_file() else None
-    return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal)
+    here = all(part.is_file() for part in part_paths(path))
+    verdict = data_verdict(load(path)) if here else None
+    synced = opened.last_run.synced if opened.last_run else 0
+    return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal, synced)
 
 
 def _played(

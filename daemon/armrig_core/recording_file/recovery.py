@@ -30,6 +30,7 @@ from armrig_core.manifest import (
 )
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
+from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
 from armrig_core.recording_file.rewriting import Rewriter, all_records, sync_directory
 from armrig_core.recording_file.unfinished import (
@@ -125,6 +126,7 @@ class Recovery:
             what = "not an MCAP file" if size else "0 B"
             raise RecoveryError(f"{path}: {what}: nothing was recorded; delete it")
         with copy.open("xb") as target:
+            lock(target)  # ours while we write
             rewriter, tally = Rewriter(target, size), _Tally()
             damage = self._walked(path, source, rewriter, tally)
             behind = size - source.whole

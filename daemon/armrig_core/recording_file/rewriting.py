@@ -23,6 +23,7 @@ from mcap.writer import CompressionType, Writer
 from armrig_core.recording_file.budget import Budget, DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.chunks import Unpacker
+from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import (
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -142,6 +143,7 @@ def compact(source: Path, target: Path) -> None:
         if read is None:
             msg = "not an MCAP file"
             raise DamageError(msg)
+        lock(written)  # ours while we write
         rewriter = Rewriter(written, read.at + read.left)
         try:
             for record in all_records(read):

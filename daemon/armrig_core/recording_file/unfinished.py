@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -36,6 +36,16 @@ def unfinished(folder: Path, rig: str = "") -> list[Path]:
         return sorted(folder.glob(f"{rig}-*.mcap{ACTIVE}" if rig else f"*.mcap{ACTIVE}"))
     except OSError:  # where nothing can be read nothing is found
         return []
+
+
+def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
+    """Remove copies that somebody died over, and return them: what they are of is there, whole."""
+    removed = []
+    for path in sorted(folder.glob(f"{rig}-*.mcap{COPY}")):
+        with suppress(OSError, RecoveryError), held(path, owner):
+            path.unlink()
+            removed.append(path)
+    return removed
 
 
 @contextmanager

@@ -34,9 +34,10 @@ from armrig_daemon.pipe import (
 )
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.child import LoopChild
+from armrig_daemon.service.played_input import checked
 from armrig_daemon.service.publish import Command, Kind, Session
 from armrig_daemon.service.rig_view import RigView
-from armrig_daemon.service.runs import Runs, checked
+from armrig_daemon.service.runs import Runs
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""

@@ -12,7 +12,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from armrig_core.recording_file.recovery import Recovery, sentence
-from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, unfinished
+from armrig_core.recording_file.unfinished import (
+    NotOursError,
+    RecoveryError,
+    remove_copies,
+    unfinished,
+)
 
 
 class Line(NamedTuple):
@@ -76,6 +81,11 @@ class LeftOver:
                 line = Line("warning", str(err))
             except Exception as err:  # one file must not keep the others from being recovered
                 line = Line("error", f"{path}: {err!r}; it stays as it is")
-            # A path may have any bytes, a message is UTF-8.
-            self._lines.put(Line(line.level, os.fsencode(line.text).decode(errors="replace")))
-            self._changed()
+            self._tell(line)
+        for path in remove_copies(self._directory, self._rig, os.geteuid()):
+            self._tell(Line("info", f"{path}: half a copy of a whole recording, removed"))
+
+    def _tell(self, line: Line) -> None:
+        # A path may have any bytes, a message is UTF-8.
+        self._lines.put(Line(line.level, os.fsencode(line.text).decode(errors="replace")))
+        self._changed()

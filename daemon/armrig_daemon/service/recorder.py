@@ -1,4 +1,4 @@
-"""Recordings: one MCAP file a run, safe on the disk up to the last flush whatever dies.
+"""Recordings: one MCAP file a run, or several, safe on the disk up to the last flush.
 
 Written to `NAME.mcap.active` and renamed when complete. A thread of its own writes, so that no
 disk is ever waited for.
@@ -6,37 +6,39 @@ disk is ever waited for.
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import os
 import queue
-import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import NamedTuple
 
-from armrig_core import protobuf
-from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome
-from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.file_lock import lock
-from armrig_core.recording_file.rewriting import compact, sync_directory
-from armrig_core.recording_file.unfinished import ACTIVE, COPY
-from armrig_core.topics import RECORDED, topic
-from mcap.writer import CompressionType, Writer
+from armrig_core.manifest import INPUT, Manifest, Outcome
+from armrig_core.recording_file.part_names import part_path
+from msgspec.structs import replace
 
 from armrig_daemon.service.protobuf_out import Outgoing
+from armrig_daemon.service.recording_part import EndsHereError, Part, RemovedError
 
-CHUNK = 128 * 1024
 FLUSH_S = 0.1
 SYNC_S = 1.0
 QUEUE = 10_000  # batches; what finds no room is counted and reported
-_MEDIA_TYPES = {"csv": "text/csv", "json": "application/json", "gz": "application/gzip"}
+CONTINUED = "continued"
+"""Outcome of a part that another one follows."""
 
 
 class RecordingError(OSError):
     """A recording cannot be begun; says where and why."""
+
+
+class PartLimits(NamedTuple):
+    """When a part ends, and the next one begins."""
+
+    samples: int
+    """After so many samples that were due."""
+    size: int
+    """Or at so many bytes."""
 
 
 class Recording:
@@ -50,6 +52,7 @@ class Recording:
         *,
         t_first_ns: int,
         changed: Callable[[], None],
+        limits: PartLimits | None = None,
     ) -> None:
         """Create the file with header, schemas, manifest and attachments, handed to the kernel.
 
@@ -61,6 +64,8 @@ class Recording:
             Monotonic time of the first sample.
         changed : callable
             Called from the writer's thread when `error`, `moved` or `done` has changed.
+        limits : PartLimits, optional
+            When parts end; the run is recorded in one file without them.
 
         Raises
         ------
@@ -68,10 +73,12 @@ class Recording:
             The file cannot be made.
         """
         self.path = path
-        self.active = path.with_name(path.name + ACTIVE)
-        self.kept = self.active
-        """Where the file is: under its own name once it is complete, or where it was moved to."""
         self.samples = 0
+        """Samples handed over."""
+        self.synced = 0
+        """Samples that are on the disk: whatever dies, they are there."""
+        self.missing = 0
+        """Samples that the gaps are short of, as far as they are written."""
         self.dropped = 0
         self.error = ""
         """What the disk refused, for a person; nothing more is written then."""
@@ -79,38 +86,38 @@ class Recording:
         """That somebody moved the file, for a person; it is written on where it is."""
         self.done = False
         """Whether the file is complete and has its name, or has failed for good."""
-        self._offset_ns = manifest.clock_offset_ns
-        self._sample_ns = t_first_ns
+        self._limits = limits
+        self._attachments = attachments
         self._changed = changed
-        self._queue: queue.Queue[list[Outgoing] | Outcome] = queue.Queue()
+        self._parts: list[Part] = []
+        self._written = self._flushed = 0  # samples
+        self._queue: queue.Queue[list[Outgoing] | str] = queue.Queue()
+        if limits is not None:
+            manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
         try:
-            self._file: IO[bytes] = self.active.open("xb")
-            self._writer = Writer(
-                self._file,
-                chunk_size=CHUNK,
-                compression=CompressionType.ZSTD,
-                enable_data_crcs=True,
-            )
-            lock(self._file)  # ours while we write
-            self._channels = self._begin(manifest, attachments)
-            self._good = self._file.tell()
-        except FileExistsError as err:
-            msg = f"{self.active}: {err.strerror}; set [recording] directory to another"
-            raise RecordingError(msg) from err
+            self._part = Part(part_path(path, manifest.part), manifest, attachments, t_first_ns)
         except OSError as err:
-            self._discard()
-            msg = f"{self.active}: {err.strerror}; free the disk, or set [recording] directory"
+            way_out = "free the disk, or set [recording] directory"
+            if isinstance(err, FileExistsError):
+                way_out = "set [recording] directory to another"
+            active = Path(f"{part_path(path, manifest.part)}.active")
+            msg = f"{active}: {err.strerror}; {way_out}"
             raise RecordingError(msg) from err
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 
-    def _discard(self) -> None:
-        """Leave nothing of a file that could not be begun."""
-        with contextlib.suppress(AttributeError, OSError):
-            _into_nowhere(self._file)
-            self._file.close()
-        with contextlib.suppress(OSError):
-            self.active.unlink()
+    @property
+    def kept(self) -> Path:
+        """Where the file is: under its own name once it is complete, or where it was moved to."""
+        part = self._part
+        if not part.is_named:
+            return part.active
+        return part.path if self._limits is None else part.path.with_name(self.path.name)
+
+    @property
+    def active(self) -> Path:
+        """The file that is being written."""
+        return self._part.active
 
     def add(self, batch: list[Outgoing]) -> None:
         """Hand over messages to be written."""
@@ -120,45 +127,49 @@ class Recording:
         self._queue.put(batch)
         self.samples += sum(message.stream == "sample" for message in batch)
 
-    def finish(self, outcome: str, missing: int) -> None:
+    def finish(self, outcome: str) -> None:
         """Have the file completed and named; `done` tells when."""
-        missing += self.dropped
-        self._queue.put(Outcome(outcome=outcome, samples=self.samples, missing=missing))
+        self._queue.put(outcome)
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until the file is complete, or for `timeout` s."""
         self._thread.join(timeout)
 
-    def _begin(self, manifest: Manifest, attachments: dict[str, bytes]) -> dict[str, int]:
-        writer, channels = self._writer, {}
-        writer.start(profile="", library=f"armrig {manifest.armrig}")
-        for stream in RECORDED:
-            name = protobuf.OF_STREAM[stream]
-            schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))
-            channels[stream] = writer.register_channel(
-                topic(manifest.rig, stream), "protobuf", schema
-            )
-        writer.add_metadata(RUN, manifest.metadata())
-        began = self._sample_ns + self._offset_ns
-        for name, data in attachments.items():
-            kind = _MEDIA_TYPES[name.rpartition(".")[2]]
-            writer.add_attachment(began, began, name, kind, data)
-        writer.flush()
-        return channels
-
     def _write(self) -> None:
         """Write what comes until the end, and complete the file; whatever fails is told."""
-        outcome = None
         try:
-            outcome = self._write_until_the_end()
-            self._complete(outcome)
+            self._write_run()
         except Exception as err:
-            self._give_up(err, ended=outcome is not None)
+            self._give_up(err)
         finally:
             self.done = True
             self._changed()
 
-    def _write_until_the_end(self) -> Outcome:
+    def _write_run(self) -> None:
+        try:
+            outcome = self._write_until_the_end()
+        except EndsHereError as err:
+            self._end_early(err)
+            self._wait_for_the_end()
+        except Exception as err:
+            self._give_up(err)
+            self._wait_for_the_end()
+        else:
+            self._part.missing += self.dropped
+            self._end_part(outcome)
+            self._follow()
+            self._part.compact()
+            self._part.name()
+        for ended in self._parts:
+            ended.compact()
+
+    def _wait_for_the_end(self) -> None:
+        """Have the error seen, and pass over what still comes of the run."""
+        self._changed()
+        while not isinstance(self._queue.get(), str):
+            pass
+
+    def _write_until_the_end(self) -> str:
         """Write what comes: flushed at 10 Hz, on the disk at 1 Hz, first of all what is there."""
         flushed = time.monotonic()
         synced = flushed - SYNC_S
@@ -167,109 +178,83 @@ class Recording:
                 batch = self._queue.get(timeout=FLUSH_S)
             except queue.Empty:
                 batch = []
-            if isinstance(batch, Outcome):
+            if isinstance(batch, str):
                 return batch
             for message in batch:
                 self._add(message)
             now = time.monotonic()
-            if now - flushed >= FLUSH_S:
-                self._writer.flush()
-                self._good, flushed = self._file.tell(), now
-                self._follow()
+            if now - flushed >= FLUSH_S or self._part.is_behind:
+                self._flush()
+                flushed = now
             if now - synced >= SYNC_S:
-                _sync(self._file.fileno())
-                synced = now
-
-    def _complete(self, outcome: Outcome) -> None:
-        self._writer.flush()  # so that the outcome stands behind the last sample
-        self._writer.add_metadata(OUTCOME, outcome.metadata())
-        self._writer.finish()
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._good = self._file.tell()
-        self._follow()
-        if sys.platform == "win32":  # it renames no open file
-            self._file.close()
-        try:
-            compact(self.active, self._compacted)
-            self._compacted.replace(self.active)
-        except (OSError, DamageError):  # no room for a second copy: the first is complete, too
-            self._follow()
-            with contextlib.suppress(OSError):
-                self._compacted.unlink(missing_ok=True)
-        self.active.replace(self.path)
-        self._file.close()
-        self.kept = self.path
-        sync_directory(self.path.parent)
-
-    @property
-    def _compacted(self) -> Path:
-        return self.path.with_name(self.path.name + COPY)
-
-    def _follow(self) -> None:
-        """See that the open file is still the one of our name; else go where it was moved to.
-
-        Raises
-        ------
-        RecordingError
-            It has no name any more: what is written goes nowhere.
-        """
-        if self._is_at(self.active):
-            return
-        moved = Path(f"/proc/self/fd/{self._file.fileno()}").readlink()
-        if not self._is_at(moved):
-            raise RecordingError(errno.ENOENT, "removed while it was written")
-        self.active = self.kept = moved
-        self.path = moved.with_name(moved.name.removesuffix(ACTIVE))
-        self.moved = "its recording was moved while it was written"
-        self._changed()
-
-    def _is_at(self, path: Path) -> bool:
-        """Return whether the open file is the one at `path`."""
-        try:
-            found = os.lstat(path)
-        except (FileNotFoundError, NotADirectoryError):
-            return False
-        return os.path.samestat(found, os.fstat(self._file.fileno()))
+                self._part.sync()
+                self.synced, synced = self._flushed, now
 
     def _add(self, message: Outgoing) -> None:
-        # Log times do not go back in the file: what a sample in flight is overtaken by gets the
-        # time of the sample before; its own is in its payload.
+        self._part.add(message)
         if message.stream == "sample":
-            t_ns = self._sample_ns = message.t_host_ns
-        else:
-            t_ns = min(message.t_host_ns, self._sample_ns)
-        self._writer.add_message(
-            channel_id=self._channels[message.stream],
-            log_time=t_ns + self._offset_ns,
-            publish_time=min(message.t_sched_ns, t_ns) + self._offset_ns,
-            sequence=message.sequence & 0xFFFFFFFF,
-            data=message.data,
-        )
+            self._written += 1
+            if self._is_full(message.sequence):
+                self._begin_part(message.sequence + 1, message.t_host_ns)
 
-    def _give_up(self, err: Exception, *, ended: bool) -> None:
+    def _is_full(self, k: int) -> bool:
+        """Return whether a part ends with sample `k`: behind a sample, so no gap lies over it."""
+        part, limits = self._part, self._limits
+        if limits is None or k + 1 >= part.manifest.due.stop:
+            return False
+        return k + 1 - part.manifest.due.start >= limits.samples or part.size >= limits.size
+
+    def _begin_part(self, k_first: int, t_ns: int) -> None:
+        """End the part, and begin the next one with sample `k_first`."""
+        ended, number = self._part, self._part.manifest.part + 1
+        manifest = replace(ended.manifest, part=number, part_k_first=k_first)
+        attachments = {name: data for name, data in self._attachments.items() if name != INPUT}
+        try:
+            part = Part(part_path(self.path, number), manifest, attachments, t_ns)
+        except OSError as err:
+            raise EndsHereError(f"{err.strerror}; part {number} cannot be begun") from err
+        try:
+            self._end_part(CONTINUED)
+            ended.name()
+        except BaseException:
+            part.discard()
+            raise
+        self._parts.append(ended)
+        self._part = part
+
+    def _end_part(self, outcome: str) -> None:
+        part = self._part
+        part.finish(Outcome(outcome=outcome, samples=part.samples, missing=part.missing))
+        self.synced = self._written
+        self.missing += part.missing
+
+    def _end_early(self, err: EndsHereError) -> None:
+        """Complete the file before the run has ended; full chunks, which take long, come later."""
+        try:
+            self._end_part(f"its recording ended: {err}")
+            self._follow()
+            self._part.name()
+        except Exception as worse:
+            self._give_up(worse)
+        else:
+            self._parts.append(self._part)
+            self.error = f"{self.kept}: {err}; the recording ends there, whole up to then"
+
+    def _flush(self) -> None:
+        self._part.flush()
+        self._flushed = self._written
+        self._follow()
+
+    def _follow(self) -> None:
+        if self._part.follow():
+            self.moved = "its recording was moved while it was written"
+            self._changed()
+
+    def _give_up(self, err: Exception) -> None:
         """Keep what was flushed whole: a file that goes on would have a silent hole."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         # Another file may have our name by now: that ours was removed is known for sure.
-        there = not isinstance(err, RecordingError) and os.access(self.kept, os.F_OK)
+        there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)
         left = "what was flushed is kept there" if there else "its samples are gone"
         self.error = f"{self.kept}: {reason}; {left}"
-        with contextlib.suppress(OSError, ValueError):  # closed, or gone altogether
-            os.ftruncate(self._file.fileno(), self._good)
-            _into_nowhere(self._file)
-            self._file.close()
-        self._changed()
-        while not ended:
-            ended = isinstance(self._queue.get(), Outcome)
-
-
-def _sync(fd: int) -> None:
-    """Have the bytes of a file on the disk, with no more of its dates and sizes than needed."""
-    getattr(os, "fdatasync", os.fsync)(fd)  # not every system has the first
-
-
-def _into_nowhere(file: IO[bytes]) -> None:
-    """Let what is buffered go nowhere: it must not come back when there is room again."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, file.fileno())
-    os.close(nowhere)
+        self._part.give_up()

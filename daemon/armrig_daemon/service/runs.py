@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib.metadata import version
 from math import inf
 from pathlib import Path
@@ -19,15 +19,16 @@ from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Ma
 from armrig_core.rehearsal import Rehearsal, rehearse
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
-from numpy.typing import NDArray
 
-from armrig_daemon.config import Config, Limits
+from armrig_daemon.config import Config
+from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Gap, Play, RunStarted, State
 from armrig_daemon.service.circumstances import Circumstances, of_this_host
 from armrig_daemon.service.directory import check_directory
+from armrig_daemon.service.played_input import checked, one_a_line
 from armrig_daemon.service.presence import Presence, begun, renewed
 from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recorder import Recording, RecordingError
+from armrig_daemon.service.recorder import PartLimits, Recording, RecordingError
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
 _ROOM = 1 << 20  # and what a recording takes without any
@@ -64,9 +65,9 @@ class Runs:
         self._recording: Recording | None = None
         self._finishing: Recording | None = None
         self._first = self._end = 0
-        self._missing = 0
         self._last: LastRun | None = None
         self._presence: Presence | None = None
+        self._told = ""
 
     @property
     def last(self) -> LastRun | None:
@@ -77,7 +78,10 @@ class Runs:
         if self._last is None or recording is None:
             return self._last
         return msgspec.structs.replace(
-            self._last, recording=str(recording.kept), samples=recording.samples
+            self._last,
+            recording=str(recording.kept),
+            samples=recording.samples,
+            synced=recording.synced,
         )
 
     @property
@@ -131,7 +135,7 @@ class Runs:
             revolutions=limits.revolutions,
             alpha_rad=limits.alpha_rad,
         )
-        text = "".join(["u_v\n", *(f"{volts!r}\n" for volts in request.u)]).encode()
+        text = one_a_line(u)
         codes = np.rint(u / U_MAX_V * CODE_FULL_SCALE).astype("<u2").tobytes()
         run_id = self._circumstances.run_id(codes)
         stamp = self._circumstances.now().strftime("%Y%m%dT%H%M%S")
@@ -193,7 +197,6 @@ class Runs:
             attachments[CALIBRATION_RAW] = self._calibration_raw
         self._last = _begun(planned)
         self._first, self._end = started.k_first, started.k_first + started.count
-        self._missing = 0
         try:
             self._recording = Recording(
                 planned.path,
@@ -201,6 +204,7 @@ class Runs:
                 attachments,
                 t_first_ns=started.t_host_ns,
                 changed=self._changed,
+                limits=part_limits(self._config.recording, manifest.samples, manifest.Ts),
             )
         except RecordingError as err:
             self._last = msgspec.structs.replace(self._last, finished=True, outcome=str(err))
@@ -213,13 +217,10 @@ class Runs:
         return self._recording is not None and self._first <= k < self._end
 
     def includes(self, record: object) -> bool:
-        """Return whether a record belongs into the recording; a gap counts what is missing."""
+        """Return whether a record belongs into the recording; of gaps those within the run."""
         if self._recording is None or not isinstance(record, Gap):
             return self._recording is not None
-        first, end = record.k_first, record.k_first + record.count
-        missing = max(0, min(end, self._end) - max(first, self._first))
-        self._missing += missing
-        return missing > 0
+        return max(record.k_first, self._first) < min(record.k_first + record.count, self._end)
 
     def add(self, batch: list[Outgoing]) -> None:
         """Record messages, if there is a recording."""
@@ -232,14 +233,25 @@ class Runs:
         recording, self._recording = self._recording, None
         if recording is None or self._last is None:
             return
-        recording.finish(outcome, self._missing)
+        recording.finish(outcome)
         self._last = msgspec.structs.replace(self._last, outcome=outcome)
         self._finishing = recording
 
     def disturbed(self) -> str:
         """Return why the run in hand is to be stopped, as its recording tells, or nothing."""
         recording = self._recording
-        return (recording.error or recording.moved) if recording is not None else ""
+        if recording is None:
+            return ""
+        full = recording.error if self._config.recording.stop_when_full else ""
+        return full or recording.moved
+
+    def unrecorded(self) -> str:
+        """Return, once, why the run in hand plays on without being recorded, or nothing."""
+        recording = self._recording
+        if recording is None or not recording.error or recording.error == self._told:
+            return ""
+        self._told = recording.error
+        return "" if self._config.recording.stop_when_full else f"{self._told}; the run plays on"
 
     def finished(self, timeout: float = 0.0) -> tuple[str, str]:
         """Return a level and a line for a person when a recording is complete, else two "".
@@ -262,16 +274,14 @@ class Runs:
             self._last,
             recording=str(recording.kept),
             finished=True,
-            samples=recording.samples,
+            samples=recording.synced,
+            synced=recording.synced,
             outcome=outcome,
         )
         if recording.error:
             return "error", recording.error
-        missing = self._missing + recording.dropped
-        return (
-            "info",
-            f"recorded {recording.kept}: {outcome}, {recording.samples} samples, {missing} missing",
-        )
+        text = f"recorded {recording.kept}: {outcome}, {recording.synced} samples, "
+        return "info", f"{text}{recording.missing} missing"
 
     def _manifest(
         self,
@@ -308,29 +318,14 @@ class Runs:
         )
 
 
-def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
-    """Return the voltages of an experiment, (N,) in V.
-
-    Raises
-    ------
-    ValueError
-        One is outside the limits, or steps too far; names the first index.
-    """
-    volts = np.asarray(u, dtype=np.float64)
-    low, high, slew = limits.u_min_v, limits.u_max_v, limits.slew_v
-    outside = ~((volts >= low) & (volts <= high))
-    if outside.any():
-        i = int(np.argmax(outside))
-        msg = f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V"
-        raise ValueError(msg)
-    steps = np.abs(np.diff(volts, prepend=0.0))
-    # What is left over is what two numbers like 0.3 and 1.3 differ from 1 by.
-    far = steps > slew * (1 + 1e-9)
-    if slew and far.any():
-        i = int(np.argmax(far))
-        msg = f"u[{i}] steps by {steps[i]:.4g} V: at most {slew:.4g} V in a sample"
-        raise ValueError(msg)
-    return volts
+def part_limits(config: RecordingConfig, samples: int, Ts: float) -> PartLimits | None:
+    """Return when the parts of a run end; None where one file may hold all of it."""
+    longest_s, largest = config.part_minutes * 60 or inf, config.part_mb * 1e6 or inf
+    size = samples * _ROOM_PER_SAMPLE
+    most = samples if samples * Ts <= longest_s else max(1, round(longest_s / Ts))
+    if most == samples and size <= largest:
+        return None
+    return PartLimits(most, round(min(size, largest)))
 
 
 def _begun(planned: Planned) -> LastRun:

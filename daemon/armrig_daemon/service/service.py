@@ -271,6 +271,9 @@ class Service:
         if reason:
             self._loop.order(Halt(reason=reason))
         self._say_finished()
+        unrecorded = self._runs.unrecorded()
+        if unrecorded:
+            self._say("error", unrecorded)
         for level, text in self._left_over.lines():
             self._say(level, text)
 

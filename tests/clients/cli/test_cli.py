@@ -490,10 +490,12 @@ def test_collect_judges_the_data(
     assert main(["collect", "blackbox", "--connect", where]) == 0
     said = capsys.readouterr()
     assert main(["collect", "blackbox", "--connect", where, "--json"]) == 0
-    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    facts = json.loads(capsys.readouterr().out)
+    verdict = facts["verdict"]
 
     assert said.out == f"{daemon.recording}\n"
-    assert "the data can be used, with care" in said.err
+    assert "3000 samples are on the disk; the data can be used, with care" in said.err
+    assert facts["synced"] == facts["samples"] == 3000
     assert "too quiet" in said.err
     assert verdict["usable"] is True
     assert {f["about"]: f["level"] for f in verdict["findings"]}["signal"] == "warning"

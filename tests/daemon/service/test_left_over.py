@@ -133,3 +133,20 @@ def test_a_file_that_fails_unexpectedly_does_not_keep_the_others(
     assert second.level == "info"
     assert f"{tmp_path}/1-b.mcap: recovered, {N} samples, 0.3 s of 0.3 s" in second.text
     assert _names(tmp_path) == ["1-a.mcap.active", "1-b.mcap"]
+
+
+def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> None:
+    """Its daemon died as it wrote a whole recording once more; one that lives still does."""
+    whole = written(tmp_path, DATA, "1-a.part-0001.mcap")
+    written(tmp_path, DATA[:100], "1-a.part-0001.mcap.compact")
+    (tmp_path / "1-c.mcap.compact").symlink_to(whole)
+    left_over = LeftOver(tmp_path, "1", lambda: None)
+    with written(tmp_path, DATA[:100], "1-b.mcap.compact").open("rb") as file:
+        lock(file)
+
+        left_over.start()
+        left_over.join(20)
+
+    assert _names(tmp_path) == ["1-a.part-0001.mcap", "1-b.mcap.compact", "1-c.mcap.compact"]
+    (line,) = left_over.lines()
+    assert line.text == f"{whole}.compact: half a copy of a whole recording, removed"

@@ -64,7 +64,7 @@ def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
 
     recording.add([_sample(k) for k in range(100)])
     recording.add([outgoing(gap, 0)])
-    recording.finish("complete", 2)
+    recording.finish("complete")
     recording.join(5)
 
     with path.open("rb") as file:
@@ -86,7 +86,7 @@ def test_who_made_a_recording_is_told_when_it_is_complete(tmp_path: Path) -> Non
     changed = threading.Event()
     recording = _recording(tmp_path / "run.mcap", changed)
 
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     assert changed.is_set()
@@ -99,7 +99,7 @@ def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
     late = Gap(k_first=1, count=1, t_from_ns=0, t_to_ns=15_000_000, u_held_v=0, reason="late")
 
     recording.add([_sample(1), outgoing(late, 0), _sample(2)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     with path.open("rb") as file:
@@ -113,7 +113,7 @@ def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Pat
     recording = _recording(tmp_path / "run.mcap")
 
     recording.add([_sample((1 << 32) + 7)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     assert recording.error == ""
@@ -131,7 +131,7 @@ def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
     recording.add([_sample(k) for k in range(50)])
     _wait_until_flushed(recording, header)
 
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
 
@@ -152,7 +152,7 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
     assert changed.wait(1)
     assert recording.moved == "its recording was moved while it was written"
     recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish(recording.moved, 0)
+    recording.finish(recording.moved)
     recording.join(5)
 
     assert recording.error == ""
@@ -173,10 +173,10 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
         compact(source, target)
         directory.rename(elsewhere)
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.compact", moved)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.compact", moved)
     recording = _recording(directory / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     assert recording.error == ""
@@ -198,7 +198,7 @@ def test_a_recording_that_is_removed_is_told_while_the_run_goes_on(
     assert recording.error.endswith(
         "run.mcap.active: removed while it was written; its samples are gone"
     )
-    recording.finish("stopped", 0)
+    recording.finish("stopped")
     recording.join(5)
     assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * instead
 
@@ -213,8 +213,8 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_too(
 
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
-    monkeypatch.setattr("armrig_daemon.service.recorder.os.fsync", full)
-    recording.finish("complete", 0)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fsync", full)
+    recording.finish("complete")
     recording.join(5)
 
     assert recording.done
@@ -229,9 +229,9 @@ def test_whatever_fails_in_the_writer_is_told(
     def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.compact", broken)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.compact", broken)
     recording = _recording(tmp_path / "run.mcap")
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     assert recording.done
@@ -261,13 +261,13 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
         asked.set()
         answers.wait()
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.os.fdatasync", answer)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fdatasync", answer)
     monkeypatch.setattr("armrig_daemon.service.recorder.QUEUE", 3)
     recording = _recording(tmp_path / "run.mcap")
     assert asked.wait(5)
     for k in range(9):
         recording.add([_sample(k)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
 
     assert not recording.done
     answers.set()
@@ -278,6 +278,39 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
     with recording.path.open("rb") as file:
         metadata = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
     assert outcome_of(metadata[OUTCOME]).missing == recording.dropped
+
+
+def test_a_sample_is_acknowledged_when_the_disk_has_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not when it was handed over, nor when the kernel has it; at the end all of them are."""
+    monkeypatch.setattr("armrig_daemon.service.recorder.SYNC_S", 0.05)
+    monkeypatch.setattr("armrig_daemon.service.recorder.FLUSH_S", 0.01)
+    asked, answers = threading.Semaphore(0), threading.Semaphore(0)
+
+    def answer(_fd: int) -> None:
+        asked.release()
+        answers.acquire()
+
+    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fdatasync", answer)
+    recording = _recording(tmp_path / "run.mcap")
+    assert asked.acquire(timeout=5)  # the first, of the header
+    recording.add([_sample(k) for k in range(50)])
+    answers.release()
+    _wait_until_flushed(recording, recording.active.stat().st_size)
+    assert asked.acquire(timeout=5)
+    assert (recording.samples, recording.synced) == (50, 0)
+
+    answers.release()
+    assert asked.acquire(timeout=5)
+    assert recording.synced == 50
+
+    recording.add([_sample(k) for k in range(50, 60)])
+    recording.finish("complete")
+    for _ in range(100):  # however often it asks
+        answers.release()
+    recording.join(5)
+    assert recording.synced == 60
 
 
 def test_a_disk_that_is_full_leaves_a_whole_prefix(
@@ -293,10 +326,10 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.os.fdatasync", full)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fdatasync", full)
     assert changed.wait(5)
     recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     assert "No space left on device; what was flushed is kept there" in recording.error
@@ -325,11 +358,11 @@ def test_half_a_chunk_that_found_no_more_room_is_cut_off(
         if room_again:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.os.ftruncate", freed)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.os.ftruncate", freed)
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
     try:
         recording.add([_sample(k) for k in range(50, 100)])
-        recording.finish("complete", 0)
+        recording.finish("complete")
         recording.join(5)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -351,10 +384,10 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
         names = sorted(p.name for p in tmp_path.iterdir())
         synced.append((path.name, path.is_dir() or path.read_bytes().endswith(_MAGIC), names))
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.os.fsync", noted)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fsync", noted)
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     assert synced == [
@@ -376,11 +409,11 @@ def test_no_room_for_the_compact_copy_keeps_the_first(
         target.write_bytes(source.read_bytes()[:100])
         raise err
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.compact", full)
+    monkeypatch.setattr("armrig_daemon.service.recording_part.compact", full)
     recording = _recording(tmp_path / "run.mcap")
 
     recording.add([_sample(k) for k in range(50)])
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join(5)
 
     with recording.path.open("rb") as file:
@@ -395,7 +428,7 @@ def test_a_recording_never_overwrites_another(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"run\.mcap\.active: File exists"):
         _recording(tmp_path / "run.mcap")
 
-    first.finish("complete", 0)
+    first.finish("complete")
     first.join(5)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,9 +11,10 @@ import pytest
 from armrig_core.commands import Run
 from armrig_core.manifest import OUTCOME, outcome_of
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.config import Config, Limits
+from armrig_daemon.config import Config, Limits, Recording
 from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.service.protobuf_out import Outgoing, outgoing
+from armrig_daemon.service.recording_part import EndsHereError, Part
 from armrig_daemon.service.runs import Runs
 from mcap.reader import make_reader
 
@@ -37,6 +39,11 @@ def _begin(runs: Runs, run_id: str = "") -> Path:
         run_id=run_id or order.run_id, k_first=FIRST, count=END - FIRST, t_host_ns=T_NS
     )
     return runs.begin(started, STATE, {}, 0)
+
+
+def _sample(k: int) -> Outgoing:
+    sample = Sample(k, T_NS, T_NS, 0, 0.0, 0.0, 1.0, 1.0, 0, 0, 0)
+    return Outgoing("sample", T_NS, T_NS, k, encode_sample(sample))
 
 
 def _gap(first: int, count: int) -> Gap:
@@ -77,6 +84,7 @@ def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missi
     path = _begin(runs)
 
     assert runs.includes(gap) == (missing > 0)
+    runs.add([outgoing(gap, 0)] if runs.includes(gap) else [])
 
     runs.end("complete")
     _, text = runs.finished(5)
@@ -87,9 +95,9 @@ def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missi
 def test_what_one_run_missed_is_not_told_of_the_next(runs: Runs) -> None:
     """It begins with nothing missing."""
     _begin(runs)
-    runs.includes(_gap(FIRST, 3))
+    runs.add([outgoing(_gap(FIRST, 3), 0)])
     runs.end("stopped")
-    runs.finished(5)
+    assert runs.finished(5)[1].endswith("3 missing")
 
     path = _begin(runs)
     runs.end("complete")
@@ -192,3 +200,35 @@ def test_a_run_is_told_as_finished_once_its_recording_is_complete(runs: Runs) ->
 
     assert runs.last.finished
     assert runs.last.recording == str(path.with_suffix(""))
+
+
+@pytest.mark.parametrize("stops", [True, False])
+def test_what_a_full_disk_does_to_the_run_is_configured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, stops: bool
+) -> None:
+    """It is stopped, or plays on unrecorded, which is said once; its outcome tells in any case."""
+    why = "No space left on device"
+    flush = Part.flush
+
+    def full(self: Part) -> None:
+        flush(self)
+        raise EndsHereError(why)
+
+    monkeypatch.setattr(Part, "flush", full)
+    changed = threading.Event()
+    config = Config(recording=Recording(stop_when_full=stops))
+    runs = Runs(config, tmp_path, changed.set)
+    _begin(runs)
+    runs.add([_sample(k) for k in range(FIRST, END - 5)])
+    assert changed.wait(10)
+
+    told, again = runs.unrecorded(), runs.unrecorded()
+
+    assert (why in runs.disturbed()) == stops
+    assert (why in told, told.endswith("; the run plays on"), again) == (not stops, not stops, "")
+    runs.end("complete")
+    level, text = runs.finished(10)
+    assert (level, why in text) == ("error", True)
+    last = runs.last
+    assert last is not None
+    assert (last.outcome, last.samples, last.synced) == (text, 5, 5)

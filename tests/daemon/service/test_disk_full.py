@@ -1,0 +1,207 @@
+"""A full disk ends a recording, and costs nothing of what came before."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig.recordings.verification import verify
+from armrig_core.manifest import Manifest
+from armrig_core.recording_file.recovery import Recovery
+from armrig_core.telemetry import Sample, encode_sample
+from armrig_daemon.service import recorder, recording_part
+from armrig_daemon.service.protobuf_out import Outgoing
+from armrig_daemon.service.recorder import Recording
+from failing_disk import Disk
+
+MANIFEST = Manifest(
+    **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01},
+    **{"samples": 100_000, "k_first": 0, "started": "2026-01-01T00:00:00+00:00"},
+    **{"clock_offset_ns": 10**18, "armrig": "0", "protocol": "1"},
+)
+ENDED = "its recording ended: No space left on device"
+
+
+def _samples(first: int, end: int) -> list[Outgoing]:
+    """Return samples that do not pack well, as a rig's do not."""
+    batch = []
+    for k in range(first, end):
+        t_ns, noise = k * 10_000_000, (k * 2_654_435_761) % 2**32
+        readings = noise % 65536, noise // 65536
+        data = encode_sample(Sample(k, t_ns, t_ns + 5, k, noise, 0.2, 1.0, 1.0, *readings, 3))
+        batch.append(Outgoing("sample", t_ns + 5, t_ns, k, data))
+    return batch
+
+
+def _until_it_fails(recording: Recording, changed: threading.Event) -> None:
+    for k in range(0, 100_000, 500):
+        recording.add(_samples(k, k + 500))
+        if changed.wait(0.005):
+            return
+
+
+def _check(path: Path, recorded: int, error: str) -> None:
+    """Check that a recording ended early, as a whole, with all that it says it has."""
+    loaded = armrig.load(path)
+    assert not loaded.truncated
+    assert loaded.samples["k"].tolist() == list(range(recorded))
+    assert loaded.outcome is not None
+    assert (loaded.outcome.outcome, loaded.outcome.samples) == (ENDED, recorded)
+    (file,) = [c for c in verify(path).checks if c.about == "file"]
+    assert file.result == "passed"
+    assert error == (f"{path}: No space left on device; the recording ends there, whole up to then")
+
+
+_ON_A_SMALL_DISK = """
+import json, sys, threading
+from pathlib import Path
+sys.path[:0] = {path!r}
+import test_disk_full as here
+folder = Path(sys.argv[1])
+changed = threading.Event()
+recording = here.Recording(
+    folder / "run.mcap", here.MANIFEST, {{}}, t_first_ns=5, changed=changed.set
+)
+here._until_it_fails(recording, changed)
+recording.finish("stopped")
+recording.join(30)
+here._check(folder / "run.mcap", recording.synced, recording.error)
+print(json.dumps({{"synced": recording.synced, "names": sorted(p.name for p in folder.iterdir())}}))
+"""
+
+
+def test_on_a_disk_that_runs_full_the_file_is_completed_from_the_reserve(tmp_path: Path) -> None:
+    """A file system of 3 MB: all that was flushed is there, with its outcome and its index."""
+    program = _ON_A_SMALL_DISK.format(path=[*sys.path, str(Path(__file__).parent)])
+    mounted = f"mount -t tmpfs -o size=3m none {tmp_path} && exec {sys.executable} - {tmp_path}"
+    unshare = shutil.which("unshare") or "/nowhere/unshare"
+    if subprocess.run([unshare, "-rm", "true"], check=False, capture_output=True).returncode:
+        pytest.skip("no file system can be mounted here")
+
+    done = subprocess.run(
+        [unshare, "-rm", "sh", "-c", mounted],
+        input=program,
+        text=True,
+        capture_output=True,
+        check=False,
+        timeout=120,
+    )
+
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["names"] == ["run.mcap"]
+    assert told["synced"] > 10_000
+
+
+@pytest.mark.parametrize("kind", ["write", "posix_fallocate"])
+def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """The reserve is given back to it; so, too, where the reserve itself cannot grow."""
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    monkeypatch.setattr(recording_part, "_INDEXED", 1 << 20)  # grows with each chunk
+    changed = threading.Event()
+    disk = Disk(kind, 3)
+    with disk.installed():
+        recording = Recording(
+            disk.path(tmp_path / "run.mcap"), MANIFEST, {}, t_first_ns=5, changed=changed.set
+        )
+        for k in range(0, 300, 100):
+            recording.add(_samples(k, k + 100))
+            if changed.wait(0.2):
+                break
+        recording.add(_samples(10_000, 10_100))  # no hole in silence: nothing more is written
+        recording.finish("stopped")
+        recording.join(10)
+
+    assert disk.failed == 1
+    _check(tmp_path / "run.mcap", recording.synced, recording.error)
+    assert recording.synced == k + 100
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EFBIG, errno.ENOSPC])
+def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """A failing disk, a limit on the file's size, or somebody who takes the reserve's room."""
+    changed = threading.Event()
+    recording = Recording(tmp_path / "run.mcap", MANIFEST, {}, t_first_ns=5, changed=changed.set)
+    recording.add(_samples(0, 100))
+    while not recording._flushed:
+        changed.wait(0.01)
+    fails = threading.Event()
+
+    def failing(self: recording_part.Part) -> None:
+        fails.set()
+        self._file.write(b"torn")
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(recording_part.Part, "_write_pending", failing)
+    recording.add(_samples(100, 200))
+    assert fails.wait(10)
+    recording.finish("stopped")
+    recording.join(10)
+    monkeypatch.undo()
+
+    left = tmp_path / "run.mcap.active"
+    why = os.strerror(number)
+    assert recording.error == f"{left}: {why}; what was flushed is kept there"
+    assert armrig.load(left).samples["k"].tolist() == list(range(100))
+    done = Recovery(armrig="0", now=lambda: "").recover(left)
+    assert done.outcome.samples == 100
+    assert done.recovered.cut_off_bytes == 0
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
+) -> None:
+    """Its last samples, or its index, come from the reserve: nothing of it is missing."""
+    monkeypatch.setattr(recorder, "FLUSH_S", 60.0)
+    disk = Disk("write", n)
+    with disk.installed():
+        path = disk.path(tmp_path / "run.mcap")
+        recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
+        recording.add(_samples(0, 100))
+        recording.finish("complete")
+        recording.join(10)
+
+    assert (disk.failed, recording.error) == (1, "")
+    loaded = armrig.load(tmp_path / "run.mcap")
+    assert loaded.outcome is not None
+    assert (loaded.outcome.outcome, loaded.samples.size) == ("complete", 100)
+
+
+def test_that_the_disk_is_full_is_told_before_the_file_is_written_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which takes long: a run that nobody records is to be stopped at once."""
+    changed, go_on = threading.Event(), threading.Event()
+    compact = recording_part.compact
+
+    def slow(source: Path, target: Path) -> None:
+        assert go_on.wait(10)
+        compact(source, target)
+
+    monkeypatch.setattr(recording_part, "compact", slow)
+    disk = Disk("write", 2)
+    with disk.installed():
+        path = disk.path(tmp_path / "run.mcap")
+        recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=changed.set)
+        recording.add(_samples(0, 100))
+        assert changed.wait(10)
+        assert "No space left on device" in recording.error
+        assert not recording.done
+        recording.finish("stopped")
+        go_on.set()
+        recording.join(10)
+
+    _check(tmp_path / "run.mcap", 100, recording.error)

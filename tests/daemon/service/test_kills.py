@@ -1,0 +1,25 @@
+"""L1: what was acknowledged survives `kill -9` at any moment."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import killed_writer
+
+KILLS = 20
+
+
+def test_no_moment_to_be_killed_at_costs_what_was_acknowledged(tmp_path: Path) -> None:
+    """Twenty moments: a prefix without gaps, all that was on the disk, and a file that is whole."""
+    program = [sys.executable, killed_writer.__file__, tmp_path, str(KILLS), "1"]
+    subprocess.run(list(map(str, program)), check=True, timeout=300)
+
+    found = killed_writer.judged(tmp_path)
+
+    assert len(found) >= KILLS - 2
+    assert {one.faults for one in found} == {()}
+    assert sum(one.ledger.acknowledged > 0 for one in found) > KILLS / 4
+    assert sum(one.found > one.ledger.acknowledged for one in found) > KILLS / 4
+    assert not any(path.stat().st_size for path in tmp_path.glob("*.active"))

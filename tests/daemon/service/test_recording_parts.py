@@ -1,0 +1,322 @@
+"""A long run is recorded in parts, each a whole recording, read as one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.recordings.verification import verify
+from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
+from armrig_core.recording_file.part_names import part_paths
+from armrig_core.recording_file.recovery import Recovery
+from armrig_core.telemetry import Sample, encode_sample
+from armrig_daemon.config import Recording as RecordingConfig
+from armrig_daemon.pipe import Gap
+from armrig_daemon.service import recorder
+from armrig_daemon.service.protobuf_out import Outgoing, outgoing
+from armrig_daemon.service.recorder import PartLimits, Recording, RecordingError
+from armrig_daemon.service.recording_part import Part
+from armrig_daemon.service.runs import part_limits
+from failing_disk import Disk
+from mcap.reader import make_reader
+
+N, FIRST = 100, 1000
+ATTACHED = {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * N}
+MANIFEST = Manifest(
+    **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01, "samples": N},
+    **{"k_first": FIRST, "started": "2026-01-01T00:00:00+00:00", "clock_offset_ns": 10**18},
+    **{"armrig": "0", "protocol": "1"},
+)
+
+
+def _sample(k: int) -> Outgoing:
+    t_ns = k * 10_000_000
+    device_us = k * 10_000
+    data = encode_sample(Sample(k, t_ns, t_ns + 5, device_us, 0.1, 0.2, 1.0, 1.0, 1, 2, 3))
+    return Outgoing("sample", t_ns + 5, t_ns, k, data)
+
+
+def _gap(first: int, count: int) -> Outgoing:
+    t_ns = first * 10_000_000
+    end_ns = t_ns + count * 10_000_000
+    record = Gap(
+        k_first=first, count=count, t_from_ns=t_ns, t_to_ns=end_ns, u_held_v=1.0, reason="late"
+    )
+    return outgoing(record, 0)
+
+
+def _recorded(path: Path, batches: list[list[Outgoing]], limits: PartLimits | None) -> Recording:
+    """Record batches one after the other, to the end of the run."""
+    recording = Recording(
+        path,
+        MANIFEST,
+        ATTACHED,
+        t_first_ns=FIRST * 10_000_000,
+        changed=lambda: None,
+        limits=limits,
+    )
+    for batch in batches:
+        recording.add(batch)
+    recording.finish("complete")
+    recording.join(20)
+    assert recording.done
+    return recording
+
+
+def _each(messages: list[Outgoing]) -> list[list[Outgoing]]:
+    return [[message] for message in messages]
+
+
+def _ks(path: Path) -> list[int]:
+    ks: list[int] = armrig.load(path).samples["k"].tolist()
+    return ks
+
+
+WHOLE = [_sample(k) for k in range(FIRST, FIRST + N)]
+HOLED = [*WHOLE[:28], _gap(FIRST + 28, 4), *WHOLE[32:60], _gap(FIRST + 60, 1), *WHOLE[61:]]
+
+
+def test_parts_hold_what_one_file_would(tmp_path: Path) -> None:
+    """Sample by sample, with the gaps, under the name of the run; and each by itself."""
+    (tmp_path / "one").mkdir()
+    one = _recorded(tmp_path / "one" / "run.mcap", _each(HOLED), None)
+
+    parts = _recorded(tmp_path / "run.mcap", _each(HOLED), PartLimits(30, 1 << 30))
+
+    assert parts.kept == tmp_path / "run.mcap"
+    assert not parts.kept.exists()
+    paths = part_paths(parts.kept)
+    assert [p.name for p in paths] == [f"run.part-000{i}.mcap" for i in (1, 2, 3, 4)]
+    assert sorted(tmp_path.glob("*.mcap*")) == paths
+    whole, joined = armrig.load(one.kept), armrig.load(parts.kept)
+    assert joined.samples.tobytes() == whole.samples.tobytes()
+    for name in ("t", "u", "alpha", "valid", "present"):
+        np.testing.assert_array_equal(getattr(joined, name), getattr(whole, name))
+    assert joined.gaps == whole.gaps
+    assert joined.outcome is not None
+    assert joined.outcome.outcome == "complete"
+    assert (parts.samples, parts.synced, parts.missing) == (N - 5, N - 5, 5)
+    for path in (parts.kept, *paths):
+        checks = {c.about: c.result for c in verify(path).checks}
+        assert (checks["file"], checks["samples"]) == ("passed", "passed"), path
+
+
+def test_a_part_says_which_it_is_and_ends_behind_a_sample(tmp_path: Path) -> None:
+    """A gap over the boundary is told once, in the part that follows, with all its samples."""
+    _recorded(tmp_path / "run.mcap", _each(HOLED), PartLimits(30, 1 << 30))
+
+    loaded = [armrig.load(tmp_path / f"run.part-000{i}.mcap") for i in (1, 2, 3, 4)]
+    assert [r.manifest.part for r in loaded] == [1, 2, 3, 4]
+    assert {(r.manifest.k_first, r.manifest.samples) for r in loaded} == {(FIRST, N)}
+    # The first is full at sample 30, which is missing: it ends with the next one that came.
+    begins = [r.manifest.part_k_first - FIRST for r in loaded]
+    assert begins == [0, 33, 63, 93]
+    assert [r.k_first - FIRST for r in loaded] == begins
+    ended = [(r.outcome.outcome, r.outcome.samples, r.outcome.missing) for r in loaded if r.outcome]
+    continued = recorder.CONTINUED
+    assert ended == [
+        *((continued, 29, 4), (continued, 29, 1), (continued, 30, 0), ("complete", 7, 0))
+    ]
+    assert [[gap.k_first - FIRST for gap in r.gaps] for r in loaded] == [[28], [60], [], []]
+
+
+def test_a_gap_that_begins_where_a_part_ends_is_told_in_the_next(tmp_path: Path) -> None:
+    """The first part has no missing sample, the second has them all."""
+    messages = [*WHOLE[:30], _gap(FIRST + 30, 5), *WHOLE[35:]]
+
+    _recorded(tmp_path / "run.mcap", _each(messages), PartLimits(30, 1 << 30))
+
+    first, second = (armrig.load(tmp_path / f"run.part-000{i}.mcap") for i in (1, 2))
+    assert (first.N, first.missing, len(first.gaps)) == (30, 0, 0)
+    assert (second.k_first, second.missing, len(second.gaps)) == (FIRST + 30, 5, 1)
+
+
+def test_only_the_first_part_carries_the_input(tmp_path: Path) -> None:
+    """It may be long; configuration and calibration are in each."""
+    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
+
+    attached = []
+    for path in part_paths(tmp_path / "run.mcap"):
+        with path.open("rb") as file:
+            attached.append([a.name for a in make_reader(file).iter_attachments()])
+    assert attached == [[CONFIG, INPUT], [CONFIG], [CONFIG]]
+    assert CALIBRATION not in ATTACHED
+
+
+def test_a_part_ends_at_its_size_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the time; behind what was flushed by then."""
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    begun = Part(tmp_path / "x.mcap", MANIFEST, ATTACHED, 0)
+    begun.discard()
+
+    recording = _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(N, begun.size + 3000))
+
+    assert len(part_paths(recording.kept)) > 2
+    assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
+
+
+def test_a_run_that_ends_where_a_part_is_full_has_no_empty_part_behind_it(tmp_path: Path) -> None:
+    """The last sample begins nothing."""
+    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(N // 2, 1 << 30))
+
+    assert [p.name for p in part_paths(tmp_path / "run.mcap")] == [
+        *("run.part-0001.mcap", "run.part-0002.mcap")
+    ]
+
+
+def test_a_part_is_complete_when_the_next_one_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What dies behind it takes nothing of it: it has its end and its name, and is on the disk."""
+    seen, fsync, synced = [], os.fsync, []
+
+    def noted(fd: int) -> None:
+        synced.append(Path(f"/proc/self/fd/{fd}").readlink().name)
+        fsync(fd)
+
+    begin = Part.__init__
+
+    def watched(self: Part, path: Path, *args: object) -> None:
+        begin(self, path, *args)  # type: ignore[arg-type]
+        before = path.with_name("run.part-0001.mcap")
+        if path != before and not seen:
+            seen.append(before.with_name(before.name + ".active").exists())
+
+    add = Part.add
+
+    def adding(self: Part, message: Outgoing) -> None:
+        if self.manifest.part == 2 and len(seen) == 1:
+            seen.append(not armrig.load(tmp_path / "run.part-0001.mcap").truncated)
+            seen.append("run.part-0001.mcap.active" in synced)
+        add(self, message)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    monkeypatch.setattr(Part, "__init__", watched)
+    monkeypatch.setattr(Part, "add", adding)
+    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(60, 1 << 30))
+
+    assert seen == [True, True, True]
+
+
+def test_every_part_has_full_chunks_in_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are written once more when the run is over, not while it needs the machine."""
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+
+    _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
+
+    for path in part_paths(tmp_path / "run.mcap"):
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None
+        assert len(summary.chunk_indexes) == 1
+
+
+def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
+    """With all that came before it, in a part that is whole, and a line that says so."""
+    disk = Disk("open", 2)
+    with disk.installed():
+        recording = _recorded(
+            disk.path(tmp_path / "run.mcap"), _each(WHOLE), PartLimits(60, 1 << 30)
+        )
+
+    told = f"{recording.kept}: No space left on device; part 2 cannot be begun"
+    assert recording.error == f"{told}; the recording ends there, whole up to then"
+    assert [p.name for p in tmp_path.iterdir()] == ["run.part-0001.mcap"]
+    loaded = armrig.load(recording.kept)
+    assert (loaded.truncated, loaded.samples.size, recording.synced) == (False, 60, 60)
+    assert loaded.outcome is not None
+    assert loaded.outcome.outcome.startswith("its recording ended: No space left on device")
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_whatever_call_fails_what_is_left_is_a_prefix(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, on: bool
+) -> None:
+    """Every few calls of every kind, once and from then on, in three parts."""
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    monkeypatch.setattr(recorder, "SYNC_S", 0.0)
+    batches = [WHOLE[i : i + 10] for i in range(0, N, 10)]
+    counted = Disk()
+    (tmp_path / "counted").mkdir()
+    with counted.installed():
+        _recorded(counted.path(tmp_path / "counted" / "run.mcap"), batches, PartLimits(40, 1 << 30))
+    assert counted.calls["write"] > 10
+    failed = 0
+    for kind, calls in counted.calls.items():
+        for n in range(1 + calls % 5, calls + 1, 5):
+            folder = tmp_path / f"{kind}-{n}"
+            folder.mkdir()
+            disk = Disk(kind, n, on=on)
+            with disk.installed():
+                try:
+                    path = disk.path(folder / "run.mcap")
+                    recording = _recorded(path, batches, PartLimits(40, 1 << 30))
+                except RecordingError:
+                    assert not list(folder.iterdir())
+                    continue
+            failed += disk.failed > 0
+            paths = part_paths(folder / "run.mcap")
+            assert sorted(folder.iterdir()) == paths, (kind, n)
+            ks = _ks(folder / "run.mcap")
+            assert ks == list(range(FIRST, FIRST + len(ks))), (kind, n)
+            assert recording.synced <= len(ks), (kind, n)
+            assert len(ks) == N or recording.error, (kind, n)
+            assert not any(armrig.load(p).truncated for p in paths[:-1]), (kind, n)
+    assert failed > 5
+
+
+def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recovered(
+    tmp_path: Path,
+) -> None:
+    """Those before it are whole anyway."""
+    recording = Recording(
+        tmp_path / "run.mcap",
+        MANIFEST,
+        ATTACHED,
+        t_first_ns=0,
+        changed=lambda: None,
+        limits=PartLimits(40, 1 << 30),
+    )
+    recording.add([*WHOLE[:60], _gap(FIRST + 60, 3), *WHOLE[63:70]])
+    while recording._flushed < 67:
+        time.sleep(0.01)
+    for path in tmp_path.iterdir():
+        shutil.copy(path, path.with_name(path.name.replace("run", "dead")))
+    recording.finish("complete")
+    recording.join(20)
+
+    done = Recovery(armrig="0", now=lambda: "").recover(tmp_path / "dead.part-0002.mcap.active")
+
+    assert (done.outcome.samples, done.outcome.missing) == (27, 3)
+    joined = armrig.load(tmp_path / "dead.mcap")
+    assert joined.samples["k"].tolist() == [
+        *range(FIRST, FIRST + 60),
+        *range(FIRST + 63, FIRST + 70),
+    ]
+    assert (joined.missing, joined.truncated) == (3, False)
+    assert joined.recovered is not None
+
+
+@pytest.mark.parametrize(
+    ("config", "samples", "Ts", "limits"),
+    [
+        (RecordingConfig(), 3_600_000, 0.001, None),
+        (RecordingConfig(), 3_600_001, 0.001, PartLimits(3_600_000, 720_000_200)),
+        (RecordingConfig(part_minutes=0), 4_000_000, 1.0, None),
+        (RecordingConfig(part_minutes=0, part_mb=100), 500_001, 1.0, PartLimits(500_001, 10**8)),
+        (RecordingConfig(part_minutes=0, part_mb=0), 4_000_000, 0.001, None),
+        (RecordingConfig(part_minutes=1, part_mb=0), 601, 0.1, PartLimits(600, 601 * 200)),
+    ],
+)
+def test_a_run_that_one_file_may_hold_is_in_one_file(
+    config: RecordingConfig, samples: int, Ts: float, limits: PartLimits | None
+) -> None:
+    """By the configured limits: an hour at 1 kHz by default."""
+    assert part_limits(config, samples, Ts) == limits
