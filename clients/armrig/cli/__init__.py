@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -170,8 +171,14 @@ def _signals() -> Iterator[list[signal.Signals]]:
             signal.signal(number, handler)
 
 
+@cache
+def _command_line() -> Any:
+    """Return all commands with their options; to make them takes 25 ms."""
+    return typer.main.get_command(app)
+
+
 def _run(arguments: Sequence[str] | None) -> int:
-    command = typer.main.get_command(app)
+    command = _command_line()
     given = list(sys.argv[1:] if arguments is None else arguments)
     if "_ARMRIG_COMPLETE" in os.environ:  # the shell asks, by the script of --show-completion
         command.main([], prog_name="armrig")
