@@ -263,6 +263,7 @@ _OF_MATLAB = {
     "tfest": "oe",
     "greyest": "greybox",
     "idinput": "telegraph",
+    "checkFeedback": "open_loop",
     "delayest": "delay",
     "selstruc": "select_orders",
     "arxstruc": "select_orders",
