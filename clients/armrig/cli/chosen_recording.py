@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,18 +98,32 @@ def matching(text: str, paths: Sequence[Path]) -> list[RecordingSummary]:
     validation = text.endswith(VALIDATION)
     name = text.removeprefix("@").removesuffix(VALIDATION)
     possible = [path for path in paths if may_answer_to(path, name, validation=validation)]
-    return [s for s in summaries(possible) if s.answers_to(name, validation=validation)]
+    return [s for s in summaries(possible) if name in s.names(validation=validation)]
 
 
-def short_name(summary: RecordingSummary, paths: Sequence[Path]) -> str:
-    """Return the shortest way to say which of these files is meant: `@NAME` where no other is."""
+Answering = Callable[[str], Sequence["RecordingSummary"]]
+"""Recordings that answer to `@NAME` or `@NAME/validation`."""
+
+
+def answering_among(known: Iterable[RecordingSummary]) -> Answering:
+    """Return which of these recordings answer to a name, looked up and not sought in each."""
+    by_name: dict[str, list[RecordingSummary]] = {}
+    for summary in known:
+        for validation, behind in ((False, ""), (True, VALIDATION)):
+            for name in summary.names(validation=validation):
+                by_name.setdefault(f"@{name}{behind}", []).append(summary)
+    return lambda name: by_name.get(name, [])
+
+
+def short_name(summary: RecordingSummary, answering: Answering) -> str:
+    """Return the shortest way to say which recording is meant: `@NAME` where no other is."""
     names = [f"@{summary.manifest.run_id}", f"@{summary.path.stem}"]
     if summary.is_validation and (of := summary.name or summary.validation_of):
         names.insert(0, f"@{of}{VALIDATION}")
     elif summary.name:
         names.insert(0, f"@{summary.name}")
     for name in names:
-        if [s.path for s in matching(name, paths)] == [summary.path]:
+        if [s.path for s in answering(name)] == [summary.path]:
             return name
     return str(summary.path)
 

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from armrig.cli.chosen_recording import matching, recording_folder, short_name
+from armrig.cli.chosen_recording import (
+    Answering,
+    answering_among,
+    matching,
+    recording_folder,
+    short_name,
+)
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Json, echo, print_json, tell
 
@@ -35,34 +41,36 @@ def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
     if json:
         print_json({"folder": str(folder), "recordings": [facts_of(s) for s in found]})
         return
+    # Of all each file is read once, and names are looked up; of a few only what may answer is read.
+    answering = answering_among(found) if every else lambda name: matching(name, paths)
     if found:
-        echo(_table([_HEADINGS, *(_row(s, paths) for s in found)]))
+        echo(_table([_HEADINGS, *(_row(s, answering) for s in found)]))
     _tell_of_the_rest(folder, paths, found, whole_were_sought=every or len(found) < count)
     if found:
-        say_next("ls", file=short_name(found[0], paths))
+        say_next("ls", file=short_name(found[0], answering))
 
 
-def _row(summary: RecordingSummary, paths: list[Path]) -> tuple[str, ...]:
+def _row(summary: RecordingSummary, answering: Answering) -> tuple[str, ...]:
     manifest = summary.manifest
     ended = summary.outcome.outcome
     how = "" if ended == "complete" else f"({ended.split(':')[0]})"
     return (
-        short_name(summary, paths),
+        short_name(summary, answering),
         summary.kind,
         f"{summary.seconds:g} s",
         f"{manifest.Ts:g} s",
         str(summary.outcome.missing),
         manifest.started[5:16].replace("T", " "),
-        f"{_validated_by(summary, paths)} {how}".strip(),
+        f"{_validated_by(summary, answering)} {how}".strip(),
     )
 
 
-def _validated_by(summary: RecordingSummary, paths: list[Path]) -> str:
+def _validated_by(summary: RecordingSummary, answering: Answering) -> str:
     """Return which recording one validates, by its short name; "" where none."""
     if not summary.is_validation:
         return ""
-    estimations = matching(f"@{summary.validation_of}", paths) if summary.validation_of else []
-    return short_name(estimations[0], paths) if estimations else "not said"
+    estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []
+    return short_name(estimations[0], answering) if estimations else "not said"
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:

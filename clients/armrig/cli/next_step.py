@@ -73,13 +73,19 @@ def typed(path: Path) -> str:
     """Return a recording as a person would type it: its @name where it has one, or its path."""
     from armrig_core.recording_file.budget import DamageError
 
-    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder, short_name
+    from armrig.cli.chosen_recording import (
+        NoSuchRecordingError,
+        matching,
+        recording_folder,
+        short_name,
+    )
     from armrig.recordings.folder import newest_first, summary_of
 
     try:
         folder = recording_folder()
         if path.absolute().parent == folder.absolute():
-            return short_name(summary_of(path), newest_first(folder))
+            paths = newest_first(folder)
+            return short_name(summary_of(path), lambda name: matching(name, paths))
     except (NoSuchRecordingError, DamageError, OSError):
         pass
     return shlex.quote(str(path))

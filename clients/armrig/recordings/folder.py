@@ -64,18 +64,20 @@ class RecordingSummary:
         """Length of what was recorded, missing samples included, in s."""
         return (self.outcome.samples + self.outcome.missing) * self.manifest.Ts
 
-    def answers_to(self, name: str, *, validation: bool) -> bool:
-        """Return whether it is meant by a name: its own, its run's id, or its experiment.
+    def names(self, *, validation: bool) -> set[str]:
+        """Return what it is meant by: its own name, its run's id, its experiment, its file's name.
 
         A validation is meant by what the recording that it validates is called, with `validation`,
         and by its own id or experiment.
         """
-        experiment = self.manifest.experiment
+        manifest = self.manifest
         if not validation:
-            named = not self.is_validation and name == self.name != ""
-            return named or name in (self.manifest.run_id, experiment, self.path.stem)
-        names = (self.name, f"{self.kind}-{self.name}") if self.name else (self.kind,)
-        return self.is_validation and name in (*names, self.validation_of)
+            own = {self.name} if self.name and not self.is_validation else set()
+            return own | {manifest.run_id, manifest.experiment, self.path.stem}
+        if not self.is_validation:
+            return set()
+        of = {self.validation_of} if self.validation_of else set()
+        return of | ({self.name, f"{self.kind}-{self.name}"} if self.name else {self.kind})
 
 
 def summary_of(path: Path) -> RecordingSummary:

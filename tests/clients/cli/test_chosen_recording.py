@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from armrig.cli import main
 from armrig.recordings import metadata
+from armrig.recordings.folder import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
 from made_recordings import manifest, recorded, sample, written
 
@@ -247,6 +248,25 @@ def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[
     assert "older ones: --all" in few.err
     assert len(every.out.splitlines()) == 6
     assert "1 that are not whole" in every.err
+
+
+def test_ls_of_all_reads_each_recording_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """However many there are; and they have the names that the short list has."""
+    assert main(["ls"]) == 0
+    few = capsys.readouterr().out
+    seen: list[Path] = []
+
+    def counted(path: Path) -> RecordingSummary:
+        seen.append(path)
+        return summary_of(path)
+
+    monkeypatch.setattr("armrig.recordings.folder.summary_of", counted)
+    assert main(["ls", "--all"]) == 0
+
+    assert capsys.readouterr().out == few
+    assert len(seen) == len(set(seen)) == 5
 
 
 def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
