@@ -79,7 +79,7 @@ def record(
             if s is not None and 0 <= s.k - started.k_first < u.size
         ]
     )
-    recording.finish("complete", 0)
+    recording.finish("complete")
     recording.join()
     return path
 

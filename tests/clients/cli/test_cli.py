@@ -52,7 +52,7 @@ def test_a_file_that_is_no_recording_is_told_in_a_line(
 
     assert main([*command, *files]) == 1
 
-    assert told(capsys).startswith(f"armrig: {path}: not an MCAP file; armrig reads what")
+    assert told(capsys).startswith(f"armrig: {path}: not an MCAP file; a recording")
 
 
 @pytest.mark.parametrize("command", READERS, ids=lambda c: c[0])
