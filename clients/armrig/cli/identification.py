@@ -411,7 +411,7 @@ def _say_next(fit: Fit, file: Path, validate: Path | None, save: Path | None) ->
     """Say what comes after the model: keep it, then validate it on data that it has not seen."""
     if save is None:
         orders = " ".join(f"--{name} {n}" for name, n in fit.orders.items() if n is not None)
-        options = f"--structure {fit.structure} {orders}" + " --integrator" * fit.integrator
+        options = f"--structure {fit.structure} {orders}" + " --integrator" * _integrates(fit)
         options += " --offset" * (fit.offset and not fit.integrator)
         validation = typed(validate) if validate else validation_beside(file)
         options += f" --validate {validation}" if validation else ""
@@ -420,6 +420,15 @@ def _say_next(fit: Fit, file: Path, validate: Path | None, save: Path | None) ->
     validation = typed(validate) if validate else validation_beside(file)
     after = "identify --save" if validation else "identify alone"
     say_next(after, validation=validation, model=quote(str(save)), Ts=fit.Ts)
+
+
+def _integrates(fit: Fit) -> bool:
+    """Tell whether the model has an integrator, or is advised to have one."""
+    from armrig.models.structure_table import KINDS
+    from armrig.validation.advice.advice import advice
+
+    advised = any(f.about == "integrator" and f.level != "good" for f in advice(fit).findings)
+    return fit.integrator or (advised and KINDS[fit.structure].may_integrate)
 
 
 def _plot_model(found: _Found, plot: Path | None) -> None:

@@ -243,3 +243,15 @@ def test_a_short_answer_has_each_coefficient_with_the_deviation_to_trust(
         where = [i for i, name in enumerate(fit.names) if name[0] == letter]
         assert [value for value, _ in pairs] == pytest.approx(fit.theta[where], rel=0.1)
         assert [std for _, std in pairs] == pytest.approx(fit.std_robust[where], rel=0.06)
+
+
+def test_the_next_line_does_what_the_advice_says(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The angle integrates: the model to keep has its pole fixed."""
+    assert main(["identify", str(three_recordings[1]), "--structure", "oe"]) == 0
+    said = capsys.readouterr()
+
+    assert "! integrator: " in said.out
+    [line] = [line for line in said.err.splitlines() if line.startswith("next: ")]
+    assert "--structure oe --nb 4 --nf 4 --nk 1 --integrator" in line
