@@ -20,6 +20,7 @@ import numpy as np
 import pages
 import pytest
 from armrig.cli import main
+from armrig.report.handout import MOST_PAGES
 
 PAGE = pages.DOCS / "tutorial.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -71,7 +72,9 @@ def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
                 compared += 1
 
     assert (commands, compared) == (17, 27)
-    assert (recorded.parent / "report.pdf").stat().st_size > 0
+    count = re.search(rb"/Type/Pages/Count (\d+)", (recorded.parent / "report.pdf").read_bytes())
+    assert count is not None
+    assert 3 < int(count[1]) <= MOST_PAGES
 
 
 def _assert_printed(line: str, printed: list[str]) -> None:

@@ -72,7 +72,7 @@ def test_halving_the_step_divides_the_error_by_two_to_the_order(
 ) -> None:
     """For a sinusoid on the handout's arm and on ten others, the order observed within 0.05."""
     A, B, _ = arm_matrices(params)
-    problem = sinusoid(A, B, amplitude=2.0, omega=5.0, span=2.0)
+    problem = sinusoid(A, B, amplitude=2.0, omega=5.0, span=0.5)
     h = stability_limit(A, "heun") * np.array([1 / 128, 1 / 256])
 
     assert convergence(problem, method, h).order == pytest.approx(ORDERS[method], abs=0.05)
