@@ -24,6 +24,10 @@ Fact = str | int | float | bool | list[str | int | float | bool] | None
 """What a daemon tells of a device or a host: nothing that is nested deeper."""
 
 
+MOST_SAMPLES = 4_000_000
+"""Longest run: more than an hour at 1 kHz."""
+
+
 class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A command without fields."""
 
@@ -67,7 +71,7 @@ class Run(Leased, frozen=True, kw_only=True):
     """Play and record an experiment; answered by a `RunAccepted`."""
 
     name: ClassVar[str] = "run"
-    u: Annotated[list[Volts], Meta(min_length=1, max_length=1_000_000)]
+    u: Annotated[list[Volts], Meta(min_length=1, max_length=MOST_SAMPLES)]
     """Motor voltage at each sample, in V."""
     pacing: Literal["scheduled", "exchange"] = "scheduled"
     """Who makes the samples: the device's timer, or the host at each tick."""

@@ -22,7 +22,7 @@ SamplingTime = Annotated[
     float | None, typer.Option("--Ts", help="Sampling time in s; the daemon's by default.")
 ]
 Seconds = Annotated[
-    float, typer.Option("--seconds", help="Length; at most 1 000 000 samples are played.")
+    float, typer.Option("--seconds", help="Length; at most 4 000 000 samples are played.")
 ]
 InputSeconds = Annotated[
     float | None, typer.Option("--seconds", help="Length, 30 s by default; a file has its own.")

@@ -26,6 +26,8 @@ Progress = Callable[[int, int], None]
 
 REPLY_S = 5.0
 """How long a reply may take, in s."""
+_REPLY_PER_SAMPLE_S = 5e-6
+"""And so much longer for each sample of a run, which is read, checked and rehearsed first."""
 _POLL_S = 0.1
 _AGAIN_S = 0.02  # until a command that was refused for the moment is repeated
 # How long a command is repeated that the daemon refuses only until it, or the device, is ready. The
@@ -151,7 +153,7 @@ class Rig:
         Parameters
         ----------
         u : array_like, shape (N,)
-            Motor voltage at each sample, in V, inside what `arm` granted; N from 1 to 1 000 000.
+            Motor voltage at each sample, in V, inside what `arm` granted; N from 1 to 4 000 000.
         pacing : {"scheduled", "exchange"}
             Who makes the samples: the device's timer, or the host at each tick, which shows the
             host's jitter as data.
@@ -358,7 +360,7 @@ class Rig:
         key = topics.command_key(self.rig, request.name)
         payload = msgspec.json.encode(request)
         replies = self._connected().get(
-            key, payload=payload, encoding="application/json", timeout=REPLY_S
+            key, payload=payload, encoding="application/json", timeout=longest_reply_s(request)
         )
         try:
             for reply in replies:
@@ -369,6 +371,12 @@ class Rig:
         except MalformedReplyError as err:
             raise no_daemon(self.rig, self.endpoint, str(err)) from err
         raise no_reply(self.rig, self.endpoint)
+
+
+def longest_reply_s(request: commands.Request) -> float:
+    """Return how long the reply to a command may take, in s."""
+    samples = len(request.u) if isinstance(request, commands.Run) else 0
+    return REPLY_S + _REPLY_PER_SAMPLE_S * samples
 
 
 def _complete_recording(last: commands.LastRun, asked: int) -> Path:

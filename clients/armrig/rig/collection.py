@@ -10,7 +10,7 @@ from math import floor, isclose, isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from armrig_core.commands import LastRun, RunAccepted, StatusReport
+from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted, StatusReport
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.rehearsal import Rehearsal, sentence
 from numpy.typing import NDArray
@@ -21,8 +21,6 @@ from armrig.rig.client import Rig, RunEndedError
 from armrig.rig.progress import bar, timing_note
 from armrig.rig.session import NoReplyError, RigError
 
-MOST_SAMPLES = 1_000_000
-"""As many as the daemon takes in one run."""
 LONGEST_TS = 1.0
 """Longest sampling time that the daemon takes, in s."""
 LONGEST_OWNER = 80

@@ -9,6 +9,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, assert_never
 
 from armrig_core import commands
@@ -22,6 +23,7 @@ from armrig_daemon.core.budget import check
 from armrig_daemon.core.state import Phase
 from armrig_daemon.pipe import (
     Acquire,
+    Alive,
     Answer,
     Calibrate,
     Halt,
@@ -169,7 +171,11 @@ class Commands:
             case commands.Run():
                 self._check_holder(request)
                 start = self._rig.theta_1_rad
-                self._order(command, *self._runs.plan(request, self._Ts, start))
+                # For millions of samples it takes seconds, at 0 V: the loop is told at each step
+                # that we are not frozen, the first of which was to read the command.
+                alive = partial(self._loop.order, Alive())
+                alive()
+                self._order(command, *self._runs.plan(request, self._Ts, start, alive))
             case commands.Renew():
                 self._runs.renew(request, command.came_s)
                 command.answer(commands.Done())

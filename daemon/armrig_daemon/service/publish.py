@@ -21,7 +21,7 @@ from armrig_daemon.service import admission, token_bucket
 
 MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
-MOST_BYTES = 32 << 20  # an experiment of a million samples as JSON takes 20 MB
+MOST_BYTES = 88 << 20  # the longest run, 20 B a sample as JSON, and its details
 _URGENT = (Stop.name, Renew.name)
 """Commands with a thread of zenoh's for themselves: none of the others stands before them."""
 _SCHEMA = "schema"

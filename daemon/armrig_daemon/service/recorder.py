@@ -87,7 +87,8 @@ class Recording:
         self.done = False
         """Whether the file is complete and has its name, or has failed for good."""
         self._limits = limits
-        self._attachments = attachments
+        # The input is in the first part alone, and may have 80 MB.
+        self._attachments = {n: data for n, data in attachments.items() if n != INPUT}
         self._changed = changed
         self._parts: list[Part] = []
         self._written = self._flushed = 0  # samples
@@ -208,9 +209,8 @@ class Recording:
         """End the part, and begin the next one with sample `k_first`."""
         ended, number = self._part, self._part.manifest.part + 1
         manifest = replace(ended.manifest, part=number, part_k_first=k_first)
-        attachments = {name: data for name, data in self._attachments.items() if name != INPUT}
         try:
-            part = Part(part_path(self.path, number), manifest, attachments, t_ns)
+            part = Part(part_path(self.path, number), manifest, self._attachments, t_ns)
         except OSError as err:
             raise EndsHereError(f"{err.strerror}; part {number} cannot be begun") from err
         try:

@@ -99,7 +99,11 @@ class Runs:
         self._calibration_raw = raw
 
     def plan(
-        self, request: Run, Ts: float, theta_1_rad: float | None = None
+        self,
+        request: Run,
+        Ts: float,
+        theta_1_rad: float | None = None,
+        alive: Callable[[], None] = lambda: None,
     ) -> tuple[Play, RunAccepted]:
         """Return the order for the loop, and what to answer once the loop has taken it.
 
@@ -111,6 +115,8 @@ class Runs:
             Sampling time of the lease, in s.
         theta_1_rad : float, optional
             Where the chassis is, in rad.
+        alive : callable
+            Called between steps that take long for millions of samples.
 
         Raises
         ------
@@ -126,6 +132,7 @@ class Runs:
             raise ValueError(error)
         limits, arm = self._config.limits, self._config.arm
         u = checked(request.u, limits)
+        alive()
         rehearsal = rehearse(
             u,
             Ts,
@@ -135,7 +142,9 @@ class Runs:
             revolutions=limits.revolutions,
             alpha_rad=limits.alpha_rad,
         )
+        alive()
         text = one_a_line(u)
+        alive()
         codes = np.rint(u / U_MAX_V * CODE_FULL_SCALE).astype("<u2").tobytes()
         run_id = self._circumstances.run_id(codes)
         stamp = self._circumstances.now().strftime("%Y%m%dT%H%M%S")

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import zenoh
 from armrig.rig import telemetry_stream
-from armrig.rig.client import RefusedError, Rig, RunEndedError
+from armrig.rig.client import REPLY_S, RefusedError, Rig, RunEndedError, longest_reply_s
 from armrig.rig.session import NoReplyError, RigError
 from armrig.rig.telemetry_stream import decoded, stream
 from armrig_core import commands, protobuf, telemetry
@@ -417,3 +417,14 @@ def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:
     finally:
         seen.set()
         thread.join()
+
+
+def test_a_long_run_may_be_looked_at_for_longer() -> None:
+    """It is read, checked and rehearsed before it is answered: a second a million and more."""
+    short, long = (
+        longest_reply_s(commands.Run(lease="a" * 32, n=1, u=[1.0] * n)) for n in (1, 1_000_000)
+    )
+
+    assert longest_reply_s(commands.Status()) == REPLY_S
+    assert short == pytest.approx(REPLY_S, abs=0.01)
+    assert long > REPLY_S + 4.0

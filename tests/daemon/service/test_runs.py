@@ -57,3 +57,25 @@ def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
 
     assert answer.rehearsal is not None
     assert answer.rehearsal.alpha_rad == 0.0
+
+
+def test_the_loop_hears_of_us_between_the_steps_of_a_long_plan(tmp_path: Path) -> None:
+    """Checked, rehearsed, written as text: each takes a second for millions of samples."""
+    calls: list[None] = []
+
+    _runs(tmp_path, Config()).plan(REQUEST, 0.01, alive=lambda: calls.append(None))
+
+    assert len(calls) == 3
+
+
+def test_the_input_is_attached_to_the_last_bit(tmp_path: Path) -> None:
+    """One voltage a line, as `recorded_input` reads it."""
+    u = [0.1, 1 / 3, 5.0, 0, 1e-9, 4.9999999999999991]
+    runs = _runs(tmp_path, Config())
+
+    runs.plan(Run(lease="a" * 32, n=1, u=u), 0.01)
+
+    assert runs._planned is not None
+    head, *lines = runs._planned.text.decode().splitlines()
+    assert head == "u_v"
+    assert [float(line) for line in lines] == u

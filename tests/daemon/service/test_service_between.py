@@ -105,8 +105,9 @@ class Between:
         """Have a run asked for, taken by the loop, and begun."""
         self.ask(RUN)
         self.commands.serve()
-        (play,) = self.loop.orders()
+        *signs, play = self.loop.orders()
         assert isinstance(play, Play)
+        assert signs == [Alive()] * len(signs)
         started = RunStarted(run_id=play.run_id, k_first=0, count=3, t_host_ns=0)
         self.service._handle([Answer(order=play.order), started])
         return play.run_id
@@ -152,6 +153,16 @@ def test_the_loop_hears_from_the_service_each_second(between: Between) -> None:
     assert between.loop.orders() == [Alive()]
 
 
+def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between) -> None:
+    """Millions of samples take seconds, at 0 V: longer than a frozen service may be silent."""
+    between.ask(RUN)
+    between.commands.serve()
+
+    *signs, play = between.loop.orders()
+    assert isinstance(play, Play)
+    assert signs == [Alive()] * 4
+
+
 def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
     """The motor must not turn for nothing: here for a run that nobody asked for."""
     between.service._handle([RunStarted(run_id="another", k_first=0, count=1, t_host_ns=0)])
@@ -163,7 +174,7 @@ def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> Non
     """Who asked is told, and the next may be asked for."""
     replies = between.ask(RUN)
     between.commands.serve()
-    (play,) = between.loop.orders()
+    *_, play = between.loop.orders()
 
     between.service._handle([Answer(order=play.order, error="not now")])
 
@@ -178,7 +189,7 @@ def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
     monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
     replies = between.ask(RUN)
     between.commands.serve()
-    (play,) = between.loop.orders()
+    *_, play = between.loop.orders()
 
     between.service._each_second()
 
