@@ -294,7 +294,7 @@ def test_a_drift_that_changes_slowly_is_followed(
 ) -> None:
     """A warming resonator is followed without a restart, and the lag is in the deviations."""
     offsets = drifts = 0
-    for seed in range(15):
+    for seed in range(30):
         rig = Rig(seed=seed, wait_us=wait_us, drift_per_s=drift_per_s)
         clock = follow(rig, 1200)
         error, std = error_ns(rig, clock)
@@ -305,8 +305,8 @@ def test_a_drift_that_changes_slowly_is_followed(
         assert clock.restarts == 0
         assert abs(found.drift_ppm - drift_ppm) < 0.5 + 60 * abs(drift_per_s)  # 2 tau of lag
 
-    assert offsets >= 14
-    assert drifts >= 14
+    assert offsets >= 28
+    assert drifts >= 27
 
 
 def test_the_deviation_grows_while_no_pong_comes() -> None:
