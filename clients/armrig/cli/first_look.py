@@ -162,7 +162,7 @@ def hints(
     from armrig.nonparametric.structure_hints import structure_hints
 
     check_plot(plot, [file])
-    data = Signals(
+    signals = Signals(
         signal=signal,
         input=input,
         time=time,
@@ -171,7 +171,8 @@ def hints(
         calibration=calibration,
         start=start,
         stop=stop,
-    ).of(file)
+    )
+    data = signals.of(file)
     with spinner("estimating without a structure"):
         found = structure_hints(data)
     _draw_hints(found, data, plot)
@@ -179,10 +180,10 @@ def hints(
         print_json(source_facts(data) | _hint_facts(found))
         return
     say(repr(found))
-    if from_recording(data):
-        validation = validation_beside(file)
-        validate = f" --validate {validation}" if validation else ""
-        say_next("hints", file=typed(file), options=_options(found), validate=validate)
+    validation = validation_beside(file) if from_recording(data) else ""
+    validate = f" --validate {validation}" if validation else ""
+    options = f"{_options(found)}{signals.options()}"
+    say_next("hints", file=typed(file), options=options, validate=validate)
 
 
 def _options(found: StructureHints) -> str:

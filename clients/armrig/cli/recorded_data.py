@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
@@ -70,6 +71,19 @@ class Signals:
     """Only what is due before this time."""
     read: list[Recording] = field(default_factory=list)
     """Recordings so far, the one that estimates first."""
+
+    def options(self) -> str:
+        """Return the options by which another command takes the same, as typed; "" for none."""
+        given = {
+            "--input": self.input,
+            "--signal": self.signal,
+            "--time": self.time,
+            "--Ts": None if self.Ts is None else f"{self.Ts:g}",
+            "--from": None if self.start is None else f"{self.start:g}",
+            "--to": None if self.stop is None else f"{self.stop:g}",
+        }
+        typed = [f" {name} {shlex.quote(value)}" for name, value in given.items() if value]
+        return "".join(typed) + (" --detrend" if self.detrend else "")
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
         """Return the data of a file, and tell what it lacks; of a model's output by default."""

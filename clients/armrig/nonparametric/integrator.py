@@ -31,5 +31,5 @@ def integration(data: Dataset, integrator: bool | None) -> Integration:
     reason = integrating(data)
     if not reason:
         return Integration(integrates=False)
-    note = f"{reason}: taken as integrating; integrator=False takes it as one that does not"
+    note = f"{reason}: taken as integrating (in Python integrator=False takes it as it is)"
     return Integration(integrates=True, notes=(note,))

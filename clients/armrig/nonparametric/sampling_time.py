@@ -13,6 +13,7 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
 from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.nonparametric.coherence import COHERENT, explained
 from armrig.nonparametric.impulse import impulse_response, long_enough
 from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.missing_outputs import filled
@@ -33,11 +34,12 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 SAMPLES_PER_PERIOD = 20  # handout 3.1.1: omega_s = 20 omega_B
-COHERENT = 0.5  # least coherence at which a frequency is believed
 LAGS = (100, 200, 400, 600)  # of the impulse response, the next where the last are too few
 MOST_LAGS = 500  # of the impulse response of steps
 FEWEST, MOST = 7, 10  # handout 3.1.1: samples in the transient
 NEAR_NYQUIST = 0.8  # of it: what counts as near
+FASTER = 5  # by how much where the response is over within a sample
+ZERO = 0.05  # of the largest value of a step response: less is a final value of 0
 ALIASING = 0.05  # share of power near Nyquist from which folding is suspected
 
 
@@ -97,23 +99,39 @@ class SamplingTime:
 
     def __repr__(self) -> str:
         """Give the recommendation and its reasons."""
-        low, high = self.Ts_transient
         beyond = "unknown" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"
         how = "steps" if self.from_step else "regularised impulse response"
         lines = [
             f"sampling time: {1e3 * self.Ts:g} ms recommended (from {self.output} at "
             f"{1e3 * self.recorded_at:g} ms, {how})",
-            f"  step:      63 % time tau {1e3 * self.tau:.3g} ms, omega_B = 1/tau = "
-            f"{self.omega_step:.3g} rad/s, omega_s = 20 omega_B: Ts {1e3 * self.Ts_step:.3g} ms",
-            f"  spectrum:  -3 dB first at {self.omega_first:.3g}, last at "
-            f"{self.omega_spectrum:.3g} rad/s, omega_s = 20 omega_B: Ts "
-            f"{1e3 * self.Ts_spectrum:.3g} ms",
-            f"  transient: {1e3 * self.settling:.3g} ms to within 5 %, 10 to 7 samples in it: Ts "
-            f"{1e3 * low:.3g} … {1e3 * high:.3g} ms",
+            f"  step:      {self._step_told()}",
+            f"  spectrum:  -3 dB {self._band_told()} rad/s, omega_s = 20 omega_B: Ts "
+            f"{_times(self.Ts_spectrum)}",
+            f"  transient: {self._transient_told()}",
             f"  aliasing:  {100 * self.near_nyquist:.2g} % of the power above 0.8 Nyquist now, "
             f"{beyond} above the recommendation's Nyquist",
         ]
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+    def _step_told(self) -> str:
+        if self.tau < self.recorded_at:
+            return f"63 % time tau below a sample, {_times(self.recorded_at)}"
+        return (
+            f"63 % time tau {_times(self.tau)}, omega_B = 1/tau = {self.omega_step:.3g} rad/s, "
+            f"omega_s = 20 omega_B: Ts {_times(self.Ts_step)}"
+        )
+
+    def _transient_told(self) -> str:
+        if self.settling < self.recorded_at:
+            return "over within a sample"
+        return (
+            f"{_times(self.settling)} to within 5 %, 10 to 7 samples in it: Ts "
+            f"{_times(*self.Ts_transient)}"
+        )
+
+    def _band_told(self) -> str:
+        first, last = (f"{omega:.3g}" for omega in (self.omega_first, self.omega_spectrum))
+        return f"at {last}" if first == last else f"first at {first}, last at {last}"
 
 
 @takes_recordings
@@ -162,10 +180,13 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     curve = _from_impulse(data, integrates) if steps is None else _from_steps(steps)
     t, response, tau, transient = curve
     estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
+    if not stepped:
+        explained(estimate)
     first, last = _bandwidth(estimate)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
     rules = (Ts_step, Ts_spectrum, transient / FEWEST)
-    Ts = nearest_125(min(rules))
+    seen = tau >= data.Ts
+    Ts = nearest_125(min(rules) if seen else data.Ts / FASTER)
     omega, power = _power(data, integrates=integrates)
     near = _share(omega, power, NEAR_NYQUIST * np.pi / data.Ts)
     return SamplingTime(
@@ -191,9 +212,15 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         source=data.source,
         notes=(
             *(steps.warnings if steps else decided.notes),
-            *_notes(Ts, data.Ts, rules, last, near),
+            *_notes(Ts, data.Ts, rules, last, near, seen=seen),
         ),
     )
+
+
+def _times(*seconds: float) -> str:
+    """Return times in one unit, s or ms."""
+    scale, unit = (1.0, "s") if max(seconds) >= 1 else (1e3, "ms")
+    return f"{' … '.join(f'{scale * x:.3g}' for x in seconds)} {unit}"
 
 
 def nearest_125(x: float) -> float:
@@ -238,8 +265,8 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     y = np.cumsum(g)
     t: Vector = data.Ts * (np.arange(y.size, dtype=np.float64) - 0.5 * integrates)
     gain = float(np.mean(y[-max(1, y.size // 10) :]))
-    if gain == 0:
-        msg = "the step response returns to 0: no time constant can be read from it"
+    if abs(gain) <= ZERO * float(np.max(np.abs(y))):
+        msg = "the step response returns to about 0: it has no time to 63 % of a final value"
         raise ValueError(msg)
     t, y = np.append(t[0] - data.Ts, t), np.append(0.0, y / gain)
     shown = data.Ts * np.cumsum(y[1:]) if integrates else y[1:]
@@ -288,17 +315,20 @@ def _bandwidth(estimate: SpectralEstimate) -> tuple[float, float]:
         sure = np.where(estimate.coherence[known] > COHERENT, sure, -np.inf)
     level = float(np.mean(magnitude[: max(1, omega.size // 10)])) / np.sqrt(2)
     below, above = np.flatnonzero(magnitude < level), np.flatnonzero(sure > level)
-    first = float(omega[below[0]]) if below.size else float(omega[-1])
+
+    def fall(j: int) -> float:
+        """Return where |G| meets the level before point j, by a straight line."""
+        if j == 0 or not magnitude[j] < level <= magnitude[j - 1]:
+            return float(omega[j])
+        share = (magnitude[j - 1] - level) / (magnitude[j - 1] - magnitude[j])
+        return float(omega[j - 1] + share * (omega[j] - omega[j - 1]))
+
+    first = fall(int(below[0]) if below.size else omega.size - 1)
     if above.size == 0:
         return first, first
-    i = int(above[-1])
-    beyond = below[below > i]
-    # From the last sure point on, the first that is below; in between by straight line.
-    j = int(beyond[0]) if beyond.size else omega.size - 1
-    if j == i or magnitude[j] >= level:
-        return first, float(omega[j])
-    share = (magnitude[j - 1] - level) / (magnitude[j - 1] - magnitude[j])
-    return first, float(omega[j - 1] + share * (omega[j] - omega[j - 1]))
+    # From the last sure point on, the first that is below.
+    beyond = below[below > above[-1]]
+    return first, fall(int(beyond[0]) if beyond.size else omega.size - 1)
 
 
 def _power(data: Dataset, *, integrates: bool) -> tuple[Vector, Vector]:
@@ -316,15 +346,28 @@ def _share(omega: Vector, power: Vector, above: float) -> float:
 
 
 def _notes(
-    Ts: float, now: float, rules: tuple[float, float, float], bandwidth: float, near: float
+    Ts: float,
+    now: float,
+    rules: tuple[float, float, float],
+    bandwidth: float,
+    near: float,
+    *,
+    seen: bool,
 ) -> Iterator[str]:
+    if not seen:
+        yield (
+            f"63 % is reached within one sample of {_times(now)}, so these data do not tell how "
+            f"fast the response is: record at {_times(Ts)} once and ask again; if it is still over "
+            "within a sample then, any Ts will do"
+        )
+        return
     names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
     least, most = int(np.argmin(rules)), int(np.argmax(rules))
     yield f"the shortest is taken, that of {names[least]}: a longer one loses dynamics"
     if rules[most] > 4 * rules[least]:
         yield (
-            f"the rules differ {rules[most] / rules[least]:.2g} times: the response is fast first "
-            "and slow after, and the fast part decides"
+            f"the rules differ {rules[most] / rules[least]:.2g} times: the response rises fast and "
+            "settles slowly, and the fast part decides"
         )
     if bandwidth > 0.4 * np.pi / now:
         yield (

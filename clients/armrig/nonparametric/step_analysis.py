@@ -106,10 +106,10 @@ class StepAnalysis:
     def __repr__(self) -> str:
         """Say it in a few lines."""
         low, high = self.dead_time_interval
-        unit = f"{self.unit or '1'}/{self.input_unit or '1'}"
+        unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
         lines = [
             f"step analysis of {self.output}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s",
-            f"  gain {self.gain:.4g} ± {self.gain_std:.2g} {unit}",
+            f"  gain {self.gain:.4g} ± {self.gain_std:.2g} {unit}".rstrip(),
             f"  dead time {self.dead_time:.4g} s (95 %: {low:.4g} … {high:.4g} s)",
             f"  63 % time {self.tau:.4g} ± {self.tau_std:.2g} s, so omega_B = 1/tau = "
             f"{self.bandwidth:.4g} rad/s",

@@ -13,10 +13,11 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.nonparametric.coherence import explained
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
 from armrig.nonparametric.spectral import spa
 from armrig.numerics.quantile import two_sided
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import minus, plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-COHERENT = 0.5  # least coherence at which a frequency is believed
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 HIDDEN = 0.05  # share of the largest coefficient that may hide where a delay is claimed
 SURE = 3.0  # standard deviations by which a resonance stands out from either side
@@ -139,21 +139,21 @@ def structure_hints(
     .. [2] S. Y. Kung, Proc. 12th Asilomar Conf., 1978, 705-714 (Hankel singular values).
     """
     rate = spa(data, "log", integrator=True).rate()
-    slope, slope_std = _low_slope(rate, _believed(rate))
+    slope, slope_std = _low_slope(rate, explained(rate))
     integrates = integrator
     if integrates is None:
         integrates = data.output in INTEGRATING_OUTPUTS or slope < 10 - 2 * slope_std
     first_lag, blind = _first_lag(data, integrates=integrates)
     nk = first_lag if first_lag < 1 or blind < HIDDEN else 1
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
-    believed = _believed(spectrum)
+    believed = explained(spectrum)
     response = long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
     order = int(np.count_nonzero(values > threshold))
     high = _high_slope(spectrum, believed)
     degree = max(0, round(-high / 20))
-    nf = max(order, 2 * len(peaks), 1) + integrates
+    nf = max(order, 2 * len(peaks), 0 if integrates else 1) + integrates
     return StructureHints(
         integrator=integrates,
         low_slope=slope - 20,
@@ -162,7 +162,7 @@ def structure_hints(
         relative_degree=degree,
         resonances=peaks,
         antiresonances=dips,
-        phase_delay=_phase_delay(spectrum, believed, high),
+        phase_delay=_phase_delay(spectrum, believed, high, sign=_sign(response)),
         first_lag=first_lag,
         blind=blind,
         nk=nk,
@@ -183,18 +183,6 @@ def _first_lag(data: Dataset, *, integrates: bool) -> tuple[int, float]:
     first_lag = plain.first_lag() or 0
     g, std = plain.decaying
     return first_lag, two_sided(0.99) * float(np.max(std[: max(first_lag, 1)]) / np.max(np.abs(g)))
-
-
-def _believed(estimate: SpectralEstimate) -> NDArray[np.int_]:
-    """Return the indices up to the last frequency at which u explains y, known ones only."""
-    coherence = np.nan_to_num(np.zeros(1) if estimate.coherence is None else estimate.coherence)
-    good = np.flatnonzero(coherence > COHERENT)
-    if good.size < 3:
-        msg = f"u explains y at {good.size} frequencies only (coherence above {COHERENT:g}), 3 are "
-        msg += "needed: record longer, or with a larger or richer input"
-        raise ValueError(msg)
-    known = np.flatnonzero(np.isfinite(estimate.G))
-    return np.asarray(known[(known >= good[0]) & (known <= good[-1])])
 
 
 def _slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
@@ -227,15 +215,22 @@ def _high(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.
     return high if high.size >= 3 else believed[-3:]
 
 
-def _phase_delay(spectrum: SpectralEstimate, believed: NDArray[np.int_], slope: float) -> float:
-    """Return -(arg G - 90° slope/20)/omega over the last third of a decade, in s.
+def _sign(response: ImpulseResponse) -> float:
+    """Return the sign of the steady answer: of a negative one the phase begins at 180°."""
+    return -1.0 if float(np.sum(response.decaying[0])) < 0 else 1.0
+
+
+def _phase_delay(
+    spectrum: SpectralEstimate, believed: NDArray[np.int_], slope: float, *, sign: float
+) -> float:
+    """Return -(arg sign G - 90° slope/20)/omega over the last third of a decade, in s.
 
     A minimum-phase system's phase is 90° for each 20 dB a decade of slope, nearly so where the
     slope changes little (H. W. Bode, *Network Analysis and Feedback Amplifier Design*, 1945).
     """
     high = _high(spectrum, believed)
     expected = np.pi / 2 * slope / 20
-    excess = np.angle(spectrum.G[high] * np.exp(-1j * expected))
+    excess = np.angle(sign * spectrum.G[high] * np.exp(-1j * expected))
     return float(-np.mean(excess / spectrum.omega[high]))
 
 
@@ -300,37 +295,54 @@ def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tup
     return values / values[0], float(np.quantile(norms, 0.95)) / float(values[0])
 
 
+def _standing(n: int) -> str:
+    return f"{n or 'none'} {'stands' if n <= 1 else 'stand'} out"
+
+
+def _extremes_told(h: StructureHints) -> str:
+    """Return which resonances and antiresonances stand out, and what they want."""
+    told = []
+    for x, name, wants in (
+        (h.resonances, "resonance", "poles"),
+        (h.antiresonances, "antiresonance", "zeros"),
+    ):
+        at = ", ".join(f"{w:.3g}" for w in x)
+        several, each = ("s", " each") if len(x) > 1 else ("", "")
+        told.append(f"{name}{several} at {at} rad/s (two {wants}{each})" if x else f"no {name}")
+    return ", ".join(told)
+
+
 def _reasons(h: StructureHints) -> Iterator[str]:
     what = "the rate" if h.integrator else "y"
     verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
     yield (
-        f"integrator: |G| falls {h.low_slope:.1f} ± {h.low_slope_std:.1f} dB a decade at low "
-        f"frequency (0 without one, −20 with one): {verdict}"
+        f"integrator: |G| has a slope of {minus(f'{h.low_slope:.1f}')} ± {h.low_slope_std:.1f} dB "
+        f"a decade at low frequency (0 without one, −20 with one): {verdict}"
     )
-    extremes = (h.resonances, h.antiresonances)
-    peaks, dips = (", ".join(f"{w:.3g}" for w in x) or "none" for x in extremes)
-    yield (
-        f"resonances of {what} at {peaks} rad/s, antiresonances at {dips} rad/s: two poles a "
-        "resonance, two zeros an antiresonance"
-    )
+    yield f"shape of {what}: {_extremes_told(h)}"
     shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
     yield (
         f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
-        f"{h.order - h.integrator} stand out" + (", and the integrator" if h.integrator else "")
+        + _standing(h.order - h.integrator)
+        + (", and the integrator" if h.integrator else "")
     )
     excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
     yield (
-        f"roll-off: {h.high_slope:.0f} dB a decade below {h.trusted:.3g} rad/s, the last frequency "
-        f"at which u explains y: {excess} than zeros up to there"
+        f"roll-off: {minus(f'{h.high_slope:.0f}')} dB a decade below {h.trusted:.3g} rad/s, the "
+        f"last frequency at which u explains y: {excess} than zeros up to there"
     )
-    yield (
-        f"phase: beyond what the roll-off accounts for it falls like {1e3 * h.phase_delay:.3g} ms "
-        f"of delay, of which the hold's half sample is {500 * h.spectrum.Ts:.3g} ms"
-    )
+    if h.phase_delay > h.spectrum.Ts / 2:
+        yield (
+            f"phase: beyond what the roll-off accounts for it lags like {1e3 * h.phase_delay:.3g} "
+            f"ms of delay, {500 * h.spectrum.Ts:.3g} ms of which are the hold's half sample"
+        )
+    else:
+        yield "phase: it lags no more than roll-off and hold account for"
     known = f"u acts at lag {h.first_lag} at the latest (99 %)"
     if h.first_lag > 1 and h.nk == 1:
         hidden = f"before it {100 * h.blind:.0f} % of the largest coefficient could hide: no delay"
-        yield f"delay: {known}; {hidden} is shown"
+        yield f"delay: {known}; {hidden} is shown (armrig.delay, `armrig check` test it)"
     else:
-        delay = "no input delay" if h.nk <= 1 else f"an input delay of {h.nk - 1} samples"
+        delay = f"an input delay of {plural(h.nk - 1, 'sample')}"
+        delay = delay if h.nk > 1 else "no input delay"
         yield f"delay: {known}: {delay} (nk = {max(h.nk, 1)})"

@@ -498,3 +498,17 @@ def test_a_check_of_own_data_speaks_of_their_output(
     assert "before y has moved it is small" in out
     assert "arm" not in out
     assert "rig" not in out
+
+
+def test_hints_name_the_next_command_for_the_same_columns(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ready to copy: it is taken as it stands."""
+    monkeypatch.chdir(folder)
+    columns = ["--input", "u", "--signal", "y", "--Ts", "0.1", "--to", "30"]
+
+    assert main(["hints", "data.csv", *columns]) == 0
+    [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
+
+    assert "--input u --signal y --Ts 0.1 --to 30" in line
+    assert main(shlex.split(line)[2:]) == 0

@@ -11,6 +11,7 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import step, telegraph
 from armrig.nonparametric.sampling_time import nearest_125, sampling_time
 from armrig.numerics.polynomial import filtered
+from numpy.typing import NDArray
 
 
 def first_order(tau: float, Ts: float, u: Any, std: float = 0.01) -> Dataset:
@@ -122,3 +123,48 @@ def test_data_too_slow_to_tell_say_so(sampled: Callable[[float], Any]) -> None:
 def test_a_recommendation_is_a_round_number(x: float, expected: float) -> None:
     """Of 1, 2, 5, the nearest by ratio."""
     assert nearest_125(x) == expected
+
+
+def _telegraph(N: int = 1200) -> NDArray[np.float64]:
+    return telegraph(N, 0.05, 1.0, 4.0, seed=3)
+
+
+def test_what_no_input_explains_has_no_sampling_time() -> None:
+    """Noise has a spectrum, and rises and settles, too."""
+    noise = np.random.default_rng(1).standard_normal(1200)
+
+    with pytest.raises(ValueError, match="u explains y at no frequency"):
+        sampling_time(Dataset(u=_telegraph(), y=noise, Ts=0.05))
+    with pytest.raises(ValueError, match="record longer"):
+        sampling_time(Dataset(u=_telegraph()[:12] + np.arange(12) % 2, y=noise[:12], Ts=0.05))
+
+
+def test_an_answer_that_returns_to_0_has_no_time_constant() -> None:
+    """Of a differentiator the final value is noise, and so is any share of it."""
+    u = np.random.default_rng(2).standard_normal(1200)
+    y = filtered([0, 1, -1], [1, -0.94], u) + 0.02 * np.random.default_rng(1).standard_normal(1200)
+
+    with pytest.raises(ValueError, match="returns to about 0"):
+        sampling_time(Dataset(u=u, y=y, Ts=0.05))
+
+
+def test_an_answer_within_one_sample_is_not_read_between_samples() -> None:
+    """The rate of a pure integrator is there at once; what happens in between nobody has seen."""
+    u = _telegraph()
+    y = np.cumsum(np.append(0, 0.05 * u[:-1]))
+    y += 0.02 * np.random.default_rng(1).standard_normal(1200)
+
+    found = sampling_time(Dataset(u=u, y=y, Ts=0.05))
+
+    assert found.Ts == 0.01
+    assert "63 % time tau below a sample, 50 ms" in repr(found)
+    assert any("record at 10 ms once and ask again" in note for note in found.notes)
+
+
+def test_one_crossing_of_the_level_is_one_number() -> None:
+    """Not a first one behind the last; and a time of seconds is told in seconds."""
+    found = sampling_time(first_order(0.8, 0.05, _telegraph(), 0.02), integrator=False)
+
+    assert found.omega_first == found.omega_spectrum == pytest.approx(1 / 0.8, rel=0.3)
+    assert f"-3 dB at {found.omega_spectrum:.3g} rad/s" in repr(found)
+    assert f"transient: {found.settling:.3g} s to within 5 %" in repr(found)

@@ -117,3 +117,39 @@ def test_an_input_that_explains_nothing_is_refused() -> None:
             Dataset(u=rng.standard_normal(2000), y=rng.standard_normal(2000), Ts=1.0),
             integrator=False,
         )
+
+
+def _first_order(gain: float) -> Dataset:
+    rng = np.random.default_rng(3)
+    u = rng.standard_normal(2000)
+    y = filtered([0, 0.2 * gain], [1, -0.8], u) + 0.02 * gain * rng.standard_normal(2000)
+    return Dataset(u=u, y=y, Ts=0.05)
+
+
+def test_a_sign_is_no_delay() -> None:
+    """The phase of a negative gain begins at 180°; what is read beyond it is the same."""
+    up, down = (structure_hints(_first_order(gain)) for gain in (2.0, -2.0))
+
+    assert down.phase_delay == pytest.approx(up.phase_delay)
+
+
+def test_what_is_not_there_is_told_in_words() -> None:
+    """No "none rad/s", and no negative delay."""
+    said = structure_hints(_first_order(2.0)).explain()
+
+    assert "shape of y: no resonance, no antiresonance" in said
+    assert "none rad/s" not in said
+    assert "like -" not in said
+    assert "has a slope of" in said
+
+
+def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
+    """And no other that would stand for nothing."""
+    rng = np.random.default_rng(4)
+    u = rng.standard_normal(2000)
+    y = np.cumsum(np.append(0, 0.05 * u[:-1])) + 0.01 * rng.standard_normal(2000)
+
+    found = structure_hints(Dataset(u=u, y=y, Ts=0.05))
+
+    assert (found.integrator, found.nb, found.nf, found.nk) == (True, 1, 1, 1)
+    assert "none stands out, and the integrator" in found.explain()

@@ -1,0 +1,31 @@
+"""Where the input explains the output: what spectral estimates may be read at."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.models.spectral_estimate import SpectralEstimate
+
+COHERENT = 0.5  # least coherence at which a frequency is believed
+FEWEST_FREQUENCIES = 3
+
+
+def explained(estimate: SpectralEstimate) -> NDArray[np.int_]:
+    """Return the indices up to the last frequency at which u explains y, known ones only.
+
+    Raises
+    ------
+    ValueError
+        u explains y at fewer than three frequencies.
+    """
+    coherence = np.nan_to_num(np.zeros(1) if estimate.coherence is None else estimate.coherence)
+    good = np.flatnonzero(coherence > COHERENT)
+    if good.size < FEWEST_FREQUENCIES:
+        at = ("no frequency", "one frequency", "two frequencies")[good.size]
+        msg = f"u explains y at {at} (coherence above {COHERENT:g}), and {FEWEST_FREQUENCIES} are "
+        msg += "needed: record longer, or with a "
+        msg += "larger or richer input"
+        raise ValueError(msg)
+    known = np.flatnonzero(np.isfinite(estimate.G))
+    return np.asarray(known[(known >= good[0]) & (known <= good[-1])])
