@@ -13,7 +13,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.verification import verify
-from armrig_core.manifest import INPUT, RECOVERED, RUN, Outcome
+from armrig_core import protobuf
+from armrig_core.manifest import INPUT, OUTCOME, RECOVERED, RUN, Outcome
 from armrig_core.recording_file import recovery, unfinished
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import MAGIC, RECORD_LIMIT
@@ -24,6 +25,7 @@ from armrig_core.recording_file.recovery import (
     sentence,
 )
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
+from armrig_core.telemetry import encode_sample
 from made_recordings import gap, manifest, recorded, sample, written
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
@@ -32,6 +34,7 @@ from mcap.writer import Writer
 NAME = "1-test-20261120T040000-0000abcd.mcap"
 LEFT = f"{NAME}.active"
 N = 60
+DATA_OF_RELEASES = Path(__file__).parents[1] / "data"
 RECOVERY = Recovery(armrig="0.2.0", now=lambda: "2026-11-20T06:00:00.000+01:00")
 
 
@@ -166,6 +169,25 @@ def test_a_long_input_is_kept(tmp_path: Path) -> None:
     assert kept.data.count(b"\n") == len(u) + 1
 
 
+@pytest.mark.parametrize("release", ["0.1.0"])
+@pytest.mark.parametrize("pacing", ["exchange", "scheduled"])
+def test_what_an_earlier_release_left_is_recovered_too(
+    tmp_path: Path, release: str, pacing: str
+) -> None:
+    """Its daemon died before the file had its name; every sample is there afterwards."""
+    data = (DATA_OF_RELEASES / release / f"{pacing}.mcap").read_bytes()
+    left = written(tmp_path, data[: -len(MAGIC)], LEFT)
+    before = armrig.load(left)
+
+    recording = armrig.load(RECOVERY.recover(left).path)
+
+    assert recording.samples.tobytes() == before.samples.tobytes()
+    assert recording.samples.size > 100
+    assert recording.gaps == before.gaps
+    assert recording.manifest == before.manifest
+    assert not recording.truncated
+
+
 def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     """Its daemon holds the lock, and lives."""
     left = written(tmp_path, DATA, LEFT)
@@ -259,6 +281,42 @@ def test_a_manifest_of_another_form_stays_as_it_is(tmp_path: Path) -> None:
     writer.finish()
 
     _untouched(written(tmp_path, out.getvalue(), LEFT), out.getvalue(), "manifest is not armrig's")
+
+
+@pytest.mark.parametrize("name", [OUTCOME, RECOVERED])
+def test_what_is_told_in_another_form_stays_as_it_is(tmp_path: Path, name: str) -> None:
+    """The manifest is ours, but not how the run ended, or was recovered before."""
+    out = BytesIO()
+    writer = Writer(out)
+    writer.start()
+    writer.add_metadata(RUN, manifest().metadata())
+    writer.add_metadata(name, {"outcome": "no JSON"})
+    writer.finish()
+
+    _untouched(written(tmp_path, out.getvalue(), LEFT), out.getvalue(), "manifest is not armrig's")
+
+
+def test_what_belongs_to_no_channel_does_not_end_what_can_be_read(tmp_path: Path) -> None:
+    """A reader passes over it; what comes behind it is kept."""
+    out = BytesIO()
+    writer = Writer(out, chunk_size=100)
+    writer.start()
+    writer.add_metadata(RUN, manifest(k_first=0).metadata())
+    schema = writer.register_schema(
+        protobuf.SAMPLE, "protobuf", protobuf.descriptor_set(protobuf.SAMPLE)
+    )
+    nowhere = writer.register_channel("/rig/1/other", "protobuf", 99)
+    channel = writer.register_channel("/rig/1/sample", "protobuf", schema)
+    for k in range(5):
+        writer.add_message(77, k, b"of a channel that there is not", k)
+        writer.add_message(nowhere, k, b"of a schema that there is not", k)
+        writer.add_message(channel, k, encode_sample(sample(k)), k)
+    writer.flush()
+
+    done = RECOVERY.recover(written(tmp_path, out.getvalue(), LEFT))
+
+    assert done.outcome.samples == 5
+    assert armrig.load(done.path).samples["k"].tolist() == [0, 1, 2, 3, 4]
 
 
 def test_the_file_of_another_user_stays_as_it_is(tmp_path: Path) -> None:

@@ -10,12 +10,13 @@ import resource
 import sys
 import time
 
-from fuzz import bombs, cuts, data_files, files, frames, requests
+from fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
 
 TARGETS = {
     "frames": (frames.fuzz, 100_000_000),
     "requests": (requests.fuzz, 1_000_000),
     "files": (files.fuzz, 100_000),
+    "recoveries": (recoveries.fuzz, 100_000),
     "data_files": (data_files.fuzz, 100_000),
     "cuts": (cuts.fuzz, 1 << 20),
     "bombs": (bombs.fuzz, 1),

@@ -8,7 +8,7 @@ from random import Random
 import pytest
 from armrig_core.commands import Set
 
-from fuzz import bombs, cuts, data_files, files, frames, mutation, requests
+from fuzz import bombs, cuts, data_files, files, frames, mutation, recoveries, requests
 
 
 def test_any_bytes_give_frames_or_are_told_as_spoilt() -> None:
@@ -35,6 +35,14 @@ def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
 
     assert found["cut"] > 300
     assert found["whole"] > 50
+    assert found["refused"] > 10
+
+
+def test_any_unfinished_file_is_recovered_or_stays_as_it_is() -> None:
+    """With all that a reader found in it before, and nothing beside it."""
+    found = recoveries.fuzz(400, seed=1)
+
+    assert found["recovered"] > 300
     assert found["refused"] > 10
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, TypeVar
 
 import msgspec
 
@@ -142,7 +142,7 @@ class Recovery:
                 outcome=CUT_OFF, samples=tally.samples, missing=tally.missing(manifest)
             )
             if OUTCOME in rewriter.metadata:
-                outcome = outcome_of(rewriter.metadata[OUTCOME])
+                outcome = _told(path, outcome_of, rewriter.metadata[OUTCOME])
             else:
                 rewriter.add_metadata(OUTCOME, outcome.metadata())
             recovered = Recovered(
@@ -153,7 +153,7 @@ class Recovery:
                 damage=damage,
             )
             if RECOVERED in rewriter.metadata:  # by one who died before it had its name
-                recovered = recovered_of(rewriter.metadata[RECOVERED])
+                recovered = _told(path, recovered_of, rewriter.metadata[RECOVERED])
             else:
                 rewriter.add_metadata(RECOVERED, recovered.metadata())
             rewriter.finish()
@@ -215,11 +215,20 @@ def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
     """Return the manifest that was copied; None where none was yet."""
     if RUN not in rewriter.metadata:
         return None
-    try:
-        manifest = manifest_of(rewriter.metadata[RUN])
-        check_whole_numbers(manifest)
-    except (msgspec.DecodeError, ValueError, RecursionError) as err:
-        raise RecoveryError(f"{path}: its manifest is not armrig's; it stays as it is") from err
+    manifest = _told(path, manifest_of, rewriter.metadata[RUN])
     if rig and manifest.rig != rig:
         raise NotOursError(f"{path}: a recording of rig {manifest.rig}")
     return manifest
+
+
+_R = TypeVar("_R", Manifest, Outcome, Recovered)
+
+
+def _told(path: Path, read: Callable[[dict[str, str]], _R], metadata: dict[str, str]) -> _R:
+    """Return what a metadata record of ours says."""
+    try:
+        record = read(metadata)
+        check_whole_numbers(record)
+    except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
+        raise RecoveryError(f"{path}: its manifest is not armrig's; it stays as it is") from err
+    return record
