@@ -29,7 +29,7 @@ print(peak() - before, sum(getattr(rec, name).nbytes for name in names) / 2**20)
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc/self/status")
 def test_memory_is_linear_in_the_arrays(tmp_path: Path) -> None:
     """At most twice the arrays that are returned, beside what any file may take."""
-    N = 200_000
+    N = 100_000
     small = written(tmp_path, recorded([sample(0)]), "small.mcap")
     messages = (sample(k) for k in range(N))
     long = written(tmp_path, recorded(messages, manifest=manifest(samples=N)), "long.mcap")

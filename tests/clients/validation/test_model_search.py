@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import nullcontext
 from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
@@ -112,13 +112,19 @@ def _of(found: SearchResult, family: str) -> Fit:
     return next(j.fit for j in found.ranked if j.candidate.family == family and j.fit)
 
 
-def test_other_processes_find_the_same() -> None:
+@pytest.fixture(scope="module")
+def elsewhere() -> Iterator[ProcessPoolExecutor]:
+    """Give two other processes."""
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as executor:
+        yield executor
+
+
+def test_other_processes_find_the_same(elsewhere: ProcessPoolExecutor) -> None:
     """To the last digit, whatever the executor."""
     data = _data(1, [1.0], [1.0], 400)
 
     here = search(data, families=("oe",), orders=(1, 2))
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
-        there = search(data, families=("oe",), orders=(1, 2), executor=executor)
+    there = search(data, families=("oe",), orders=(1, 2), executor=elsewhere)
 
     np.testing.assert_array_equal(here.fit.theta, there.fit.theta)
     np.testing.assert_array_equal(here.rms, there.rms)
@@ -197,20 +203,20 @@ def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
 
 
 @pytest.mark.parametrize("processes", [0, 2])
-def test_progress_is_told_before_each_candidate_and_at_the_end(processes: int) -> None:
+def test_progress_is_told_before_each_candidate_and_at_the_end(
+    processes: int, elsewhere: ProcessPoolExecutor
+) -> None:
     """How many are done, of all, and which is next, wherever they are estimated."""
     told: list[tuple[int, int, str]] = []
-    pool = ProcessPoolExecutor(2, get_context("spawn")) if processes else nullcontext()
 
-    with pool as executor:
-        search(
-            _data(1, [1.0], [1.0], N=400),
-            families=("arx", "oe"),
-            orders=(1, 2),
-            nk=1,
-            executor=executor,
-            progress=lambda *count: told.append(count),
-        )
+    search(
+        _data(1, [1.0], [1.0], N=400),
+        families=("arx", "oe"),
+        orders=(1, 2),
+        nk=1,
+        executor=elsewhere if processes else None,
+        progress=lambda *count: told.append(count),
+    )
 
     names = ["ARX[1 1 1]", "ARX[2 2 1]", "OE[1 1 1]", "OE[2 2 1]", ""]
     assert told == [(k, 4, name) for k, name in enumerate(names)]
