@@ -16,8 +16,9 @@ from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
 from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.step_lag import area_above, lag_of_angle
+from armrig.nonparametric.step_overshoot import overshoot
 from armrig.nonparametric.step_rise import Rise, step_rise
-from armrig.numerics.quantities import plural
+from armrig.numerics.quantities import plural, with_std
 from armrig.numerics.step_times import SHARE, linear_crossing
 from armrig.numerics.stretches import Mask, constant, stretches
 
@@ -73,7 +74,9 @@ class StepAnalysis:
     settling: float
     """Time from which the smoothed answer stays within 5 % of its final value, in s."""
     overshoot: float
-    """Largest smoothed value over the final one, less 1; 0 where there is none."""
+    """Largest value over the final one, less 1: 0 where there is none, NaN where noise hides it."""
+    overshoot_std: float
+    """Its standard deviation."""
     rate: bool
     """y is the rate of an integrating output."""
     steps: int
@@ -115,9 +118,17 @@ class StepAnalysis:
             f"{self.bandwidth:.4g} rad/s",
             f"  equivalent time {self.equivalent_time:.4g} ± {self.equivalent_time_std:.2g} s "
             "(area above the response)",
-            f"  within 5 % after {self.settling:.4g} s, overshoot {100 * self.overshoot:.0f} %",
+            f"  within 5 % after {self.settling:.4g} s, {self._overshoot_told()}",
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
+
+    def _overshoot_told(self) -> str:
+        if np.isnan(self.overshoot):
+            return "noise hides whether it overshoots"
+        # Of 3 standard deviations, not 2: it is the largest of many.
+        if self.overshoot <= 3 * self.overshoot_std:
+            return f"no overshoot seen (± {100 * self.overshoot_std:.2g} %)"
+        return f"overshoot {with_std(100 * self.overshoot, 100 * self.overshoot_std)} %"
 
 
 @takes_recordings
@@ -129,8 +140,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. The 63 % time is read from a
     smoothing spline from the step on (`armrig.nonparametric.step_rise`), whose deviation grows
     where samples are missing. The dead time L is that of s (t - L)^p for t > L, p = 1 or 2, fitted
-    to the rise up to one half. Settling and overshoot are those of a moving average, as short as
-    brings the noise under 3 % of the final value.
+    to the rise up to one half. Settling is that of a moving average, as short as brings the noise
+    under 3 % of the final value; overshoot that of parabolas (`step_overshoot`).
 
     Parameters
     ----------
@@ -184,6 +195,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     hidden = _hidden(own, k, rise.crossing, data.Ts)
     last = int(np.flatnonzero(outside)[-1]) if outside.any() else -1
     times = t[after]
+    above = overshoot(own, k, gain * (data.Ts if integrates else 1.0), integrated=integrates)
     settling = float(times[min(last + 1, times.size - 1)])
     return StepAnalysis(
         t=t,
@@ -203,7 +215,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         rise_std=rise.std * abs(gain),
         hidden=hidden,
         settling=settling,
-        overshoot=max(0.0, float(np.nanmax(smooth[after] / gain)) - 1),
+        overshoot=float(above[0]),
+        overshoot_std=float(above[1]),
         rate=integrates,
         steps=len(steps.at),
         Ts=data.Ts,

@@ -102,6 +102,28 @@ def test_what_is_left_beside_a_hole_is_not_averaged_alone() -> None:
     assert found.overshoot < 0.1
 
 
+def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(sampled: Any) -> None:
+    """10.7 % of the arm, as its model has it, within the deviation that is said."""
+    arm = sampled(0.002)
+    u = np.where(np.arange(2500) < 500, 0.5, 4.5)
+
+    found = [step_analysis(arm.dataset(u, std=4e-3, seed=seed)) for seed in range(20)]
+
+    above = np.array([f.overshoot for f in found])
+    assert np.mean(above) == pytest.approx(0.1067, abs=0.003)
+    assert 0.5 < np.std(above) / np.mean([f.overshoot_std for f in found]) < 1.5
+    assert "overshoot 10." in repr(found[0])
+
+
+def test_what_is_no_overshoot_is_not_called_one() -> None:
+    """Of a first-order system, but for one in twenty; and where noise hides it."""
+    told = [repr(step_analysis(first_order(std=0.2, seed=s), integrator=False)) for s in range(40)]
+    loud = step_analysis(first_order(std=10.0, seed=4), integrator=False)
+
+    assert sum("no overshoot seen (± " in text for text in told) >= 38
+    assert "noise hides whether it overshoots" in repr(loud)
+
+
 def test_what_has_no_step_is_refused() -> None:
     """With the way out; a hold too short to settle warns."""
     still = Dataset(u=np.ones(100), y=np.zeros(100), Ts=TS)
