@@ -106,10 +106,10 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     yield "calibrated", calibrated(rec.calibration)
     for text in remarks(rec.calibration, manifest):
         yield "remark", text
-    yield "jitter", _microseconds(timing.jitter, 0)
+    yield "jitter", _jitter(timing.jitter)
     if verbose:
         yield "paced by", "the device" if manifest.pacing == "scheduled" else "the host"
-        yield "lateness", _lateness(timing.lateness, manifest.pacing)
+        yield "host's lateness", _lateness(timing.lateness, manifest.pacing)
     if verbose and (found := disturbances(rec).texts()):
         yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
     gaps = gap_lines(rec.gaps)
@@ -156,6 +156,11 @@ def _microseconds(spread: Any, decimals: int) -> str:
         return "too few samples"
     p50, p99 = f"{spread.p50:.{decimals}f}", f"{spread.p99:.{decimals}f}"
     return f"p50 {p50}, p99 {p99}, max {spread.max:.0f} µs"
+
+
+def _jitter(spread: Any) -> str:
+    text = _microseconds(spread, 0)
+    return text if spread.n == 0 else f"{text}; of the sampling interval, by the device's clock"
 
 
 def _lateness(spread: Any, pacing: str) -> str:

@@ -541,7 +541,7 @@ def test_the_bar_says_how_the_timing_is(
     assert main(["collect", "step", "--connect", where]) == 0
 
     said = " ".join(capsys.readouterr().err.split())
-    assert "lateness p99 456 µs, missing 2, queue 17" in said
+    assert "host's lateness p99 456 µs, missing 2, queue 17" in said
 
 
 def test_info_says_lateness_as_the_bar_does(
@@ -553,9 +553,12 @@ def test_info_says_lateness_as_the_bar_does(
 
         assert main(["info", "--verbose", str(written(tmp_path, data))]) == 0
 
-        [line] = [x for x in capsys.readouterr().out.splitlines() if x.startswith("lateness")]
+        lines = capsys.readouterr().out.splitlines()
+        [line] = [x for x in lines if x.startswith("host's lateness")]
+        [jitter] = [x for x in lines if x.startswith("jitter")]
         assert "p50 3.0, p99 3.0, max 3 µs" in line
         assert of in line
+        assert jitter.endswith(" µs; of the sampling interval, by the device's clock")
 
 
 def test_collect_says_what_the_rehearsal_was(
