@@ -9,7 +9,7 @@ import typer
 
 from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import say_next
+from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     CalibrationFile,
     DataTs,
@@ -88,8 +88,7 @@ def check(
         first, *more = (found.explain() if verbose else found.brief()).splitlines()
         verdict = first.removeprefix("open loop: ")
         say("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
-    if of_rig:
-        say_next("check")
+    say_next("check" if of_rig else "check other", file=typed(file), given=signals.options())
 
 
 def _delay(data: Dataset) -> Delay | str:

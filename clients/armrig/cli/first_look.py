@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -31,6 +32,11 @@ if TYPE_CHECKING:
     from armrig.nonparametric.sampling_time import SamplingTime
     from armrig.nonparametric.step_analysis import StepAnalysis
     from armrig.nonparametric.structure_hints import StructureHints
+    from armrig.recordings.recording import Recording
+
+_LATER_S = 1.0
+_LONGEST = 28
+"""Letters of a name that another word is put behind."""
 
 Drawing = Annotated[Path, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")]
 
@@ -86,7 +92,7 @@ def sampling(
     from armrig.nonparametric.sampling_time import sampling_time
 
     check_plot(plot, [file])
-    data = Signals(
+    signals = Signals(
         signal=signal,
         input=input,
         time=time,
@@ -95,7 +101,8 @@ def sampling(
         calibration=calibration,
         start=start,
         stop=stop,
-    ).of(file)
+    )
+    data = signals.of(file)
     with spinner("estimating the response"):
         choice = sampling_time(data)
         steps = _steps(data) if choice.from_step else None
@@ -105,8 +112,26 @@ def sampling(
         print_json(source_facts(data) | _sampling_facts(choice))
         return
     say("\n".join(repr(one) for one in reversed(shown)))
-    if from_recording(data):
+    if steps is not None and steps.hidden and signals.read:
+        say_next("sampling hidden", **_step_again(signals.read[0]))
+    elif from_recording(data):
         say_next("sampling", Ts=choice.Ts)
+    else:
+        say_next("sampling other", file=typed(file), given=signals.options())
+
+
+def _step_again(recording: Recording) -> dict[str, str | float]:
+    """Return the same step a second later, when the chassis has turned on."""
+    manifest = recording.manifest
+    said = manifest.details.get("at")
+    at = float(said) if isinstance(said, int | float) else 1.0
+    name = manifest.experiment.partition("-")[2][:_LONGEST]
+    return {
+        "Ts": manifest.Ts,
+        "at": at + _LATER_S,
+        "seconds": max(recording.asked_s, at + 4 * _LATER_S),
+        "name": f" --name {quote(name)}-again" if name else "",
+    }
 
 
 def _steps(data: Dataset) -> StepAnalysis | None:

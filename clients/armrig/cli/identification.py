@@ -154,6 +154,7 @@ def identify(
         time=time,
         Ts=Ts,
         detrend=detrend,
+        offset=offset,
         hampel=hampel,
         calibration=calibration,
         start=start,
@@ -177,8 +178,8 @@ def identify(
     if save is not None:
         found.fit.save(save)
     _plot_model(found, plot)
-    if not json and from_recording(data):
-        _say_next(found.fit, file, validate, save)
+    if not json:
+        _say_next(found, file, validate, save, signals)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -407,28 +408,37 @@ def _print_json(found: _Found, data: Dataset) -> None:
     print_json(facts)
 
 
-def _say_next(fit: Fit, file: Path, validate: Path | None, save: Path | None) -> None:
-    """Say what comes after the model: keep it, then validate it on data that it has not seen."""
-    if save is None:
-        orders = " ".join(f"--{name} {n}" for name, n in fit.orders.items() if n is not None)
-        options = f"--structure {fit.structure} {orders}" + " --integrator" * _integrates(fit)
-        options += " --offset" * (fit.offset and not fit.integrator)
-        validation = typed(validate) if validate else validation_beside(file)
-        options += f" --validate {validation}" if validation else ""
-        say_next("identify", file=typed(file), options=options)
-        return
-    validation = typed(validate) if validate else validation_beside(file)
-    after = "identify --save" if validation else "identify alone"
-    say_next(after, validation=validation, model=quote(str(save)), Ts=fit.Ts)
+def _say_next(
+    found: _Found, file: Path, validate: Path | None, save: Path | None, signals: Signals
+) -> None:
+    """Say what comes after the model: what is asked for above, or keep it, then validate it."""
+    from armrig.cli import model_output
+    from armrig.cli.next_model import CHECK, options_after, options_of
 
-
-def _integrates(fit: Fit) -> bool:
-    """Tell whether the model has an integrator, or is advised to have one."""
-    from armrig.models.structure_table import KINDS
-    from armrig.validation.advice.advice import advice
-
-    advised = any(f.about == "integrator" and f.level != "good" for f in advice(fit).findings)
-    return fit.integrator or (advised and KINDS[fit.structure].may_integrate)
+    fit, given = found.fit, signals.options()
+    about = model_output.to_act_on(fit, found.doubts) - ({"outliers"} if signals.hampel else set())
+    options = options_after(
+        fit, about, searched=found.search is not None, detrended=signals.detrend
+    )
+    if validate is not None:
+        validation = typed(validate)
+    else:
+        validation = validation_beside(file) if signals.read else ""
+    values: dict[str, str | float] = {"file": typed(file), "given": given, "Ts": fit.Ts}
+    values["validation"] = validation
+    values["model"] = quote(str(save or "model.json"))
+    values["options"] = options + given + (f" --validate {validation}" if validation else "")
+    if fit.offset and not signals.detrend:
+        given += " --detrend"  # the tests of the data estimate no level
+    if options == CHECK:
+        say_next("identify check", **(values | {"given": given}))
+    elif save is None or options != options_of(fit):
+        say_next("identify", **values)
+    elif validation:
+        say_next("identify --save", **values)
+    else:
+        after = "identify alone" if signals.read else "identify check"
+        say_next(after, **(values | {"given": given}))
 
 
 def _plot_model(found: _Found, plot: Path | None) -> None:

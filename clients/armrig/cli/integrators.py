@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import newest_pair, say_next
+from armrig.cli.next_step import for_the_report, say_next
 from armrig.cli.options import Json, print_json, say
 
 if TYPE_CHECKING:
@@ -197,5 +197,4 @@ def _print_table(solved: _Solved) -> None:
         "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
         "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
     )
-    if files := newest_pair():
-        say_next("integrate", files=files)
+    say_next("integrate", files=for_the_report())

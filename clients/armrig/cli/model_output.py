@@ -144,6 +144,14 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
     return [in_symbols(line) for line in lines] or ["nothing to act on"]
 
 
+def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
+    """Return what there is to act on, by the names of the findings."""
+    found = {f.about for f in (*doubts, *advice(fit).findings) if f.level != "good"}
+    return found | {
+        name for name, phrase in _ASKED_BY_WARNINGS if any(phrase in w for w in fit.warnings)
+    }
+
+
 def short_search_lines(found: SearchResult) -> list[str]:
     """Return the best five models of a search and why the one was chosen."""
     return [found.table(_BEST), *(f"- {r}" for r in found.reasons[1:_REASONS])]
@@ -187,6 +195,13 @@ _SAID_BY_WARNINGS = (
 )
 """Findings, and how a warning of the estimate says the same; those about the data first."""
 _OF_DATA = 2
+_ASKED_BY_WARNINGS = (
+    *_SAID_BY_WARNINGS[:_OF_DATA],
+    ("order", "lower the orders"),
+    ("integrator", "ask for integrator=True"),
+    ("structure", "take oe with integrator=True"),
+)
+"""Findings, and how a warning of the estimate asks for what they do."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"

@@ -22,7 +22,9 @@ AFTER: Mapping[str, str] = {
     "ls": "armrig info {file}",
     "info": "armrig plot {file}",
     "collect step": "armrig sampling {file} -o sampling.png",
+    "sampling hidden": "armrig collect step --Ts {Ts:g} --seconds {seconds:g} --at {at:g}{name}",
     "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --validation",
+    "sampling other": "armrig hints {file}{given} -o hints.png",
     "collect blackbox": "armrig plot {file}",
     "collect greybox": "armrig greybox {file}",
     "collect staircase": "armrig plot {file}",
@@ -31,18 +33,21 @@ AFTER: Mapping[str, str] = {
     "plot step": "armrig sampling {file} -o sampling.png",
     "plot greybox": "armrig greybox {file}",
     "hints": "armrig identify {file} {options}{validate} --save model.json",
-    "identify": "armrig identify {file} {options} --save model.json",
-    "identify --save": "armrig validate {validation} --model {model} -o validate.png",
+    "identify": "armrig identify {file} {options} --save {model}",
+    "identify --save": "armrig validate {validation} --model {model}{given} -o validate.png",
+    "identify check": "armrig check {file}{given}",
     "identify alone": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --seed 2",
     "validate": "armrig compare {estimation} {file} --model {model} -o compare.png",
-    "validate alone": "armrig check {file}",
+    "validate alone": "armrig check {file}{given}",
     "compare": "armrig check {file}",
     "simulate": "armrig lab",
     "simulate F": "armrig check {file}",
     "check": "armrig integrate -o integrate.png",
+    "check other": "armrig hints {file}{given} -o hints.png",
     "greybox": "armrig split {file} -o split.png",
     "split": "armrig integrate -o integrate.png",
-    "integrate": "armrig report --handout {files} -o report.pdf",
+    "integrate": "armrig report --handout{files} -o report.pdf",
+    "report": "{opener} {file}",
 }
 """The line after each command, with what stands in braces filled in."""
 
@@ -61,6 +66,11 @@ def say_to_copy(text: str) -> None:
 def next_line(after: str, **values: str | float) -> str:
     """Return the line after a command."""
     return f"next: {printable(AFTER[after].format(**values))}"
+
+
+def opener() -> str:
+    """Return the program that opens a file as a double click does."""
+    return {"darwin": "open", "win32": "start"}.get(sys.platform, "xdg-open")
 
 
 def naming(rig: str, connect: str | None = None) -> str:
@@ -99,7 +109,17 @@ def estimation_of(path: Path) -> str:
     from armrig.recordings.folder import summary_of
 
     of = summary_of(path).validation_of
-    return f"@{of}" if of else ""
+    return _named(f"@{of}") if of else ""
+
+
+def _named(text: str) -> str:
+    """Return the short name of the recording that an id means; the id where it is not there."""
+    from armrig.cli.chosen_recording import NoSuchRecordingError, chosen, recording_folder
+
+    try:
+        return typed(chosen(text, recording_folder()).path)
+    except NoSuchRecordingError:
+        return text
 
 
 def kind_of(path: Path) -> str:
@@ -114,8 +134,11 @@ def kind_of(path: Path) -> str:
         return ""
 
 
-def newest_pair() -> str:
-    """Return the newest recording that another one validates, and that one; "" without such."""
+def for_the_report() -> str:
+    """Return what the handout's report is of, as typed: the newest step, pair and chassis.
+
+    With a blank before each; "" where there is none.
+    """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.folder import newest_first, summaries
 
@@ -123,10 +146,16 @@ def newest_pair() -> str:
         paths = newest_first(recording_folder())
     except NoSuchRecordingError:
         return ""
-    for found in summaries([path for path in paths if "-validation" in path.name]):
-        if found.validation_of:
-            return f"@{found.validation_of} @{found.validation_of}/validation"
-    return ""
+    pairs = summaries([path for path in paths if "-validation" in path.name])
+    pair = next((s for s in pairs if s.kind == "blackbox" and s.validation_of), None)
+    steps, chassis = (
+        next((s for s in summaries([p for p in paths if kind in p.name]) if s.kind == kind), None)
+        for kind in ("step", "greybox")
+    )
+    names = [typed(s.path) for s in (steps, pair, chassis) if s is not None]
+    if pair is not None:
+        names.insert(int(steps is not None), _named(f"@{pair.validation_of}"))
+    return "".join(f" {name}" for name in names)
 
 
 def validation_beside(path: Path) -> str:

@@ -100,7 +100,7 @@ _NO_BREAK_SPACE = "\u00a0"
 
 SAME_DATA = (
     "the models are judged on the very data that they were estimated from, which flatters them: "
-    "validate on another recording"
+    "validate on data that they have not seen"
 )
 
 

@@ -61,6 +61,8 @@ class Signals:
     """Sampling time, in s."""
     detrend: bool = False
     """Take the means off each file."""
+    offset: bool | None = None
+    """A level of y is estimated along; None where the command cannot."""
     hampel: bool = False
     """Mark single wrong samples of the output missing, before the means are taken off."""
     calibration: Path | None = None
@@ -72,18 +74,26 @@ class Signals:
     read: list[Recording] = field(default_factory=list)
     """Recordings so far, the one that estimates first."""
 
-    def options(self) -> str:
-        """Return the options by which another command takes the same, as typed; "" for none."""
+    def options(self, data: Dataset | None = None) -> str:
+        """Return the options by which another command takes the same, as typed; "" for none.
+
+        Of data that are given the signal is named where it is not the one by default, as it is not
+        where a model has said which it is.
+        """
+        signal = self.signal
+        if signal is None and data is not None and data.output not in (*_UNNAMED, "theta_1"):
+            signal = data.output
         given = {
             "--input": self.input,
-            "--signal": self.signal,
+            "--signal": signal,
             "--time": self.time,
             "--Ts": None if self.Ts is None else f"{self.Ts:g}",
             "--from": None if self.start is None else f"{self.start:g}",
             "--to": None if self.stop is None else f"{self.stop:g}",
         }
+        given["--calibration"] = None if self.calibration is None else str(self.calibration)
         typed = [f" {name} {shlex.quote(value)}" for name, value in given.items() if value]
-        return "".join(typed) + (" --detrend" if self.detrend else "")
+        return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
         """Return the data of a file, and tell what it lacks; of a model's output by default."""
@@ -119,8 +129,9 @@ class Signals:
         _tell_of(file, data, columns)
         for text in swapped(data):
             tell(f"{file}: {text} (--input, --signal)")
-        if not self.detrend and not _without_means(model):
-            _hint_at_means(data)
+        known = self.detrend or self.offset or _without_means(model) or _with_level(model)
+        if not known:
+            _hint_at_means(data, may_offset=self.offset is not None)
         return data
 
     def _is_other(self, file: Path) -> bool:
@@ -185,7 +196,11 @@ def _without_means(model: Model | None) -> bool:
     return any("removed the mean" in step for step in getattr(model, "history", ()))
 
 
-def _hint_at_means(data: Dataset) -> None:
+def _with_level(model: Model | None) -> bool:
+    return bool(getattr(model, "offset", False))
+
+
+def _hint_at_means(data: Dataset, *, may_offset: bool) -> None:
     """Tell what to do where u or y hardly come near 0, as about a point of operation."""
     import numpy as np
 
@@ -194,9 +209,10 @@ def _hint_at_means(data: Dataset) -> None:
     if y.size < _ENOUGH or not (np.ptp(u) and np.ptp(y)):
         return
     if any(abs(x.mean()) > 2 * x.std() for x in (u, y)):
+        along = "estimate a level along with --offset, or " if may_offset else ""
         tell(
             f"on average {data.output} is {y.mean():.4g} and u {u.mean():.4g}; if u = 0 does not "
-            "give 0, take the means off with --detrend"
+            f"give 0, {along}take the means off with --detrend"
         )
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armrig.cli.chosen_recording import recording_path
+from armrig.cli.next_step import opener, say_next
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
@@ -87,6 +89,7 @@ def report(
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
         echo(str(output))
+        say_next("report", opener=opener(), file=quote(str(output)))
 
 
 def _tell_of_ignored(recordings: Sequence[Recording]) -> None:
@@ -133,3 +136,4 @@ def _report_handout(
         print_json({"report": str(path), "recordings": [r.sha256 for r in recordings]})
     else:
         echo(str(path))
+        say_next("report", opener=opener(), file=quote(str(path)))

@@ -103,14 +103,14 @@ def validate(
         _print_validation_json(validated, model)
     else:
         _print_validation(validated, file, verbose=verbose)
-        if from_recording(data):
-            estimation = estimation_of(file)
-            say_next(
-                "validate" if estimation else "validate alone",
-                file=typed(file),
-                estimation=estimation,
-                model=quote(str(model)),
-            )
+        estimation = estimation_of(file) if from_recording(data) else ""
+        say_next(
+            "validate" if estimation else "validate alone",
+            file=typed(file),
+            given=signals.options(data),
+            estimation=estimation,
+            model=quote(str(model)),
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,13 +171,14 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
 def _print_validation(validated: _Validated, file: Path, *, verbose: bool) -> None:
     from armrig.canvas import signature
     from armrig.cli.model_output import residual_lines, simulated_to, tests_sentence
-    from armrig.models.equation import signals
+    from armrig.models.equation import input_and_output
 
     fit, table, tests = validated.fit, validated.simulated, validated.tests
     simulated = simulated_to(table[0], table.unit)
     say(f"Simulated, {fit.heading} fits {fit.output} to {simulated}; {tests_sentence(tests)}.")
-    say(f"  {signals(fit)}")
-    say(f"validated on {file} ({signature(validated.data.source)})")
+    N = validated.data.N - validated.data.missing
+    say(f"  {input_and_output(fit)}; estimated from {fit.N} samples")
+    say(f"validated on {N} samples of {file} ({signature(validated.data.source)})")
     for one in (table, *validated.predicted):
         ahead = "simulated" if one.horizon is None else f"{one.horizon} ahead"
         say(row_line(f"{ahead:10}", one[0], one.unit))

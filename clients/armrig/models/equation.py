@@ -31,9 +31,14 @@ def heading(model: Model) -> str:
 
 def signals(model: Model) -> str:
     """Return the signals, the sampling time and the samples used in a line."""
-    u, y = _with_unit("u", model.input_unit), _with_unit(model.output, model.unit)
     used = f", N {model.N}" if isinstance(model, Estimate) else ""
-    return f"{u} to {y}, Ts {model.Ts:g} s{used}"
+    return f"{input_and_output(model)}{used}"
+
+
+def input_and_output(model: Model) -> str:
+    """Return the signals and the sampling time in a line."""
+    u, y = _with_unit("u", model.input_unit), _with_unit(model.output, model.unit)
+    return f"{u} to {y}, Ts {model.Ts:g} s"
 
 
 def equations(model: Model, std: Vector | None = None) -> list[str]:

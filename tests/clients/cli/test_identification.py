@@ -10,7 +10,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.cli.model_output import to_act_on
+from armrig.cli.next_model import CHECK, options_after, options_of
 from armrig.estimation.oe import oe
+from scipy.signal import lfilter
 
 
 @pytest.fixture(scope="module")
@@ -243,6 +246,74 @@ def test_a_short_answer_has_each_coefficient_with_the_deviation_to_trust(
         where = [i for i, name in enumerate(fit.names) if name[0] == letter]
         assert [value for value, _ in pairs] == pytest.approx(fit.theta[where], rel=0.1)
         assert [std for _, std in pairs] == pytest.approx(fit.std_robust[where], rel=0.06)
+
+
+def next_of(fit: armrig.Fit, *, searched: bool = False, detrended: bool = False) -> str:
+    """Return the options that are typed after a model."""
+    return options_after(fit, to_act_on(fit, []), searched=searched, detrended=detrended)
+
+
+def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:
+    """As often as poles and zeros cancel: the line after it repeats its own model."""
+    rng = np.random.default_rng(3)
+    u = rng.choice([-1.0, 1.0], 3000)
+    y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.1 * rng.standard_normal(u.size)
+    data = armrig.Dataset(u=u, y=y, Ts=0.1)
+    high = armrig.oe(data, nb=3, nf=3)
+
+    assert "order" in to_act_on(high, [])
+    assert next_of(high, searched=True) == "--structure oe --nb 2 --nf 2 --nk 1"
+    right = armrig.oe(data, nb=2, nf=2)
+    assert next_of(right) == options_of(right) == "--structure oe --nb 2 --nf 2 --nk 1"
+
+
+def test_the_next_line_searches_where_residuals_are_coloured_and_nothing_says_why() -> None:
+    """Once: after a search the model is kept."""
+    rng = np.random.default_rng(3)
+    u = rng.choice([-1.0, 1.0], 2000)
+    y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + lfilter([1], [1, -0.8], rng.standard_normal(2000))
+    fit = armrig.oe(armrig.Dataset(u=u, y=y, Ts=0.1), nb=2, nf=2)
+
+    assert to_act_on(fit, []) == {"residuals"}
+    assert next_of(fit) == "--structure oe --search"
+    assert next_of(fit, searched=True) == options_of(fit)
+
+
+@pytest.mark.parametrize(
+    ("about", "options"),
+    [
+        ("level", "--structure arx --na 2 --nb 2 --nk 1 --detrend"),
+        ("outliers", "--structure arx --na 2 --nb 2 --nk 1 --hampel"),
+        ("structure", "--structure oe --nb 2 --nf 2 --nk 1 --integrator"),
+        ("feedback", CHECK),
+        ("search", "--structure arx --na 2 --nb 2 --nk 1"),
+    ],
+)
+def test_the_next_line_does_what_is_said_of_the_data(about: str, options: str) -> None:
+    """Each way out is an option, or another command."""
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 300)
+    y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + lfilter(
+        [1], [1, -1.5, 0.7], 0.1 * rng.standard_normal(300)
+    )
+    fit = armrig.arx(armrig.Dataset(u=u, y=y, Ts=0.1), na=2, nb=2)
+
+    assert options_after(fit, {about}, searched=False, detrended=False) == options
+
+
+def test_the_next_line_estimates_a_level_along_before_it_fixes_a_pole() -> None:
+    """A level that u does not make looks like an integrator; once estimated it is an order."""
+    rng = np.random.default_rng(1)
+    u = rng.choice([1.0, 2.0], 1000)
+    y = 20 + lfilter([0, 0.2], [1, -0.95], u) + 0.05 * rng.standard_normal(1000)
+    data = armrig.Dataset(u=u, y=y, Ts=0.5)
+    fit, along = armrig.oe(data, nb=1, nf=1), armrig.oe(data, nb=1, nf=1, offset=True)
+
+    assert "level" in to_act_on(fit, [])
+    assert next_of(fit).endswith("--nk 1 --offset")
+    assert next_of(along) == options_of(along) == "--structure oe --nb 1 --nf 1 --nk 1 --offset"
+    again = options_after(along, {"level"}, searched=False, detrended=False)
+    assert again == options_of(along)  # one pole is the least
 
 
 def test_the_next_line_does_what_the_advice_says(

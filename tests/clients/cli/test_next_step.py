@@ -17,12 +17,16 @@ VALUES: dict[str, Any] = {
     "file": "F.mcap",
     "estimation": "F.mcap",
     "validation": "F2.mcap",
-    "files": "F.mcap F2.mcap",
+    "files": " F.mcap F2.mcap",
     "model": "model.json",
     "options": "--structure oe --nb 4 --nf 4 --nk 1 --integrator",
     "validate": " --validate F2.mcap",
     "Ts": 0.005,
     "rig": " --rig 2",
+    "given": " --signal theta_1",
+    "name": " --name first-again",
+    "at": 2.0,
+    "seconds": 10.0,
 }
 
 
@@ -43,7 +47,7 @@ def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any)
     return folder
 
 
-@pytest.mark.parametrize("after", AFTER)
+@pytest.mark.parametrize("after", AFTER.keys() - {"report"})
 def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
     """Command, options and their values."""
     words = shlex.split(AFTER[after].format(**VALUES))
@@ -73,6 +77,41 @@ def test_a_command_ends_with_what_comes_next(
 
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith(f"next: {expected}")
+
+
+def test_the_report_is_of_the_newest_step_pair_and_chassis(
+    pair: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the names that were given; of what there is not, nothing."""
+    for run_id, experiment in (("0000000c", "step-first"), ("0000000d", "greybox-chassis")):
+        data = recorded(
+            [sample(k) for k in range(10)], manifest=manifest(experiment=experiment, run_id=run_id)
+        )
+        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
+
+    assert main(["integrate"]) == 0
+
+    last = capsys.readouterr().err.splitlines()[-1]
+    files = "@first @0000000a @0000000a/validation @chassis"
+    assert last == f"next: armrig report --handout {files} -o report.pdf"
+
+
+def test_a_step_whose_rise_is_hidden_is_made_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Later, when the chassis has turned on, under a name that no other has."""
+    import numpy as np
+
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
+    u = np.where(np.arange(500) < 100, 0.5, 4.5)
+    for name, missing in (("hidden.mcap", slice(101, 105)), ("seen.mcap", slice(300, 304))):
+        data = of_the_arm(u, experiment="step-first", missing=missing)
+        assert main(["sampling", str(written(tmp_path, data, name))]) == 0
+    hidden, seen = (x for x in capsys.readouterr().err.splitlines() if x.startswith("next: "))
+
+    again = "next: armrig collect step --Ts 0.01 --seconds 5 --at 2 --name first-again"
+    assert hidden == again
+    assert seen.startswith("next: armrig collect blackbox --Ts ")
 
 
 def test_a_program_is_told_nothing_of_it(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -127,8 +127,37 @@ def test_a_model_is_validated_on_other_data(
     assert code == 0
     assert at_once["fit_percent"] == later["fit_percent"] > 80
     assert at_once["data"] == later["data"]
-    assert f"validated on {folder}/other.csv (data {later['data'][:12]})" in out
+    assert f"samples of {folder}/other.csv (data {later['data'][:12]})" in out
     assert "its residuals pass: white (p = " in out
+    _, part, _ = run("validate other.csv --model model.json --to 10", folder, capsys)
+    assert "estimated from 398 samples\nvalidated on 200 samples of " in part
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "sampling data.csv",
+        "identify data.csv --structure arx --na 2 --nb 2",
+        "identify data.csv --structure arx --na 2 --nb 2 --save saved.json",
+        "identify data.csv --structure arx --save saved.json --validate other.csv",
+        "validate data.csv --model next.json",
+        "check data.csv",
+    ],
+)
+def test_each_command_ends_with_a_line_for_the_same_columns(
+    line: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ready to copy: it is taken as it stands."""
+    monkeypatch.chdir(folder)
+    armrig.arx(made(), na=2, nb=2).save(folder / "next.json")
+
+    assert main([*line.split(), "--input", "u", "--to", "15"]) == 0
+
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("next: armrig ")
+    assert "--input u" in last
+    assert "--to 15" in last
+    assert main(shlex.split(last)[2:]) == 0
 
 
 def test_a_signal_that_is_given_is_what_the_model_is_of(
@@ -356,8 +385,9 @@ def test_means_are_taken_off_where_it_is_asked_for(
     found = facts(f"identify {line} --detrend", tmp_path, capsys)
 
     assert f"on average y is {20 + made().y.mean():.4g} and u {3 + made().u.mean():.4g}" in without
-    assert "take the means off with --detrend" in without
-    assert "--detrend" not in taken + no_level
+    assert "estimate a level along with --offset, or take the means off with --detrend" in without
+    _, _, along = run("identify level.csv --structure oe --offset", tmp_path, capsys)
+    assert "the means off" not in taken + along + no_level
     assert [p["value"] for p in found["parameters"].values()] == fit.theta.tolist()
 
 

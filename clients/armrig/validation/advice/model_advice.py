@@ -18,6 +18,8 @@ _REAL = 1e-9
 _VAGUE = 0.1  # standard deviation of a pole that may be anywhere
 _AT_ONE = 0.01  # distance from 1 in the z plane
 _STD_99 = 2.58
+_Pair = tuple[complex, complex, float]
+"""A pole, a zero, and the p value of their being one."""
 
 
 def examine_model(fit: Fit) -> Iterator[Finding]:
@@ -26,9 +28,8 @@ def examine_model(fit: Fit) -> Iterator[Finding]:
     white = not fit.trusts_robust
     text = whiteness_sentence(fit) + ("" if white else f"; {COLOURED}")
     yield finding("residuals", text, good=white)
-    pairs = overlapping(fit)
-    at_one = [p for p in pairs if abs(p[0] - 1) < _AT_ONE and abs(p[1] - 1) < _AT_ONE]
-    yield _about_overlap(fit, [p for p in pairs if p not in at_one])
+    apart, at_one = _overlaps(fit)
+    yield _about_overlap(fit, apart)
     yield from _about_pair_at_one(fit, at_one)
     yield from _about_poles(fit)
     if not at_one:
@@ -37,6 +38,18 @@ def examine_model(fit: Fit) -> Iterator[Finding]:
     if fit.structure == "arx" and fit.output in INTEGRATING_OUTPUTS:
         text = "ARX takes the noise to pass through 1/A; on an angle it is added at the end: "
         yield finding("structure", text + "compare with oe(…, integrator=True)", good=False)
+
+
+def cancelling(fit: Fit) -> list[_Pair]:
+    """Return pole, zero and p value of the pairs that an order too high makes; not those at 1."""
+    return _overlaps(fit)[0]
+
+
+def _overlaps(fit: Fit) -> tuple[list[_Pair], list[_Pair]]:
+    """Return the pairs that cannot be told apart, and of them those at 1, which make a level."""
+    pairs = overlapping(fit)
+    at_one = [p for p in pairs if abs(p[0] - 1) < _AT_ONE and abs(p[1] - 1) < _AT_ONE]
+    return [p for p in pairs if p not in at_one], at_one
 
 
 def _about_search(fit: Fit) -> Finding:
@@ -49,7 +62,7 @@ def _about_search(fit: Fit) -> Finding:
     return finding("search", text, good=False)
 
 
-def _about_overlap(fit: Fit, pairs: list[tuple[complex, complex, float]]) -> Finding:
+def _about_overlap(fit: Fit, pairs: list[_Pair]) -> Finding:
     if not pairs:
         return finding("order", "all poles and zeros can be told apart", good=True)
     places = ", ".join(f"{_z(pole)} and {_z(zero)}" for pole, zero, _ in pairs)
@@ -59,7 +72,7 @@ def _about_overlap(fit: Fit, pairs: list[tuple[complex, complex, float]]) -> Fin
     return finding("order", text + f"too high by as many; lower {lower}", good=False)
 
 
-def _about_pair_at_one(fit: Fit, pairs: list[tuple[complex, complex, float]]) -> Iterator[Finding]:
+def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
     """Say what a pole and a zero near 1 stand for: a constant, or an order too high."""
     if not pairs:
         return
