@@ -15,10 +15,11 @@ from fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
 TARGETS = {
     "frames": (frames.fuzz, 100_000_000),
     "requests": (requests.fuzz, 1_000_000),
-    "files": (files.fuzz, 100_000),
+    "files": (files.fuzz, 1_000_000),
     "recoveries": (recoveries.fuzz, 100_000),
     "data_files": (data_files.fuzz, 100_000),
-    "cuts": (cuts.fuzz, 1 << 20),
+    "every_byte": (cuts.every_byte, 1),
+    "any_place": (cuts.any_place, 10_000),
     "bombs": (bombs.fuzz, 1),
 }
 

@@ -14,6 +14,7 @@ import zstandard
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME
 from armrig_core.recording_file import budget, file_records
+from armrig_core.recording_file.file_records import MAGIC
 from mcap.opcode import Opcode
 
 from fuzz.cuts import edges, noisy
@@ -121,13 +122,19 @@ BOMBS: dict[str, Callable[[], bytes]] = {
 }
 
 
-def cost_mib(bomb: bytes, directory: Path) -> float:
-    """Return how much more memory a process needs to load a file that ends in a bomb."""
+def cost_mib(bomb: bytes, directory: Path, *, alone: bool = False) -> float:
+    """Return how much more memory a process needs to load a file that ends in a bomb.
+
+    Parameters
+    ----------
+    alone : bool
+        Whether nothing stands before the bomb, so that the file yields nothing.
+    """
     honest, path = directory / "honest.mcap", directory / "bomb.mcap"
     data = recording(noisy(2000, 1), checked=True)
     honest.write_bytes(data)
     edge = max(at for at in edges(data) if data[at] == Opcode.METADATA)  # that of the outcome
-    path.write_bytes(data[:edge] + bomb)
+    path.write_bytes(data[: len(MAGIC) if alone else edge] + bomb)
     done = subprocess.run(
         [sys.executable, "-c", _LOAD, honest, path], capture_output=True, text=True, check=True
     )
@@ -140,9 +147,11 @@ def fuzz(_most: int, _seed: int) -> Counter[str]:
     with tempfile.TemporaryDirectory(prefix="armrig-fuzz-", dir=in_memory()) as directory:
         for name, made in BOMBS.items():
             bomb = made()
-            cost = cost_mib(bomb, Path(directory))
-            costs[f"MiB for {name} ({len(bomb) / 1e6:.3g} MB)"] = round(cost)
-            # A long recording may cost more: so much for each of its bytes.
-            most = MOST_MIB + budget.MESSAGES_PER_BYTE * len(bomb) / (1 << 20)
-            assert cost <= most, f"{name}: {cost:.0f} MiB"
+            for alone in (False, True):
+                cost = cost_mib(bomb, Path(directory), alone=alone)
+                what = f"{name}{' alone' * alone} ({len(bomb) / 1e6:.3g} MB)"
+                costs[f"MiB for {what}"] = round(cost)
+                # A long recording may cost more: so much for each of its bytes.
+                more = 0 if alone else budget.MESSAGES_PER_BYTE * len(bomb) / (1 << 20)
+                assert cost <= MOST_MIB + more, f"{what}: {cost:.0f} MiB"
     return costs
