@@ -15,10 +15,24 @@ SYSTEM = Path("/etc/armrig/armrig.toml")
 VARIABLE = "ARMRIG_RECORDING_DIRECTORY"
 
 
-def installed() -> list[Path]:
-    """Return the configuration files that there are, the weaker first."""
-    user = Path(platformdirs.user_config_dir("armrig")) / SYSTEM.name
-    return [path for path in (SYSTEM, user) if path.exists()]
+def installed(rig: str = "", *, system: bool = False) -> list[Path]:
+    """Return the configuration files that there are, the weaker first.
+
+    Parameters
+    ----------
+    rig : str
+        Id of a rig, whose own file in the machine's folder stands over that of all rigs.
+    system : bool
+        The machine's files only, and not the user's.
+    """
+    own = [of_rig(rig)] if rig else []
+    user = [] if system else [Path(platformdirs.user_config_dir("armrig")) / SYSTEM.name]
+    return [path for path in (SYSTEM, *own, *user) if path.exists()]
+
+
+def of_rig(rig: str) -> Path:
+    """Return the machine's configuration file of one rig, whether it is there or not."""
+    return SYSTEM.with_name(f"{rig}.toml")
 
 
 def directory_of(given: str) -> Path:

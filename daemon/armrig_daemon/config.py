@@ -1,7 +1,8 @@
 """The daemon's configuration: TOML, checked key by key, layered.
 
 Command line over `ARMRIG_<TABLE>_<KEY>` over `$XDG_CONFIG_HOME/armrig/armrig.toml` over
-`/etc/armrig/armrig.toml`; a file named on the command line takes the place of both files.
+`/etc/armrig/<id>.toml` over `/etc/armrig/armrig.toml`; a file named on the command line takes the
+place of all these files.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
 from armrig_core.printable import printable
-from armrig_core.recording_directory import directory_of
+from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
 from armrig_core.topics import check_rig_id
 from armrig_core.volts import U_MAX_V, code_of
 from armrig_protocol.messages import (
@@ -39,6 +40,8 @@ from armrig_daemon.tables import TableError, convert
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
+MEND = 78
+"""Exit code where something must be mended, and to start again does not help (sysexits.h)."""
 # Set for the tests and for the benefit of others; not keys of the configuration.
 _NOT_OURS = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA"}
 
@@ -301,6 +304,42 @@ def load(
     return config
 
 
+def load_installed(
+    environ: Mapping[str, str],
+    overrides: Mapping[str, Mapping[str, Any]],
+    *,
+    system: bool = False,
+    below: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> Config:
+    """Return the configuration of the installed files, the rig's own among them.
+
+    Parameters
+    ----------
+    environ, overrides, below
+        As of `load`.
+    system : bool
+        The machine's files only; the rig's own must be there.
+
+    Raises
+    ------
+    ConfigError
+        As of `load`; the rig's own file is missing, or is of another rig.
+    """
+    first = load(installed(system=system), environ, overrides, below=below)
+    own = of_rig(first.rig.id)
+    if own == SYSTEM or not own.exists():
+        if system:
+            msg = f"{own}: there is no such file; write one, `armrigd config --example` prints all "
+            msg += "keys; at least [device] port"
+            raise ConfigError(msg)
+        return first
+    named = load([own], {}, {}, below={"rig": {"id": first.rig.id}}).rig.id
+    if named != first.rig.id:
+        msg = f"{own}: rig.id = {named!r}: this is the file of rig {first.rig.id!r}"
+        raise ConfigError(msg)
+    return load(installed(first.rig.id, system=system), environ, overrides, below=below)
+
+
 def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:
     """Return a layer with the calibration that it names by `file`, relative to `directory`."""
     given = layer.get("calibration")
@@ -330,6 +369,9 @@ def _read(path: Path) -> dict[str, Any]:
         return tomllib.loads(text + "\n")  # so that an error at the end has a line, too
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file"
+        raise ConfigError(msg) from err
+    except PermissionError as err:
+        msg = f"{path}: {err.strerror}; let the daemon's user read it"
         raise ConfigError(msg) from err
     except OSError as err:
         msg = f"{path}: {err.strerror}"

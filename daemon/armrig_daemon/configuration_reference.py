@@ -40,10 +40,10 @@ _HEADING = f"""\
 # Each key stands behind a #: take it away to give another value. What is not given has its
 # default. A wrong key or value is refused in a line, and the motor stays at 0 V.
 #
-# The daemon reads {SYSTEM} and then $XDG_CONFIG_HOME/armrig/{SYSTEM.name}
-# (~/.config/armrig/{SYSTEM.name}), or the file of `armrigd run --config` in place of both. Over
-# them stand the environment (ARMRIG_<TABLE>_<KEY>, such as ARMRIG_LIMITS_U_MAX_V=4.5) and the
-# command line.
+# The daemon reads {SYSTEM}, then {SYSTEM.parent}/<id>.toml of its rig, and then
+# $XDG_CONFIG_HOME/armrig/{SYSTEM.name} (~/.config/armrig/{SYSTEM.name}), or the file of
+# `armrigd run --config` in place of all three. Over them stand the environment
+# (ARMRIG_<TABLE>_<KEY>, such as ARMRIG_LIMITS_U_MAX_V=4.5) and the command line.
 """
 
 

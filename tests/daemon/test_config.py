@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from armrig_core import recording_directory
 from armrig_core.arm import ArmParameters
-from armrig_daemon.config import Config, ConfigError, load
+from armrig_daemon import config as config_module
+from armrig_daemon.config import Config, ConfigError, load, load_installed
 
 
 def _load(tmp_path: Path, text: str, environ: dict[str, str] | None = None) -> Config:
@@ -166,3 +168,51 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
 
     with pytest.raises(ConfigError, match=r"armrig\.toml: not a regular file$"):
         load([path], {}, {})
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give the machine's folder of configurations, with no user's beside it."""
+    folder = tmp_path / "etc"
+    folder.mkdir()
+    monkeypatch.setattr(recording_directory, "SYSTEM", folder / "armrig.toml")
+    monkeypatch.setattr(config_module, "SYSTEM", folder / "armrig.toml")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
+    return folder
+
+
+def test_the_file_of_a_rig_stands_over_that_of_all(machine: Path, tmp_path: Path) -> None:
+    """And the user's over both; whose rig it is decides which is read."""
+    (machine / "armrig.toml").write_text("[limits]\nu_max_v = 4.5\nu_min_v = 0.1\nslew_v = 1")
+    (machine / "2.toml").write_text("[limits]\nu_min_v = 0.2\nslew_v = 2")
+    (tmp_path / "user" / "armrig").mkdir(parents=True)
+    (tmp_path / "user" / "armrig" / "armrig.toml").write_text("[limits]\nslew_v = 3")
+
+    of_2 = load_installed({}, {"rig": {"id": "2"}}).limits
+    of_1 = load_installed({}, {}).limits
+
+    assert (of_2.u_max_v, of_2.u_min_v, of_2.slew_v) == (4.5, 0.2, 3)
+    assert (of_1.u_max_v, of_1.u_min_v, of_1.slew_v) == (4.5, 0.1, 3)
+
+
+def test_a_service_reads_the_machines_files_alone(machine: Path, tmp_path: Path) -> None:
+    """What its own user can write must not widen its limits."""
+    (machine / "1.toml").write_text("[limits]\nslew_v = 2")
+    (tmp_path / "user" / "armrig").mkdir(parents=True)
+    (tmp_path / "user" / "armrig" / "armrig.toml").write_text("[limits]\nslew_v = 3")
+
+    assert load_installed({}, {}, system=True).limits.slew_v == 2
+
+
+def test_a_service_whose_rig_has_no_file_is_refused(machine: Path) -> None:
+    """A name with a typing error must not start on another's port."""
+    with pytest.raises(ConfigError, match=rf"^{machine}/l\.toml: there is no such file; write one"):
+        load_installed({}, {"rig": {"id": "l"}}, system=True)
+
+
+def test_a_file_that_is_another_rigs_is_refused(machine: Path) -> None:
+    """It was copied, and its id not changed."""
+    (machine / "2.toml").write_text("[rig]\nid = '1'")
+
+    with pytest.raises(ConfigError, match=r"2\.toml: rig\.id = '1': this is the file of rig '2'"):
+        load_installed({"ARMRIG_RIG_ID": "2"}, {})
