@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, NoReturn
@@ -18,18 +16,26 @@ import typer
 from armrig_core.endpoint import distrust, endpoint, socket_directory
 from armrig_core.held_up import held_up
 from armrig_core.printable import printable
-from armrig_core.recording_directory import installed
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
-from armrig_daemon.config import Config, Device
+from armrig_daemon.config import MEND, Config, Device
 
-_START_S = 15.0  # on a busy machine a program takes seconds to load
 # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
 _FOR_EMULATED: dict[str, dict[str, Any]] = {
     "device": {"watchdog_ms": WATCHDOG_MAX_MS},
     "emulator": {"tolerates_stalls": True},
 }
+
+_ConfigFile = Annotated[
+    Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
+]
+_Port = Annotated[str | None, typer.Option(help="Serial port.")]
+_Rig = Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.")]
+_System = Annotated[
+    bool,
+    typer.Option("--system", help="As a service: the machine's files, and /etc/armrig/RIG.toml."),
+]
 
 app = typer.Typer(
     help="Drive a control laboratory's rig at a fixed sampling time.",
@@ -42,39 +48,105 @@ app = typer.Typer(
 
 @app.command()
 def run(
-    config: Annotated[
-        Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
-    ] = None,
+    config: _ConfigFile = None,
     emulate: Annotated[bool, typer.Option("--emulate", help="Drive an emulated rig.")] = False,
-    port: Annotated[str | None, typer.Option(help="Serial port.")] = None,
-    rig: Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.")] = None,
+    port: _Port = None,
+    rig: _Rig = None,
+    system: _System = False,
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Run the daemon until SIGTERM or Ctrl-C; the motor ends at 0 V."""
     from armrig_daemon import config as configuration
     from armrig_daemon.loop.realtime import end_with_parent
+    from armrig_daemon.service.emulated_rig import EmulatorError, emulated
     from armrig_daemon.service.service import Service
 
     if parent is not None:  # of `armrig lab`, which may be killed and cannot tell us then
         end_with_parent(parent)
+    loaded = _configured(config, port, rig, _FOR_EMULATED if emulate else {}, system=system)
+    try:
+        directory = configuration.recordings(loaded)
+        where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
+    except ValueError as err:
+        _refuse(str(err), MEND)
+    os.umask(0o027)  # the group may read a recording, and nobody but us change it
+    if not emulate:
+        raise typer.Exit(Service(loaded, where, directory).run())
+    try:
+        with emulated(loaded, _socket_directory()) as (device, stalls_fd):
+            raise typer.Exit(Service(device, where, directory, stalls_fd).run())
+    except EmulatorError as err:
+        _refuse(str(err))
+
+
+@app.command()
+def estop(
+    config: _ConfigFile = None,
+    port: _Port = None,
+    rig: _Rig = None,
+    system: _System = False,
+    after_failure: Annotated[
+        bool,
+        typer.Option(
+            "--after-failure", help="As systemd's ExecStopPost: only where the daemon failed."
+        ),
+    ] = False,
+) -> None:
+    """Stop the motor of a rig whose daemon is dead, by ESTOP to its device.
+
+    The device stays stopped until `armrig reset`, or until it boots, as some do when a daemon opens
+    their port. Exit code 0 only where it said that it stopped; it takes 1 s at most.
+
+    A daemon that holds the port is not disturbed: `armrig stop` stops it.
+    """
+    from armrig_daemon.loop.estop import estop as send_estop
+    from armrig_daemon.loop.link import LinkError, TakenPortError
+
+    if after_failure and not _has_failed(os.environ):
+        return
+    device = _configured(config, port, rig, {}, system=system).device
+    try:
+        stopped = send_estop(device.port, device.baud)
+    except TakenPortError as err:
+        _refuse(f"estop: nothing sent: {err}; a daemon that runs is stopped by `armrig stop`")
+    except LinkError as err:
+        _refuse(f"estop: nothing sent: {err}; a device that hears nothing stops by itself")
+    if not stopped:
+        _refuse(
+            f"estop: sent to {device.port}, no answer: see that the motor stands still; "
+            "a device that hears nothing stops by itself"
+        )
+    typer.echo(f"armrigd: estop: {device.port} is in ESTOP, 0 V; `armrig reset` leads out of it")
+
+
+def _has_failed(environ: Mapping[str, str]) -> bool:
+    """Tell whether systemd says that a service ended by itself, and had begun to drive a rig."""
+    ended = environ.get("SERVICE_RESULT", ""), environ.get("EXIT_STATUS", "")
+    return ended[0] != "success" and ended != ("exit-code", str(MEND))
+
+
+def _configured(
+    config: Path | None,
+    port: str | None,
+    rig: str | None,
+    below: Mapping[str, Mapping[str, Any]],
+    *,
+    system: bool,
+) -> Config:
+    """Return the configuration of a file, or of those installed, under the command line."""
+    from armrig_daemon.config import load, load_installed
+
     overrides: dict[str, dict[str, Any]] = {}
-    below = _FOR_EMULATED if emulate else {}
     if port is not None:
         overrides["device"] = {"port": port}
     if rig is not None:
         overrides["rig"] = {"id": rig}
-    paths = [config] if config is not None else installed()
     try:
-        loaded = configuration.load(paths, os.environ, overrides, below=below)
-        directory = configuration.recordings(loaded)
-        where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
+        if config is None:
+            return load_installed(os.environ, overrides, system=system, below=below)
+        return load([config], os.environ, overrides, below=below)
     except ValueError as err:
-        _refuse(str(err))
-    os.umask(0o027)  # the group may read a recording, and nobody but us change it
-    if not emulate:
-        raise typer.Exit(Service(loaded, where, directory).run())
-    with _emulated(loaded) as (device, stalls_fd):
-        raise typer.Exit(Service(device, where, directory, stalls_fd).run())
+        _refuse(str(err), MEND)
 
 
 @app.command()
@@ -109,7 +181,7 @@ def emulate(
         tell = _say_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
         code = run_emulator(port, chosen, trace=trace, started=started, held_up=tell)
     except (ValueError, PortError) as err:
-        _refuse(str(err))
+        _refuse(str(err), MEND)
     raise typer.Exit(code)
 
 
@@ -130,9 +202,7 @@ def show_config(
 @app.command()
 def virtual(
     directory: Annotated[Path, typer.Option(help="Where the recordings go.")],
-    config: Annotated[
-        Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
-    ] = None,
+    config: _ConfigFile = None,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of noise, names and times.")] = 1,
 ) -> None:
     """Play runs on an emulated rig in virtual time, and record them.
@@ -142,16 +212,14 @@ def virtual(
 
     The same seed, runs and configuration give the same bytes.
     """
-    from armrig_daemon import config as configuration
     from armrig_daemon.service.virtual_service import (
         VirtualRunError,
         VirtualService,
         requests_of,
     )
 
-    paths = [config] if config is not None else installed()
+    loaded = _configured(config, None, None, _FOR_EMULATED, system=False)
     try:
-        loaded = configuration.load(paths, os.environ, {}, below=_FOR_EMULATED)
         service = VirtualService(loaded, directory.absolute(), seed=seed)
         for request in requests_of(sys.stdin.buffer.read()):
             typer.echo(service.record(request))
@@ -187,46 +255,16 @@ def _socket_directory() -> Path:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = path.lstat()
     except OSError as err:
-        _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours")
+        _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours", MEND)
     if wrong := distrust(found, owners={os.getuid()}):
         # In a temporary directory anybody could have made it, and would sit on our socket.
-        _refuse(f"{path}: {wrong}; set XDG_RUNTIME_DIR to a directory of yours")
+        _refuse(f"{path}: {wrong}; set XDG_RUNTIME_DIR to a directory of yours", MEND)
     return path
 
 
-@contextmanager
-def _emulated(config: Config) -> Iterator[tuple[Config, int]]:
-    """Start an emulator with these settings; give the configuration that drives it.
-
-    And a descriptor of lines: for how many ns its device's clock stood still.
-    """
-    link = _socket_directory() / f"{config.rig.id}-{os.getpid()}.tty"
-    settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
-    program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", str(link)]
-    program += ["--settings", msgspec.json.encode(settings).decode()]
-    stalls_out, stalls_in = os.pipe()
-    os.set_blocking(stalls_in, False)
-    try:
-        child = subprocess.Popen([*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,))
-    finally:
-        os.close(stalls_in)
-    try:
-        until = time.monotonic() + _START_S
-        while not link.exists():
-            if child.poll() is not None or time.monotonic() > until:
-                _refuse(f"the emulator did not start behind {link}")
-            time.sleep(0.01)
-        device = msgspec.structs.replace(config.device, port=str(link))
-        yield msgspec.structs.replace(config, device=device), stalls_out
-    finally:
-        child.terminate()
-        child.wait()
-        os.close(stalls_out)
-
-
-def _refuse(message: str) -> NoReturn:
+def _refuse(message: str, code: int = 1) -> NoReturn:
     typer.echo(printable(f"armrigd: {message}", keep="\n"), err=True)
-    raise typer.Exit(1)
+    raise typer.Exit(code)
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from armrig.rig.client import BusyError, RefusedError, Rig
 from armrig_daemon import config
+from armrig_daemon.config import MEND
 from armrig_daemon.emulator.settings import EmulatorSettings
 from processes import Bench
 
@@ -82,7 +83,7 @@ def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
         check=False,
     )
 
-    assert second.returncode == 1
+    assert second.returncode == MEND
     (said,) = [text for text in SAID if "already runs" in text]
     assert f"armrigd: {said.replace(THERE, _endpoint(served))}" in second.stderr.splitlines()
 

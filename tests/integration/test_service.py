@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from armrig.rig.client import RefusedError
 from armrig_core.manifest import CONFIG
+from armrig_daemon.config import MEND
 from mcap.reader import make_reader
 from processes import WITHIN_S, Bench, Process, wait_for
 
@@ -152,7 +153,7 @@ def test_a_bad_configuration_is_refused_in_one_line(
 
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
 
-    assert daemon.popen.wait(WITHIN_S) == 1
+    assert daemon.popen.wait(WITHIN_S) == MEND
     assert complaint in daemon.said
     assert daemon.said.count("\n") == 1
 
@@ -165,7 +166,7 @@ def test_a_directory_of_sockets_that_others_can_write_to_is_refused(bench: Bench
 
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
 
-    assert daemon.popen.wait(WITHIN_S) == 1
+    assert daemon.popen.wait(WITHIN_S) == MEND
     assert f"{sockets}: can be written by other users (mode 777, not 700); set XDG" in daemon.said
     assert daemon.said.count("\n") == 1
 
@@ -193,7 +194,7 @@ def test_a_port_that_is_taken_is_said(served: Bench) -> None:
     """Two daemons on one port: the second gives up, the first goes on."""
     second = served.start("armrig_daemon", "run", "--config", str(served.config), "--rig", "2")
 
-    assert second.popen.wait(WITHIN_S) == 1
+    assert second.popen.wait(WITHIN_S) == MEND
     assert "it is taken by another program" in second.said
     assert served.phase() == "safe"
 
@@ -202,7 +203,7 @@ def test_two_daemons_of_one_rig_are_one_too_many(served: Bench) -> None:
     """The second finds the endpoint taken."""
     second = served.start("armrig_daemon", "run", "--config", str(served.config), "--emulate")
 
-    assert second.popen.wait(WITHIN_S) == 1
+    assert second.popen.wait(WITHIN_S) == MEND
     assert "1.sock" in second.said
     assert "Traceback" not in second.said
     assert served.phase() == "safe"
@@ -258,5 +259,5 @@ def test_a_configuration_that_is_a_pipe_is_refused(bench: Bench, program: str) -
         *("--port", str(bench.folder / "other")),
     )
 
-    assert daemon.popen.wait(WITHIN_S) == 1
+    assert daemon.popen.wait(WITHIN_S) == MEND
     assert daemon.said == f"armrigd: {bench.config}: not a regular file\n"

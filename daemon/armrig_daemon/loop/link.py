@@ -22,6 +22,10 @@ class NoPortError(LinkError):
     """There is no such port: the rig may not be plugged in yet."""
 
 
+class TakenPortError(LinkError):
+    """Another program holds the port."""
+
+
 class Link:
     """An open port. Each failure of it is a `LinkError`.
 
@@ -37,8 +41,9 @@ class Link:
             )
             _tell_nothing_from_the_end(self._serial.fileno())
         except (OSError, ValueError, termios.error) as err:
-            msg = f"{port} cannot be opened: {_reason(port, err)}"
-            raise (LinkError if Path(port).exists() else NoPortError)(msg) from err
+            kind, reason = _reason(port, err)
+            msg = f"{port} cannot be opened: {reason}"
+            raise kind(msg) from err
         self.port = port
         self.fd = self._serial.fileno()
         self._rest = b""
@@ -105,14 +110,17 @@ def latency_timer_ms(port: str) -> int | None:
     return None
 
 
-def _reason(port: str, err: Exception) -> str:
+def _reason(port: str, err: Exception) -> tuple[type[LinkError], str]:
     if not Path(port).exists():
-        return "it is not there; see that the rig is plugged in, and that this is its port"
+        return (
+            NoPortError,
+            "it is not there; see that the rig is plugged in, and that this is its port",
+        )
     text = str(err).lower()
     if not Path(port).is_char_device() or "inappropriate ioctl" in text:
-        return "it is no serial port; give that of the rig, such as /dev/ttyACM0"
+        return LinkError, "it is no serial port; give that of the rig, such as /dev/ttyACM0"
     if "exclusively lock" in text or "busy" in text:
-        return "it is taken by another program; end that one"
+        return TakenPortError, "it is taken by another program; end that one"
     if "permission" in text:
-        return "not permitted; add this user to the group of the port (dialout)"
-    return str(err).splitlines()[0]
+        return LinkError, "not permitted; add this user to the group of the port (dialout)"
+    return LinkError, str(err).splitlines()[0]

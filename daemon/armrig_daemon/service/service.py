@@ -21,7 +21,7 @@ from armrig_core.held_up import held_up
 from armrig_core.telemetry import Sample, decode_sample
 from msgspec.structs import replace
 
-from armrig_daemon.config import Config
+from armrig_daemon.config import MEND, Config
 from armrig_daemon.loop import realtime
 from armrig_daemon.loop.process import NO_PORT, Settings
 from armrig_daemon.pipe import (
@@ -116,11 +116,13 @@ class Service:
                 self._say_finished(_FINISH_S)
         except zenoh.ZError as err:
             print_line(f"armrigd: {endpoint_error(self._endpoint, config.rig.id, err)}")
-            return 1
+            return MEND
         finally:
             code = loop.end()
             realtime.ignore_signals()
-        if not self._quitting and code != NO_PORT:
+        if not self._quitting and code == NO_PORT:
+            return MEND
+        if not self._quitting:
             print_line(
                 f"armrigd: the loop died with code {code}: the device stops the motor by itself; "
                 "start armrigd anew"

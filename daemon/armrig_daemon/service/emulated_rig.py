@@ -1,0 +1,64 @@
+"""An emulated rig in a process of its own, for a daemon that has no other."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+
+from armrig_daemon.config import Config
+
+_START_S = 15.0  # on a busy machine a program takes seconds to load
+
+
+class EmulatorError(RuntimeError):
+    """The emulator did not start."""
+
+
+@contextmanager
+def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
+    """Start an emulator with these settings; give the configuration that drives it.
+
+    And a descriptor of lines: for how many ns its device's clock stood still.
+
+    Parameters
+    ----------
+    config : Config
+        Whose table [emulator] it has.
+    directory : Path
+        Where its port is made.
+
+    Raises
+    ------
+    EmulatorError
+        It ended, or took too long.
+    """
+    link = directory / f"{config.rig.id}-{os.getpid()}.tty"
+    settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
+    program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", str(link)]
+    program += ["--settings", msgspec.json.encode(settings).decode()]
+    stalls_out, stalls_in = os.pipe()
+    os.set_blocking(stalls_in, False)
+    try:
+        child = subprocess.Popen([*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,))
+    finally:
+        os.close(stalls_in)
+    try:
+        until = time.monotonic() + _START_S
+        while not link.exists():
+            if child.poll() is not None or time.monotonic() > until:
+                msg = f"the emulator did not start behind {link}"
+                raise EmulatorError(msg)
+            time.sleep(0.01)
+        device = msgspec.structs.replace(config.device, port=str(link))
+        yield msgspec.structs.replace(config, device=device), stalls_out
+    finally:
+        child.terminate()
+        child.wait()
+        os.close(stalls_out)

@@ -1,0 +1,143 @@
+"""The last word to a device, on a real pseudo-terminal with the emulated device behind it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+from armrig_daemon.__main__ import _has_failed
+from armrig_daemon.loop.estop import WITHIN_S, estop
+from armrig_daemon.loop.link import Link, NoPortError, TakenPortError
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import TYPES, Ack, Cause, Code, Estop, Event
+from armrig_protocol.messages import State as DeviceState
+
+BAUD = 115_200
+
+
+@pytest.fixture
+def line() -> Iterator[tuple[int, str]]:
+    """Give the device's end of a line, and the name of ours."""
+    master, slave = os.openpty()
+    yield master, os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+class Device:
+    """Reads what comes, and answers the n-th ESTOP."""
+
+    def __init__(self, master: int, answered: int) -> None:
+        self.heard: list[object] = []
+        self._master, self._answered = master, answered
+        self._thread = threading.Thread(target=self._run)
+        self._ended = threading.Event()
+
+    def __enter__(self) -> Device:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        pending = b""
+        while not self._ended.is_set() or select.select([self._master], [], [], 0)[0]:
+            if not select.select([self._master], [], [], 0.01)[0]:
+                continue
+            pending, messages = feed(pending, os.read(self._master, 1000))
+            for message in messages:
+                self.heard.append(message)
+                if len(self.heard) == self._answered:
+                    of = (TYPES[Estop], Code.OK, self._answered - 1)
+                    os.write(self._master, encode(Ack(DeviceState.ESTOP, 0, *of)))
+
+
+@pytest.mark.parametrize("answered", [1, 3])
+def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered: int) -> None:
+    """The first two may be lost; a device that has stopped hears the others, too."""
+    with Device(line[0], answered) as device:
+        assert estop(line[1], BAUD)
+
+    assert device.heard == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
+
+
+def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, str]) -> None:
+    """All is sent, nothing is claimed."""
+    before = time.monotonic()
+    with Device(line[0], answered=0) as device:
+        assert not estop(line[1], BAUD)
+
+    assert len(device.heard) == 3
+    assert time.monotonic() - before >= WITHIN_S
+
+
+def test_a_device_that_has_booted_meanwhile_is_told_again(line: tuple[int, str]) -> None:
+    """The opening of the port has reset it, and it threw away what came before it was ready."""
+    with Device(line[0], answered=4) as device:
+        booted = Event(DeviceState.IDLE, 0, 1, DeviceState.BOOT, Cause.POWER_ON, 0, 0, 0)
+        threading.Timer(0.2, os.write, [line[0], b"\0" + encode(booted)]).start()
+
+        assert estop(line[1], BAUD)
+
+    assert len(device.heard) == 6
+
+
+def test_an_answer_of_another_state_is_none(line: tuple[int, str]) -> None:
+    """A device that runs on, or one that says so of a frame of before, has not stopped."""
+    with Device(line[0], answered=0):
+        os.write(line[0], b"\0" + encode(Ack(DeviceState.RUN, 0, TYPES[Estop], Code.OK, 0)))
+
+        assert not estop(line[1], BAUD)
+
+
+def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) -> None:
+    """A run of the daemon there goes on: its bytes are neither read nor spoilt."""
+    daemon = Link(line[1], BAUD)
+    os.write(line[0], b"for the daemon")
+
+    with pytest.raises(TakenPortError, match="taken by another program"):
+        estop(line[1], BAUD)
+
+    assert not select.select([line[0]], [], [], 0)[0]
+    assert daemon.read() == b"for the daemon"
+    daemon.close()
+
+
+def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
+    """It gives its port back a moment after systemd has called us."""
+    holder = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(holder, fcntl.LOCK_EX)
+    threading.Timer(0.05, os.close, [holder]).start()
+
+    with Device(line[0], answered=1):
+        assert estop(line[1], BAUD)
+
+
+def test_a_port_that_is_not_there_is_said() -> None:
+    """At once: there is nothing to stop."""
+    with pytest.raises(NoPortError, match="it is not there"):
+        estop("/dev/no-such-port", BAUD)
+
+
+@pytest.mark.parametrize(
+    ("environ", "failed"),
+    [
+        ({}, True),
+        ({"SERVICE_RESULT": "success", "EXIT_CODE": "exited", "EXIT_STATUS": "0"}, False),
+        ({"SERVICE_RESULT": "exit-code", "EXIT_CODE": "exited", "EXIT_STATUS": "78"}, False),
+        ({"SERVICE_RESULT": "exit-code", "EXIT_CODE": "exited", "EXIT_STATUS": "1"}, True),
+        ({"SERVICE_RESULT": "signal", "EXIT_CODE": "killed", "EXIT_STATUS": "KILL"}, True),
+        ({"SERVICE_RESULT": "watchdog", "EXIT_CODE": "dumped", "EXIT_STATUS": "ABRT"}, True),
+    ],
+)
+def test_what_systemd_says_of_a_service_decides(environ: dict[str, str], failed: bool) -> None:
+    """Not after a stop in good order, nor where it never drove: another may hold that port."""
+    assert _has_failed(environ) is failed

@@ -1,0 +1,38 @@
+"""`armrigd estop` on a rig whose daemon is dead, and beside one that lives."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+from driving import driven
+from processes import WITHIN_S, Bench, wait_for
+
+
+def test_the_rig_of_a_dead_daemon_is_stopped(bench: Bench) -> None:
+    """The motor turns: both processes are killed in a run. A new daemon finds it at 0 V."""
+    bench.emulate()
+    daemon = bench.serve()
+    with driven(bench):
+        loop = bench.loop_pid(daemon)
+        daemon.kill()
+        os.kill(loop, signal.SIGKILL)
+
+        stop = bench.start("armrig_daemon", "estop", "--config", str(bench.config))
+
+        assert stop.popen.wait(WITHIN_S) == 0, stop.said
+    wait_for(lambda: bench.volts() == 0.0)
+    bench.serve()
+    assert bench.phase() == "safe"
+
+
+def test_a_daemon_that_lives_is_not_disturbed(served: Bench) -> None:
+    """Whoever wants to stop that one is told how; its rig is neither stopped nor latched."""
+    stop = served.start("armrig_daemon", "estop", "--config", str(served.config))
+
+    assert stop.popen.wait(WITHIN_S) == 1
+    assert stop.said == (
+        f"armrigd: estop: nothing sent: {served.port} cannot be opened: it is taken by another "
+        "program; end that one; a daemon that runs is stopped by `armrig stop`\n"
+    )
+    assert served.phase() == "safe"
