@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from armrig.physics.physical_model import physical_model
     from armrig.physics.step_response import characteristics, step_sensitivities
     from armrig.physics.systems import ArmParameters, arm, chassis, rehearse
+    from armrig.recordings.catalogue import Catalogue, catalogue
     from armrig.recordings.jitter import sampling_statistics
     from armrig.recordings.loading import load
     from armrig.recordings.recording import Recording, RecordingError
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArmParameters",
+    "Catalogue",
     "DataFileError",
     "Dataset",
     "Fit",
@@ -104,6 +106,7 @@ __all__ = [
     "arx",
     "bj",
     "bla",
+    "catalogue",
     "characteristics",
     "chassis",
     "chirp",
@@ -225,6 +228,7 @@ _MODULES = {
         "resample",
         "retrend",
     ),
+    "recordings.catalogue": ("Catalogue", "catalogue"),
     "recordings.loading": ("load",),
     "recordings.recording": ("Recording", "RecordingError"),
     "rig.client": ("Rig",),

@@ -13,7 +13,7 @@ from armrig.cli.options import tell
 from armrig.data.files.suffixes import OTHER_DATA, RECORDING
 
 if TYPE_CHECKING:
-    from armrig.recordings.folder import RecordingSummary
+    from armrig.recordings.recording_summary import RecordingSummary
 
 LAST = "last"
 VALIDATION = "/validation"
@@ -117,7 +117,7 @@ def answering_among(known: Iterable[RecordingSummary]) -> Answering:
 
 def short_name(summary: RecordingSummary, answering: Answering) -> str:
     """Return the shortest way to say which recording is meant: `@NAME` where no other is."""
-    names = [f"@{summary.manifest.run_id}", f"@{summary.path.stem}"]
+    names = [f"@{summary.run_id}", f"@{Path(summary.file).stem}"]
     if summary.is_validation and (of := summary.name or summary.validation_of):
         names.insert(0, f"@{of}{VALIDATION}")
     elif summary.name:
@@ -130,11 +130,10 @@ def short_name(summary: RecordingSummary, answering: Answering) -> str:
 
 def described(summary: RecordingSummary) -> str:
     """Return which recording it is, for a person: what it is of, how long, when, and its id."""
-    manifest = summary.manifest
     name = f" {summary.name}" if summary.name else ""
     what = f"{summary.kind}{name}{' (validation)' if summary.is_validation else ''}"
-    when = manifest.started[:19].replace("T", " ")
-    return f"@{manifest.run_id}, {what}, {summary.seconds:g} s, {when}"
+    when = summary.started[:19].replace("T", " ")
+    return f"@{summary.run_id}, {what}, {summary.seconds:g} s, {when}"
 
 
 def _none(text: str, folder: Path) -> str:

@@ -117,7 +117,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
     """
     from dataclasses import replace
 
-    from armrig.recordings.folder import VALIDATION_OF
+    from armrig.recordings.recording_summary import VALIDATION_OF
     from armrig.rig.collection import Plan, collect
 
     each = list(played)

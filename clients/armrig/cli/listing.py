@@ -10,7 +10,6 @@ import typer
 from armrig.cli.chosen_recording import (
     Answering,
     answering_among,
-    matching,
     recording_folder,
     short_name,
 )
@@ -18,7 +17,8 @@ from armrig.cli.next_step import say_next
 from armrig.cli.options import Json, echo, print_json, tell
 
 if TYPE_CHECKING:
-    from armrig.recordings.folder import RecordingSummary
+    from armrig.recordings.catalogue import Catalogue
+    from armrig.recordings.recording_summary import RecordingSummary
 
 Count = Annotated[int, typer.Option("--count", min=1, help="How many of the newest.")]
 All = Annotated[bool, typer.Option("--all", help="All of them.")]
@@ -31,36 +31,45 @@ def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
 
     With the names that other commands take for files, such as @last.
     """
-    from itertools import islice
-
-    from armrig.recordings.folder import facts_of, newest_first, summaries
+    from armrig.recordings.catalogue import catalogue
+    from armrig.recordings.recording_summary import facts_of, shown_path
 
     folder = recording_folder()
-    paths = newest_first(folder)
-    found = list(islice(summaries(paths), None if every else count))
+    try:
+        found = catalogue(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        found = None
+    whole = found.recordings if found else ()
+    shown = whole if every else whole[:count]
     if json:
-        print_json({"folder": str(folder), "recordings": [facts_of(s) for s in found]})
+        left_out = found.left_out if found else ()
+        print_json(
+            {
+                "folder": str(folder),
+                "recordings": [facts_of(s) for s in shown],
+                "left_out": [{"recording": shown_path(p), "why": why} for p, why in left_out],
+                "unfinished": [shown_path(p) for p in (found.unfinished if found else ())],
+            }
+        )
         return
-    # Of all each file is read once, and names are looked up; of a few only what may answer is read.
-    answering = answering_among(found) if every else lambda name: matching(name, paths)
-    if found:
-        echo(_table([_HEADINGS, *(_row(s, answering) for s in found)]))
-    _tell_of_the_rest(folder, paths, found, whole_were_sought=every or len(found) < count)
-    if found:
-        say_next("ls", file=short_name(found[0], answering))
+    answering = answering_among(whole)
+    if shown:
+        echo(_table([_HEADINGS, *(_row(s, answering) for s in shown)]))
+    tell(_the_rest(folder, found, len(shown)))
+    if shown:
+        say_next("ls", file=short_name(shown[0], answering))
 
 
 def _row(summary: RecordingSummary, answering: Answering) -> tuple[str, ...]:
-    manifest = summary.manifest
-    ended = summary.outcome.outcome
+    ended = summary.outcome
     how = "" if ended == "complete" else f"({ended.split(':')[0]})"
     return (
         short_name(summary, answering),
         summary.kind,
         f"{summary.seconds:g} s",
-        f"{manifest.Ts:g} s",
-        str(summary.outcome.missing),
-        manifest.started[5:16].replace("T", " "),
+        f"{summary.Ts:g} s",
+        str(summary.missing),
+        summary.started[5:16].replace("T", " "),
         f"{_validated_by(summary, answering)} {how}".strip(),
     )
 
@@ -81,19 +90,15 @@ def _table(rows: list[tuple[str, ...]]) -> str:
     )
 
 
-def _tell_of_the_rest(
-    folder: Path, paths: list[Path], found: list[RecordingSummary], *, whole_were_sought: bool
-) -> None:
-    """Tell what is not in the table: the older ones, and what is not whole."""
-    unfinished = sum(1 for _ in folder.glob("*.mcap.active"))
-    if not paths and not unfinished:
-        tell(f"there are no recordings in {folder}; make one with `armrig collect`")
-        return
+def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
+    """Return what is not in the table: the older ones, and what is not whole."""
+    if found is None or not (found.recordings or found.left_out or found.unfinished):
+        return f"there are no recordings in {folder}; make one with `armrig collect`"
     told = [f"in {folder}"]
-    if not whole_were_sought:
-        told.append(f"{len(paths) - len(found)} older ones: --all")
-    elif damaged := len(paths) - len(found):
+    if older := len(found) - shown:
+        told.append(f"{older} older ones: --all")
+    if damaged := len(found.left_out):
         told.append(f"{damaged} that are not whole: `armrig info FILE` says why")
-    if unfinished:
+    if unfinished := len(found.unfinished):
         told.append(f"{unfinished} being written, or left by a daemon that died: `armrig recover`")
-    tell("; ".join(told))
+    return "; ".join(told)

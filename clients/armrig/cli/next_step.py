@@ -89,7 +89,8 @@ def typed(path: Path) -> str:
         recording_folder,
         short_name,
     )
-    from armrig.recordings.folder import newest_first, summary_of
+    from armrig.recordings.folder import newest_first
+    from armrig.recordings.recording_summary import summary_of
 
     try:
         folder = recording_folder()
@@ -106,7 +107,7 @@ def estimation_of(path: Path) -> str:
     name = typed(path)
     if not name.startswith("@"):
         return ""
-    from armrig.recordings.folder import summary_of
+    from armrig.recordings.recording_summary import summary_of
 
     of = summary_of(path).validation_of
     return _named(f"@{of}") if of else ""
@@ -126,7 +127,7 @@ def kind_of(path: Path) -> str:
     """Return the kind of experiment of a recording; "" where it does not say."""
     from armrig_core.recording_file.budget import DamageError
 
-    from armrig.recordings.folder import summary_of
+    from armrig.recordings.recording_summary import summary_of
 
     try:
         return summary_of(path).kind

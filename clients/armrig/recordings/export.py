@@ -135,15 +135,15 @@ def write_parquet(recording: Exported, path: Path, *, raw: bool = False) -> None
     ImportError
         pyarrow is not installed.
     """
-    pyarrow = _imported("pyarrow", "parquet")
-    parquet = _imported("pyarrow.parquet", "parquet")
+    pyarrow = imported("pyarrow", "parquet")
+    parquet = imported("pyarrow.parquet", "parquet")
     table = pyarrow.table(columns(recording, raw=raw))
     parquet.write_table(table.replace_schema_metadata(_about(recording)), str(path))
 
 
 def to_pandas(recording: Exported) -> DataFrame:
     """Return the columns as a DataFrame by t; `attrs` hold units, Ts, hash and run."""
-    pandas = _imported("pandas", "pandas")
+    pandas = imported("pandas", "pandas")
     frame: DataFrame = pandas.DataFrame(columns(recording)).set_index("t")
     frame.attrs.update(_about(recording))
     return frame
@@ -151,7 +151,7 @@ def to_pandas(recording: Exported) -> DataFrame:
 
 def to_xarray(recording: Exported) -> XarrayDataset:
     """Return the columns as an xarray.Dataset over t, each with its unit."""
-    xarray = _imported("xarray", "xarray")
+    xarray = imported("xarray", "xarray")
     found = columns(recording)
     about = {name: {"units": unit} for name, unit in UNITS.items()}
     t = found.pop("t")
@@ -174,7 +174,8 @@ def _about(recording: Exported) -> dict[str, str]:
     }
 
 
-def _imported(module: str, extra: str) -> Any:
+def imported(module: str, extra: str) -> Any:
+    """Return a module that an extra of armrig brings; MissingPackageError says how to have it."""
     try:
         return import_module(module)
     except ImportError as err:

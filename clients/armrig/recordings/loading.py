@@ -31,9 +31,9 @@ from armrig.recordings.daemon_reports import (
 from armrig.recordings.grid import Grid, grid
 from armrig.recordings.parts import joined
 from armrig.recordings.recording import Recording, RecordingError, Vector
+from armrig.recordings.recording_summary import TS_LIMIT_S
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
-_LONGEST_TS_S = 86_400.0
 _EVERYTHING = (0, 1 << 63)
 _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
 _LATE_NS = 1_000_000_000  # by how much reports may be written before or after the samples they tell
@@ -150,7 +150,7 @@ def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         msg = f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
         raise RecordingError(msg) from err
-    if not 0 < manifest.Ts < _LONGEST_TS_S:
+    if not 0 < manifest.Ts < TS_LIMIT_S:
         msg = f"{path}: its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
         raise RecordingError(msg)
     return content, manifest, ended, attached

@@ -45,20 +45,24 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
             msg = "not an MCAP file"
             raise DamageError(msg)
         try:
-            return dict(_records(stream, found.st_size))
+            return _records(stream, found.st_size)
         except (McapError, error, ValueError, OverflowError) as err:
             msg = f"its index cannot be read ({err or type(err).__name__})"
             raise DamageError(msg) from err
 
 
-def _records(stream: IO[bytes], size: int) -> Iterator[tuple[str, dict[str, str]]]:
+def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
+    found: dict[str, dict[str, str]] = {}
     for index in _indexes(stream, size):
-        if index.name in (RUN, OUTCOME):
+        # The first of each name, as whoever reads the whole file takes it; and an index of a
+        # hundred thousand of them must not have us read as many records.
+        if index.name in (RUN, OUTCOME) and index.name not in found:
             opcode, body = _record(stream, index.offset)
             if opcode != Opcode.METADATA:
                 msg = "its index points to something else than metadata"
                 raise DamageError(msg)
-            yield index.name, Metadata.read(_bytes(body)).metadata
+            found[index.name] = Metadata.read(_bytes(body)).metadata
+    return found
 
 
 def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:

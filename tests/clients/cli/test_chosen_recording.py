@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from armrig.cli import main
 from armrig.recordings import metadata
-from armrig.recordings.folder import RecordingSummary, summary_of
+from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
 from made_recordings import manifest, recorded, sample, written
 
@@ -188,7 +188,7 @@ def test_a_name_reads_only_what_may_be_meant(
         opened.append(path.name)
         return whole(path)
 
-    monkeypatch.setattr("armrig.recordings.folder.read_metadata", counted)
+    monkeypatch.setattr("armrig.recordings.recording_summary.read_metadata", counted)
 
     assert read("@step", capsys) == "0000000a"
     assert opened == ["1-step-20261120T130000-0000000a.mcap"]
@@ -262,7 +262,7 @@ def test_ls_of_all_reads_each_recording_once(
         seen.append(path)
         return summary_of(path)
 
-    monkeypatch.setattr("armrig.recordings.folder.summary_of", counted)
+    monkeypatch.setattr("armrig.recordings.catalogue.summary_of", counted)
     assert main(["ls", "--all"]) == 0
 
     assert capsys.readouterr().out == few
@@ -270,7 +270,8 @@ def test_ls_of_all_reads_each_recording_once(
 
 
 def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With whole paths, and lengths as numbers."""
+    """With whole paths, lengths as numbers, and what is not listed."""
+    cut = written(folder, b"\x89MCAP0\r\nrest", "cut.mcap")
     assert main(["ls", "--json"]) == 0
 
     found = json.loads(capsys.readouterr().out)
@@ -279,6 +280,10 @@ def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]
     assert newest["recording"] == str(next(folder.glob("*-0000000c.mcap")))
     assert (newest["name"], newest["validation_of"]) == ("monday", "0000000b")
     assert (newest["seconds"], newest["Ts"], newest["missing"]) == (0.1, 0.01, 2)
+    assert [(left["recording"], "cut off" in left["why"]) for left in found["left_out"]] == [
+        (str(cut), True)
+    ]
+    assert [Path(path).suffix for path in found["unfinished"]] == [".active"]
 
 
 @pytest.mark.parametrize("name", ["last", "validation", "validation-2"])

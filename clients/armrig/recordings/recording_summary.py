@@ -1,0 +1,205 @@
+"""What a whole recording says of how it came about, read without its samples."""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from armrig_core.manifest import (
+    OUTCOME,
+    RUN,
+    Manifest,
+    Outcome,
+    check_whole_numbers,
+    manifest_of,
+    outcome_of,
+)
+from armrig_core.recording_file.budget import DamageError
+
+from armrig.recordings.metadata import read_metadata
+
+VALIDATION_OF = "validation_of"
+"""Key of a run's details: the id of the run that it was recorded to validate."""
+KINDS = ("blackbox", "greybox", "step", "staircase", "bla")
+"""What `armrig collect` records; a name that a person gave stands behind it."""
+TEXT_LIMIT = 4096
+"""Longest text that a recording may say of itself, in characters; a name or a reason has fewer."""
+TS_LIMIT_S = 86_400.0
+"""No sampling time is as long, in s."""
+
+_EXPERIMENT = re.compile(rf"({'|'.join(KINDS)})(-validation)?(?:-(.+))?")
+
+
+class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """What a whole recording says of how it came about."""
+
+    folder: Path
+    """Where the file is."""
+    file: str
+    """Its name."""
+    size: int
+    """Of the file, in B."""
+    rig: str
+    """Id of the rig."""
+    run_id: str
+    """Id of the run."""
+    experiment: str
+    """Kind of experiment, with a person's name for it behind, such as blackbox-monday."""
+    validation_of: str
+    """Id of the run that it validates, "" where it does not or does not say."""
+    started: str
+    """Wall-clock time of the start, ISO 8601 with the offset from UTC."""
+    Ts: float
+    """Sampling time, in s."""
+    samples: int
+    """Samples recorded, in this file."""
+    missing: int
+    """Samples that the gaps are short of, in this file."""
+    outcome: str
+    """`complete`, or why the run ended early; `continued` in a part that another one follows."""
+    part: int
+    """Number of the file among those of a long run, from 1; 0 where one file holds all of it."""
+    pacing: str
+    """Who made the samples: `scheduled`, the device's timer, or `exchange`, the host."""
+    device: str
+    """Unique id of the device, "" where it has none."""
+    calibration_sha256: str
+    """Hash of the attached calibration."""
+    armrig: str
+    """Version of armrig that recorded it."""
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / self.file
+
+    @property
+    def kind(self) -> str:
+        """Kind of experiment, such as blackbox, without a person's name for it."""
+        return _parts(self.experiment)[0]
+
+    @property
+    def is_validation(self) -> bool:
+        """Whether it was recorded to validate what another one gives."""
+        return _parts(self.experiment)[1]
+
+    @property
+    def name(self) -> str:
+        """Name that a person gave, "" where nobody did."""
+        return _parts(self.experiment)[2]
+
+    @property
+    def seconds(self) -> float:
+        """Length of what was recorded, missing samples included, in s."""
+        return (self.samples + self.missing) * self.Ts
+
+    def names(self, *, validation: bool) -> set[str]:
+        """Return what it is meant by: its own name, its run's id, its experiment, its file's name.
+
+        A validation is meant by what the recording that it validates is called, with `validation`,
+        and by its own id or experiment.
+        """
+        if not validation:
+            own = {self.name} if self.name and not self.is_validation else set()
+            return own | {self.run_id, self.experiment, Path(self.file).stem}
+        if not self.is_validation:
+            return set()
+        of = {self.validation_of} if self.validation_of else set()
+        return of | ({self.name, f"{self.kind}-{self.name}"} if self.name else {self.kind})
+
+
+@lru_cache(maxsize=1000)
+def _parts(experiment: str) -> tuple[str, bool, str]:
+    """Return the kind of an experiment, whether it is a validation, and its name."""
+    found = _EXPERIMENT.fullmatch(experiment)
+    return (found[1], bool(found[2]), found[3] or "") if found else (experiment, False, "")
+
+
+def summary_of(path: Path) -> RecordingSummary:
+    """Return what a recording says of itself; a few kilobytes of it are read.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    DamageError
+        It is not whole, or no recording of armrig.
+    """
+    metadata = read_metadata(path)
+    for name in (RUN, OUTCOME):
+        if name not in metadata:
+            msg = f"it holds no metadata named {name}"
+            raise DamageError(msg)
+    try:
+        manifest, outcome = manifest_of(metadata[RUN]), outcome_of(metadata[OUTCOME])
+        check_whole_numbers(manifest)
+        check_whole_numbers(outcome)
+    except (msgspec.DecodeError, ValueError, RecursionError) as err:
+        msg = "its metadata are not armrig's"
+        raise DamageError(msg) from err
+    return _summary(path, manifest, outcome)
+
+
+def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSummary:
+    texts = {
+        "rig": manifest.rig,
+        "run_id": manifest.run_id,
+        "experiment": manifest.experiment,
+        "validation_of": str(manifest.details.get(VALIDATION_OF, "")),
+        "started": manifest.started,
+        "outcome": outcome.outcome,
+        "pacing": manifest.pacing,
+        "device": str(manifest.device.get("uid", "")),
+        "calibration_sha256": manifest.calibration_sha256,
+        "armrig": manifest.armrig,
+    }
+    for name, text in texts.items():
+        if len(text) > TEXT_LIMIT:
+            msg = f"its {name} has {len(text)} characters, at most {TEXT_LIMIT} are allowed"
+            raise DamageError(msg)
+    if not 0 < manifest.Ts < TS_LIMIT_S:
+        msg = f"its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
+        raise DamageError(msg)
+    return RecordingSummary(
+        folder=path.parent,
+        file=path.name,
+        size=path.stat().st_size,
+        Ts=manifest.Ts,
+        samples=outcome.samples,
+        missing=outcome.missing,
+        part=manifest.part,
+        **texts,
+    )
+
+
+def shown_path(path: Path) -> str:
+    """Return a path as text; of a name that is none in this system's encoding the bytes escaped."""
+    return str(path).encode("utf-8", "backslashreplace").decode()
+
+
+def facts_of(summary: RecordingSummary) -> dict[str, Any]:
+    """Return what is said of a recording, for a program."""
+    return {
+        "recording": shown_path(summary.path),
+        "run_id": summary.run_id,
+        "rig": summary.rig,
+        "started": summary.started,
+        "experiment": summary.kind,
+        "name": summary.name,
+        "validation": summary.is_validation,
+        "validation_of": summary.validation_of or None,
+        "seconds": summary.seconds,
+        "Ts": summary.Ts,
+        "samples": summary.samples,
+        "missing": summary.missing,
+        "outcome": summary.outcome,
+        "part": summary.part,
+        "pacing": summary.pacing,
+        "device": summary.device,
+        "calibration_sha256": summary.calibration_sha256,
+        "armrig": summary.armrig,
+        "bytes": summary.size,
+    }

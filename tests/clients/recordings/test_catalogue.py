@@ -1,0 +1,384 @@
+"""Thousands of recordings as one table, kept up to date whatever happens to the files."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pyarrow.parquet
+import pytest
+from armrig.recordings import catalogue as catalogue_module
+from armrig.recordings import catalogue_index, recording_summary
+from armrig.recordings.catalogue import COLUMNS, catalogue
+from armrig.recordings.recording_summary import RecordingSummary, facts_of, summary_of
+from armrig_core.manifest import OUTCOME, RUN, Outcome
+from made_recordings import manifest, recorded, sample, written
+from mcap.data_stream import RecordBuilder
+from mcap.records import Footer, MetadataIndex
+from mcap.writer import Writer
+
+OLD = 1_700_000_000  # s: files that were changed then are settled
+
+
+def made(folder: Path, number: int, *, experiment: str = "step", samples: int = 3) -> Path:
+    """Write a small recording under the daemon's name, as old as its number says."""
+    about = manifest(
+        experiment=experiment,
+        run_id=f"{number:08x}",
+        started=f"2026-11-20T05:00:{number:02}+01:00",
+        device={"uid": "0001"},
+    )
+    ended = Outcome(outcome="complete", samples=samples, missing=1)
+    data = recorded([sample(k) for k in range(samples)], manifest=about, outcome=ended)
+    path = written(folder, data, f"1-{experiment}-20261120T0500{number:02}-{number:08x}.mcap")
+    os.utime(path, (OLD, OLD))
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder of three recordings."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for number, experiment in enumerate(("step", "blackbox-monday", "blackbox-validation-monday")):
+        made(folder, number, experiment=experiment)
+    return folder
+
+
+@pytest.fixture
+def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Have an index kept for the smallest folder, and give the names of the files opened.
+
+    The clock that says whether a file is settled is a minute ahead.
+    """
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 1)
+    ahead = catalogue_index.now_ns() + 60_000_000_000
+    monkeypatch.setattr(catalogue_module, "now_ns", lambda: ahead)
+    names: list[str] = []
+
+    def counted(path: Path) -> RecordingSummary:
+        names.append(path.name)
+        return summary_of(path)
+
+    monkeypatch.setattr(catalogue_module, "summary_of", counted)
+    return names
+
+
+def index_files(tmp_path: Path) -> list[Path]:
+    """Return the indexes in the cache, and whatever else lies there."""
+    return list((tmp_path / "cache").rglob("*.*"))
+
+
+def test_it_is_a_table_of_what_each_recording_says(folder: Path) -> None:
+    """Newest first, by columns of one type each, with the names of `armrig ls --json`."""
+    found = armrig.catalogue(folder)
+
+    assert len(found) == 3
+    assert repr(found) == f"<Catalogue: 3 recordings in {folder}>"
+    columns = found.columns()
+    assert list(columns) == list(COLUMNS) == list(facts_of(found.recordings[0]))
+    assert columns["experiment"].tolist() == ["blackbox", "blackbox", "step"]
+    assert columns["name"].tolist() == ["monday", "monday", ""]
+    assert columns["validation"].tolist() == [True, False, False]
+    assert columns["missing"].tolist() == [1, 1, 1]
+    np.testing.assert_allclose(columns["seconds"], 0.04)
+    assert columns["started"][0] == np.datetime64("2026-11-20T04:00:02")
+    assert armrig.load(found.recordings[-1].path).manifest.run_id == "00000000"
+
+
+def test_pandas_and_parquet_have_the_same_columns(folder: Path, tmp_path: Path) -> None:
+    """With times in UTC, and also where nothing is in them."""
+    nothing = tmp_path / "nothing"
+    nothing.mkdir()
+    for where, n in ((folder, 3), (nothing, 0)):
+        found = catalogue(where)
+        frame = found.to_pandas()
+        found.to_parquet(tmp_path / "table.parquet")
+        table = pyarrow.parquet.read_table(tmp_path / "table.parquet")
+
+        assert list(frame.columns) == table.column_names == list(COLUMNS)
+        assert len(frame) == table.num_rows == n
+        assert str(frame["started"].dtype) == "datetime64[ms, UTC]"
+        assert str(table.schema.field("started").type) == "timestamp[ms, tz=UTC]"
+        assert table["experiment"].to_pylist() == frame["experiment"].tolist()
+
+
+def test_no_chunk_is_unpacked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is a sample looked at: a recording whose chunks are spoilt is in the table."""
+    path = made(folder, 9)
+    data = bytearray(path.read_bytes())
+    chunk = data.index(b"zstd") + 12  # behind the name of the compression, and its length
+    data[chunk : chunk + 20] = bytes(20)
+    path.write_bytes(data)
+    assert armrig.load(path).truncated
+
+    assert catalogue(folder).recordings[0].path == path
+
+
+def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
+    """Cut off, no recording, a link that leads nowhere, a folder, a pipe: none is waited for."""
+    cut = written(folder, made(folder, 5).read_bytes()[:-20], "cut.mcap")
+    text = written(folder, b"not a recording", "text.mcap")
+    written(folder, b"", "1-step-20261120T140000-0000000f.mcap.active")
+    (folder / "nowhere.mcap").symlink_to(folder / "gone")
+    (folder / "folder.mcap").mkdir()
+    os.mkfifo(folder / "pipe.mcap")
+
+    found = catalogue(folder)
+
+    assert len(found) == 4
+    why = {left.path: left.why for left in found.left_out}
+    assert set(why) == {cut, text}
+    assert "cut off" in why[cut]
+    assert why[text] == "not an MCAP file"
+    assert [path.name for path in found.unfinished] == [
+        "1-step-20261120T140000-0000000f.mcap.active"
+    ]
+    assert "2 left out, 1 unfinished" in repr(found)
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    """An empty table would say that nothing was recorded."""
+    with pytest.raises(FileNotFoundError, match="none"):
+        catalogue(tmp_path / "none")
+
+
+def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[str]) -> None:
+    """And the table is the same, whoever it was known by."""
+    cold = catalogue(folder)
+    assert len(opened) == 3
+    opened.clear()
+
+    assert catalogue(folder) == cold
+    assert opened == []
+    new = made(folder, 9)
+    assert catalogue(folder).recordings[0].path == new
+    assert opened == [new.name]
+
+
+def renamed(path: Path) -> str:
+    """Give it another name; return what is opened again."""
+    return path.rename(path.with_name("1-step-20261120T050000-000000aa.mcap")).name
+
+
+def deleted(path: Path) -> str:
+    """Remove it."""
+    path.unlink()
+    return ""
+
+
+def replaced(path: Path) -> str:
+    """Put another file of the same size and the same time in its place."""
+    other = path.read_bytes().replace(b"00000000", b"000000bb")
+    path.unlink()
+    path.write_bytes(other)
+    os.utime(path, (OLD, OLD))
+    return path.name
+
+
+def overwritten(path: Path) -> str:
+    """Write other bytes into it, and set its time back."""
+    other = path.read_bytes().replace(b"00000000", b"000000bb")
+    with path.open("r+b") as file:
+        file.write(other)
+    os.utime(path, (OLD, OLD))
+    return path.name
+
+
+def broken(path: Path) -> str:
+    """Cut its end off."""
+    os.truncate(path, path.stat().st_size - 1)
+    return path.name
+
+
+@pytest.mark.parametrize("change", [renamed, deleted, replaced, overwritten, broken])
+def test_a_file_that_changed_is_read_anew(
+    folder: Path, opened: list[str], change: Callable[[Path], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever was done to it: the table is that of a reader who knows nothing."""
+    path = folder / "1-step-20261120T050000-00000000.mcap"
+    before = catalogue(folder)
+    opened.clear()
+
+    again = change(path)
+
+    found = catalogue(folder)
+    assert opened == [again] * bool(again)
+    monkeypatch.setattr(catalogue_module, "read_index", lambda folder: {})
+    assert found == catalogue(folder) != before
+
+
+def test_a_file_that_was_just_written_is_not_trusted(
+    folder: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within a tick of the file system's clock it may change and have the same times."""
+    monkeypatch.setattr(catalogue_module, "now_ns", catalogue_index.now_ns)
+    catalogue(folder)
+    opened.clear()
+
+    catalogue(folder)
+
+    assert len(opened) == 3
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        lambda text: b"",
+        lambda text: text[:-5],
+        lambda text: text.replace(b'"step"', b"5"),
+        lambda text: text.replace(b'"folder":"/', b'"folder":"/other/'),
+        lambda text: text.replace(b'"armrig":"', b'"armrig":"9.'),
+        lambda text: b"[" * 100_000,
+        lambda text: b"\xff" * 100,
+    ],
+)
+def test_an_index_that_is_not_ours_is_made_anew(
+    folder: Path, tmp_path: Path, opened: list[str], spoilt: Callable[[bytes], bytes]
+) -> None:
+    """Cut, forged, of another folder or version: it says nothing, and is replaced."""
+    cold = catalogue(folder)
+    [index] = index_files(tmp_path)
+    good = index.read_bytes()
+    index.write_bytes(spoilt(good))
+    assert index.read_bytes() != good
+    opened.clear()
+
+    with index.open("rb") as read_by_another:
+        assert catalogue(folder) == cold
+        assert len(opened) == 3
+        assert index.read_bytes() == good
+        assert read_by_another.read() == spoilt(good)  # whole, as it was
+
+
+def test_without_a_cache_it_is_only_slower(folder: Path, tmp_path: Path, opened: list[str]) -> None:
+    """A cache that cannot be written, and a folder that cannot, are no errors."""
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    folder.chmod(0o555)
+
+    for _ in range(2):
+        assert len(catalogue(folder)) == 3
+    assert len(opened) == 6
+
+
+_LOOKED = """
+import sys
+from pathlib import Path
+from armrig.recordings import catalogue
+catalogue.WORTH_KEEPING = 1
+folder = Path(sys.argv[1])
+for number in range(30):
+    (folder / sys.argv[2]).write_bytes(bytes(number))
+    assert len(catalogue.catalogue(folder)) == 3
+"""
+
+
+def test_two_processes_at_once_leave_one_whole_index(
+    folder: Path, tmp_path: Path, opened: list[str]
+) -> None:
+    """And nothing beside it."""
+    both = [
+        subprocess.Popen([sys.executable, "-c", _LOOKED, str(folder), name])
+        for name in ("a.mcap", "b.mcap")
+    ]
+    assert [process.wait(60) for process in both] == [0, 0]
+
+    catalogue(folder)
+    assert len(index_files(tmp_path)) == 1
+    opened.clear()
+    catalogue(folder)
+    assert opened == []
+
+
+def test_a_name_that_is_no_text_is_listed(folder: Path, tmp_path: Path, opened: list[str]) -> None:
+    """Its bytes are shown escaped, and it does not keep the others out of the table."""
+    strange = os.fsdecode(os.fsencode(folder) + b"/\xff.mcap")
+    Path(folder / "1-step-20261120T050000-00000000.mcap").rename(strange)
+
+    found = catalogue(folder)
+    found.to_parquet(tmp_path / "table.parquet")
+
+    shown = pyarrow.parquet.read_table(tmp_path / "table.parquet")["recording"].to_pylist()
+    assert sum(text.endswith(r"\udcff.mcap") for text in shown) == 1
+    opened.clear()
+    assert catalogue(folder) == found
+    assert opened == [Path(strange).name]
+
+
+def with_metadata(folder: Path, run: dict[str, str], outcome: dict[str, str] | None = None) -> Path:
+    """Write a file of nothing but metadata."""
+    out = BytesIO()
+    writer = Writer(out)
+    writer.start()
+    writer.add_metadata(RUN, run)
+    ended = Outcome(outcome="complete", samples=1, missing=0)
+    writer.add_metadata(OUTCOME, ended.metadata() | (outcome or {}))
+    writer.finish()
+    return written(folder, out.getvalue(), "hostile.mcap")
+
+
+@pytest.mark.parametrize(
+    ("run", "outcome", "why"),
+    [
+        ({"run_id": '"' + "a" * 5000 + '"'}, {}, "its run_id has 5000 characters, at most 4096"),
+        ({}, {"samples": "1" + "0" * 400}, "not armrig's"),
+        ({}, {"samples": str(2**63)}, "not armrig's"),
+        ({"Ts": "1e999"}, {}, "not armrig's"),
+        ({"Ts": "-1.0"}, {}, "Ts=-1.0 s"),
+        ({"details": "[" * 5000 + "]" * 5000}, {}, "not armrig's"),
+    ],
+)
+def test_a_hostile_recording_is_left_out(
+    tmp_path: Path, run: dict[str, str], outcome: dict[str, str], why: str
+) -> None:
+    """Numbers that fit into no column, texts without end."""
+    with_metadata(tmp_path, manifest().metadata() | run, outcome)
+
+    [left] = catalogue(tmp_path).left_out
+
+    assert why in left.why
+
+
+@pytest.mark.parametrize("started", ["yesterday", "2026-11-20T05:00:00", "9999-12-31T23:00-05:00"])
+def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
+    """Nor is one that does not say where; the recording is listed all the same."""
+    with_metadata(tmp_path, manifest(started=started).metadata())
+
+    found = catalogue(tmp_path)
+
+    assert np.isnat(found.columns()["started"]).all()
+    assert found.to_pandas()["started"].isna().all()
+
+
+def test_an_index_of_a_hundred_thousand_records_costs_two_reads(tmp_path: Path) -> None:
+    """Else a file of 8 MB would have us read terabytes."""
+    path = with_metadata(tmp_path, manifest().metadata())
+    data = path.read_bytes()
+    summary = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
+    builder = RecordBuilder()
+    place = data.index(RUN.encode()) - 4 - 9
+    for _ in range(100_000):
+        MetadataIndex(offset=place, length=len(data), name=RUN).write(builder)
+    Footer(summary_start=summary, summary_offset_start=0, summary_crc=0).write(builder)
+    path.write_bytes(data[:summary] + builder.end() + b"\x89MCAP0\r\n")
+    reads = 0
+    whole = recording_summary.read_metadata.__globals__["_record"]
+
+    def counted(*arguments: object) -> object:
+        nonlocal reads
+        reads += 1
+        return whole(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(recording_summary.read_metadata.__globals__, "_record", counted)
+        assert "no metadata named armrig.outcome" in catalogue(tmp_path).left_out[0].why
+
+    assert reads == 1
