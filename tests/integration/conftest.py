@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from driving import at_rest
 from fork_server import ForkServer
-from processes import Bench, wait_for
+from processes import Bench
 
 
 @pytest.fixture(scope="session")
@@ -43,8 +44,5 @@ def _serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 def served(_serving: Bench) -> Bench:
     """Give a rig and a daemon that a module's tests share: at 0 V, and nobody's."""
     with _serving.rig() as rig:
-        rig.stop()
-        wait_for(lambda: rig.status().phase in ("safe", "fault"))
-        rig.reset()
-        wait_for(lambda: rig.status().phase == "safe")
+        at_rest(rig)
     return _serving

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from subprocess import Popen
+from typing import Any
 
 import armrig
 import numpy as np
+from armrig.rig.client import Rig, RunEndedError
+from fork_server import Forked
+from numpy.typing import ArrayLike
 from processes import Bench, wait_for
 
 VOLTS = (1.0, 4.0)
 STOPPED_S = 1.0
 """Tells a stop from no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
+_TRIES = 3
 _STEP_V = 5 / 1024  # of the emulated duty
 _RUNNER = """
 import sys
@@ -28,15 +35,60 @@ def driven(
     bench: Bench, samples: int = 1000, pacing: str = "scheduled", Ts: float = 0.01
 ) -> Iterator[None]:
     """Have a client of its own process run 1 V and 4 V in turn; it is killed at the end."""
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    before = len(bench.voltage_changes())
-    client = bench.client(_RUNNER, endpoint, str(samples), pacing, str(Ts))
+    client = begin(bench, 20, _RUNNER, str(samples), pacing, str(Ts))
     try:
-        wait_for(lambda: len(bench.voltage_changes()) > before + 20)
         yield
     finally:
         client.kill()
         client.wait()
+
+
+def begin(bench: Bench, changes: int, runner: str, *arguments: str) -> Popen[bytes] | Forked:
+    """Start a client that drives the motor, and return it once the voltage has changed so often.
+
+    Where this machine stalls, a run may be ended before that: then once more.
+    """
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    for _ in range(_TRIES):
+        drives = partial(_changed, bench, len(bench.voltage_changes()) + changes)
+        client = bench.client(runner, endpoint, *arguments)
+        try:
+            wait_for(lambda now=drives, its=client: now() or its.poll() is not None)
+        except BaseException:
+            client.kill()
+            client.wait()
+            raise
+        if drives():
+            return client
+        with bench.rig() as rig:
+            at_rest(rig)
+    raise AssertionError(f"{_TRIES} runs ended before the voltage had changed {changes} times")
+
+
+def _changed(bench: Bench, times: int) -> bool:
+    return len(bench.voltage_changes()) > times
+
+
+def whole_run(rig: Rig, u: ArrayLike, *, Ts: float, **how: Any) -> Path:
+    """Arm and run; where this machine stalls, and the run is ended for it, once more."""
+    for _ in range(_TRIES - 1):
+        rig.arm("a test", Ts=Ts)
+        try:
+            return rig.run(u, **how)
+        except RunEndedError as err:
+            if "no answer from the device for" not in str(err):
+                raise
+        at_rest(rig)
+    rig.arm("a test", Ts=Ts)
+    return rig.run(u, **how)
+
+
+def at_rest(rig: Rig) -> None:
+    """Stop a rig, and reset it."""
+    rig.stop()
+    wait_for(lambda: rig.status().phase in ("safe", "fault"))
+    rig.reset()
+    wait_for(lambda: rig.status().phase == "safe")
 
 
 def recorded(bench: Bench) -> armrig.Recording:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import sys
 import time
 
 import armrig
 import pytest
+from driving import begin
 from processes import Bench, wait_for
 
 pytestmark = pytest.mark.timed
@@ -36,13 +35,7 @@ class Client:
     """A client of its own process, with a run in progress."""
 
     def __init__(self, bench: Bench, program: str, periods: int, pacing: str) -> None:
-        endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-        self.popen = subprocess.Popen(
-            [sys.executable, "-c", program, endpoint, str(periods), pacing, str(DEAD_MAN_S)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        wait_for(lambda: len(bench.voltage_changes()) > 50)
+        self.popen = begin(bench, 50, program, str(periods), pacing, str(DEAD_MAN_S))
 
     def end(self) -> None:
         """Kill it, whatever state it is in."""

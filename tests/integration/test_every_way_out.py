@@ -17,6 +17,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.rig.client import RefusedError, RunEndedError
+from driving import begin
 from processes import WITHIN_S, Bench, wait_for
 
 STOPPED_S = 1.0
@@ -36,10 +37,7 @@ class Run:
         self.bench = bench
         self.emulator, self.daemon = bench.processes[-2:]
         self.loop_pid = bench.loop_pid(self.daemon)
-        before = len(bench.voltage_changes())
-        endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-        self.client = bench.client(RUNNER, endpoint, str(periods))
-        wait_for(lambda: len(bench.voltage_changes()) > before + 50)
+        self.client = begin(bench, 50, RUNNER, str(periods))
 
     def end(self) -> None:
         """End its client."""

@@ -11,6 +11,7 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.recording import RecordingError
 from armrig_daemon.core import setpoints
+from driving import whole_run
 from processes import Bench
 
 
@@ -21,8 +22,7 @@ def test_a_real_run_is_decided_once_more_to_the_last_bit(
     """Every frame and every sample; and a core that decides otherwise is found out."""
     u = armrig.telegraph(400, 0.1, low=0.0, high=5.0, seed=1)
     with served.rig() as rig:
-        rig.arm("a test", Ts=0.005)
-        path = rig.run(u, pacing=pacing)  # type: ignore[arg-type]
+        path = whole_run(rig, u, Ts=0.005, pacing=pacing)
 
     found = replay(path)
 
@@ -47,9 +47,8 @@ def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
             growing.write_bytes(active.read_bytes())
 
     with served.rig() as rig:
-        rig.arm("a test", Ts=0.005)
         u = armrig.telegraph(600, 0.1, low=0.0, high=5.0, seed=1)
-        path = rig.run(u, progress=copy)
+        path = whole_run(rig, u, Ts=0.005, progress=copy)
     whole, half = path.read_bytes(), tmp_path / "half.mcap"
     half.write_bytes(whole[: len(whole) // 4])
 
@@ -71,7 +70,7 @@ def test_the_command_says_what_it_replayed(bench: Bench) -> None:
 
         def unplug(done: int, total: int) -> None:
             if done > 50:
-                emulator.kill()
+                emulator.end()  # takes the link to its port away, as unplugging does
 
         with pytest.raises(armrig.RigError) as stopped:
             rig.run(armrig.telegraph(2000, 0.1, seed=1), progress=unplug)
