@@ -26,6 +26,7 @@ from armrig.cli.options import (
     echo,
     print_json,
     say,
+    tell,
 )
 from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.recorded_data import (
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from armrig.models.model import Model
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
+
+_ALIKE = 1e-6
 
 Models = Annotated[
     list[Path] | None,
@@ -150,7 +153,24 @@ def _studied(
     if done.halves:
         where += ", its second half, the first one estimates"
     models = [(assessed.name, assessed.model) for assessed in done.models]
-    return _Compared(models=models + saved, data=done.validation, where=where)
+    more = []
+    for name, fit in saved:
+        same = next((n for n, m in models if _same(m, fit)), None)
+        if same is None:
+            more.append((name, fit))
+        else:
+            tell(f"the model {name} is the {same} that is estimated here: it is shown once")
+    return _Compared(models=models + more, data=done.validation, where=where)
+
+
+def _same(a: Model, b: Model) -> bool:
+    """Tell whether two models have the same polynomials, to what an estimation leaves open."""
+    import numpy as np
+
+    pairs = [(getattr(a, letter), getattr(b, letter)) for letter in "ABCDF"]
+    return a.Ts == b.Ts and all(
+        x.size == y.size and np.allclose(x, y, rtol=_ALIKE, atol=0) for x, y in pairs
+    )
 
 
 def _with_physics(compared: _Compared, changed: dict[str, ArmParameters]) -> _Compared:

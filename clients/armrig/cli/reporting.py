@@ -36,9 +36,9 @@ def report(
             metavar="F…", parser=recording_path, help="Recordings (*.mcap), or their @names."
         ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="PDF to write.")] = Path(
-        "report.pdf"
-    ),
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="PDF", help="PDF to write.")
+    ] = Path("report.pdf"),
     na: Na = 4,
     nb: Nb = 4,
     nf: Nf = 4,

@@ -247,6 +247,25 @@ def test_compare_puts_the_models_and_the_physics_side_by_side(
     assert all(f"{m['rms_error']:.4g}" in text for m in facts["models"])
 
 
+def test_a_model_that_is_estimated_here_anyway_is_shown_once(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two identical columns tell nothing; another order has its own."""
+    _, estimation, validation = map(str, three_recordings)
+    saved = []
+    for n in ("4", "3"):
+        saved += ["--model", str(tmp_path / f"of-{n}.json")]
+        orders = ["--structure", "oe", "--nb", n, "--nf", n, "--integrator"]
+        assert main(["identify", estimation, *orders, "--save", saved[-1]]) == 0
+    capsys.readouterr()
+
+    assert main(["compare", estimation, validation, *saved, "--json"]) == 0
+
+    said = capsys.readouterr()
+    assert [m["model"] for m in json.loads(said.out)["models"]] == ["ARX", "OE", "physics", "of-3"]
+    assert "the model of-4 is the OE that is estimated here: it is shown once" in said.err
+
+
 def test_report_writes_a_pdf_and_says_where(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -255,7 +274,9 @@ def test_report_writes_a_pdf_and_says_where(
 
     assert main(["report", *map(str, three_recordings), "-o", str(pdf)]) == 0
 
-    assert capsys.readouterr().out == f"{pdf}\n"
+    said = capsys.readouterr()
+    assert said.out == f"{pdf}\n"
+    assert re.fullmatch(rf"next: (xdg-open|open|start) {pdf}", said.err.splitlines()[-1])
     assert pdf.read_bytes().startswith(b"%PDF-")
 
 
