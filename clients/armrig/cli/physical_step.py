@@ -46,6 +46,7 @@ def model(
     if json:
         print_json({"models": {name: _facts(answer) for name, answer in found.items()}})
         return
+    say(f"A and B with {changes(given) or 'the parameters of the handout'}:")
     echo(f"{_state_space(last.parameters)}\n\n{_table(found)}\n")
     say(
         f"A step of 1 V, simulated{_of(given)}: the speed begins to rise by {last.slope:.1f} "

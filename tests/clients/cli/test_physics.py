@@ -22,6 +22,13 @@ def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().out
 
 
+def test_the_matrices_say_of_which_parameters_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of several sets those of all changes together."""
+    assert said(["model"], capsys).startswith("A and B with the parameters of the handout:\n")
+    changed = said(["model", "--set", "J_1=0.0034", "--set", "K_lin=2.38"], capsys)
+    assert changed.startswith("A and B with J_1=0.0034, K_lin=2.38:\n")
+
+
 def test_check_finds_no_feedback_and_no_delay(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
