@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from difflib import SequenceMatcher
 from pathlib import PurePath
 from typing import Any
 
@@ -18,6 +19,12 @@ _ELSEWHERE: dict[str, str] = {
     **{name: f"`armrig identify F --structure {name}` estimates one" for name in FAMILIES},
 }
 """What stands for a command that there is not."""
+_TO_WRITE = frozenset(
+    f"--{name}" for name in ("out", "output", "outfile", "figure", "fig", "image", "png", "save")
+)
+"""What a file to write is called elsewhere."""
+_ALIKE = 0.6
+"""Share of their letters that two names have in common, from which one may be meant."""
 _FILES = (RECORDING, ".active", *DATA, ".json", ".pdf")
 
 
@@ -73,8 +80,21 @@ def _no_option(err: Any, given: Sequence[str]) -> str:
         return f"no such option: {whole}; a name of several letters has two dashes, -{whole}"
     if err.ctx is not None and err.ctx.parent is None:
         return f"no such option: {name}; options stand behind the command, armrig COMMAND {name}"
-    near = f": did you mean {' or '.join(err.possibilities)}?" if err.possibilities else ""
-    return f"no such option: {name}{near}"
+    near = _near(name, err)
+    return f"no such option: {name}" + (f": did you mean {' or '.join(near)}?" if near else "")
+
+
+def _near(name: str, err: Any) -> list[str]:
+    """Return the options that may be meant by one that there is not."""
+    if name in _TO_WRITE:
+        written = [p for p in err.ctx.command.params if "-o" in p.opts]
+        return [f"-o {p.metavar or 'FILE'}" for p in written]
+    letters = name.lstrip("-")
+    return [x for x in err.possibilities or () if _alike(letters, x.lstrip("-")) > _ALIKE]
+
+
+def _alike(a: str, b: str) -> float:
+    return SequenceMatcher(None, a, b).ratio()
 
 
 def _no_command(name: str, message: str) -> str:

@@ -18,7 +18,7 @@ from armrig_core.recording_file.part_names import part_paths
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
-from armrig.data.files.suffixes import OTHER_DATA, RECORDING
+from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
 from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import (
     Clock,
@@ -119,6 +119,11 @@ _READ = (
     f"a recording of armrigd's (*{RECORDING}) is wanted; sampling, hints, identify, validate and "
     f"check read {OTHER_DATA}, too"
 )
+_OF_A_TABLE = (
+    f"a recording of the rig is wanted here (*{RECORDING}, or @NAME of `armrig ls`), and this is "
+    f"none; {OTHER_DATA} are read by sampling, hints, identify, validate and check, such as "
+    "`armrig hints {path}`"
+)
 _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
 
@@ -131,7 +136,9 @@ def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
     if content is None and not path.stat().st_size:
         raise RecordingError(f"{path}: is empty, 0 B: nothing was recorded; record again")
     if content is None:
-        raise RecordingError(f"{path}: not an MCAP file; {_READ}")
+        table = path.suffix.lower() in DATA
+        why = _OF_A_TABLE.format(path=path) if table else f"not an MCAP file; {_READ}"
+        raise RecordingError(f"{path}: {why}")
     entries = content.metadata.get(records.RUN)
     if entries is None:
         why = content.damage or "it holds no metadata named armrig.run"

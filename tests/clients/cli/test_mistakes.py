@@ -78,7 +78,10 @@ REFUSED = [
     ("info none.mcap", "`armrig ls` lists the recordings, each taken as @NAME"),
     ("info folder", "give a file in it"),
     ("info report.pdf", "a recording of armrigd's (*.mcap) is wanted"),
-    ("greybox data.csv", "identify, validate and check read other data"),
+    (
+        "greybox data.csv",
+        "are read by sampling, hints, identify, validate and check, such as `armr",
+    ),
     ("info empty.mcap", "is empty, 0 B: nothing was recorded; record again"),
     ("identify run.mcap.active --structure arx", "is still being recorded, or the daemon was kill"),
     ("validate est.mcap --model est.mcap", "a model is what `armrig identify --save`"),
@@ -107,6 +110,11 @@ REFUSED = [
     ("--verbose identify est.mcap", "options stand behind the command, armrig COMMAND --verbose"),
     ("identify est.mcap -nb 4", "a name of several letters has two dashes, --nb"),
     ("identify est.mcap --nb4", "did you mean --nb"),
+    ("plot est.mcap --out f.png", "no such option: --out: did you mean -o FIGURE?; see"),
+    ("identify est.mcap --fig f.png", "no such option: --fig: did you mean -o FIGURE?; see"),
+    ("report est.mcap --out f.pdf", "no such option: --out: did you mean -o PDF?; see"),
+    ("ls --out f.txt", "no such option: --out; see `armrig ls --help`"),
+    ("plot est.mcap --input u", "no such option: --input; see `armrig plot --help`"),
     # Structures and orders.
     ("identify est.mcap --structure OE", "'OE' is not one of 'arx', 'armax', 'oe'"),
     ("identify est.mcap --structure ssest", "'bj', 'iv4', 'n4sid'"),
@@ -184,7 +192,10 @@ DOUBTED = [
     ("identify data.csv --structure arx --Ts 10", "although the times are 0.01 s apart"),
     ("identify step.mcap --structure arx", "identify from a telegraph"),
     ("identify est.mcap --structure arx --validate step.mcap", "validate on another telegraph"),
-    ("identify est.mcap --structure arx --validate est.mcap", "validate on another recording"),
+    (
+        "identify est.mcap --structure arx --validate est.mcap",
+        "validate on data that they have not seen",
+    ),
     ("model --set J_1=1e9", "times the handout's 0.0017; is it in SI units?"),
 ]
 

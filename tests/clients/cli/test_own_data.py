@@ -350,11 +350,9 @@ def test_what_needs_a_recording_says_so(
 
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.startswith(f"armrig: {path}: not an MCAP file; a recording of armrigd's")
-    assert (
-        "hints, identify, validate and check read other data (.csv, .dat, .mat, .npz), too"
-        in said.err
-    )
+    assert said.err.startswith(f"armrig: {path}: a recording of the rig is wanted here (*.mcap, or")
+    assert "(.csv, .dat, .mat, .npz) are read by sampling, hints, identify, vali" in said.err
+    assert f"such as `armrig hints {path}`" in said.err
 
 
 def test_a_replay_needs_a_recording(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
