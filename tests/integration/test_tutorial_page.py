@@ -16,10 +16,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import armrig
 import numpy as np
 import pages
 import pytest
 from armrig.cli import main
+from armrig.cli.chosen_recording import recording_path
+from armrig.recordings.doubts import all_doubts
 from armrig.report.handout import MOST_PAGES
 
 PAGE = pages.DOCS / "tutorial.md"
@@ -120,7 +123,10 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
 
 @pytest.mark.timed
 def test_every_line_that_needs_a_rig_is_taken(lab: Lab) -> None:
-    """In the page's order, with `armrig lab` beside them; calibration finds the page's speed."""
+    """In the page's order, with `armrig lab` beside them; calibration finds the page's speed.
+
+    What they have recorded has nothing against its standing in one report.
+    """
     names: dict[str, Any] = {}
     done: list[str] = []
     said: list[str] = []
@@ -144,6 +150,10 @@ def test_every_line_that_needs_a_rig_is_taken(lab: Lab) -> None:
     (shown,) = (text for _, text in BLOCKS if text.startswith("motor_rad_per_s_v"))
     (measured,) = (line for line in "".join(said).splitlines() if line.startswith(shown.split()[0]))
     assert pages.numbers(measured)[0] == pytest.approx(pages.numbers(shown)[0], rel=0.01)
+    report = re.search(r"^armrig report --handout (.+) -o", TEXT, re.MULTILINE)
+    assert report is not None
+    read = [armrig.load(recording_path(name)) for name in report[1].split()]
+    assert [text for text in all_doubts(read, one_plant=False) if "record 300" not in text] == []
     files = sorted(path.name.split("-2")[0] for path in names["path"].parent.glob("*.mcap"))
     assert files == [
         *("1-blackbox-monday", "1-blackbox-tuesday", "1-blackbox-validation-monday"),

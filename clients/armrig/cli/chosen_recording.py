@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 LAST = "last"
 VALIDATION = "/validation"
+COMPLETE = "complete"
 _LISTED = 4
 """How many are named where several answer to a name."""
 
@@ -79,7 +80,7 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
     if text == f"@{LAST}":
         for newest in summaries(paths):
             return newest
-    found = matching(text, paths)
+    found = preferred(matching(text, paths))
     if not found:
         raise NoSuchRecordingError(_none(text, folder))
     if len(found) > 1:
@@ -89,6 +90,15 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
         msg += "one of these, and give the next a --name of its own"
         raise NoSuchRecordingError(msg)
     return found[0]
+
+
+def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
+    """Return those of recordings of one name that may be meant: of complete runs, if there are any.
+
+    Who repeats a run that ended early gives the same command once more.
+    """
+    complete = [s for s in found if s.outcome.outcome == COMPLETE]
+    return complete or found
 
 
 def matching(text: str, paths: Sequence[Path]) -> list[RecordingSummary]:
@@ -123,7 +133,7 @@ def short_name(summary: RecordingSummary, answering: Answering) -> str:
     elif summary.name:
         names.insert(0, f"@{summary.name}")
     for name in names:
-        if [s.path for s in answering(name)] == [summary.path]:
+        if [s.path for s in preferred(answering(name))] == [summary.path]:
             return name
     return str(summary.path)
 

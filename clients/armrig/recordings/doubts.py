@@ -81,8 +81,9 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
     """Return what speaks against each, and against each with the first that excites."""
     found = [text for r in recordings for text in doubts(r)]
     excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
-    for other in excited[1:]:
-        found += doubts_of_pair(excited[0], other, one_plant=one_plant)
+    for n, other in enumerate(excited[1:]):
+        # Only the second judges what the first gives: the chassis may be told of beside them.
+        found += doubts_of_pair(excited[0], other, one_plant=one_plant and n == 0)
     return found
 
 

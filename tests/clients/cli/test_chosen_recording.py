@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,9 @@ def put(folder: Path, experiment: str, **other: str) -> Path:
     return written(folder, data, f"1-{experiment}-{stamp}-{run_id}.mcap")
 
 
-def of_run(experiment: str, run_id: str, at: str, details: dict[str, str]) -> bytes:
+def of_run(
+    experiment: str, run_id: str, at: str, details: dict[str, str], outcome: str = "complete"
+) -> bytes:
     """Return a recording of ten samples, two of which are missing."""
     about = manifest(
         experiment=experiment,
@@ -51,7 +54,7 @@ def of_run(experiment: str, run_id: str, at: str, details: dict[str, str]) -> by
         started=f"2026-11-20T{at}+01:00",
         details=details,
     )
-    ended = Outcome(outcome="complete", samples=8, missing=2)
+    ended = Outcome(outcome=outcome, samples=8, missing=2)
     return recorded([sample(k) for k in range(8)], manifest=about, outcome=ended)
 
 
@@ -100,6 +103,20 @@ def test_what_a_name_stands_for_is_told(folder: Path, capsys: pytest.CaptureFixt
 
     told = capsys.readouterr().err
     assert told == "armrig: @monday is @0000000b, blackbox monday, 0.1 s, 2026-11-20 13:10:00\n"
+
+
+def test_of_one_name_a_complete_run_is_meant(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One that ended early was repeated by the same command; alone it is meant all the same."""
+    for run_id, experiment in (("aaaaaaa1", "blackbox-monday"), ("aaaaaaa2", "step-cut")):
+        data = of_run(experiment, run_id, "12:01:00", {}, outcome="stopped by A")
+        written(folder, data, f"1-{experiment}-20261120T120100-{run_id}.mcap")
+
+    assert read("@monday", capsys) == "0000000b"
+    assert read("@cut", capsys) == "aaaaaaa2"
+    assert main(["ls"]) == 0
+    assert re.search(r"^@monday +blackbox", capsys.readouterr().out, re.MULTILINE)
 
 
 def test_an_ambiguous_name_is_refused_with_the_list(

@@ -35,6 +35,13 @@ def test_two_sound_recordings_of_one_rig_have_nothing_against_them(sound: Record
     assert all_doubts([step, sound, sound]) == []
 
 
+def test_the_chassis_may_be_told_of_beside_two_of_the_rig(sound: Recording) -> None:
+    """The handout asks for both; it judges no model of theirs."""
+    chassis = changed(sound, experiment="greybox-chassis")
+
+    assert all_doubts([sound, sound, chassis]) == []
+
+
 def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
     """Another rig, another calibration, a step to validate on, the chassis against the rig."""
     other_rig = changed(sound, rig="2")
