@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -19,7 +19,7 @@ from armrig_core.printable import printable
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
-from armrig_daemon.config import MEND, Config, Device
+from armrig_daemon.config import MEND, Config, ConfigError, Device
 
 # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
 _FOR_EMULATED: dict[str, dict[str, Any]] = {
@@ -60,21 +60,25 @@ def run(
     from armrig_daemon.loop.realtime import end_with_parent
     from armrig_daemon.service.emulated_rig import EmulatorError, emulated
     from armrig_daemon.service.service import Service
+    from armrig_daemon.service.systemd import Notifier
 
     if parent is not None:  # of `armrig lab`, which may be killed and cannot tell us then
         end_with_parent(parent)
-    loaded = _configured(config, port, rig, _FOR_EMULATED if emulate else {}, system=system)
+    notifier = Notifier(os.environ)
+    load = _configuration(config, port, rig, _FOR_EMULATED if emulate else {}, system=system)
     try:
+        loaded = load()
         directory = configuration.recordings(loaded)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
     except ValueError as err:
         _refuse(str(err), MEND)
     os.umask(0o027)  # the group may read a recording, and nobody but us change it
+    of_systemd = notifier, load if notifier.is_asked else None
     if not emulate:
-        raise typer.Exit(Service(loaded, where, directory).run())
+        raise typer.Exit(Service(loaded, where, directory, None, *of_systemd).run())
     try:
         with emulated(loaded, _socket_directory()) as (device, stalls_fd):
-            raise typer.Exit(Service(device, where, directory, stalls_fd).run())
+            raise typer.Exit(Service(device, where, directory, stalls_fd, *of_systemd).run())
     except EmulatorError as err:
         _refuse(str(err))
 
@@ -104,9 +108,11 @@ def estop(
 
     if after_failure and not _has_failed(os.environ):
         return
-    device = _configured(config, port, rig, {}, system=system).device
     try:
+        device = _configuration(config, port, rig, {}, system=system)().device
         stopped = send_estop(device.port, device.baud)
+    except ConfigError as err:
+        _refuse(f"estop: nothing sent: {err}", MEND)
     except TakenPortError as err:
         _refuse(f"estop: nothing sent: {err}; a daemon that runs is stopped by `armrig stop`")
     except LinkError as err:
@@ -125,15 +131,15 @@ def _has_failed(environ: Mapping[str, str]) -> bool:
     return ended[0] != "success" and ended != ("exit-code", str(MEND))
 
 
-def _configured(
+def _configuration(
     config: Path | None,
     port: str | None,
     rig: str | None,
     below: Mapping[str, Mapping[str, Any]],
     *,
     system: bool,
-) -> Config:
-    """Return the configuration of a file, or of those installed, under the command line."""
+) -> Callable[[], Config]:
+    """Return what reads the configuration, of a file or of those installed, under these options."""
     from armrig_daemon.config import load, load_installed
 
     overrides: dict[str, dict[str, Any]] = {}
@@ -141,12 +147,9 @@ def _configured(
         overrides["device"] = {"port": port}
     if rig is not None:
         overrides["rig"] = {"id": rig}
-    try:
-        if config is None:
-            return load_installed(os.environ, overrides, system=system, below=below)
-        return load([config], os.environ, overrides, below=below)
-    except ValueError as err:
-        _refuse(str(err), MEND)
+    if config is None:
+        return partial(load_installed, os.environ, overrides, system=system, below=below)
+    return partial(load, [config], os.environ, overrides, below=below)
 
 
 @app.command()
@@ -218,8 +221,8 @@ def virtual(
         requests_of,
     )
 
-    loaded = _configured(config, None, None, _FOR_EMULATED, system=False)
     try:
+        loaded = _configuration(config, None, None, _FOR_EMULATED, system=False)()
         service = VirtualService(loaded, directory.absolute(), seed=seed)
         for request in requests_of(sys.stdin.buffer.read()):
             typer.echo(service.record(request))
@@ -263,7 +266,10 @@ def _socket_directory() -> Path:
 
 
 def _refuse(message: str, code: int = 1) -> NoReturn:
-    typer.echo(printable(f"armrigd: {message}", keep="\n"), err=True)
+    from armrig_daemon.service.sentences import log_prefix
+
+    text = f"{log_prefix('error') or 'armrigd: '}{message}"
+    typer.echo(printable(text, keep="\n"), err=True)
     raise typer.Exit(code)
 
 

@@ -137,10 +137,10 @@ class Bench:
             f"[emulator]\nbaud = {baud}\n{more}\n"
         )
 
-    def start(self, *arguments: str) -> Process:
-        """Start a program of ours."""
+    def start(self, *arguments: str, env: dict[str, str] | None = None) -> Process:
+        """Start a program of ours, with more in its environment."""
         log = self.folder / f"log{len(self.processes)}"
-        env = {"XDG_RUNTIME_DIR": str(self.folder)}
+        env = {"XDG_RUNTIME_DIR": str(self.folder), **(env or {})}
         process = Process(log, *arguments, env=env, forks=self.forks)
         self.processes.append(process)
         return process
@@ -175,9 +175,9 @@ class Bench:
         wait_for(self.port.exists)
         return emulator
 
-    def serve(self) -> Process:
+    def serve(self, env: dict[str, str] | None = None) -> Process:
         """Start the daemon and wait until it samples."""
-        daemon = self.start("armrig_daemon", "run", "--config", str(self.config))
+        daemon = self.start("armrig_daemon", "run", "--config", str(self.config), env=env)
         wait_for(lambda: self.phase() == "safe" or daemon.popen.poll() is not None)
         assert daemon.popen.poll() is None, daemon.said
         return daemon

@@ -96,6 +96,11 @@ class Commands:
         """How many orders more may wait for the loop's answer."""
         return max(0, _MOST_UNANSWERED - len(self._waiting))
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the loop has still to answer a command."""
+        return bool(self._waiting)
+
     def serve_signs(self) -> None:
         """Take the signs of the run's client, each as of the time when it came."""
         for command in self._session.waiting(Kind.SIGN):

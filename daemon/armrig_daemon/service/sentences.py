@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 
 from armrig_core.printable import printable
 
 from armrig_daemon.config import Config
+from armrig_daemon.pipe import State
+from armrig_daemon.service.systemd import journal_prefix
 
 
-def served(config: Config) -> str:
+def served(config: Config, ended_by: str = "Ctrl-C") -> str:
     """Return what is served, and how it is asked and ended."""
     limits = config.limits
     rig = "" if config.rig.id == "1" else f" --rig {config.rig.id}"
     return (
         f"port {config.device.port} at {config.device.baud} baud, {limits.u_min_v:g} to "
-        f"{limits.u_max_v:g} V; ask it with `armrig status{rig}`, end it with Ctrl-C"
+        f"{limits.u_max_v:g} V; ask it with `armrig status{rig}`, end it with {ended_by}"
     )
 
 
@@ -27,7 +30,28 @@ def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
     return f"{endpoint}: {str(err).splitlines()[0][:200]}; see that the directory can be written"
 
 
-def print_line(line: str) -> None:
-    """Say a line on standard error; that nobody reads it must not end the service."""
+def state_sentence(state: State, line: str) -> str:
+    """Return how the rig is, in a line; `line` tells why no device answers, if none does."""
+    if state.reason:
+        return printable(f"{state.phase}: {state.reason}; {state.remedy}, then `armrig reset`")
+    if line:
+        return printable(f"not ready: {line}")
+    who = f"{state.owner} has it" if state.owner else "nobody has it"
+    return printable(f"{state.phase}, {who}")
+
+
+def log_prefix(level: str) -> str | None:
+    """Return what stands before a line where the journal reads it; None where it does not."""
+    stream = os.environ.get("JOURNAL_STREAM", "")
+    return journal_prefix(level, os.fstat(2), stream) if stream else None
+
+
+def print_line(level: str, message: str) -> None:
+    """Say a line on standard error; that nobody reads it must not end the service.
+
+    To a terminal with who says it, to the journal, which knows that, with its priority.
+    """
     with contextlib.suppress(OSError):
+        prefix = log_prefix(level)
+        line = f"armrigd: {level}: {message}" if prefix is None else f"{prefix}{message}"
         print(printable(line), file=sys.stderr, flush=True)

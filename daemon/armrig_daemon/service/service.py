@@ -13,7 +13,7 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import zenoh
@@ -48,9 +48,12 @@ from armrig_daemon.service.publish import Session
 from armrig_daemon.service.recorder import RecordingError
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
-from armrig_daemon.service.sentences import endpoint_error, print_line, served
+from armrig_daemon.service.sentences import endpoint_error, print_line, served, state_sentence
+from armrig_daemon.service.systemd import Notifier
 from armrig_daemon.service.thinning import Thinning
 
+AGAIN = 75
+"""Exit code of a service that wants to be started anew, as it was (sysexits.h)."""
 SILENCE_NS = 3_000_000_000
 """How long the loop drives the motor on without hearing from us, in ns."""
 _FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
@@ -64,7 +67,13 @@ class Service:
     """One rig's service; `run` returns the exit code."""
 
     def __init__(
-        self, config: Config, endpoint: str, directory: Path, stalls_fd: int | None = None
+        self,
+        config: Config,
+        endpoint: str,
+        directory: Path,
+        stalls_fd: int | None = None,
+        notifier: Notifier | None = None,
+        check_configuration: Callable[[], object] | None = None,
     ) -> None:
         """Take the signals; nothing is started yet.
 
@@ -72,7 +81,15 @@ class Service:
         ----------
         stalls_fd : int, optional
             Where an emulator tells for how many ns the clock of its device stood still.
+        notifier : Notifier, optional
+            The way to systemd; none is that to nobody.
+        check_configuration : callable, optional
+            Raises ValueError where the configuration, read anew, is refused; with it SIGHUP asks
+            for that, and ends a service without it.
         """
+        self._notifier = Notifier({}) if notifier is None else notifier
+        self._check_configuration = check_configuration
+        self._begins_anew = False
         self._config = config
         self._stalls_fd = stalls_fd
         self._endpoint = endpoint
@@ -109,13 +126,15 @@ class Service:
             with Session(self._endpoint, config.rig.id, self._wake) as session:
                 self._connect(loop, session)
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
-                self._say("info", served(config))
+                by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
+                self._say("info", served(config, by))
                 self._left_over.start()
                 self._serve()
+                self._notifier.stopping()  # the writer may need its time; nobody feeds any more
                 self._runs.end("the loop ended")
                 self._say_finished(_FINISH_S)
         except zenoh.ZError as err:
-            print_line(f"armrigd: {endpoint_error(self._endpoint, config.rig.id, err)}")
+            print_line("error", endpoint_error(self._endpoint, config.rig.id, err))
             return MEND
         finally:
             code = loop.end()
@@ -124,9 +143,12 @@ class Service:
             return MEND
         if not self._quitting:
             print_line(
-                f"armrigd: the loop died with code {code}: the device stops the motor by itself; "
-                "start armrigd anew"
+                "error",
+                f"the loop died with code {code}: the device stops the motor by itself; "
+                "start armrigd anew",
             )
+        if code == 0 and self._begins_anew:
+            return AGAIN
         return 0 if self._quitting and code == 0 else 1
 
     def _connect(self, loop: child.LoopChild, session: Session) -> None:
@@ -194,6 +216,7 @@ class Service:
                 case Answer():
                     self._commands.answer(record)
                 case Host():
+                    self._notifier.ready()
                     self._rig.note_host(record)
                     for what in record.granted["refused"]:
                         self._say("warning", f"not granted: {what}; timing is less exact")
@@ -203,6 +226,7 @@ class Service:
                     if self._thinning.lets_through(record):
                         batch += self._published([record])
                 case Timing():
+                    self._notifier.progress()
                     batch += self._published([self._rig.note_timing(record)])
                 case State():
                     if not record.owner:
@@ -220,8 +244,9 @@ class Service:
     def _publish(self, record: Gap | Log | Timing | Clock | State) -> Outgoing:
         if isinstance(record, State):
             self._rig.note_state(record)
+            self._notifier.status(state_sentence(record, self._rig.line))
         if isinstance(record, Log) and record.level != "debug":
-            print_line(f"armrigd: {record.level}: {record.message}")
+            print_line(record.level, record.message)
         message = outgoing(record, self._offset_ns)
         self._session.put(message.stream, message.data)
         return message
@@ -260,15 +285,16 @@ class Service:
 
     def _woken(self) -> None:
         """Take what the writer's thread and the signals left."""
-        signals = False
+        signals: set[int] = set()
         with contextlib.suppress(BlockingIOError):
-            signals = any(os.read(self._wake_fd, _READ))  # their numbers; a 0 is our own
+            signals = {*os.read(self._wake_fd, _READ)} - {0}  # their numbers; a 0 is our own
         # Behind the read, which may have taken the sign of who has just come, and before the look.
         self._is_woken = False
+        if signal.SIGHUP in signals and self._check_configuration is not None:
+            signals -= {signal.SIGHUP}
+            self._begin_anew(self._check_configuration)
         if signals:
-            self._quitting = True
-            self._kill_at = min(self._kill_at, time.monotonic() + _QUIT_S)
-            self._loop.order(Quit(reason="the service was told to end"))
+            self._quit("the service was told to end")
         reason = self._runs.disturbed()
         if reason:
             self._loop.order(Halt(reason=reason))
@@ -278,6 +304,30 @@ class Service:
             self._say("error", unrecorded)
         for level, text in self._left_over.lines():
             self._say(level, text)
+
+    def _begin_anew(self, check_configuration: Callable[[], object]) -> None:
+        """End, to be started with the configuration as it is now; refused while it would disturb.
+
+        Another process reads it, not this one, which has given up the priority that a loop needs.
+        """
+        owner = self._rig.state.owner
+        if owner or not self._runs.is_idle or self._commands.is_waiting:
+            who = f"{owner} has the rig" if owner else "a run or a command is in hand"
+            self._say("warning", f"configuration not read anew: {who}; reload when it is free")
+            return
+        try:
+            check_configuration()
+        except ValueError as err:
+            self._say("error", f"configuration not read anew, the one in force stays: {err}")
+            return
+        self._begins_anew = True
+        self._quit("the configuration is read anew")
+
+    def _quit(self, reason: str) -> None:
+        self._quitting = True
+        self._notifier.stopping()
+        self._kill_at = min(self._kill_at, time.monotonic() + _QUIT_S)
+        self._loop.order(Quit(reason=reason))
 
     def _each_second(self) -> None:
         self._loop.order(Alive())

@@ -1,0 +1,80 @@
+"""What systemd is told of the service, by its own protocol: datagrams of lines.
+
+References
+----------
+.. [1] Linux man-pages of systemd, sd_notify(3), section "Description"; systemd.exec(5), under
+   "$JOURNAL_STREAM"; sd-daemon(3), the prefixes of priorities.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import MutableMapping
+
+_VARIABLE = "NOTIFY_SOCKET"
+_PRIORITIES = {"error": "<3>", "warning": "<4>", "info": "<6>", "debug": "<7>"}
+
+
+class Notifier:
+    """The way to systemd, or to nobody where no systemd has started us.
+
+    `is_asked` tells whether there is one.
+    """
+
+    def __init__(self, environ: MutableMapping[str, str]) -> None:
+        """Take the address from the environment: what we start shall not speak for us."""
+        address = environ.pop(_VARIABLE, "")
+        self.is_asked = bool(address)
+        # A name that begins with @ is one of the kernel's own space, which begins with a 0.
+        self._address = f"\0{address[1:]}" if address.startswith("@") else address
+        self._status = ""
+        self._socket: socket.socket | None = None
+        if address:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket.setblocking(False)
+
+    def ready(self) -> None:
+        """Tell that the service answers."""
+        self._send("READY=1")
+
+    def status(self, line: str) -> None:
+        """Tell how the service is, where that is news; for `systemctl status`."""
+        if line != self._status:
+            self._status = line
+            self._send(f"STATUS={line}")
+
+    def progress(self) -> None:
+        """Tell that the loop has come on: systemd ends a service of which it hears this too late.
+
+        To be called for what the loop has said, and never by a timer, which would speak for a loop
+        that hangs.
+        """
+        self._send("WATCHDOG=1")
+
+    def stopping(self) -> None:
+        """Tell that the service ends."""
+        self._send("STOPPING=1")
+
+    def _send(self, line: str) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):  # it must not end the service that nobody hears it
+                self._socket.sendto(line.encode(), self._address)
+
+
+def journal_prefix(level: str, stderr: os.stat_result, stream: str) -> str | None:
+    """Return the priority of a line as the journal reads it; None where it does not read us.
+
+    Parameters
+    ----------
+    level : str
+        Of a line of the log.
+    stderr : os.stat_result
+        Of standard error, as by fstat.
+    stream : str
+        $JOURNAL_STREAM: device and inode of what the journal reads.
+    """
+    if stream != f"{stderr.st_dev}:{stderr.st_ino}":
+        return None
+    return _PRIORITIES.get(level, "<5>")

@@ -1,0 +1,153 @@
+"""What a daemon tells systemd, and how it takes what systemd asks; a test in systemd's place."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from armrig_daemon.config import MEND
+from armrig_daemon.service.service import AGAIN
+from driving import outcome, recorded
+from processes import WITHIN_S, Bench, Process, wait_for
+
+
+class Systemd:
+    """The socket at which a service tells how it is."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self._socket.settimeout(WITHIN_S)
+        self.told: list[str] = []
+
+    @property
+    def env(self) -> dict[str, str]:
+        """What systemd sets for a service."""
+        return {"NOTIFY_SOCKET": str(self._path)}
+
+    def hear(self) -> str:
+        """Return the next that is told."""
+        self.told.append(self._socket.recv(4096).decode())
+        return self.told[-1]
+
+    def hear_until(self, line: str) -> list[str]:
+        """Return what is told up to this line."""
+        before = len(self.told)
+        while self.hear() != line:
+            pass
+        return self.told[before:]
+
+    def heard_within(self, seconds: float) -> list[str]:
+        """Return all that is told in so long."""
+        before, until = len(self.told), time.monotonic() + seconds
+        while (left := until - time.monotonic()) > 0:
+            if select.select([self._socket], [], [], left)[0]:
+                self.hear()
+        return self.told[before:]
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._socket.close()
+
+
+@pytest.fixture
+def systemd(tmp_path: Path) -> Iterator[Systemd]:
+    """Give a socket in systemd's place."""
+    systemd = Systemd(tmp_path / "notify")
+    yield systemd
+    systemd.close()
+
+
+@pytest.fixture
+def daemon(bench: Bench, systemd: Systemd) -> Process:
+    """Give a daemon of a rig that samples, started as systemd would."""
+    bench.emulate()
+    return bench.serve(systemd.env)
+
+
+def test_a_service_tells_how_it_is_from_its_start_to_its_end(
+    bench: Bench, systemd: Systemd, daemon: Process
+) -> None:
+    """Ready once it answers; what `systemctl status` shows; that it ends, before it has ended."""
+    systemd.hear_until("READY=1")
+    systemd.hear_until("STATUS=safe, nobody has it")
+    with bench.rig() as rig:
+        rig.arm("group 3")
+        systemd.hear_until("STATUS=armed, group 3 has it")
+
+    daemon.kill(signal.SIGTERM)
+
+    systemd.hear_until("STOPPING=1")
+    assert daemon.popen.wait(WITHIN_S) == 0
+
+
+def test_a_loop_that_hangs_is_told_by_silence(
+    bench: Bench, systemd: Systemd, daemon: Process
+) -> None:
+    """It comes on once a second; the service, which is well, does not speak for it."""
+    for _ in range(3):
+        systemd.hear_until("WATCHDOG=1")
+    loop = bench.loop_pid(daemon)
+
+    os.kill(loop, signal.SIGSTOP)
+    try:
+        systemd.heard_within(1.0)  # what it said before
+        assert systemd.heard_within(3.0) == []
+        assert daemon.popen.poll() is None
+    finally:
+        os.kill(loop, signal.SIGCONT)
+    systemd.hear_until("WATCHDOG=1")
+
+
+def test_a_reload_is_refused_while_somebody_has_the_rig(bench: Bench, daemon: Process) -> None:
+    """The run goes on to its end, and the configuration in force stays."""
+    with bench.rig() as rig:
+        rig.arm("group 3", Ts=0.01)
+        daemon.kill(signal.SIGHUP)
+        path = rig.run([1.0] * 100)
+
+    assert outcome(recorded(bench)) == "complete"
+    assert path.exists()
+    assert "configuration not read anew: group 3 has the rig; reload when" in daemon.said
+    assert daemon.popen.poll() is None
+
+
+def test_a_reload_that_brings_a_bad_configuration_is_refused(bench: Bench, daemon: Process) -> None:
+    """What is wrong is told, and the rig is served as before."""
+    bench.configure(more="[limits]\nu_max_v = 6")
+
+    daemon.kill(signal.SIGHUP)
+
+    wait_for(lambda: "limits.u_max_v = 6: expected `float` <= 5.0" in daemon.said)
+    assert bench.phase() == "safe"
+
+
+def test_a_reload_of_a_free_rig_ends_the_daemon_to_be_started_again(
+    bench: Bench, daemon: Process
+) -> None:
+    """By an exit code of its own, at which systemd starts it with the priority of a loop."""
+    bench.configure(more="[limits]\nu_max_v = 4")
+
+    daemon.kill(signal.SIGHUP)
+
+    assert daemon.popen.wait(WITHIN_S) == AGAIN
+    bench.serve()
+    with bench.rig() as rig:
+        assert rig.status().u_max == 4
+
+
+def test_a_service_that_cannot_begin_is_never_ready(bench: Bench, systemd: Systemd) -> None:
+    """Its port is no serial port: systemd is to say that the start failed."""
+    bench.port.write_text("")
+
+    daemon = bench.start(*("armrig_daemon", "run", "--config", str(bench.config)), env=systemd.env)
+
+    assert daemon.popen.wait(WITHIN_S) == MEND
+    assert "READY=1" not in systemd.heard_within(0.1)
