@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
 import signal
 import time
+from pathlib import Path
 from typing import Any
 
 _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
@@ -31,6 +33,8 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
     fifo = _set_fifo(priority)
     if priority and not fifo:
         refused.append("SCHED_FIFO (set LimitRTPRIO= or run under systemd's unit)")
+    elif fifo != priority:
+        refused.append(f"priority {priority} (it is {fifo}; set LimitRTPRIO={priority})")
     locked = _libc.mlockall(_MCL_CURRENT_AND_FUTURE) == 0
     if not locked:
         refused.append("mlockall (set LimitMEMLOCK=infinity)")
@@ -44,7 +48,7 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
     gc.freeze()
     gc.disable()  # nothing here makes cycles; a collection costs milliseconds
     return {
-        "fifo": priority if fifo else 0,
+        "fifo": fifo,
         "mlockall": locked,
         "cpu": cpu,
         "awake": awake,
@@ -52,14 +56,27 @@ def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
     }
 
 
-def _set_fifo(priority: int) -> bool:
+def _set_fifo(priority: int) -> int:
+    """Return the priority at SCHED_FIFO that this process now has; 0 is the ordinary policy."""
     if not priority:
-        return False
+        leave_fifo()
+        return _fifo_priority()
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        if _fifo_priority():
+            # systemd has given it. A sandbox with RestrictRealtime= then refuses to ask for the
+            # policy again, but not for another priority of it.
+            os.sched_setparam(0, os.sched_param(priority))
+        else:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:
-        return False
-    return True
+        return _fifo_priority()
+    return priority
+
+
+def _fifo_priority() -> int:
+    """Return the priority at SCHED_FIFO that this process has; 0 where it has another policy."""
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    return os.sched_getparam(0).sched_priority if policy == os.SCHED_FIFO else 0
 
 
 _awake: list[int] = []  # the descriptor must stay open for as long as the wish shall hold
@@ -86,10 +103,20 @@ def _pin(cpu: int | None) -> bool:
     return True
 
 
-def leave_fifo() -> None:
-    """Go back to the ordinary policy, which children and threads inherit from here on."""
-    if os.sched_getscheduler(0) != os.SCHED_OTHER:
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+def leave_fifo() -> bool:
+    """Go back to the ordinary policy, which children and threads inherit from here on.
+
+    Returns
+    -------
+    bool
+        Whether no thread of this process is at SCHED_FIFO any more: a filter of system calls
+        without sched_setscheduler keeps them there.
+    """
+    for thread in Path("/proc/self/task").iterdir():  # such as those of numpy's libraries
+        with contextlib.suppress(OSError):
+            if os.sched_getscheduler(int(thread.name)) != os.SCHED_OTHER:
+                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
+    return not _fifo_priority()
 
 
 def end_with_parent(parent: int | None = None) -> None:

@@ -58,6 +58,7 @@ SILENCE_NS = 3_000_000_000
 """How long the loop drives the motor on without hearing from us, in ns."""
 _FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
 _QUIT_S = 2.0  # a loop that is frozen is not waited for any longer
+_AT_FIFO = "not granted: the ordinary policy for the service, whose threads may delay the loop"
 _READ = 1 << 16
 _BREATH_S = 0.005  # between two looks at a loop that has so many to answer
 _SWITCH_S = 0.0005  # zenoh's threads hold the interpreter for at most so long at a time
@@ -121,10 +122,12 @@ class Service:
         )
         try:
             # The loop has its priority; whatever starts from here on must not take it.
-            realtime.leave_fifo()
+            has_left = realtime.leave_fifo()
             sys.setswitchinterval(_SWITCH_S)
             with Session(self._endpoint, config.rig.id, self._wake) as session:
                 self._connect(loop, session)
+                if not has_left:
+                    self._say("warning", _AT_FIFO)
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
                 by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
                 self._say("info", served(config, by))

@@ -1,0 +1,100 @@
+"""What the kernel gives a loop, asked in processes of their own; and what a sandbox refuses."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+_FILTER = """
+import ctypes, struct
+def refuse(*numbers):
+    "Have these system calls fail with EPERM, as systemd's filters do."
+    libc = ctypes.CDLL(None, use_errno=True)
+    code = struct.pack("HBBI", 0x20, 0, 0, 0)
+    for i, number in enumerate(numbers):
+        code += struct.pack("HBBI", 0x15, len(numbers) - i, 0, number)
+    code += struct.pack("HBBI", 0x06, 0, 0, 0x7FFF0000) + struct.pack("HBBI", 0x06, 0, 0, 0x50001)
+    text = ctypes.create_string_buffer(code)
+    class Program(ctypes.Structure):
+        _fields_ = [("n", ctypes.c_ushort), ("code", ctypes.c_void_p)]
+    program = Program(len(code) // 8, ctypes.addressof(text))
+    assert libc.prctl(38, 1, 0, 0, 0) == 0
+    assert libc.prctl(22, 2, ctypes.byref(program), 0, 0) == 0, ctypes.get_errno()
+"""
+_SETPARAM, _SETSCHEDULER = 142, 144  # of x86-64
+
+
+def _granted() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        return False
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return True
+
+
+pytestmark = [
+    pytest.mark.skipif(not _granted(), reason="SCHED_FIFO is not granted to this user"),
+    pytest.mark.skipif(os.uname().machine != "x86_64", reason="the filter's numbers are x86-64's"),
+]
+
+
+def _run(program: str) -> str:
+    """Return what a program prints that begins at SCHED_FIFO 1, as systemd's unit has it."""
+    begin = "import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))\n"
+    program = f"{begin}from armrig_daemon.loop import realtime\n{_FILTER}{program}"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+_LOOP = """
+given = realtime.prepare(80, None)
+print(given["fifo"], os.sched_getscheduler(0) == os.SCHED_FIFO, os.sched_getparam(0).sched_priority)
+print([line for line in given["refused"] if "priority" in line or "FIFO" in line])
+"""
+
+
+def test_a_policy_that_systemd_has_given_is_kept_and_known() -> None:
+    """RestrictRealtime= refuses to ask for it; its priority is the configuration's."""
+    assert _run(f"refuse({_SETSCHEDULER}){_LOOP}") == "80 True 80\n[]"
+
+
+def test_a_priority_that_cannot_be_changed_is_told_as_it_is() -> None:
+    """It is at SCHED_FIFO all the same, and spins."""
+    said = _run(f"refuse({_SETSCHEDULER}, {_SETPARAM}){_LOOP}")
+
+    assert said == "1 True 1\n['priority 80 (it is 1; set LimitRTPRIO=80)']"
+
+
+def test_a_priority_of_0_gives_the_policy_back() -> None:
+    """`[timing] priority = 0` leaves the loop to the ordinary policy, whatever the unit says."""
+    assert _run('print(realtime.prepare(0, None)["fifo"], os.sched_getscheduler(0))') == "0 0"
+
+
+def test_all_threads_of_the_service_leave_the_policy() -> None:
+    """Those of numpy's libraries begin before, and would spin at the loop's priority."""
+    threads = """
+import threading
+ends = threading.Event()
+thread = threading.Thread(target=ends.wait)
+thread.start()
+print(realtime.leave_fifo(), os.sched_getscheduler(0), os.sched_getscheduler(thread.native_id))
+ends.set()
+"""
+    assert _run(threads) == "True 0 0"
+
+
+def test_a_service_that_may_not_leave_the_policy_goes_on() -> None:
+    """A filter without sched_setscheduler; it is told, and kills nobody."""
+    assert _run(f"refuse({_SETSCHEDULER})\nprint(realtime.leave_fifo())") == "False"
