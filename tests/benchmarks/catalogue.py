@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import resource
 import subprocess
 import sys
 import tempfile
@@ -45,11 +46,16 @@ def make(folder: Path, files: int) -> int:
     return len(data)
 
 
-def timed(command: list[str], environ: dict[str, str]) -> tuple[float, str]:
-    """Run a command; return how long it took in s, and what it printed."""
-    begin = time.perf_counter()
+def timed(command: list[str], environ: dict[str, str]) -> tuple[float, float, str]:
+    """Run a command; return how long it took in s, its processor time, and what it printed."""
+    begin, before = time.perf_counter(), _processor_s()
     done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
-    return time.perf_counter() - begin, done.stdout
+    return time.perf_counter() - begin, _processor_s() - before, done.stdout
+
+
+def _processor_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def main() -> None:
@@ -81,14 +87,15 @@ def main() -> None:
                     os.sync()
                     Path("/proc/sys/vm/drop_caches").write_text("3")
                 for heat in ("cold", "warm"):
-                    seconds, told = timed(command, environ)
+                    seconds, processor_s, told = timed(command, environ)
                     took.setdefault(f"{name}, {heat}", []).append(seconds)
+                    took.setdefault(f"  {name}, {heat}, of the processor", []).append(processor_s)
                     if command is program:
                         inside, count = told.split()
                         assert int(count) == given.files
                         took.setdefault(f"  of it the call, {heat}", []).append(float(inside))
         for name, all_s in took.items():
-            print(f"{name:28} median {median(all_s):6.2f} s, longest {max(all_s):6.2f} s")
+            print(f"{name:42} median {median(all_s):6.2f} s, longest {max(all_s):6.2f} s")
         (index,) = cache.rglob("*.json")
         print(f"the index has {index.stat().st_size / 1e6:.1f} MB")
 

@@ -80,7 +80,7 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
     if text == f"@{LAST}":
         for newest in summaries(paths):
             return newest
-    found = preferred(matching(text, paths))
+    found = matching(text, paths)
     if not found:
         raise NoSuchRecordingError(_none(text, folder))
     if len(found) > 1:
@@ -97,32 +97,33 @@ def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
 
     Who repeats a run that ended early gives the same command once more.
     """
-    complete = [s for s in found if s.outcome.outcome == COMPLETE]
+    complete = [s for s in found if s.outcome == COMPLETE]
     return complete or found
 
 
-def matching(text: str, paths: Sequence[Path]) -> list[RecordingSummary]:
-    """Return the whole recordings of these files that answer to `@NAME` or `@NAME/validation`."""
+def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
+    """Return the whole recordings of these files that `@NAME` or `@NAME/validation` may mean."""
     from armrig.recordings.folder import may_answer_to, summaries
 
     validation = text.endswith(VALIDATION)
     name = text.removeprefix("@").removesuffix(VALIDATION)
     possible = [path for path in paths if may_answer_to(path, name, validation=validation)]
-    return [s for s in summaries(possible) if name in s.names(validation=validation)]
+    return preferred([s for s in summaries(possible) if name in s.names(validation=validation)])
 
 
 Answering = Callable[[str], Sequence["RecordingSummary"]]
-"""Recordings that answer to `@NAME` or `@NAME/validation`."""
+"""Recordings that may be meant by `@NAME` or `@NAME/validation`."""
 
 
 def answering_among(known: Iterable[RecordingSummary]) -> Answering:
-    """Return which of these recordings answer to a name, looked up and not sought in each."""
+    """Return which of these recordings may be meant by a name, looked up and not sought in each."""
     by_name: dict[str, list[RecordingSummary]] = {}
     for summary in known:
         for validation, behind in ((False, ""), (True, VALIDATION)):
             for name in summary.names(validation=validation):
                 by_name.setdefault(f"@{name}{behind}", []).append(summary)
-    return lambda name: by_name.get(name, [])
+    meant = {name: preferred(found) for name, found in by_name.items()}
+    return lambda name: meant.get(name, [])
 
 
 def short_name(summary: RecordingSummary, answering: Answering) -> str:
@@ -133,7 +134,8 @@ def short_name(summary: RecordingSummary, answering: Answering) -> str:
     elif summary.name:
         names.insert(0, f"@{summary.name}")
     for name in names:
-        if [s.path for s in preferred(answering(name))] == [summary.path]:
+        found = answering(name)
+        if len(found) == 1 and found[0].path == summary.path:
             return name
     return str(summary.path)
 
