@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording, RecordingError
     from armrig.recordings.usability import data_verdict
     from armrig.rig.client import Rig
+    from armrig.rig.live_gaps import LiveGap
     from armrig.rig.session import RigError
     from armrig.rig.telemetry_stream import stream
     from armrig.validation.advice.advice import advice
@@ -90,6 +91,7 @@ __all__ = [
     "Dataset",
     "Fit",
     "GreyFit",
+    "LiveGap",
     "ModelFileError",
     "PlannedModel",
     "RarxState",
@@ -232,6 +234,7 @@ _MODULES = {
     "recordings.loading": ("load",),
     "recordings.recording": ("Recording", "RecordingError"),
     "rig.client": ("Rig",),
+    "rig.live_gaps": ("LiveGap",),
     "rig.session": ("RigError",),
     "physics.physical_model": ("physical_model",),
     "rig.telemetry_stream": ("stream",),

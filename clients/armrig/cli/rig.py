@@ -70,15 +70,20 @@ def watch(
     count: Annotated[int | None, typer.Option("--count", min=1, help="End after so many.")] = None,
     json: Json = False,
 ) -> None:
-    """Show the live samples until Ctrl-C."""
+    """Show the live samples until Ctrl-C, and where some are missing.
+
+    With --json a line has the fields of a sample, or of a gap: k_first, count, reason and more.
+    """
     from itertools import islice
+
+    from armrig.rig.live_gaps import LiveGap
 
     with _opened(rig, connect) as opened:
         samples = islice(opened.stream("sample"), count)
         with suppress(KeyboardInterrupt):  # Ctrl-C is the way to end it
             if json:
                 for sample in samples:
-                    print_json(sample._asdict())
+                    print_json(sample if isinstance(sample, LiveGap) else sample._asdict())
             elif sys.stdout.isatty():
                 _watch(samples)
             else:
@@ -151,6 +156,10 @@ def _watch_in_lines(samples: Any) -> None:
 def _sample_line(sample: Any) -> str:
     from math import degrees
 
+    from armrig.rig.live_gaps import LiveGap
+
+    if isinstance(sample, LiveGap):
+        return f"{sample.k_first:>10} {sample.count} missing: {sample.reason}"
     late = (sample.t_host_ns - sample.t_sched_ns) / 1e3
     return (
         f"{sample.k:>10} {sample.u_applied_v:>8.3f} {degrees(sample.theta_1_rad):>12.2f} "

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import zenoh
 from armrig_core import protobuf, telemetry, topics
 from google.protobuf.message import DecodeError
 
+from armrig.rig.live_gaps import gaps_between
 from armrig.rig.session import NoReplyError, RigError, open_session
 
 SILENCE_S = 1.0
@@ -23,7 +24,9 @@ _RING = 10_000  # samples that a slow listener may be behind before it misses so
 def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
     """Iterate over the live messages of a key such as `rig/1/sample`.
 
-    A listener that falls behind misses the oldest ones: a break in `k` shows it.
+    A stream of samples has no silent break: where some are missing, a `LiveGap` stands in their
+    place, with the reason that the daemon tells, or that this listener fell behind and missed the
+    oldest ones.
 
     Parameters
     ----------
@@ -34,9 +37,9 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
 
     Yields
     ------
-    armrig_core.telemetry.Sample or protobuf message
-        Samples as named tuples whose fields carry their unit (`u_applied_v`, `theta_1_rad`);
-        everything else as `armrig.v1` messages.
+    Sample, LiveGap or protobuf message
+        Samples as named tuples whose fields carry their unit (`u_applied_v`, `theta_1_rad`), and
+        between them gaps; everything else as `armrig.v1` messages.
 
     Raises
     ------
@@ -55,17 +58,41 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
 def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
     """Iterate over the messages of a key in an open session: see `stream`."""
     rig, name = _stream_of(key)
-    # A ring, for a queue that nobody drains would block zenoh's own thread.
-    with (
-        session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber,
-        session.liveliness().declare_subscriber(
-            topics.alive_key(rig), zenoh.handlers.RingChannel(8)
-        ) as alive,
-    ):
+    with arrivals(session, key) as messages_since, _gaps_told(session, rig, name) as gaps_since:
+        before: telemetry.Sample | None = None
+        told: list[Any] = []
+        for messages in _until_gone(session, rig, messages_since):
+            # A gap is published before the sample behind it: if that is here, so is the gap.
+            told += gaps_since()
+            for message in messages:
+                if name == "sample":
+                    if before is not None:
+                        yield from gaps_between(before, message, told)
+                    before = message
+                    told = [gap for gap in told if gap.k_first + gap.count > message.k]
+                yield message
+
+
+def _gaps_told(
+    session: zenoh.Session, rig: str, name: str
+) -> AbstractContextManager[Callable[[], list[Any]]]:
+    """Give what returns the gaps told among the samples since its last call; else nothing."""
+    if name != "sample":
+        return nullcontext(list)
+    return arrivals(session, topics.stream_key(rig, "gap"))
+
+
+def _until_gone(
+    session: zenoh.Session, rig: str, messages_since: Callable[[], list[Any]]
+) -> Iterator[list[Any]]:
+    """Give the messages as they come; raises NoReplyError when their daemon has gone."""
+    with session.liveliness().declare_subscriber(
+        topics.alive_key(rig), zenoh.handlers.RingChannel(8)
+    ) as alive:
         heard_s = time.monotonic()
         while True:
-            while (received := subscriber.try_recv()) is not None:
-                yield _read(rig, name, received.payload.to_bytes())
+            if messages := messages_since():
+                yield messages
                 heard_s = time.monotonic()
             if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
                 raise _gone(rig)
@@ -85,8 +112,8 @@ def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any
     with session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber:
 
         def messages_since() -> list[Any]:
-            messages = []
-            while (received := subscriber.try_recv()) is not None:
+            messages: list[Any] = []
+            while len(messages) < _RING and (received := subscriber.try_recv()) is not None:
                 messages.append(_read(rig, name, received.payload.to_bytes()))
             return messages
 

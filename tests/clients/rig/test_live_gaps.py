@@ -1,0 +1,200 @@
+"""A live stream has no silent break: what is missing stands in it as a value."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from math import isnan
+from typing import Any
+
+import armrig
+import pytest
+from armrig.cli import main
+from armrig.rig import telemetry_stream
+from armrig.rig.live_gaps import MISSED, LiveGap, gaps_between
+from armrig.rig.telemetry_stream import stream
+from armrig_core import telemetry
+from fake_daemon import FakeDaemon
+from hypothesis import given
+from hypothesis import strategies as st
+from made_recordings import gap, sample
+
+spans = st.lists(st.tuples(st.integers(0, 60), st.integers(1, 20)), max_size=8)
+
+
+@given(st.integers(0, 50), st.integers(0, 50), spans)
+def test_what_is_missing_is_told_once_and_in_order(
+    first: int, second: int, told: list[tuple[int, int]]
+) -> None:
+    """Whatever gaps the daemon has told: those between two samples fill the break, no more."""
+    gaps = [gap(k, n, 1.0) for k, n in told]
+
+    found = list(gaps_between(sample(first), sample(second), gaps))
+
+    assert [k for g in found for k in range(g.k_first, g.k_first + g.count)] == list(
+        range(first + 1, second)
+    )
+    for one in found:
+        inside = range(one.k_first, one.k_first + one.count)
+        covered = {k for k in inside if any(a <= k < a + n for a, n in told)}
+        assert covered == (set() if one.published else set(inside))
+        assert isnan(one.u_held_v) == one.published
+
+
+class Published:
+    """Publishes as the daemon does, once somebody listens."""
+
+    def __init__(self, daemon: FakeDaemon) -> None:
+        self.session = daemon.session
+
+    def sample(self, k: int) -> None:
+        """Publish sample k."""
+        self.session.put("rig/1/sample", telemetry.encode_sample(sample(k)))
+
+    def gap(self, k_first: int, count: int) -> None:
+        """Tell a gap."""
+        self.session.put("rig/1/gap", gap(k_first, count, 2.5).SerializeToString())
+
+
+@pytest.fixture
+def listening(daemon: FakeDaemon, where: str) -> Iterator[tuple[Published, Iterator[Any]]]:
+    """Give what publishes, and a stream that has heard sample 0."""
+    out, samples = Published(daemon), stream("rig/1/sample", connect=where)
+    heard = threading.Event()
+
+    def until_heard() -> None:
+        while not heard.wait(0.01):
+            out.sample(0)
+
+    thread = threading.Thread(target=until_heard)
+    thread.start()
+    assert next(samples).k == 0
+    heard.set()
+    thread.join()
+    yield out, (value for value in samples if isinstance(value, LiveGap) or value.k > 0)
+    samples.close()
+
+
+def up_to(samples: Iterator[Any], k: int) -> list[Any]:
+    """Return what a stream gives up to sample k."""
+    values = [next(samples)]
+    while getattr(values[-1], "k", -1) != k:
+        values.append(next(samples))
+    return values
+
+
+def test_a_gap_that_the_daemon_tells_stands_in_its_place(
+    listening: tuple[Published, Iterator[Any]],
+) -> None:
+    """With its reason and the voltage held; before it and behind it are the samples."""
+    out, samples = listening
+    out.sample(1)
+    out.gap(2, 3)
+    out.sample(5)
+    out.sample(6)
+
+    before, missing, *after = up_to(samples, 6)
+
+    assert before == sample(1)
+    assert missing == LiveGap(
+        k_first=2,
+        count=3,
+        t_from_ns=sample(2).t_sched_ns,
+        t_to_ns=sample(5).t_sched_ns,
+        u_held_v=2.5,
+        reason="link silent",
+        published=False,
+    )
+    assert isinstance(missing, armrig.LiveGap)
+    assert after == [sample(5), sample(6)]
+
+
+def test_samples_that_were_dropped_on_the_way_are_told(
+    listening: tuple[Published, Iterator[Any]],
+) -> None:
+    """The daemon knows nothing of them: they are in its recording."""
+    out, samples = listening
+    for k in (1, 2, 6, 7):
+        out.sample(k)
+
+    found = up_to(samples, 7)
+
+    assert [f.k_first if isinstance(f, LiveGap) else f.k for f in found] == [1, 2, 3, 6, 7]
+    assert (found[2].count, found[2].reason, found[2].published) == (3, MISSED, True)
+
+
+def test_a_listener_that_falls_behind_is_told_what_it_missed(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The oldest samples of a full ring: with a real session, and nobody who reads for a while."""
+    monkeypatch.setattr(telemetry_stream, "_RING", 10)
+    out, samples = Published(daemon), stream("rig/1/sample", connect=where)
+    begun = threading.Event()
+
+    def publish() -> None:
+        k = 0
+        while not begun.wait(0.005):
+            out.sample(k)
+            k += 1
+        for later in range(k, k + 1000):
+            out.sample(later)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    first = next(samples)
+    begun.set()
+    thread.join()  # meanwhile nobody reads
+    out.sample(9999)
+    found = [first, *up_to(samples, 9999)]
+    samples.close()
+
+    counted = [
+        k
+        for f in found
+        for k in (range(f.k_first, f.k_first + f.count) if isinstance(f, LiveGap) else [f.k])
+    ]
+    assert counted == list(range(first.k, 10_000))
+    assert {f.reason for f in found if isinstance(f, LiveGap)} == {MISSED}
+
+
+def test_a_daemon_that_counts_anew_misses_nothing(
+    listening: tuple[Published, Iterator[Any]],
+) -> None:
+    """Its k begins again, which is no break."""
+    out, samples = listening
+    for k in (900, 901, 5, 6):
+        out.sample(k)
+
+    found = up_to(samples, 6)
+
+    assert [type(f).__name__ for f in found] == ["LiveGap", *["Sample"] * 4]
+    assert [f.k for f in found[1:]] == [900, 901, 5, 6]
+
+
+def test_watch_shows_a_gap(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line with the reason, and as JSON."""
+    out = Published(daemon)
+    stop = threading.Event()
+
+    def until_stopped() -> None:
+        k = 0
+        while not stop.wait(0.002):
+            out.sample(k)
+            k += 3
+
+    thread = threading.Thread(target=until_stopped)
+    thread.start()
+    try:
+        assert main(["watch", "--connect", where, "--count", "4"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert main(["watch", "--connect", where, "--count", "4", "--json"]) == 0
+        values = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    finally:
+        stop.set()
+        thread.join()
+
+    assert sum(f"2 missing: {MISSED}" in line for line in lines) == 2
+    assert [value["count"] for value in values if "k_first" in value] == [2, 2]
