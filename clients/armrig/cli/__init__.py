@@ -29,6 +29,7 @@ from armrig.cli import (
     listing,
     physical_step,
     physics,
+    pki,
     recording_info,
     recovery,
     reporting,
@@ -57,7 +58,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 # In the order in which `armrig --help` lists them: a rig, its data, and the path of the handout.
-# Each has an example of its arguments.
+# Each has an example of its arguments; one that has others below it, its name.
 for _command, _example in (
     (lab.lab, ""),
     (rig.status, ""),
@@ -65,7 +66,7 @@ for _command, _example in (
     (rig.stop, ""),
     (rig.reset, ""),
     (calibrate.calibrate, ""),
-    (collect.app, ""),
+    (collect.app, "collect"),
     (listing.ls, ""),
     (recording_info.info, "@last"),
     (physical_step.model, "--set J_2=0.005 -o step.png"),
@@ -91,10 +92,11 @@ for _command, _example in (
     (host.demo, "--directory demo"),
     (host.bench, ""),
     (host.doctor, ""),
+    (pki.app, "pki"),
 ):
     if isinstance(_command, typer.Typer):
-        app.add_typer(_command, name="collect", context_settings=_HELP)
-        _ORDER.append("collect")
+        app.add_typer(_command, name=_example, context_settings=_HELP)
+        _ORDER.append(_example)
     else:
         _line = f"Example: armrig {_command.__name__} {_example}".rstrip()
         app.command(epilog=_line, context_settings=_HELP)(_command)

@@ -1,0 +1,295 @@
+"""A small certificate authority: keys and certificates for rigs and those who use them.
+
+Keys on P-256 and signatures by ECDSA with SHA-256, which all that speak TLS 1.3 know. What a
+certificate is for stands in it: a rig's does not pass for an operator's, nor an operator's for a
+rig's, and neither signs others.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from armrig_core.access_list import AccessList, read_access_list
+from armrig_core.credential import check_name
+from armrig_core.topics import check_rig_id
+
+Role = Literal["operators", "observers"]
+RIG_DAYS = 365
+AUTHORITY_DAYS = 3650
+_BEFORE = timedelta(hours=1)  # so much may the clock of another machine be behind
+_KEY, _CERTIFICATE, ACCESS_LIST = "authority.key", "authority.pem", "access.toml"
+_HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
+
+
+class PkiError(ValueError):
+    """What the authority refuses; says what to do."""
+
+
+class Issued(NamedTuple):
+    """A certificate of the authority."""
+
+    name: str
+    role: str
+    """`rig`, or the access list's word."""
+    expires: datetime
+    path: Path
+
+
+def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool = False) -> Path:
+    """Make an authority in `directory`, with an empty access list; return its certificate's path.
+
+    Raises
+    ------
+    PkiError
+        There is one already: whatever it has signed would count no more.
+    """
+    x509, ec, _, hashes = _library()
+    if not force and (directory / _KEY).exists():
+        msg = f"{directory / _KEY}: there is an authority already; --force makes another, and all "
+        msg += "certificates of the first count no more"
+        raise PkiError(msg)
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = _name("armrig authority")
+    certificate = (
+        _builder(name, name, key.public_key(), days)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_key_usage(signs_certificates=True), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    directory.mkdir(mode=0o755, parents=True, exist_ok=True)
+    _write(directory / _KEY, _pem_of_key(key), 0o600)
+    _write(directory / _CERTIFICATE, _pem_of(certificate), 0o644)
+    if not (directory / ACCESS_LIST).exists():
+        _write(directory / ACCESS_LIST, AccessList().toml().encode(), 0o644)
+    return directory / _CERTIFICATE
+
+
+def issue_to_rig(
+    directory: Path, rig: str, hosts: Sequence[str], *, days: int = RIG_DAYS, force: bool = False
+) -> Issued:
+    """Make the credential of a rig's daemon, which clients reach under the names in `hosts`.
+
+    Raises
+    ------
+    PkiError
+        There is no authority, or the rig has a credential already; or a host is no name.
+    """
+    name = f"rig-{check_rig_id(rig)}"
+    if not hosts:
+        msg = f"rig {rig}: name the hosts under which it is reached, such as --host lab-1.local"
+        raise PkiError(msg)
+    return _issue(directory, name, "rig", [_host(host) for host in hosts], days, force=force)
+
+
+def issue_to_person(
+    directory: Path, name: str, role: Role, *, days: int = RIG_DAYS, force: bool = False
+) -> Issued:
+    """Make the credential of an operator or observer, and put the name on the access list.
+
+    Raises
+    ------
+    PkiError
+        There is no authority; the name is not allowed, was revoked, or has a credential already.
+    """
+    people = read_access_list(directory / ACCESS_LIST)
+    if people.role(check_name(name)) == "revoked":
+        msg = f"{name!r} was revoked: the stolen certificate would count again; take another "
+        msg += f"name, such as {name[:38]}-2"
+        raise PkiError(msg)
+    if name.startswith("rig-") or name == "authority":
+        msg = f"{name!r} would be taken for a rig's: take another name"
+        raise PkiError(msg)
+    issued = _issue(directory, name, role, [], days, force=force)
+    _write(directory / ACCESS_LIST, people.with_name(name, role).toml().encode(), 0o644)
+    return issued
+
+
+def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
+    """Give a rig or a person a new key and certificate, with the hosts and the role of the old.
+
+    Raises
+    ------
+    PkiError
+        There is no such credential, or its name was revoked.
+    """
+    x509, *_ = _library()
+    path = directory / f"{check_name(name)}.pem"
+    if not path.exists():
+        msg = f"{path}: there is nothing to renew; `armrig pki list` shows what there is"
+        raise PkiError(msg)
+    role = read_access_list(directory / ACCESS_LIST).role(name)
+    if role in ("operators", "observers"):
+        return issue_to_person(directory, name, role, days=days, force=True)  # type: ignore[arg-type]
+    if role == "revoked" or not name.startswith("rig-"):
+        msg = f"{name!r} was revoked, or is not on the access list: nothing is renewed"
+        raise PkiError(msg)
+    old = _read_certificates(path)[0]
+    hosts = list(old.extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
+    return _issue(directory, name, "rig", hosts, days, force=True)
+
+
+def revoke(directory: Path, name: str) -> None:
+    """Put a name on the list of those who may do nothing any more.
+
+    Raises
+    ------
+    PkiError
+        The name is on no list.
+    """
+    people = read_access_list(directory / ACCESS_LIST)
+    if people.role(check_name(name)) not in ("operators", "observers"):
+        msg = f"{name!r} is neither an operator nor an observer; `armrig pki list` shows who is"
+        raise PkiError(msg)
+    _write(directory / ACCESS_LIST, people.with_name(name, "revoked").toml().encode(), 0o644)
+
+
+def issued(directory: Path) -> list[Issued]:
+    """Return what the authority has issued, as far as it is still in its folder."""
+    people = read_access_list(directory / ACCESS_LIST)
+    found = []
+    for path in sorted(directory.glob("*.pem")):
+        name = path.stem
+        role = "rig" if name.startswith("rig-") else people.role(name)
+        if name != Path(_CERTIFICATE).stem:
+            expires = _read_certificates(path)[0].not_valid_after_utc
+            found.append(Issued(name, role or "on no list", expires, path))
+    return found
+
+
+def _issue(
+    directory: Path, name: str, role: str, hosts: list[Any], days: int, *, force: bool
+) -> Issued:
+    x509, ec, serialization, hashes = _library()
+    path = directory / f"{name}.pem"
+    if path.exists() and not force:
+        msg = f"{path}: is there already; `armrig pki renew {name}` gives it a new key, --force too"
+        raise PkiError(msg)
+    try:
+        signing = serialization.load_pem_private_key((directory / _KEY).read_bytes(), None)
+        authority = _read_certificates(directory / _CERTIFICATE)[0]
+    except FileNotFoundError as err:
+        msg = f"{err.filename}: there is no authority here; `armrig pki ca` makes one"
+        raise PkiError(msg) from err
+    key = ec.generate_private_key(ec.SECP256R1())
+    purpose = (
+        x509.ExtendedKeyUsageOID.SERVER_AUTH if hosts else x509.ExtendedKeyUsageOID.CLIENT_AUTH
+    )
+    builder = (
+        _builder(_name(name), authority.subject, key.public_key(), days)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(signs_certificates=False), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(signing.public_key()), critical=False
+        )
+    )
+    if hosts:
+        builder = builder.add_extension(x509.SubjectAlternativeName(hosts), critical=False)
+    certificate = builder.sign(signing, hashes.SHA256())
+    text = _pem_of_key(key) + _pem_of(certificate) + _pem_of(authority)
+    _write(path, text, 0o600)
+    return Issued(name, role, certificate.not_valid_after_utc, path)
+
+
+def _library() -> Any:
+    """Return what is used of `cryptography`, which comes with the extra `pki` alone."""
+    try:
+        from cryptography import x509
+        from cryptography.hazmat.primitives import hashes, serialization
+        from cryptography.hazmat.primitives.asymmetric import ec
+    except ModuleNotFoundError as err:
+        msg = "certificates are made with cryptography: pip install 'armrig[pki]'"
+        raise PkiError(msg) from err
+    return x509, ec, serialization, hashes
+
+
+def _builder(subject: Any, issuer: Any, public_key: Any, days: int) -> Any:
+    x509, *_ = _library()
+    now = datetime.now(UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(public_key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _BEFORE)
+        .not_valid_after(now + timedelta(days=days))
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(public_key), critical=False)
+    )
+
+
+def _name(common_name: str) -> Any:
+    x509, *_ = _library()
+    return x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, common_name)])
+
+
+def _key_usage(*, signs_certificates: bool) -> Any:
+    x509, *_ = _library()
+    return x509.KeyUsage(
+        digital_signature=not signs_certificates,
+        key_cert_sign=signs_certificates,
+        crl_sign=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _host(host: str) -> Any:
+    x509, *_ = _library()
+    with suppress(ValueError):
+        return x509.IPAddress(ipaddress.ip_address(host))
+    if len(host) > 253 or not _HOST.fullmatch(host):
+        msg = f"--host {host!r}: a name such as lab-1.example.edu or an address is needed"
+        raise PkiError(msg)
+    return x509.DNSName(host)
+
+
+def _pem_of_key(key: Any) -> bytes:
+    _, _, serialization, _ = _library()
+    text: bytes = key.private_bytes(
+        serialization.Encoding.PEM,
+        serialization.PrivateFormat.PKCS8,
+        serialization.NoEncryption(),
+    )
+    return text
+
+
+def _pem_of(certificate: Any) -> bytes:
+    _, _, serialization, _ = _library()
+    text: bytes = certificate.public_bytes(serialization.Encoding.PEM)
+    return text
+
+
+def _read_certificates(path: Path) -> list[Any]:
+    x509, *_ = _library()
+    data = path.read_bytes()
+    try:
+        found: list[Any] = x509.load_pem_x509_certificates(data)
+    except ValueError as err:
+        msg = f"{path}: holds no certificate"
+        raise PkiError(msg) from err
+    return found
+
+
+def _write(path: Path, data: bytes, mode: int) -> None:
+    """Write a file in one step, never readable by others before it has its mode."""
+    made = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with open(made, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        made.replace(path)
+    finally:
+        made.unlink(missing_ok=True)

@@ -1,0 +1,84 @@
+"""Who may do what, by name: a TOML that `armrig pki` keeps and the daemon reads at its start."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from armrig_core.bounded import TextError, read_text
+from armrig_core.credential import check_name
+
+LIMIT = 1 << 20
+"""Longest access list, in B."""
+_HEADING = """\
+# Who may do what with the rigs, by the name in the certificate (or of the user with a password).
+# `armrig pki` writes it; armrigd reads it at its start: start it anew after each change.
+"""
+
+_Names = Annotated[tuple[str, ...], Meta(max_length=10_000)]
+
+
+class AccessListError(ValueError):
+    """An access list that is refused; names the file and what is wrong."""
+
+
+class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Names, each in one list at most; whoever is in none of the first two may do nothing."""
+
+    operators: _Names = ()
+    """Who may drive the rigs, and watch."""
+    observers: _Names = ()
+    """Who may watch."""
+    revoked: _Names = ()
+    """Who may do nothing any more, and whose name is not given again."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no name, and a name that stands twice."""
+        seen: set[str] = set()
+        for name in (*self.operators, *self.observers, *self.revoked):
+            if check_name(name) in seen:
+                msg = f"{name!r} stands there twice: once is allowed"
+                raise ValueError(msg)
+            seen.add(name)
+
+    def role(self, name: str) -> str:
+        """Return the list that a name stands in; "" where it is in none."""
+        return next((role for role in self.__struct_fields__ if name in getattr(self, role)), "")
+
+    def with_name(self, name: str, role: str) -> AccessList:
+        """Return the list with a name in `role`, and in no other."""
+        fields = {
+            field: tuple(n for n in getattr(self, field) if n != name)
+            for field in self.__struct_fields__
+        }
+        return AccessList(**{**fields, role: (*fields[role], name)})
+
+    def toml(self) -> str:
+        """Return the text of its file."""
+        rows = [f"{f} = {json.dumps(getattr(self, f))}\n" for f in self.__struct_fields__]
+        return _HEADING + "".join(rows)
+
+
+def read_access_list(path: Path) -> AccessList:
+    """Return the access list in a file.
+
+    Raises
+    ------
+    AccessListError
+        It cannot be read, is no TOML, or holds a key or a name that is not allowed.
+    """
+    try:
+        return msgspec.convert(tomllib.loads(read_text(path, LIMIT)), AccessList)
+    except FileNotFoundError as err:
+        msg = f"{path}: there is no such file; `armrig pki ca` writes one"
+        raise AccessListError(msg) from err
+    except OSError as err:
+        msg = f"{path}: {err.strerror}; it must be a file that this user may read"
+        raise AccessListError(msg) from err
+    except (TextError, ValueError, RecursionError) as err:
+        raise AccessListError(f"{path}: {err}") from err

@@ -1,0 +1,191 @@
+"""Who somebody is on the network: a key, its certificate, and the authority that signed it.
+
+One PEM file holds all three, in this order, as `armrig pki` writes it. It is judged before zenoh
+sees it, which only says that it cannot connect.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+import re
+import ssl
+import stat
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
+from armrig_core.printable import printable
+
+Purpose = Literal["rig", "client"]
+"""What a certificate is for: a rig is served with it, or a client asks with it."""
+
+_MADE_BY = {"rig": "armrig pki rig", "client": "armrig pki operator"}
+_BLOCK = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----.*?-----END \1-----\n?", re.DOTALL)
+_NAME = re.compile(r"[a-z0-9-]{1,40}")
+# X509_V_ERR_… of OpenSSL, x509_vfy.h
+_NOT_YET, _EXPIRED, _PURPOSE = 9, 10, 26
+
+
+class CredentialError(ValueError):
+    """A credential that cannot be used; names the file, what is wrong, and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Credential:
+    """A key with its certificate, which an authority has signed."""
+
+    name: str
+    """Common name in the certificate."""
+    expires: datetime
+    """When the certificate, or its authority's, ends."""
+    key: bytes
+    """PEM, as are the others."""
+    certificate: bytes
+    authority: bytes
+
+    def tls(self, side: Literal["listen", "connect"]) -> dict[str, Any]:
+        """Return zenoh's `transport/link/tls`: both ends show a certificate, or there is no link.
+
+        A link ends with the certificate of the other side, and not later.
+        """
+        return {
+            "root_ca_certificate_base64": _base64(self.authority),
+            f"{side}_private_key_base64": _base64(self.key),
+            f"{side}_certificate_base64": _base64(self.certificate),
+            "enable_mtls": True,
+            "verify_name_on_connect": True,
+            "close_link_on_expiration": True,
+        }
+
+
+def check_name(name: str) -> str:
+    """Return the name of a person or a program, or raise ValueError where it can be part of no key.
+
+    The daemon's access list names him so, and so do the keys of his commands.
+    """
+    if not _NAME.fullmatch(name):
+        msg = f"name '{printable(name)}': 1 to 40 of a-z, 0-9 and - are allowed"
+        raise ValueError(msg)
+    return name
+
+
+def read_credential(path: Path, purpose: Purpose) -> Credential:
+    """Return the credential in a file, which must be good for `purpose`, and now.
+
+    Raises
+    ------
+    CredentialError
+        The file cannot be read, or others can; something is missing in it; the key is not that of
+        the certificate; the certificate is not signed by the authority in the file, not of this
+        time, or for another purpose.
+    """
+    data = _read(path, purpose)
+    blocks = [(match[1], match[0]) for match in _BLOCK.finditer(data)]
+    keys = [text for label, text in blocks if label.endswith(b"PRIVATE KEY")]
+    certificates = [text for label, text in blocks if label == b"CERTIFICATE"]
+    if len(keys) != 1 or len(certificates) < 2:
+        msg = (
+            f"{path}: {len(keys)} private keys and {len(certificates)} certificates: one key, its "
+            f"certificate and that of its authority are needed, as `{_MADE_BY[purpose]}` writes it"
+        )
+        raise CredentialError(msg)
+    if b"ENCRYPTED" in keys[0]:
+        msg = f"{path}: the key is encrypted: a key without a passphrase is needed"
+        raise CredentialError(msg)
+    authority = certificates[-1]
+    try:
+        shown = _shown(path, authority, purpose)
+        authorities = _contents(authority)
+    except (ssl.SSLError, ValueError) as err:
+        raise CredentialError(f"{path}: {_what_is_wrong(err, purpose)}") from err
+    ends = (_end(certificate) for certificate in (shown, *authorities))
+    return Credential(
+        name=_common_name(path, shown),
+        expires=min(ends),
+        key=keys[0],
+        certificate=b"".join(certificates[:-1]),
+        authority=authority,
+    )
+
+
+def _read(path: Path, purpose: Purpose) -> bytes:
+    try:
+        mode = path.stat().st_mode
+        data = read_bounded(path, CONFIGURATION_LIMIT)
+    except FileNotFoundError as err:
+        msg = f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one"
+        raise CredentialError(msg) from err
+    except OSError as err:
+        msg = f"{path}: {err.strerror}; it must be a file that this user may read"
+        raise CredentialError(msg) from err
+    if os.name == "posix" and mode & (stat.S_IROTH | stat.S_IWOTH):
+        msg = f"{path}: anybody here can read the key or change it: chmod o= {path}"
+        raise CredentialError(msg)
+    return data
+
+
+def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
+    """Return what the certificate says, after a handshake in memory in which it was shown.
+
+    The standard library judges a certificate in a handshake only.
+    """
+    server, client = (
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER),
+        ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT),
+    )
+    client.check_hostname, client.verify_mode = False, ssl.CERT_NONE
+    for context in (server, client):
+        context.load_cert_chain(path, password=lambda: "")  # it must never ask a terminal
+    judge = client if purpose == "rig" else server
+    judge.load_verify_locations(cadata=authority.decode("ascii"))
+    judge.verify_mode = ssl.CERT_REQUIRED
+    there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = {
+        server: server.wrap_bio(there, back, server_side=True),
+        client: client.wrap_bio(back, there),
+    }
+    for end in (client, server) * 3:  # three flights of TLS 1.3, and one more each
+        try:
+            ends[end].do_handshake()
+        except ssl.SSLWantReadError:
+            continue
+    return dict(ends[judge].getpeercert() or {})
+
+
+def _contents(authority: bytes) -> list[dict[str, Any]]:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.load_verify_locations(cadata=authority.decode("ascii"))
+    return list(context.get_ca_certs())
+
+
+def _end(certificate: dict[str, Any]) -> datetime:
+    return datetime.fromtimestamp(ssl.cert_time_to_seconds(certificate["notAfter"]), UTC)
+
+
+def _common_name(path: Path, certificate: dict[str, Any]) -> str:
+    names = [v for part in certificate.get("subject", ()) for k, v in part if k == "commonName"]
+    try:
+        return check_name(names[0] if names else "")
+    except ValueError as err:
+        msg = f"{path}: common name in the certificate: {err}"
+        raise CredentialError(msg) from err
+
+
+def _what_is_wrong(err: ssl.SSLError | ValueError, purpose: Purpose) -> str:
+    if isinstance(err, ssl.SSLCertVerificationError):
+        return {
+            _EXPIRED: "the certificate has expired: `armrig pki renew` makes a new one",
+            _NOT_YET: "the certificate is not valid yet: see that the clock of this machine is set",
+            _PURPOSE: f"the certificate is for another purpose: `{_MADE_BY[purpose]}` makes the "
+            "one that is needed",
+        }.get(err.verify_code, f"not signed by the authority in the file ({err.verify_message})")
+    if isinstance(err, ssl.SSLError) and err.reason == "KEY_VALUES_MISMATCH":
+        return "the key is not that of the certificate"
+    return "damaged: its key or a certificate cannot be read"
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")

@@ -1,0 +1,199 @@
+"""`armrig pki`: certificates that TLS takes for what they are for, and files that stay private."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from armrig_core.access_list import read_access_list
+from armrig_core.credential import read_credential
+from cryptography import x509
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give a folder with an authority, with us in it."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["pki", "ca"]) == 0
+    return tmp_path / "pki"
+
+
+def test_a_laboratory_is_set_up_in_four_commands(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An authority, a rig, who drives it, who watches."""
+    assert main(["pki", "rig", "1", "--host", "lab-1.example.edu", "--host", "192.0.2.7"]) == 0
+    assert main(["pki", "operator", "alice"]) == 0
+    assert main(["pki", "observer", "bob", "--days", "30"]) == 0
+    assert main(["pki", "list"]) == 0
+
+    listed = capsys.readouterr().out.splitlines()[-3:]
+    assert [line.split()[:2] for line in listed] == [
+        ["alice", "operators"],
+        ["bob", "observers"],
+        ["rig-1", "rig"],
+    ]
+    people = read_access_list(here / "access.toml")
+    assert (people.operators, people.observers) == (("alice",), ("bob",))
+    assert read_credential(here / "rig-1.pem", "rig").name == "rig-1"
+    assert read_credential(here / "bob.pem", "client").name == "bob"
+
+
+def test_keys_are_for_their_owner_alone(here: Path) -> None:
+    """Whatever the umask is; what others must read, they can."""
+    main(["pki", "operator", "alice"])
+
+    modes = {path.name: path.stat().st_mode & 0o777 for path in here.iterdir()}
+    assert modes == {
+        "authority.key": 0o600,
+        "authority.pem": 0o644,
+        "access.toml": 0o644,
+        "alice.pem": 0o600,
+    }
+
+
+def test_a_certificate_says_what_it_is_for(here: Path) -> None:
+    """Of 256 bit, under its hosts; it signs nobody else's."""
+    main(["pki", "rig", "1", "--host", "lab-1.example.edu", "--host", "2001:db8::7"])
+    rig, authority = x509.load_pem_x509_certificates((here / "rig-1.pem").read_bytes())
+
+    hosts = rig.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert hosts.get_values_for_type(x509.DNSName) == ["lab-1.example.edu"]
+    assert [str(a) for a in hosts.get_values_for_type(x509.IPAddress)] == ["2001:db8::7"]
+    assert [c.public_key().key_size for c in (rig, authority)] == [256, 256]
+    signs = [
+        (
+            c.extensions.get_extension_for_class(x509.BasicConstraints).value.ca,
+            c.extensions.get_extension_for_class(x509.KeyUsage).value.key_cert_sign,
+        )
+        for c in (rig, authority)
+    ]
+    assert signs == [(False, False), (True, True)]
+
+
+@pytest.mark.parametrize(
+    "command", [["ca"], ["rig", "1", "--host", "localhost"], ["operator", "alice"]]
+)
+def test_nothing_is_overwritten_unless_asked(
+    here: Path, command: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A second call says that it is there."""
+    if command != ["ca"]:
+        assert main(["pki", *command]) == 0
+    before = {path.name: path.read_bytes() for path in here.iterdir()}
+
+    assert main(["pki", *command]) == 1
+    assert "--force" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in here.iterdir()} == before
+    assert main(["pki", *command, "--force"]) == 0
+    assert {path.name: path.read_bytes() for path in here.iterdir()} != before
+
+
+def test_renewal_keeps_the_name_the_hosts_and_the_role(here: Path) -> None:
+    """The key is a new one."""
+    main(["pki", "rig", "1", "--host", "lab-1.example.edu", "--days", "5"])
+    main(["pki", "observer", "bob", "--days", "5"])
+    old = {name: (here / f"{name}.pem").read_bytes() for name in ("rig-1", "bob")}
+
+    for name in old:
+        assert main(["pki", "renew", name]) == 0
+
+    for name, text in old.items():
+        before, after = (
+            x509.load_pem_x509_certificates(found)[0]
+            for found in (text, (here / f"{name}.pem").read_bytes())
+        )
+        assert before.subject == after.subject
+        assert before.public_key() != after.public_key()
+        assert (after.not_valid_after_utc - before.not_valid_after_utc).days in (359, 360)
+    hosts = after_hosts(here / "rig-1.pem")
+    assert hosts == ["lab-1.example.edu"]
+    assert read_access_list(here / "access.toml").observers == ("bob",)
+
+
+def after_hosts(path: Path) -> list[str]:
+    """Return the host names in a certificate."""
+    certificate = x509.load_pem_x509_certificates(path.read_bytes())[0]
+    found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    return list(found.get_values_for_type(x509.DNSName))
+
+
+def test_a_name_that_was_revoked_is_given_to_nobody(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The certificate that was stolen would count again: there is no other way to tell the two."""
+    main(["pki", "operator", "alice"])
+    assert main(["pki", "revoke", "alice"]) == 0
+    assert "once that file is where the rigs' daemons read it" in capsys.readouterr().out
+    assert read_access_list(here / "access.toml").revoked == ("alice",)
+
+    for command in (["operator", "alice", "--force"], ["observer", "alice"], ["renew", "alice"]):
+        assert main(["pki", *command]) == 1
+        assert "'alice' was revoked" in capsys.readouterr().err
+    assert main(["pki", "operator", "alice-2"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (["operator", "Alice"], "name 'Alice': 1 to 40 of a-z, 0-9 and - are allowed"),
+        (["operator", "../alice"], "name '../alice': 1 to 40 of a-z"),
+        (["operator", "rig-1"], "'rig-1' would be taken for a rig's"),
+        (["rig", "1", "--host", "*.example.edu"], "a name such as lab-1.example.edu or an address"),
+        (["rig", "A/B", "--host", "localhost"], "rig id 'A/B': 1 to 40 of a-z"),
+        (["renew", "alice"], "there is nothing to renew"),
+        (["revoke", "alice"], "'alice' is neither an operator nor an observer"),
+    ],
+)
+def test_what_is_not_allowed_is_told(
+    here: Path, command: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line, and nothing is written."""
+    before = sorted(here.iterdir())
+
+    assert main(["pki", *command]) == 1
+    assert says in capsys.readouterr().err
+    assert sorted(here.iterdir()) == before
+
+
+def test_without_an_authority_nothing_is_signed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It says how to make one."""
+    monkeypatch.chdir(tmp_path)
+
+    assert main(["pki", "rig", "1", "--host", "localhost"]) == 1
+    assert "there is no authority here; `armrig pki ca` makes one" in capsys.readouterr().err
+
+
+def test_programs_get_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With the path and the end."""
+    capsys.readouterr()
+    assert main(["pki", "operator", "alice", "--json"]) == 0
+
+    told = json.loads(capsys.readouterr().out)
+    assert (told["name"], told["role"], Path(told["path"]).name) == (
+        "alice",
+        "operators",
+        "alice.pem",
+    )
+
+
+def test_without_the_library_it_says_how_to_get_it(tmp_path: Path) -> None:
+    """An extra: whoever only asks a rig needs it not, and nothing else of armrig imports it."""
+    program = (
+        "import sys; sys.modules['cryptography'] = None\n"
+        "from armrig.cli import main\n"
+        f"sys.exit(main(['pki', 'ca', '--directory', {str(tmp_path / 'pki')!r}]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+
+    assert done.returncode == 1
+    assert "pip install 'armrig[pki]'" in done.stderr
+    assert not (tmp_path / "pki").exists()

@@ -1,0 +1,53 @@
+"""Who may do what, by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig_core.access_list import AccessList, AccessListError, read_access_list
+
+
+def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
+    """By the one who makes certificates, for the daemon."""
+    made = AccessList(operators=("alice", "bob"), observers=("carol",), revoked=("eve",))
+    path = tmp_path / "access.toml"
+    path.write_text(made.toml())
+
+    assert read_access_list(path) == made
+
+
+def test_a_name_moves_from_list_to_list() -> None:
+    """It stands in one at a time."""
+    people = AccessList(operators=("alice",), observers=("bob",)).with_name("alice", "revoked")
+
+    assert people == AccessList(observers=("bob",), revoked=("alice",))
+    assert [people.role(name) for name in ("alice", "bob", "carol")] == ["revoked", "observers", ""]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('operators = ["alice"]\nobservers = ["alice"]', "'alice' stands there twice"),
+        ('operators = ["alice"]\nrevoked = ["alice"]', "'alice' stands there twice"),
+        ('operators = ["Alice"]', "name 'Alice': 1 to 40 of a-z"),
+        ('operators = ["*"]', r"name '\*': 1 to 40 of a-z"),
+        ('operators = ["a/b"]', "name 'a/b': 1 to 40 of a-z"),
+        ('operators = "alice"', "Expected `array`"),
+        ('operator = ["alice"]', "unknown field `operator`"),
+        ("operators = [", "Invalid value"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    """A name is part of a key, where * and / would mean others."""
+    path = tmp_path / "access.toml"
+    path.write_text(text)
+
+    with pytest.raises(AccessListError, match=rf"access.toml: .*{says}"):
+        read_access_list(path)
+
+
+def test_a_list_that_is_not_there_is_told(tmp_path: Path) -> None:
+    """With what writes one."""
+    with pytest.raises(AccessListError, match="there is no such file; `armrig pki ca` writes one"):
+        read_access_list(tmp_path / "access.toml")

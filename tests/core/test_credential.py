@@ -1,0 +1,162 @@
+"""A credential that cannot be used is refused in a line before anybody tries it."""
+
+from __future__ import annotations
+
+import re
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from armrig.rig import pki
+from armrig_core.credential import CredentialError, Purpose, read_credential
+
+DAY = timedelta(days=1)
+
+
+@pytest.fixture
+def authority(tmp_path: Path) -> Path:
+    """Give the folder of an authority."""
+    pki.make_authority(tmp_path / "pki")
+    return tmp_path / "pki"
+
+
+def _blocks(path: Path) -> list[str]:
+    """Return key, certificate and authority."""
+    text = path.read_text()
+    return re.findall(r"-----BEGIN [^-]+-----.*?-----END [^-]+-----\n", text, re.DOTALL)
+
+
+def _refused(path: Path, purpose: Purpose = "client") -> str:
+    with pytest.raises(CredentialError) as caught:
+        read_credential(path, purpose)
+    assert str(caught.value).startswith(f"{path}: ")
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    path.chmod(0o600)
+    return path
+
+
+def test_a_credential_says_whose_it_is_and_for_how_long(authority: Path) -> None:
+    """By the name and the time in the certificate."""
+    issued = pki.issue_to_person(authority, "alice", "operators", days=30)
+
+    found = read_credential(issued.path, "client")
+
+    assert found.name == "alice"
+    assert found.expires == issued.expires
+
+
+def test_it_lasts_no_longer_than_its_authority(tmp_path: Path) -> None:
+    """Which must be good itself for whatever it has signed."""
+    pki.make_authority(tmp_path, days=5)
+    issued = pki.issue_to_person(tmp_path, "alice", "operators", days=30)
+
+    assert issued.expires - read_credential(issued.path, "client").expires == 25 * DAY
+
+
+def test_a_certificate_is_good_for_one_purpose(authority: Path) -> None:
+    """An operator cannot stand for a rig, nor whoever reads a rig's file for an operator."""
+    rig = pki.issue_to_rig(authority, "1", ["localhost"]).path
+    alice = pki.issue_to_person(authority, "alice", "operators").path
+
+    assert read_credential(rig, "rig").name == "rig-1"
+    assert _refused(rig, "client").startswith("the certificate is for another purpose")
+    assert _refused(alice, "rig").startswith("the certificate is for another purpose")
+
+
+def test_a_certificate_is_good_in_its_time(
+    authority: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither after it, for either purpose, nor before."""
+    monkeypatch.setattr(pki, "_BEFORE", 10 * DAY)
+    old = pki.issue_to_person(authority, "alice", "operators", days=-1).path
+    old_rig = pki.issue_to_rig(authority, "1", ["localhost"], days=-1).path
+    monkeypatch.setattr(pki, "_BEFORE", -DAY)
+    new = pki.issue_to_person(authority, "bob", "operators").path
+
+    assert "has expired: `armrig pki renew`" in _refused(old)
+    assert "has expired: `armrig pki renew`" in _refused(old_rig, "rig")
+    assert "is not valid yet: see that the clock" in _refused(new)
+
+
+def test_what_another_authority_signed_is_refused(authority: Path, tmp_path: Path) -> None:
+    """Under the same name."""
+    key, certificate, _ = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
+    pki.make_authority(tmp_path / "forged")
+    other = _blocks(tmp_path / "forged" / "authority.pem")[0]
+
+    found = _written(tmp_path / "alice.pem", key + certificate + other)
+
+    assert _refused(found).startswith("not signed by the authority in the file")
+
+
+def test_the_key_must_be_that_of_the_certificate(authority: Path, tmp_path: Path) -> None:
+    """Two files were mixed up."""
+    key = _blocks(pki.issue_to_person(authority, "alice", "operators").path)[0]
+    bob = _blocks(pki.issue_to_person(authority, "bob", "operators").path)
+
+    found = _written(tmp_path / "bob.pem", key + bob[1] + bob[2])
+
+    assert _refused(found) == "the key is not that of the certificate"
+
+
+@pytest.mark.parametrize(
+    ("kept", "says"),
+    [
+        ([], "0 private keys and 0 certificates"),
+        ([1, 2], "0 private keys and 2 certificates"),
+        ([0, 1], "1 private keys and 1 certificates"),
+        ([0, 0, 1, 2], "2 private keys and 2 certificates"),
+    ],
+)
+def test_all_three_must_be_there(
+    authority: Path, tmp_path: Path, kept: list[int], says: str
+) -> None:
+    """One key, its certificate, and its authority's."""
+    blocks = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
+
+    assert _refused(_written(tmp_path / "a.pem", "".join(blocks[i] for i in kept))).startswith(says)
+
+
+def test_a_damaged_file_is_refused(authority: Path, tmp_path: Path) -> None:
+    """In the key, in the certificate, or in the authority's."""
+    blocks = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
+    for at in range(3):
+        spoilt = list(blocks)
+        spoilt[at] = re.sub(r"\n[^-]{20}", "\nAAAAAAAAAAAAAAAAAAAA", blocks[at], count=1)
+
+        assert _refused(_written(tmp_path / "a.pem", "".join(spoilt))) == (
+            "damaged: its key or a certificate cannot be read"
+        )
+
+
+def test_a_key_with_a_passphrase_is_refused(authority: Path, tmp_path: Path) -> None:
+    """Nobody is there to type it."""
+    key, certificate, signer = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
+    locked = key.replace("PRIVATE KEY", "ENCRYPTED PRIVATE KEY")
+
+    assert "without a passphrase" in _refused(
+        _written(tmp_path / "a.pem", locked + certificate + signer)
+    )
+
+
+@pytest.mark.parametrize("mode", [0o604, 0o602, 0o644])
+def test_a_key_that_anybody_may_read_is_refused(authority: Path, mode: int) -> None:
+    """Or replace; its group may read it, as a service's does."""
+    path = pki.issue_to_person(authority, "alice", "operators").path
+    path.chmod(mode)
+
+    assert _refused(path) == f"anybody here can read the key or change it: chmod o= {path}"
+    path.chmod(0o640)
+    assert read_credential(path, "client").name == "alice"
+
+
+def test_a_file_that_is_not_there_is_told_with_what_makes_it(tmp_path: Path) -> None:
+    """By purpose."""
+    assert (
+        _refused(tmp_path / "a.pem", "rig") == "there is no such file; `armrig pki rig` writes one"
+    )
+    assert _refused(tmp_path).startswith("Is a directory")
