@@ -47,7 +47,7 @@ def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any)
     return folder
 
 
-@pytest.mark.parametrize("after", AFTER.keys() - {"report"})
+@pytest.mark.parametrize("after", sorted(AFTER.keys() - {"report"}))
 def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
     """Command, options and their values."""
     words = shlex.split(AFTER[after].format(**VALUES))
