@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from armrig.validation.feedback_and_delay.delay_result import Delay
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
+T = TypeVar("T")
+
 
 def check(
     file: DataFile,
@@ -55,6 +58,7 @@ def check(
 ) -> None:
     """Test for open loop and for a delay (handout 3.7, 3.8)."""
     from armrig.cli.spinner import spinner
+    from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop
 
     check_plot(plot, [file])
@@ -71,8 +75,10 @@ def check(
     )
     data = signals.of(file)
     with spinner("testing"):
-        loop, late = open_loop(data, level), _delay(data)
-    drawn: list[OpenLoop | Delay] = [loop] if isinstance(late, str) else [loop, late]
+        loop, late = _told(partial(open_loop, level=level), data), _told(delay, data)
+    if isinstance(loop, str) and isinstance(late, str):
+        raise ValueError(loop)
+    drawn = [found for found in (loop, late) if not isinstance(found, str)]
     write_plot(plot, *(partial(_draw, one) for one in drawn))
     if json:
         print_json(
@@ -91,12 +97,10 @@ def check(
     say_next("check" if of_rig else "check other", file=typed(file), given=signals.options())
 
 
-def _delay(data: Dataset) -> Delay | str:
-    """Return the delay, or why these data do not determine one."""
-    from armrig.validation.feedback_and_delay.delay import delay
-
+def _told(test: Callable[[Dataset], T], data: Dataset) -> T | str:
+    """Return what a test finds, or why it cannot tell: the other one may."""
     try:
-        return delay(data)
+        return test(data)
     except ValueError as err:
         return str(err)
 
@@ -105,7 +109,9 @@ def _draw(found: OpenLoop | Delay, ax: Axes) -> None:
     found.plot(ax=ax)
 
 
-def _loop_facts(loop: OpenLoop) -> dict[str, Any]:
+def _loop_facts(loop: OpenLoop | str) -> dict[str, Any]:
+    if isinstance(loop, str):
+        return {"feedback": None, "p_value": None, "level": None, "lags": None, "remarks": [loop]}
     return {
         "feedback": loop.feedback,
         "p_value": loop.p_value,

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from armrig.nonparametric.step_analysis import StepAnalysis
     from armrig.nonparametric.structure_hints import StructureHints
     from armrig.recordings.recording import Recording
+    from armrig.recordings.usability import Finding
 
 _LATER_S = 1.0
 _LONGEST = 28
@@ -183,6 +184,7 @@ def hints(
     Integrator, order and nk from impulse response, spectra and the Hankel matrix, which assume no
     structure.
     """
+    from armrig.cli.model_output import in_symbols
     from armrig.cli.spinner import spinner
     from armrig.nonparametric.structure_hints import structure_hints
 
@@ -200,15 +202,28 @@ def hints(
     data = signals.of(file)
     with spinner("estimating without a structure"):
         found = structure_hints(data)
+        doubts = _doubts(data, found)
     _draw_hints(found, data, plot)
     if json:
-        print_json(source_facts(data) | _hint_facts(found))
+        print_json(source_facts(data) | _hint_facts(found) | {"doubts": [d.text for d in doubts]})
         return
-    say(repr(found))
+    say("\n".join([repr(found), *(in_symbols(f"! {d.about}: {d.text}") for d in doubts)]))
+    if any(d.about == "feedback" for d in doubts):
+        say_next("identify check", file=typed(file), given=signals.options())
+        return
     validation = validation_beside(file) if from_recording(data) else ""
     validate = f" --validate {validation}" if validation else ""
     options = f"{_options(found)}{signals.options()}"
     say_next("hints", file=typed(file), options=options, validate=validate)
+
+
+def _doubts(data: Dataset, found: StructureHints) -> list[Finding]:
+    """Return what makes all of these estimates doubtful: feedback, or an input that is too poor."""
+    from armrig.validation.advice import data_advice
+
+    known = data_advice.tested(data, found.integrator)
+    every = data_advice.doubts(data, known)
+    return [d for d in every if d.about in {"feedback", "excitation"}]
 
 
 def _options(found: StructureHints) -> str:

@@ -103,6 +103,7 @@ class Signals:
             data = between(self._other(file, model), self.start, self.stop)
         else:
             data = self._recorded(file, model)
+        _check_varies(file, data)
         if _without_means(model) and not self.detrend:
             tell("the model is of data without their means: validate it with --detrend")
         if self.hampel:
@@ -165,6 +166,16 @@ class Signals:
         for text in doubts_of_pair(self.read[0], recording) if self.read else ():
             tell(text)
         self.read.append(recording)
+
+
+def _check_varies(file: Path, data: Dataset) -> None:
+    """Refuse an output that is the same throughout: there is nothing to explain."""
+    import numpy as np
+
+    y = data.y[data.valid]
+    if y.size > 1 and np.ptp(y) == 0:
+        msg = f"{file}: {data.output} is {y[0]:.4g} throughout, so it answers to nothing; give the "
+        raise ValueError(msg + "column that varies (--signal), or record again")
 
 
 def between(data: Dataset, start: float | None, stop: float | None) -> Dataset:

@@ -397,8 +397,8 @@ def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
 
 def _require_rank(basis: Basis, d: int, what: str) -> None:
     if basis.rank < d:
-        msg = f"u determines only {basis.rank} of {d} {what}; ask for fewer, use a kernel, "
-        msg += "or excite with a richer input (telegraph, PRBS)"
+        msg = f"u determines only {basis.rank} of {d} {what}: it has too few frequencies; "
+        msg += "excite with a richer input (telegraph, PRBS), or ask for fewer with a kernel"
         raise ValueError(msg)
 
 

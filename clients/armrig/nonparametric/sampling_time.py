@@ -24,6 +24,7 @@ from armrig.nonparametric.step_analysis import (
     step_analysis,
 )
 from armrig.nonparametric.welch import welch
+from armrig.numerics.quantities import times
 from armrig.numerics.step_times import linear_crossing, rise_time
 from armrig.numerics.stretches import constant
 
@@ -102,11 +103,11 @@ class SamplingTime:
         beyond = "unknown" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"
         how = "steps" if self.from_step else "regularised impulse response"
         lines = [
-            f"sampling time: {1e3 * self.Ts:g} ms recommended (from {self.output} at "
-            f"{1e3 * self.recorded_at:g} ms, {how})",
+            f"sampling time: {times(self.Ts)} recommended (from {self.output} at "
+            f"{times(self.recorded_at)}, {how})",
             f"  step:      {self._step_told()}",
             f"  spectrum:  -3 dB {self._band_told()} rad/s, omega_s = 20 omega_B: Ts "
-            f"{_times(self.Ts_spectrum)}",
+            f"{times(self.Ts_spectrum)}",
             f"  transient: {self._transient_told()}",
             f"  aliasing:  {100 * self.near_nyquist:.2g} % of the power above 0.8 Nyquist now, "
             f"{beyond} above the recommendation's Nyquist",
@@ -115,18 +116,18 @@ class SamplingTime:
 
     def _step_told(self) -> str:
         if self.tau < self.recorded_at:
-            return f"63 % time tau below a sample, {_times(self.recorded_at)}"
+            return f"63 % time tau below a sample, {times(self.recorded_at)}"
         return (
-            f"63 % time tau {_times(self.tau)}, omega_B = 1/tau = {self.omega_step:.3g} rad/s, "
-            f"omega_s = 20 omega_B: Ts {_times(self.Ts_step)}"
+            f"63 % time tau {times(self.tau)}, omega_B = 1/tau = {self.omega_step:.3g} rad/s, "
+            f"omega_s = 20 omega_B: Ts {times(self.Ts_step)}"
         )
 
     def _transient_told(self) -> str:
         if self.settling < self.recorded_at:
             return "over within a sample"
         return (
-            f"{_times(self.settling)} to within 5 %, 10 to 7 samples in it: Ts "
-            f"{_times(*self.Ts_transient)}"
+            f"{times(self.settling)} to within 5 %, 10 to 7 samples in it: Ts "
+            f"{times(*self.Ts_transient)}"
         )
 
     def _band_told(self) -> str:
@@ -215,12 +216,6 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
             *_notes(Ts, data.Ts, rules, last, near, seen=seen),
         ),
     )
-
-
-def _times(*seconds: float) -> str:
-    """Return times in one unit, s or ms."""
-    scale, unit = (1.0, "s") if max(seconds) >= 1 else (1e3, "ms")
-    return f"{' … '.join(f'{scale * x:.3g}' for x in seconds)} {unit}"
 
 
 def nearest_125(x: float) -> float:
@@ -356,8 +351,8 @@ def _notes(
 ) -> Iterator[str]:
     if not seen:
         yield (
-            f"63 % is reached within one sample of {_times(now)}, so these data do not tell how "
-            f"fast the response is: record at {_times(Ts)} once and ask again; if it is still over "
+            f"63 % is reached within one sample of {times(now)}, so these data do not tell how "
+            f"fast the response is: record at {times(Ts)} once and ask again; if it is still over "
             "within a sample then, any Ts will do"
         )
         return
@@ -372,7 +367,7 @@ def _notes(
     if bandwidth > 0.4 * np.pi / now:
         yield (
             f"the band reaches {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
-            f"frequency: record at {1e3 * now / 5:.2g} ms once and ask again"
+            f"frequency: record at {times(now / FASTER)} once and ask again"
         )
     if near > ALIASING:
         yield (

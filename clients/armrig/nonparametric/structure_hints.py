@@ -17,7 +17,7 @@ from armrig.nonparametric.coherence import explained
 from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
 from armrig.nonparametric.spectral import spa
 from armrig.numerics.quantile import two_sided
-from armrig.numerics.quantities import minus, plural
+from armrig.numerics.quantities import minus, plural, times
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +29,7 @@ Matrix = NDArray[np.float64]
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
 HIDDEN = 0.05  # share of the largest coefficient that may hide where a delay is claimed
 SURE = 3.0  # standard deviations by which a resonance stands out from either side
+STAYS = 0.3  # of the largest answer of the rate to a step: less is on its way to 0
 DRAWS = 200  # of the impulse response's uncertainty
 LAGS = (100, 200, 400)  # of the impulse response, the next where the last are too few
 
@@ -38,7 +39,7 @@ class StructureHints:
     """Orders, integrator and delay suggested by estimates without a structure."""
 
     integrator: bool
-    """The rate has a gain at low frequency: y integrates."""
+    """The rate has a gain at low frequency, and stays up after a step: y integrates."""
     low_slope: float
     """Of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator."""
     low_slope_std: float
@@ -106,7 +107,9 @@ def structure_hints(
 
     - Integrator: the slope of |G| of the rate at low frequency. A rate with a gain (slope 0)
       belongs to a y that integrates (-20 dB a decade); without an integrator the rate's slope
-      is +20 dB a decade. y itself, which drifts, is not looked at.
+      is +20 dB a decade. y itself, which drifts, is not looked at. A slow pole has the slope of an
+      integrator, too, down to frequencies that the record hardly has; but the rate's answer to a
+      step returns to 0 then, where that of an integrator stays up.
     - Order: singular values of the Hankel matrix of the regularised impulse response above what
       draws from its own uncertainty make; twice the number of resonances at least.
     - Poles less zeros: the slope at the highest frequencies at which u explains y (coherence above
@@ -140,14 +143,19 @@ def structure_hints(
     """
     rate = spa(data, "log", integrator=True).rate()
     slope, slope_std = _low_slope(rate, explained(rate))
+    of_rate = None
     integrates = integrator
     if integrates is None:
         integrates = data.output in INTEGRATING_OUTPUTS or slope < 10 - 2 * slope_std
+        if integrates and data.output not in INTEGRATING_OUTPUTS:
+            of_rate = long_enough(data, LAGS, integrator=True)
+            integrates = _stays(of_rate)
     first_lag, blind = _first_lag(data, integrates=integrates)
     nk = first_lag if first_lag < 1 or blind < HIDDEN else 1
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
     believed = explained(spectrum)
-    response = long_enough(data, LAGS, integrator=integrates)
+    response = of_rate if integrates else None
+    response = response or long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
     order = int(np.count_nonzero(values > threshold))
@@ -175,6 +183,16 @@ def structure_hints(
         spectrum=spectrum,
         response=response,
     )
+
+
+def _stays(of_rate: ImpulseResponse) -> bool:
+    """Tell whether the rate's answer to a step ends surely above a share of its largest value."""
+    g, _ = of_rate.decaying
+    steps = np.cumsum(g)
+    every: Vector = np.ones(g.size)
+    variance = float(every @ _covariance(of_rate) @ every)
+    end = abs(float(steps[-1]))
+    return end > STAYS * float(np.max(np.abs(steps))) and end**2 > SURE**2 * variance
 
 
 def _first_lag(data: Dataset, *, integrates: bool) -> tuple[int, float]:
@@ -315,6 +333,8 @@ def _extremes_told(h: StructureHints) -> str:
 def _reasons(h: StructureHints) -> Iterator[str]:
     what = "the rate" if h.integrator else "y"
     verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
+    if not h.integrator and h.low_slope < -10:
+        verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
     yield (
         f"integrator: |G| has a slope of {minus(f'{h.low_slope:.1f}')} ± {h.low_slope_std:.1f} dB "
         f"a decade at low frequency (0 without one, −20 with one): {verdict}"
@@ -333,8 +353,8 @@ def _reasons(h: StructureHints) -> Iterator[str]:
     )
     if h.phase_delay > h.spectrum.Ts / 2:
         yield (
-            f"phase: beyond what the roll-off accounts for it lags like {1e3 * h.phase_delay:.3g} "
-            f"ms of delay, {500 * h.spectrum.Ts:.3g} ms of which are the hold's half sample"
+            f"phase: beyond what the roll-off accounts for it lags like {times(h.phase_delay)} of "
+            f"delay, {times(h.spectrum.Ts / 2)} of which are the hold's half sample"
         )
     else:
         yield "phase: it lags no more than roll-off and hold account for"
@@ -342,7 +362,10 @@ def _reasons(h: StructureHints) -> Iterator[str]:
     if h.first_lag > 1 and h.nk == 1:
         hidden = f"before it {100 * h.blind:.0f} % of the largest coefficient could hide: no delay"
         yield f"delay: {known}; {hidden} is shown (armrig.delay, `armrig check` test it)"
+    elif h.nk == 0:
+        which = "a direct term, or feedback, which looks the same"
+        yield f"delay: u acts at lag 0 (99 %): {which} (nk = 0)"
     else:
         delay = f"an input delay of {plural(h.nk - 1, 'sample')}"
         delay = delay if h.nk > 1 else "no input delay"
-        yield f"delay: {known}: {delay} (nk = {max(h.nk, 1)})"
+        yield f"delay: {known}: {delay} (nk = {h.nk})"

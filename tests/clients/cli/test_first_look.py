@@ -37,7 +37,7 @@ def test_model_says_what_the_handout_asks_for(
 
     for shown in ("1.8623", "98.40", "-8.05 ± 17.08i", "-36.74", "±15.75i", "-52.84", "-947.9"):
         assert shown in text
-    assert text.startswith("x' = A x + B u")
+    assert text.splitlines()[1].startswith("x' = A x + B u")
     assert handout["steady_speed"] == pytest.approx(1.8623, abs=5e-5)
     assert handout["simulated"]["speed"] == pytest.approx(handout["steady_speed"], rel=1e-6)
     assert handout["simulated"]["slope"] == pytest.approx(handout["initial_slope"], rel=1e-3)

@@ -219,6 +219,58 @@ def test_feedback_and_delay_are_looked_for_in_them(
     assert out.startswith("open loop: no feedback found (Sims' F-test of ")
 
 
+def test_hints_say_that_feedback_biases_them(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before a structure is taken from them; where there is none, nothing is said."""
+    rng = np.random.default_rng(1)
+    r = np.where(np.cumsum(rng.random(2000) < 0.05) % 2, 1.0, -1.0)
+    e = 0.1 * rng.standard_normal(2000)
+    u, y, x = np.zeros(2000), np.zeros(2000), 0.0
+    for k in range(2000):
+        y[k] = x + e[k]
+        u[k] = 3 * (r[k] - y[k])
+        x = 0.9 * x + 0.1 * u[k]
+    write(folder / "loop.csv", armrig.Dataset(u=u, y=y, Ts=TS))
+
+    _, closed, said = run("hints loop.csv", folder, capsys)
+    _, free, _ = run("hints data.csv", folder, capsys)
+
+    assert "! feedback: u answers to y (p < 0.001)" in closed
+    assert said.splitlines()[-1].startswith("next: armrig check ")
+    assert "!" not in free
+
+
+def test_few_samples_may_tell_a_delay_and_no_feedback(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each test says for itself what it needs; where neither can tell the command fails."""
+    code, out, _ = run("check data.csv --to 4", folder, capsys)
+    told = facts("check data.csv --to 4", folder, capsys)
+    neither, _, why = run("check data.csv --to 0.5", folder, capsys)
+
+    assert code == 0
+    assert "open loop: cannot be told: 80 samples came; the test for feedback needs at" in out
+    assert "delay: nk = 1: no input delay" in out
+    assert (told["open_loop"]["feedback"], told["delay"]["nk"]) == (None, 1)
+    assert neither == 1
+    assert "10 samples came" in why
+
+
+@pytest.mark.parametrize("command", ["identify --structure arx", "hints", "sampling", "check"])
+def test_an_output_that_is_constant_is_refused(
+    command: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing explains it, and no share of nothing is a percentage."""
+    data = made()
+    write(folder / "constant.csv", armrig.Dataset(u=data.u, y=np.full(400, 3.0), Ts=TS))
+
+    code, out, said = run(f"{command} constant.csv", folder, capsys)
+
+    assert (code, out) == (1, "")
+    assert "y is 3 throughout, so it answers to nothing; give the column that varies" in said
+
+
 def test_a_narrow_input_determines_no_delay_and_the_loop_is_told_all_the_same(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,24 @@ def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
     assert found.explain().startswith("- integrator: ")
 
 
+@pytest.mark.parametrize(("pole", "integrates"), [(0.985, False), (0.99, False), (1.0, True)])
+def test_a_slow_pole_is_no_integrator(pole: float, integrates: bool) -> None:
+    """It has an integrator's slope down to what the record hardly has; but its answer dies out."""
+    slopes = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        u = np.where(np.cumsum(rng.random(1500) < 0.1) % 2, 1.0, -1.0)
+        y = filtered([0, 0.03], np.poly([pole, 0.7]), u)
+        data = Dataset(u=u, y=y + 0.02 * np.std(y) * rng.standard_normal(1500), Ts=1.0)
+
+        found = structure_hints(data)
+
+        assert found.integrator is integrates
+        slopes.append(found.low_slope)
+    assert min(slopes) < -13
+    assert ("a slow pole, and no integrator" in repr(found)) is not integrates
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_response_longer_than_its_lags_has_no_other_resonances(
     sampled: Callable[[float], Any], seed: int

@@ -5,12 +5,29 @@ from __future__ import annotations
 from math import inf, nan
 
 import pytest
-from armrig.numerics.quantities import listed, plural, with_range, with_std
+from armrig.numerics.quantities import listed, plural, times, with_range, with_std
 
 
 def test_one_is_singular_and_all_other_numbers_plural() -> None:
     """None is many, too."""
     assert [plural(n, "sample") for n in (0, 1, 2)] == ["0 samples", "1 sample", "2 samples"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        ((2e-5,), "20 µs"),
+        ((0.0206,), "20.6 ms"),
+        ((0.8, 1.2), "0.8 … 1.2 s"),
+        ((7200.0,), "120 min"),
+        ((36000.0,), "10 h"),
+        ((7.2e5,), "8.33 days"),
+        ((0.0,), "0 µs"),
+    ],
+)
+def test_times_have_the_unit_of_the_longest(seconds: tuple[float, ...], text: str) -> None:
+    """Nobody reads 7.2e+06 ms."""
+    assert times(*seconds) == text
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from armrig.estimation.oe import oe
 from armrig.excitation.input_description import describe_input
 from armrig.models.fit import Fit
 from armrig.nonparametric.integrator import Integration, integration
-from armrig.numerics.quantities import NBSP, p_relation, percent, plural
+from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
 from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
 from armrig.validation.feedback_and_delay.delay import delay
@@ -235,8 +235,10 @@ def _about_delay(known: Tested) -> Iterator[Finding]:
     if isinstance(late, str):
         yield finding("delay", f"cannot be told: {late}", good=False)
     elif late.delay > 0:
-        ms = f"{1e3 * late.delay * late.Ts:.3g}{NBSP}ms"
-        text = f"u acts from lag {late.nk} on, {plural(late.delay, 'sample')} ({ms}) after the "
+        late_by = times(late.delay * late.Ts).replace(" ", NBSP)
+        text = (
+            f"u acts from lag {late.nk} on, {plural(late.delay, 'sample')} ({late_by}) after the "
+        )
         yield finding("delay", text + f"hold's one: estimate with nk={late.nk}", good=True)
     else:
         yield finding("delay", f"none is seen: estimate with nk={late.nk}", good=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from armrig.nonparametric.impulse import ImpulseResponse
-from armrig.numerics.quantities import p_relation, plural
+from armrig.numerics.quantities import p_relation, plural, times
 from armrig.validation.feedback_and_delay.lag_tests import LEVEL, Before
 from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING
 
@@ -148,7 +148,7 @@ class Delay:
         return (
             f"No delay is claimed that is not shown: take nk = {self.nk}, for a coefficient too "
             "many costs little. To tell, record longer, with more and larger changes of u "
-            f"(telegraph, PRBS), or at a Ts above {1e3 * self.Ts:.3g} ms, where the first "
+            f"(telegraph, PRBS), or at a Ts above {times(self.Ts)}, where the first "
             "coefficient is larger."
         )
 
@@ -197,7 +197,7 @@ def _delay_sentence(samples: int, Ts: float) -> str:
         return "a direct term, u acts within its own sample"
     if samples == 0:
         return "no input delay"
-    return f"{plural(samples, 'sample')} ({1e3 * samples * Ts:.3g} ms) beyond the hold's"
+    return f"{plural(samples, 'sample')} ({times(samples * Ts)}) beyond the hold's"
 
 
 def _quantity(x: float, unit: str) -> str:
