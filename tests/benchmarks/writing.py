@@ -1,6 +1,8 @@
 """What the recorder costs a message, against the bare MCAP writer with the same flushes.
 
 `python tests/benchmarks/writing.py [--n 100000]`; processor time, in turn, the least of three.
+`recorder` is a file as the daemon writes it; `once more` the same file written in full chunks, as
+after the run; `handed over` both, with the queue to the writer's thread, message by message.
 """
 
 from __future__ import annotations
@@ -13,13 +15,16 @@ from pathlib import Path
 
 from armrig_core import protobuf
 from armrig_core.manifest import Manifest, Outcome
+from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.protobuf_out import Outgoing
+from armrig_daemon.service.recorder import Recording
 from armrig_daemon.service.recording_part import CHUNK, Part
 from mcap.writer import CompressionType, Writer
 
 _FLUSH = 100  # samples, ten times a second at 1 kHz
 _ROUNDS = 3
+_QUEUED = 1_000  # batches that the writer may lie behind
 
 
 def main() -> None:
@@ -28,15 +33,16 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=100_000)
     n = parser.parse_args().n
     samples = [_sample(k) for k in range(n)]
-    took: dict[str, list[float]] = {"bare": [], "recorder": []}
-    with tempfile.TemporaryDirectory(prefix="armrig-writing-") as name:
-        for i in range(_ROUNDS):
-            took["bare"].append(_timed(lambda i=i: _bare(Path(name) / f"b{i}", samples)))
-            took["recorder"].append(
-                _timed(lambda i=i: _recorder(Path(name) / f"r{i}.mcap", samples))
-            )
-    bare, ours = (min(took[way]) / n * 1e6 for way in ("bare", "recorder"))
-    print(f"a message: bare writer {bare:.2f} us, recorder {ours:.2f} us: {ours / bare:.2f} times")
+    took: dict[str, list[float]] = {name: [] for name in WAYS}
+    for _ in range(_ROUNDS):
+        with tempfile.TemporaryDirectory(prefix="armrig-writing-") as folder:
+            for name, way in WAYS.items():
+                began = time.process_time()
+                way(Path(folder), samples)
+                took[name].append(time.process_time() - began)
+    bare = min(took["bare"])
+    for name, times in took.items():
+        print(f"{name}: {min(times) / n * 1e6:.2f} us a message, {min(times) / bare:.2f} times")
 
 
 def _sample(k: int) -> Outgoing:
@@ -46,14 +52,8 @@ def _sample(k: int) -> Outgoing:
     return Outgoing("sample", t_ns + 5, t_ns, k, data)
 
 
-def _timed(work: Callable[[], None]) -> float:
-    began = time.process_time()
-    work()
-    return time.process_time() - began
-
-
-def _bare(path: Path, samples: list[Outgoing]) -> None:
-    with path.open("wb") as file:
+def _bare(folder: Path, samples: list[Outgoing]) -> None:
+    with (folder / "bare.mcap").open("wb") as file:
         writer = Writer(
             file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
@@ -68,26 +68,55 @@ def _bare(path: Path, samples: list[Outgoing]) -> None:
         writer.finish()
 
 
-def _recorder(path: Path, samples: list[Outgoing]) -> None:
-    manifest = Manifest(
-        rig="1",
-        run_id="r",
-        experiment="run",
-        Ts=0.001,
-        samples=len(samples),
-        k_first=0,
-        started="2026-01-01T00:00:00+00:00",
-        clock_offset_ns=0,
-        armrig="benchmark",
-        protocol="1",
-    )
-    part = Part(path, manifest, {}, 0)
+def _recorder(folder: Path, samples: list[Outgoing]) -> None:
+    part = Part(folder / "part.mcap", _manifest(len(samples)), {}, 0)
     for i, message in enumerate(samples, 1):
         part.add(message)
         if i % _FLUSH == 0:
             part.flush()
     part.finish(Outcome(outcome="complete", samples=part.samples, missing=0))
     part.name()
+
+
+def _once_more(folder: Path, _samples: list[Outgoing]) -> None:
+    compact(folder / "part.mcap", folder / "compact.mcap")
+
+
+def _handed_over(folder: Path, samples: list[Outgoing]) -> None:
+    manifest = _manifest(len(samples))
+    path = folder / "handed.mcap"
+    recording = Recording(path, manifest, {}, t_first_ns=0, changed=lambda: None)
+    for message in samples:
+        recording.add([message])
+        while recording._queue.qsize() > _QUEUED:
+            time.sleep(0.001)
+    recording.finish("complete")
+    recording.join()
+    if recording.error or recording.dropped:
+        raise SystemExit(recording.error or "messages were dropped")
+
+
+def _manifest(n: int) -> Manifest:
+    return Manifest(
+        rig="1",
+        run_id="r",
+        experiment="run",
+        Ts=0.001,
+        samples=n,
+        k_first=0,
+        started="2026-01-01T00:00:00+00:00",
+        clock_offset_ns=0,
+        armrig="benchmark",
+        protocol="1",
+    )
+
+
+WAYS: dict[str, Callable[[Path, list[Outgoing]], None]] = {
+    "bare": _bare,
+    "recorder": _recorder,
+    "once more": _once_more,
+    "handed over": _handed_over,
+}
 
 
 if __name__ == "__main__":

@@ -92,7 +92,7 @@ class Recording:
         self._changed = changed
         self._parts: list[Part] = []
         self._written = self._flushed = 0  # samples
-        self._queue: queue.Queue[list[Outgoing] | str] = queue.Queue()
+        self._queue: queue.SimpleQueue[list[Outgoing] | str] = queue.SimpleQueue()
         if limits is not None:
             manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
         try:
