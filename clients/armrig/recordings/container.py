@@ -54,7 +54,8 @@ from armrig.recordings.sample_rows import (
 
 _IDS = Struct("<HH")  # a channel and its schema, or a schema
 _MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if it is a message
-_IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_IN_CHUNKS = bytes((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
+_MESSAGE_CODE = int(Opcode.MESSAGE)  # to look it up in its class takes longer than to compare it
 _NAME_LIMIT = 100  # B
 _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, roughly
 # Bytes that a message costs us beyond its payload once it is parsed; measured.
@@ -122,7 +123,7 @@ def read(
     DamageError
         It is no regular file: a pipe or a device would keep us waiting, or never end.
     """
-    with byte_source(path) as source:
+    with byte_source(path, is_hashed=digest) as source:
         if source is None:
             return None
         reader = _Reader(Content(size=source.at + source.left), streams)
@@ -187,6 +188,7 @@ class _Reader:
         self.budget = Budget(content.size, messages)
         self.rows = SampleRows(lambda: self.budget.spend(WORK, _SAMPLE_WORK))
         self.chunks = Unpacker(self.budget)
+        self._chunks_at = 0  # where the first one stands in the file
 
     def spend_work(self, cost: int) -> None:
         """Count work with records."""
@@ -209,6 +211,13 @@ class _Reader:
             self.content.input = self.content.input or record.place
             return
         self.add_record(record.opcode, record.body)
+        at, length = record.place
+        if record.opcode == Opcode.CHUNK:
+            self._chunks_at = self._chunks_at or at
+            of = self.content.size - self._chunks_at
+            self.rows.settle((at + length - self._chunks_at) / max(of, length))
+        else:
+            self.rows.settle()
 
     def add_record(self, opcode: int, body: bytes) -> None:
         """Add one record of the file, or of a chunk."""
@@ -244,35 +253,36 @@ class _Reader:
         if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
-    def _walk(self, data: bytes) -> None:
+    def _walk(self, chunk: bytes) -> None:
         """Take the records of a chunk: runs of samples of constant layout at once."""
-        at, end, work = 0, len(data), 0
+        view, streams, add_run = memoryview(chunk), self.streams, self.rows.add_run
+        at, end, work = 0, len(chunk), 0
         while at < end:
-            if data[at] not in _IN_CHUNKS:
-                msg = f"a chunk holds a record (opcode {data[at]}) that must not lie in one"
+            if chunk[at] not in _IN_CHUNKS:
+                msg = f"a chunk holds a record (opcode {chunk[at]}) that must not lie in one"
                 raise DamageError(msg)
             if end - at < _MESSAGE.size:
                 msg = "a chunk ends within a record"
                 raise DamageError(msg)
-            opcode, length, channel = _MESSAGE.unpack_from(data, at)
-            begin, after = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
+            opcode, length, channel = _MESSAGE.unpack_from(chunk, at)
+            begin = at + RECORD_HEAD.size
+            after = begin + length
             if after > end:
                 msg = "a record runs over the end of its chunk"
                 raise DamageError(msg)
-            if opcode == Opcode.MESSAGE:
-                stream = self.streams.get(channel)
-                if length == ROW_LENGTH and stream == "sample":
-                    work += _RUN_WORK
-                    at += self.rows.add_run(data, at)
-                    continue
-                if not stream:
+            if opcode == _MESSAGE_CODE:
+                stream = streams.get(channel)
+                if stream is None:
                     work += 1
                     at = after
                     continue
-            self.add_record(opcode, data[begin:after])
+                if length == ROW_LENGTH and stream == "sample":
+                    work += _RUN_WORK
+                    at += add_run(view, at)
+                    continue
+            self.add_record(opcode, chunk[begin:after])
             at = after
         self.budget.spend(WORK, work)
-        self.rows.settle()
 
     def _message(self, body: bytes) -> None:
         stream = self.streams.get(int.from_bytes(body[:2], "little"))

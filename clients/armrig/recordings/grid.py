@@ -23,17 +23,10 @@ class Grid:
     """Index of the first row."""
     N: int
     """Rows."""
-    rows: NDArray[np.intp]
-    """Row of each sample that came, rising."""
+    present: NDArray[np.bool_]
+    """(N,): the sample came."""
     taken: slice
     """Which of the samples given those are."""
-
-    @property
-    def present(self) -> NDArray[np.bool_]:
-        """(N,): the sample came."""
-        present = np.zeros(self.N, np.bool_)
-        present[self.rows] = True
-        return present
 
     def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
         """Return (N,): the value of the gap that a row lies in, NaN outside of all.
@@ -116,8 +109,11 @@ def grid(
         msg = f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
         msg += "many for a recording"
         raise ValueError(msg)
-    rows = (k - np.uint64(begin)).astype(np.intp) if k.size else np.zeros(0, np.intp)
-    return Grid(k_first=begin, N=end - begin, rows=rows, taken=taken)
+    present = np.ones(end - begin, np.bool_)
+    if k.size < present.size:
+        present[:] = False
+        present[(k - np.uint64(begin)).astype(np.intp)] = True
+    return Grid(k_first=begin, N=end - begin, present=present, taken=taken)
 
 
 def first_of(manifest: Manifest) -> int:

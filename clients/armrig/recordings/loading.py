@@ -19,6 +19,7 @@ from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
+from armrig.numerics.stretches import Mask
 from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import (
     Clock,
@@ -39,6 +40,7 @@ _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with sa
 _LATE_NS = 1_000_000_000  # by how much reports may be written before or after the samples they tell
 _LATEST = 1e15  # s, and samples: later than any, and still whole numbers
 _ROUNDING = 1e-6  # of a sample: 0.3 / 0.1 is not 3
+_RAIL_0, _RAIL_1 = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)  # as a Flag numpy takes 8 bytes each
 _ARRAYS = ("t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present")
 
 
@@ -286,13 +288,15 @@ def _clock(content: Content, manifest: Manifest, k_first: int) -> Clock:
 def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
     """Return u (N,) in V: as applied, or as held while samples were missing, else NaN."""
     u = rows.filled((gap.k_first, gap.count, gap.u_held_v) for gap in gaps)
-    u[rows.rows] = samples["u_applied_v"]
+    u[rows.present] = samples["u_applied_v"]
     return u
 
 
 def _terminal(u: Vector, driver: Driver) -> Vector:
     """Return the voltage at the motor's terminals for that of the codes, in V; 0 V is off."""
-    return np.where(u == 0, 0.0, driver.gain * u + driver.offset_v)
+    terminal = driver.gain * u + driver.offset_v
+    terminal[u == 0] = 0.0
+    return terminal
 
 
 def _angles(
@@ -303,17 +307,16 @@ def _angles(
     before: NDArray[np.void],
 ) -> dict[str, Any]:
     """Return theta_1, alpha, where they are valid, and where the turns are not known."""
-    theta_1, alpha = np.full(rows.N, np.nan), np.full(rows.N, np.nan)
     present = rows.present
     valid, valid_alpha = present.copy(), present.copy()
     rails = samples["flags"]
     # The sample before the first decides whether that one shows an angle.
     near = np.concatenate([before["flags"][-1:], rails])
-    valid[rows.rows] = outside_dead_band((near & Flag.ADC0_RAIL) != 0)[near.size - rails.size :]
-    valid_alpha[rows.rows] = (rails & Flag.ADC1_RAIL) == 0
+    valid[present] = outside_dead_band((near & _RAIL_0) != 0)[near.size - rails.size :]
+    valid_alpha[present] = (rails & _RAIL_1) == 0
     pots = (calibration.theta_1, calibration.alpha) if calibration else (None, None)
-    theta_1[rows.rows] = _angle(samples, "theta_1", pots[0])
-    alpha[rows.rows] = _angle(samples, "alpha", pots[1])
+    theta_1 = _on_grid(_angle(samples, "theta_1", pots[0]), present)
+    alpha = _on_grid(_angle(samples, "alpha", pots[1]), present)
     valid &= np.isfinite(theta_1)
     valid_alpha &= np.isfinite(alpha)
     alpha[~valid_alpha] = np.nan
@@ -333,6 +336,17 @@ def _angles(
 
 def _angle(samples: NDArray[np.void], name: str, pot: Potentiometer | None) -> Vector:
     if pot is None:
-        return np.asarray(samples[f"{name}_rad"], np.float64)
-    counts = samples[f"{name}_counts"].astype(np.float64)
-    return np.asarray((counts - pot.zero_counts) * pot.rad_per_count)
+        return np.array(samples[f"{name}_rad"], np.float64)
+    angle: Vector = samples[f"{name}_counts"].astype(np.float64)
+    angle -= pot.zero_counts
+    angle *= pot.rad_per_count
+    return angle
+
+
+def _on_grid(values: Vector, present: Mask) -> Vector:
+    """Return the values (n,) of the samples that came in their rows, NaN in the others, (N,)."""
+    if values.size == present.size:
+        return values
+    on_grid = np.full(present.size, np.nan)
+    on_grid[present] = values
+    return on_grid

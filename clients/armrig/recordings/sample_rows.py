@@ -21,7 +21,9 @@ SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMP
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
 """Length that the record of a sample of constant layout says."""
 
-_PENDING_LIMIT = 1 << 20  # bytes of rows kept before they are turned into samples
+_PENDING_LIMIT = 1 << 19  # bytes of rows kept before they are turned into samples
+_MARGIN = 1.1  # of room, beyond what the rest of the file should need
+_LEAST_GROWTH, _MOST_GROWTH = 1.5, 64  # times as much room, once there is none
 
 
 class SampleRows:
@@ -32,33 +34,33 @@ class SampleRows:
         self.size = 0
         self.last_k = -1
         self._spend = spend
+        self._share = 1.0
         self._samples = np.empty(0, SAMPLE_DTYPE)
+        self._views: list[memoryview] = []  # rows of the chunk in hand, which they keep
         self._pending: list[bytes] = []
         self._pending_size = 0
 
-    def add_run(self, data: bytes, at: int) -> int:
+    def add_run(self, chunk: memoryview, at: int) -> int:
         """Add the message records as long as a sample's that begin at `at`; return their size in B.
 
         All are of the channel of the first. Whether their layout is the constant one is seen later,
-        in many at once.
+        in many at once. `settle` is to be called before another chunk's.
         """
-        found = _RUN.match(data, at)
+        found = _RUN.match(chunk, at)
         end = found.end() if found else at
-        self._pending.append(data[at:end])  # a copy: a view would keep its whole chunk
-        self._pending_size += end - at
+        self._views.append(chunk[at:end])
         return end - at
 
     def add(self, message: bytes) -> None:
         """Add one sample of any layout; raises DecodeError where it is none."""
         self._spend()
         row = _HEAD + telemetry.encode_sample(telemetry.Sample(*_values(message)))
-        self._pending.append(row)
-        self._pending_size += len(row)
+        self._views.append(memoryview(row))
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing was added yet."""
-        return not self.size and not self._pending
+        return not self.size and not self._pending and not self._views
 
     def finish(self) -> NDArray[np.void]:
         """Return what was added, `SAMPLE_DTYPE`, k rising strictly, and forget it."""
@@ -66,10 +68,25 @@ class SampleRows:
         samples.resize(self.size, refcheck=False)
         return samples
 
-    def settle(self) -> None:
-        """Turn the rows collected into samples once they are many; raises as `pack`."""
+    def settle(self, share: float = 1.0) -> None:
+        """Let go of the chunk; turn rows into samples once they are many. Raises as `pack`.
+
+        Parameters
+        ----------
+        share : float
+            How much of the file's chunks was read, in (0, 1]: says how much room they all need.
+        """
+        self._share = share
+        self._copy()
         if self._pending_size > _PENDING_LIMIT:
             self.pack()
+
+    def _copy(self) -> None:
+        if self._views:
+            rows = b"".join(self._views)
+            self._views.clear()
+            self._pending.append(rows)
+            self._pending_size += len(rows)
 
     def pack(self) -> None:
         """Turn the rows collected into samples.
@@ -79,6 +96,7 @@ class SampleRows:
         DamageError, DecodeError
             One cannot be read, or k does not rise; what stands before it is kept.
         """
+        self._copy()
         if not self._pending:
             return
         data = b"".join(self._pending)
@@ -104,10 +122,13 @@ class SampleRows:
 
     def _room(self, n: int) -> NDArray[np.void]:
         """Return room for n samples behind those that are kept."""
-        if self.size + n > self._samples.size:
-            # The system moves no byte of a large array that grows. To collect the batches and put
-            # them together at the end would take all of it twice.
-            self._samples.resize(self.size + max(n, self.size // 8), refcheck=False)
+        needed = self.size + n
+        if needed > self._samples.size:
+            # Room that is not used yet takes no memory; to copy what is there does, and time.
+            growth = min(max(_MARGIN / self._share, _LEAST_GROWTH), _MOST_GROWTH)
+            room = np.empty(min(int(growth * needed), SAMPLES_LIMIT), SAMPLE_DTYPE)
+            room[: self.size] = self._samples[: self.size]
+            self._samples = room
         return self._samples[self.size : self.size + n]
 
     def _keep(self, samples: NDArray[np.void]) -> None:

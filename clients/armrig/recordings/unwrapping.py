@@ -6,7 +6,7 @@ shows there, and at the first sample after it, while the reading settles, is no 
 
 from __future__ import annotations
 
-from math import tau
+from math import pi, tau
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,16 @@ def unwrap(angle: Vector, valid: Mask) -> Vector:
     keeps its value.
     """
     unwrapped = np.full(angle.size, np.nan)
-    unwrapped[valid] = np.unwrap(angle[valid], period=tau)
+    shown = angle[valid]
+    steps = np.diff(shown)
+    # As np.unwrap to the last bit, which takes the remainder of each step; few of them need it.
+    over = np.flatnonzero(np.abs(steps) >= pi)
+    short = np.mod(steps[over] + pi, tau) - pi
+    short[(short == -pi) & (steps[over] > 0)] = pi
+    if over.size:
+        turned = np.cumsum(short - steps[over])
+        shown[over[0] + 1 :] += np.repeat(turned, np.diff(over, append=steps.size))
+    unwrapped[valid] = shown
     return unwrapped
 
 
@@ -59,6 +68,8 @@ def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
     Ts : float
         Sampling time, in s.
     """
+    if present.all() and Ts <= HALF_TURN_S:
+        return np.zeros(0, np.intp)
     missing = np.cumsum(~present)
     known = np.flatnonzero(valid)
     # The interval before the first sample that came back is unseen, too.

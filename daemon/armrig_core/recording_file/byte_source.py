@@ -11,13 +11,16 @@ from typing import IO
 class ByteSource:
     """The bytes of a file, from the front."""
 
-    def __init__(self, stream: IO[bytes], size: int) -> None:
+    def __init__(self, stream: IO[bytes], size: int, *, is_hashed: bool = False) -> None:
+        """Begin; `is_hashed` says that `sha256` will be asked for, so that less is read twice."""
         self.stream, self.left = stream, size
         self.at = 0
         self.whole = 0
         """End of the last whole record."""
         self.passed = False
         """Chunks were passed over, unread."""
+        self._is_hashed = is_hashed
+        self._hash, self._hashed = hashlib.sha256(), 0  # and of how many bytes it is
 
     def read(self, n: int) -> bytes:
         """Return the next n bytes, fewer at the end of the file."""
@@ -34,22 +37,24 @@ class ByteSource:
 
     def sha256(self) -> str:
         """Return the hash of the whole file, as large as it was when it was opened."""
-        digest = hashlib.sha256()
-        for block in self._blocks(self.at + self.left):
-            digest.update(block)
-        return digest.hexdigest()
+        for block in self._blocks(self._hashed, self.at + self.left):
+            self._hash.update(block)
+        return self._hash.hexdigest()
 
     def crc(self, length: int) -> int:
         """Return the CRC-32 of the first `length` bytes."""
-        crc = 0
-        for block in self._blocks(length):
+        crc, hashes = 0, self._is_hashed and not self._hashed
+        for block in self._blocks(0, length):
             crc = zlib.crc32(block, crc)
+            if hashes:
+                self._hash.update(block)
+                self._hashed += len(block)
         return crc
 
-    def _blocks(self, length: int) -> Iterator[bytes]:
+    def _blocks(self, begin: int, end: int) -> Iterator[bytes]:
         # To read the file once more in large pieces is faster than to hash each record.
-        self.stream.seek(0)
-        while length > 0 and (block := self.stream.read(min(length, 1 << 20))):
-            length -= len(block)
+        self.stream.seek(begin)
+        while begin < end and (block := self.stream.read(min(end - begin, 1 << 20))):
+            begin += len(block)
             yield block
         self.stream.seek(self.at)

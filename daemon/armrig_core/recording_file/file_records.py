@@ -79,8 +79,8 @@ class Record(NamedTuple):
 class Wanted:
     """What a reader wants of a file; the rest is passed over, unread."""
 
-    chunk: Callable[[int, int], bool] = lambda _start, _end: True
-    """Whether it wants the chunk with messages of these log times, in ns."""
+    chunk: Callable[[int, int], bool] | None = None
+    """Whether it wants the chunk with messages of these log times, in ns; None: each."""
     left: str = ""
     """Name of the attachment that stays in the file, to be read from its place."""
     attachment: int = RECORD_LIMIT
@@ -137,7 +137,7 @@ def file_records(
         elif length > RECORD_LIMIT:
             msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
             raise DamageError(msg)
-        if opcode == Opcode.CHUNK:
+        if opcode == Opcode.CHUNK and wanted.chunk is not None:
             begin = source.read(min(length, _CHUNK_TIMES.size))
             if len(begin) == _CHUNK_TIMES.size and not wanted.chunk(*_CHUNK_TIMES.unpack(begin)):
                 source.skip(length - len(begin))

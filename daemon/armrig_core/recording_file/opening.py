@@ -14,8 +14,13 @@ from armrig_core.recording_file.file_records import MAGIC
 
 
 @contextmanager
-def byte_source(path: Path) -> Iterator[ByteSource | None]:
+def byte_source(path: Path, *, is_hashed: bool = False) -> Iterator[ByteSource | None]:
     """Give the file behind its magic; None where it has none.
+
+    Parameters
+    ----------
+    is_hashed : bool
+        Whether its hash will be asked for.
 
     Raises
     ------
@@ -29,7 +34,7 @@ def byte_source(path: Path) -> Iterator[ByteSource | None]:
         if not stat.S_ISREG(found.st_mode):
             msg = "not a regular file"
             raise DamageError(msg)
-        source = ByteSource(stream, found.st_size)
+        source = ByteSource(stream, found.st_size, is_hashed=is_hashed)
         yield source if source.read(len(MAGIC)) == MAGIC else None
 
 

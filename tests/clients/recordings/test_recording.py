@@ -676,7 +676,8 @@ def test_samples_do_not_keep_the_chunk_they_came_in() -> None:
     rows = sample_rows.SampleRows()
     before = sys.getrefcount(chunk)
 
-    taken = rows.add_run(chunk, 0)
+    taken = rows.add_run(memoryview(chunk), 0)
+    rows.settle()
 
     assert taken == len(head) + telemetry.SAMPLE_LENGTH
     assert sys.getrefcount(chunk) == before
@@ -698,7 +699,7 @@ def test_a_grid_has_no_more_rows_than_a_run(
 )
 def test_gaps_fill_rows_as_if_one_after_the_other(gaps: list[tuple[int, int, float]]) -> None:
     """Of those that overlap the last counts."""
-    rows = grid.Grid(k_first=10, N=40, rows=np.zeros(0, np.intp), taken=slice(0))
+    rows = grid.Grid(k_first=10, N=40, present=np.zeros(40, np.bool_), taken=slice(0))
     expected = np.full(40, nan)
     for k_first, count, value in gaps:
         expected[max(k_first - 10, 0) : max(k_first + count - 10, 0)] = value
@@ -719,7 +720,7 @@ def test_gaps_without_end_write_each_row_once(monkeypatch: pytest.MonkeyPatch) -
     full = np.full
     monkeypatch.setattr(np, "full", lambda *args: full(*args).view(Counting))
 
-    grid.Grid(k_first=0, N=500, rows=np.zeros(0, np.intp), taken=slice(0)).filled(
+    grid.Grid(k_first=0, N=500, present=np.zeros(40, np.bool_), taken=slice(0)).filled(
         [(0, 10**9, 1.0)] * 300
     )
 
