@@ -1,0 +1,87 @@
+"""A rig of the machine, and the unit that serves it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from machine import Machine, wait_for
+
+_RUNNER = """
+import sys
+import armrig
+with armrig.Rig(sys.argv[1], connect=sys.argv[2]) as rig:
+    rig.arm("group 3", Ts=0.01)
+    rig.run([1.0, 4.0] * 3000)
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rig:
+    """One rig of the machine: an emulator behind a port, and the unit that serves it."""
+
+    machine: Machine
+    id: str
+
+    @property
+    def unit(self) -> str:
+        """Name of the daemon's unit."""
+        return f"armrigd@{self.id}.service"
+
+    @property
+    def endpoint(self) -> str:
+        """Where the daemon listens."""
+        return f"unixsock-stream//run/armrig/{self.id}/{self.id}.sock"
+
+    def armrig(self, *command: str, user: str = "", check: bool = True) -> tuple[int, str, str]:
+        """Run a command of `armrig` on this rig; return its exit code and what it says."""
+        where = ("--rig", self.id, "--connect", self.endpoint)
+        done = self.machine.run("armrig", *command, *where, user=user, check=check)
+        return done.returncode, done.stdout, done.stderr
+
+    def volts(self) -> list[float]:
+        """Return the voltages at the motor's terminals, as the emulator's witness saw them."""
+        lines = self.machine.path(f"/run/rig{self.id}/trace.csv").read_text().splitlines()
+        fields = [line.split(",") for line in lines]
+        return [float(volts) for t, volts, *_ in fields if t.isdigit()]
+
+    def is_active(self) -> bool:
+        """Tell whether the unit serves."""
+        return self.machine.shown(self.unit, "ActiveState")["ActiveState"] == "active"
+
+    def status(self) -> str:
+        """Return how the daemon tells systemd that its rig is; nothing where none runs."""
+        return self.machine.shown(self.unit, "StatusText")["StatusText"]
+
+    def phase(self) -> str:
+        """Return the phase of the daemon, or nothing where its device does not answer."""
+        return self.status().split(",")[0].split(":")[0].removeprefix("not ready")
+
+    def main_pid(self) -> str:
+        """Return the daemon's process, as the machine counts."""
+        return self.machine.shown(self.unit, "MainPID")["MainPID"]
+
+    def loop_pid(self) -> str:
+        """Return the loop's process."""
+        return self.machine.run("pgrep", "-P", self.main_pid()).stdout.strip()
+
+    def drive(self) -> None:
+        """Have a client run the motor at 1 V and 4 V in turn for a minute; it turns."""
+        before = len(self.volts())
+        command = ["python", "-c", _RUNNER, self.id, self.endpoint]
+        self.machine.run("systemd-run", "--quiet", "/opt/armrig/bin/" + command[0], *command[1:])
+        wait_for(lambda: len(self.volts()) > before + 20)
+
+    def said(self) -> list[tuple[str, str]]:
+        """Return what the daemon has put into the journal: priority and line."""
+        journal = self.machine.journal(self.unit)
+        return [(line["PRIORITY"], line["MESSAGE"]) for line in journal]
+
+    def start(self) -> None:
+        """Have the unit serve, with the rig at 0 V and nobody at it."""
+        self.machine.systemctl("reset-failed", self.unit, check=False)
+        self.machine.systemctl("start", self.unit)
+        wait_for(lambda: self.phase() not in ("", "init"))
+        if self.phase() != "safe":
+            self.armrig("stop")
+            self.armrig("reset")
+        wait_for(lambda: self.status() == "safe, nobody has it")

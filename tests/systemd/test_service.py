@@ -1,0 +1,280 @@
+"""The service under a real systemd: from its start to its end, and what it does with bad input."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from machine import Machine, wait_for
+from served_rig import Rig
+
+PRIORITY = 80  # [timing] priority
+RESTARTED_S = 30.0
+"""Tells a restart from none; what it took is in docs/service.md."""
+
+
+@pytest.fixture
+def rig(first: Rig) -> Rig:
+    """Give rig 1 at 0 V with nobody at it; its service is one for all tests that do not end it."""
+    first.start()
+    return first
+
+
+def _restarts(rig: Rig) -> int:
+    return int(rig.machine.shown(rig.unit, "NRestarts")["NRestarts"])
+
+
+def _is_at_rest(rig: Rig) -> bool:
+    return rig.volts()[-1] == 0.0
+
+
+def _errors(rig: Rig, since: int) -> list[str]:
+    return [line for priority, line in rig.said()[since:] if priority == "3"]
+
+
+def test_the_loop_has_its_priority_and_knows_it(rig: Rig) -> None:
+    """By systemd, for its sandbox refuses to ask for it; nothing else of the service has it."""
+    machine = rig.machine
+    wanted = PRIORITY if machine.may_raise_limits else 1
+    threads = machine.run("ps", "-Lo", "cls=", "-p", rig.main_pid()).stdout.split()
+
+    policy = machine.run("chrt", "-p", rig.loop_pid()).stdout
+    _, status, _ = rig.armrig("status", "--json")
+
+    assert "SCHED_FIFO" in policy
+    assert f"priority: {wanted}\n" in policy
+    assert f'"fifo":{wanted},' in status
+    assert set(threads) == {"TS"}
+
+
+def test_the_service_says_how_it_is(rig: Rig) -> None:
+    """To `systemctl status`, and in the journal with priorities."""
+    assert rig.status() == "safe, nobody has it"
+    said = rig.said()
+    assert ("6", "rig 1 at unixsock-stream//run/armrig/1/1.sock") in said
+    assert not [line for _, line in said if line.startswith(("armrigd:", "<"))]
+
+
+def test_a_member_of_the_group_operates_the_rig_and_nobody_else(rig: Rig) -> None:
+    """The recording is the group's to read."""
+    machine = rig.machine
+    for user in ("student", "stranger"):
+        machine.run("useradd", "--no-create-home", *(["-G", "armrig"] * (user == "student")), user)
+    collect = ("collect", "step", "--seconds", "1", "--at", "0.5", "--name", "s")
+
+    code, _, said = rig.armrig("status", user="stranger", check=False)
+    rig.armrig(*collect, user="student")
+
+    assert code == 1
+    assert "not running, or not permitted" in said
+    (recording,) = machine.path("/var/lib/armrig/recordings").glob("*-s-*.mcap")
+    name = f"/var/lib/armrig/recordings/{recording.name}"
+    machine.run("armrig", "info", name, user="student")
+    assert machine.run("armrig", "info", name, user="stranger", check=False).returncode == 1
+
+
+def test_a_stop_in_a_run_ends_at_0_v_with_the_file_finished(rig: Rig, second: Rig) -> None:
+    """As an upgrade does, which stops and starts; no ESTOP follows, and other rigs go on."""
+    second.start()
+    rig.drive()
+
+    rig.machine.systemctl("restart", rig.unit)
+
+    assert _is_at_rest(rig)
+    assert not list(rig.machine.path("/var/lib/armrig/recordings").glob("1-*.active"))
+    wait_for(lambda: rig.phase() == "safe")
+    rig.machine.systemctl("stop", rig.unit)
+    assert not rig.machine.path("/run/armrig/1").exists()
+    assert second.phase() == "safe"
+    second.machine.systemctl("stop", second.unit)
+
+
+@pytest.mark.parametrize("whose", ["main_pid", "loop_pid"])
+def test_a_process_that_is_killed_is_replaced(rig: Rig, whose: str) -> None:
+    """In a run: 0 V, ESTOP to the device, and sampling again, disarmed."""
+    rig.drive()
+    pid, restarts, before = rig.main_pid(), _restarts(rig), len(rig.said())
+
+    rig.machine.run("kill", "-KILL", getattr(rig, whose)())
+    took = wait_for(lambda: _restarts(rig) > restarts and rig.is_active(), RESTARTED_S)
+
+    print(f"{whose} killed: served again after {took:.1f} s")
+    assert _is_at_rest(rig)
+    assert rig.main_pid() != pid
+    assert any("estop: /run/rig1/tty is in ESTOP, 0 V" in line for _, line in rig.said()[before:])
+    wait_for(lambda: rig.phase() in ("safe", "fault"))
+    assert _is_at_rest(rig)
+
+
+def test_what_hangs_is_replaced_by_the_watchdog(rig: Rig, second: Rig) -> None:
+    """The service of one rig and the loop of the other: both stand still in a run."""
+    second.start()
+    rigs = (rig, second)
+    for each in rigs:
+        each.drive()
+
+    rig.machine.run("kill", "-STOP", rig.main_pid())
+    second.machine.run("kill", "-STOP", second.loop_pid())
+    took = [
+        wait_for(lambda r=each: _restarts(r) == 1 and r.is_active(), RESTARTED_S) for each in rigs
+    ]
+
+    print(f"stood still: served again after {took[0]:.1f} s, {took[0] + took[1]:.1f} s")
+    for each in rigs:
+        assert _is_at_rest(each)
+        wait_for(lambda r=each: r.phase() in ("safe", "fault"))
+        log = each.machine.run("journalctl", "--no-pager", "-u", each.unit).stdout
+        assert "Watchdog timeout" in log
+    second.machine.systemctl("stop", second.unit)
+
+
+def test_a_reload_brings_the_new_configuration_and_keeps_the_priority(rig: Rig) -> None:
+    """While nobody has the rig; while somebody has it, it is refused with who."""
+    machine, path = rig.machine, Path("/etc/armrig/1.toml")
+    before = machine.path(path).read_text()
+    machine.write(path, before + "[limits]\nu_max_v = 4.5\n")
+    try:
+        rig.drive()
+        machine.systemctl("reload", rig.unit)
+        wait_for(lambda: any("group 3 has the rig; reload when" in line for _, line in rig.said()))
+        assert rig.phase() == "active"
+        rig.armrig("stop")
+        wait_for(lambda: rig.phase() == "safe")
+
+        pid = rig.main_pid()
+        machine.systemctl("reload", rig.unit)
+        wait_for(lambda: rig.is_active() and rig.main_pid() not in ("0", pid))
+
+        wait_for(lambda: rig.phase() == "safe")
+        assert '"u_max":4.5' in rig.armrig("status", "--json")[1]
+        assert "SCHED_FIFO" in machine.run("chrt", "-p", rig.loop_pid()).stdout
+    finally:
+        machine.write(path, before)
+
+
+def test_a_service_that_dies_again_and_again_is_given_up(rig: Rig) -> None:
+    """Five starts in a minute; the motor is at 0 V."""
+    state = ""
+    for _ in range(6):
+        wait_for(lambda: rig.is_active() or state_of(rig) == "failed")
+        state = state_of(rig)
+        if state == "failed":
+            break
+        pid = rig.main_pid()
+        rig.machine.run("kill", "-KILL", pid)
+        wait_for(lambda p=pid: rig.main_pid() not in ("0", p) or state_of(rig) == "failed")
+
+    assert state_of(rig) == "failed"
+    assert _is_at_rest(rig)
+
+
+def state_of(rig: Rig) -> str:
+    """Return what systemd says of the unit."""
+    return rig.machine.shown(rig.unit, "ActiveState")["ActiveState"]
+
+
+def _refused(machine: Machine, rig: str) -> tuple[list[str], dict[str, str]]:
+    """Start a service that cannot begin; return its lines, and how systemd has left it."""
+    unit = f"armrigd@{rig}.service"
+    before = len(machine.journal(unit))
+    assert machine.systemctl("start", unit, check=False).returncode == 1
+    lines = [f"{line['PRIORITY']} {line['MESSAGE']}" for line in machine.journal(unit)[before:]]
+    return lines, machine.shown(unit, "ActiveState", "NRestarts", "ExecMainStatus")
+
+
+GIVEN_UP = {"ActiveState": "failed", "NRestarts": "0", "ExecMainStatus": "78"}
+
+
+def test_a_rig_without_a_configuration_is_refused_once(machine: Machine) -> None:
+    """The name has a typing error: no other rig's port is taken."""
+    lines, left = _refused(machine, "l")
+
+    assert left == GIVEN_UP
+    assert lines == [
+        "3 /etc/armrig/l.toml: there is no such file; write one, `armrigd config --example` prints "
+        "all keys; at least [device] port"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "line"),
+    [
+        ("[device]\nport = 5\n", 0o644, r"3 /etc/armrig/3\.toml: device\.port = 5: expected `str`"),
+        ("[device]\n", 0o600, r"3 /etc/armrig/3\.toml: Permission denied; let the daemon's user"),
+        (
+            '[device]\nport = "/etc/passwd"\n',
+            0o644,
+            r"3 /etc/passwd .*: it is no serial port; give",
+        ),
+        ('[device]\nport = "/dev/null"\n', 0o644, r"3 /dev/null .*: it is no serial port; give"),
+        (
+            '[device]\nport = "/dev/cpu_dma_latency"\n',
+            0o644,
+            r"3 /dev/cpu_dma_latency .*: not permitted; add this user to the group of the port",
+        ),
+    ],
+)
+def test_what_must_be_mended_is_said_in_one_line_and_not_tried_again(
+    machine: Machine, text: str, mode: int, line: str
+) -> None:
+    """A wrong value, a file that the service may not read, a port that is none or another's."""
+    machine.write(Path("/etc/armrig/3.toml"), text, mode)
+
+    lines, left = _refused(machine, "3")
+
+    assert left == GIVEN_UP
+    errors = [said for said in lines if said.startswith("3 ")]
+    assert len(errors) == 1, lines
+    assert re.match(line, errors[0])
+
+
+def test_two_units_on_one_port_leave_the_first_in_its_run(rig: Rig) -> None:
+    """The second is given up; it sends no ESTOP into the run of the first."""
+    machine = rig.machine
+    machine.write(Path("/etc/armrig/4.toml"), machine.path("/etc/armrig/1.toml").read_text())
+    rig.drive()
+
+    lines, left = _refused(machine, "4")
+
+    assert left == GIVEN_UP
+    (error,) = (line for line in lines if line.startswith("3 "))
+    assert "/run/rig1/tty cannot be opened: it is taken by another program; end that" in error
+    assert rig.phase() == "active"
+
+
+def test_a_port_that_is_not_there_is_waited_for(machine: Machine) -> None:
+    """The unit serves; what it waits for is said once, and `systemctl status` says it too."""
+    machine.write(Path("/etc/armrig/5.toml"), '[device]\nport = "/dev/armrig-none"\n')
+    machine.systemctl("start", "armrigd@5")
+    wait_for(lambda: "no rig is there" in _status_of(machine, "5"))
+
+    told = [line["MESSAGE"] for line in machine.journal("armrigd@5.service")]
+
+    assert sum("/dev/armrig-none cannot be opened: it is not there; see" in t for t in told) == 1
+    machine.systemctl("stop", "armrigd@5")
+
+
+def _status_of(machine: Machine, rig: str) -> str:
+    return machine.shown(f"armrigd@{rig}.service", "StatusText")["StatusText"]
+
+
+def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
+    """0 V, one line that says which, and a service that goes on."""
+    machine, before = rig.machine, len(rig.said())
+    machine.systemctl("stop", rig.unit)
+    machine.run("mount", "-t", "tmpfs", "-o", "size=5m,mode=0750", "tmpfs", "/var/lib/armrig")
+    machine.run("chown", "armrig:armrig", "/var/lib/armrig")
+    try:
+        rig.start()
+        rig.drive()
+        machine.run("sh", "-c", "cat /dev/zero > /var/lib/armrig/full 2>/dev/null || true")
+        wait_for(lambda: rig.phase() != "active")
+
+        assert _is_at_rest(rig)
+        assert _restarts(rig) == 0
+        (error,) = _errors(rig, before)
+        assert "No space left on device; the recording ends there, whole up to then" in error
+    finally:
+        machine.systemctl("stop", rig.unit)
+        machine.run("umount", "/var/lib/armrig")
