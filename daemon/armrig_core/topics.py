@@ -9,14 +9,31 @@ STREAMS = ("sample", "gap", "event", "timing", "clock", "state")
 RECORDED = (*STREAMS, "trace")
 """What a recording holds: the steps of the core, too, for replay."""
 
+_LONGEST = 40
+PLAYED = "played-"
+"""How the id begins under which a recording is played again; no rig's id begins so."""
+
 
 def check_rig_id(rig: str) -> str:
     """Return `rig`, or raise ValueError where it cannot be part of a key."""
     _require_text(rig)
-    if not re.fullmatch(r"[a-z0-9-]{1,40}", rig):
-        msg = f"rig id {rig!r}: 1 to 40 of a-z, 0-9 and - are allowed"
+    if not re.fullmatch(rf"[a-z0-9-]{{1,{_LONGEST}}}", rig):
+        msg = f"rig id {rig!r}: 1 to {_LONGEST} of a-z, 0-9 and - are allowed"
         raise ValueError(msg)
     return rig
+
+
+def check_own_id(rig: str) -> str:
+    """Return `rig`, or raise ValueError where it cannot be a rig's: that of a recording played."""
+    if check_rig_id(rig).startswith(PLAYED):
+        msg = f"rig id {rig!r}: what begins with {PLAYED} is a recording that `armrig play` plays; "
+        raise ValueError(msg + "choose another id")
+    return rig
+
+
+def played_id(rig: str) -> str:
+    """Return the id under which a recording of `rig` is played again, such as played-1."""
+    return rig if rig.startswith(PLAYED) else f"{PLAYED}{rig}"[:_LONGEST]
 
 
 def _require_text(rig: object) -> None:

@@ -22,7 +22,7 @@ from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
 from armrig_core.printable import printable
 from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
-from armrig_core.topics import check_rig_id
+from armrig_core.topics import check_own_id
 from armrig_core.volts import U_MAX_V, code_of
 from armrig_protocol.messages import (
     CODE_FULL_SCALE,
@@ -59,8 +59,8 @@ class Rig(Table, frozen=True, kw_only=True):
     """Names the rig in keys, topics and files: a-z, 0-9 and -."""
 
     def __post_init__(self) -> None:
-        """Refuse a name that cannot be part of a key."""
-        check_rig_id(self.id)
+        """Refuse a name that cannot be part of a key, or is not a rig's."""
+        check_own_id(self.id)
 
 
 class Device(Table, frozen=True, kw_only=True):

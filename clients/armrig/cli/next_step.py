@@ -21,6 +21,7 @@ AFTER: Mapping[str, str] = {
     "reset": "armrig status{rig}",
     "ls": "armrig info {file}",
     "info": "armrig plot {file}",
+    "play": "armrig info {file}",
     "collect step": "armrig sampling {file} -o sampling.png",
     "sampling hidden": "armrig collect step --Ts {Ts:g} --seconds {seconds:g} --at {at:g}{name}",
     "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --validation",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import ceil, inf
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -35,7 +35,8 @@ from armrig.recordings.recording import Recording, RecordingError, Vector
 from armrig.recordings.recording_summary import TS_LIMIT_S
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
-_EVERYTHING = (0, 1 << 63)
+EVERYTHING = (0, 1 << 63)
+"""Between which indices all samples are."""
 _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
 _LATE_NS = 1_000_000_000  # by how much reports may be written before or after the samples they tell
 _LATEST = 1e15  # s, and samples: later than any, and still whole numbers
@@ -97,10 +98,33 @@ def load(
             calibration = read_calibration(Path(calibration))
     except CalibrationFileError as err:
         raise RecordingError(str(err)) from err
-    between, part = _EVERYTHING, None
+    found = run_content(paths, start, stop)
+    recording = _assembled(name, found, calibration or found.calibration)
+    if found.between != EVERYTHING and not recording.N:
+        msg = f"{name}: nothing of it lies from {start or 0:g} s"
+        raise RecordingError(msg + (f" to {stop:g} s" if stop is not None else " on"))
+    return recording
+
+
+class RunContent(NamedTuple):
+    """What the files of a run hold, or the part of it that was asked for."""
+
+    content: Content
+    manifest: Manifest
+    outcome: Outcome | None
+    calibration: Calibration | None
+    between: tuple[int, int]
+    """Index of the first sample wanted, and behind the last; content may hold a few more."""
+
+
+def run_content(
+    paths: Sequence[Path], start: float | None, stop: float | None, *, digest: bool = True
+) -> RunContent:
+    """Return what the files of a run hold from `start` to `stop`; raises as `load`."""
+    between, part = EVERYTHING, None
     if start is not None or stop is not None:
         between, part = _part(paths[0], start or 0.0, inf if stop is None else stop)
-    files = [_read(one, part) for one in paths]
+    files = [_read(one, part, digest=digest) for one in paths]
     content, manifest, ended, attached = files[0]
     if len(files) > 1:
         try:
@@ -109,12 +133,7 @@ def load(
             msg = f"{paths[0]}: {err}"
             raise RecordingError(msg) from err
         ended = files[-1][2]
-    del files
-    recording = _assembled(name, content, manifest, ended, calibration or attached, between)
-    if part is not None and not recording.N:
-        msg = f"{name}: nothing of it lies from {start or 0:g} s"
-        raise RecordingError(msg + (f" to {stop:g} s" if stop is not None else " on"))
-    return recording
+    return RunContent(content, manifest, ended, attached, between)
 
 
 _READ = (
@@ -177,16 +196,16 @@ def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]
         msg = f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed"
         raise RecordingError(msg)
     content, manifest, _, _ = _read(path, _BEGINNING, digest=False)
-    k_first = _origin(content, manifest)
+    k_first = origin_of(content, manifest)
     first, end = (k_first + ceil(min(t / manifest.Ts, _LATEST) - _ROUNDING) for t in (start, stop))
-    clock = _clock(content, manifest, k_first)
+    clock = clock_of(content, manifest, k_first)
     zero_ns = clock.zero_ns + clock.offset_ns - _LATE_NS
     from_ns = zero_ns + round(min(start, _LATEST) * 1e9)
     to_ns = zero_ns + round(min(stop, _LATEST) * 1e9) + 2 * _LATE_NS
     return (first, end), Part(from_ns=from_ns, to_ns=to_ns, k_end=end)
 
 
-def _origin(content: Content, manifest: Manifest) -> int:
+def origin_of(content: Content, manifest: Manifest) -> int:
     """Return the index of the sample at which t is 0."""
     if manifest.k_first >= 0 or not content.samples.size:
         return manifest.k_first
@@ -207,14 +226,8 @@ def _recovered(content: Content) -> Recovered | None:
     return None if entries is None else records.recovered_of(entries)
 
 
-def _assembled(
-    path: Path,
-    content: Content,
-    manifest: Manifest,
-    outcome: Outcome | None,
-    calibration: Calibration | None,
-    between: tuple[int, int],
-) -> Recording:
+def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -> Recording:
+    content, manifest, outcome, _, between = found
     messages = content.messages
     try:
         spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
@@ -224,9 +237,9 @@ def _assembled(
     except ValueError as err:
         msg = f"{path}: {err}"
         raise RecordingError(msg) from err
-    origin = _origin(content, manifest)
+    origin = origin_of(content, manifest)
     origin = rows.k_first if origin < 0 else origin
-    clock = _clock(content, manifest, origin)
+    clock = clock_of(content, manifest, origin)
     samples, before = content.samples[rows.taken], content.samples[: rows.taken.start]
     gaps = tuple(gap_of(message, clock) for message in messages.get("gap", []))
     saved = f"; saved: {samples.size} samples, {content.read} of {content.size} B, "
@@ -239,7 +252,7 @@ def _assembled(
         "timing": tuple(timing_of(message, clock) for message in messages.get("timing", [])),
         "clock": tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
     }
-    if between != _EVERYTHING:
+    if between != EVERYTHING:
         reports = {name: _within(found, t, manifest.Ts) for name, found in reports.items()}
     recording = Recording(
         path=path,
@@ -272,7 +285,7 @@ def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
     return tuple(f for f in found if f.t < end and f.t + getattr(f, "count", 0) * Ts >= begin)
 
 
-def _clock(content: Content, manifest: Manifest, k_first: int) -> Clock:
+def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
     """Return the clock whose zero is when sample `k_first` was due."""
     if content.samples.size:
         k, due_ns = (int(content.samples[name][0]) for name in ("k", "t_sched_ns"))

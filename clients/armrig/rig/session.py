@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 import zenoh
 from armrig_core.endpoint import distrust, endpoint, socket_directory
 from armrig_core.printable import printable
+from armrig_core.topics import PLAYED
 
 MOST_RECEIVED = 16 << 20
 """Longest message that is received, in B; beyond it the connection ends."""
@@ -30,6 +31,25 @@ class NoReplyError(RigError):
 def default_endpoint(rig: str) -> str:
     """Return where the daemon of this user and rig listens."""
     return endpoint(rig, _socket_directory())
+
+
+def own_endpoint(rig: str) -> str:
+    """Return where we listen ourselves under the id `rig`, in a directory of this user's alone.
+
+    Raises
+    ------
+    RigError
+        The directory may be another user's, or there is no place for one.
+    """
+    directory = Path(_socket_directory())
+    try:
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as err:
+        msg = f"{directory}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours"
+        raise RigError(msg) from err
+    where = default_endpoint(rig)
+    _check_directory(rig, where)
+    return where
 
 
 def open_session(connect: str | None, *, rig: str) -> zenoh.Session:
@@ -98,6 +118,11 @@ def _check_directory(rig: str, where: str) -> None:
 
 def no_reply(rig: str, where: str) -> NoReplyError:
     """Return the error of a daemon that does not answer."""
+    if rig.startswith(PLAYED):
+        return NoReplyError(
+            f"no reply from {rig} at {where}: a recording that is played again takes no commands; "
+            f"start it with `armrig play F`, watch it with `armrig watch --rig {rig}`"
+        )
     return NoReplyError(
         f"no reply from rig {rig} at {where}: not running, or not permitted; "
         "start it with `armrig lab` or `armrigd run`, or give its endpoint with --connect"

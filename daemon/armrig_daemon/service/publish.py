@@ -15,6 +15,7 @@ import msgspec
 import zenoh
 from armrig_core import protobuf
 from armrig_core.commands import REQUESTS, Calibrate, Refused, Renew, Status, Stop, json_schema
+from armrig_core.owned_session import owned_session
 from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
 
 from armrig_daemon.service import admission, token_bucket
@@ -48,59 +49,9 @@ def kind_of(name: str) -> Kind:
     return Kind.LEASED if name in admission.LEASED else Kind.OTHER
 
 
-def _denied(what: str, flow: str, messages: list[str]) -> dict[str, Any]:
-    return {
-        "id": what,
-        "permission": "deny",
-        "flows": [flow],
-        "messages": messages,
-        "key_exprs": ["**"],
-    }
-
-
-_OURS_ALONE = (
-    _denied(
-        "what only the daemon does",
-        "ingress",
-        ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
-    ),
-    # A peer that says it is a router is passed all questions, queryable or not.
-    _denied("what only the daemon hears", "egress", ["query"]),
-)
-_ACCESS_CONTROL = {
-    "enabled": True,  # without it all of this is passed over in silence
-    "default_permission": "allow",
-    "rules": list(_OURS_ALONE),
-    "subjects": [{"id": "all who connect"}],
-    "policies": [
-        {"rules": [rule["id"] for rule in _OURS_ALONE], "subjects": ["all who connect"]},
-    ],
-}
-"""What who connects may not do: publish, answer, or stand for a daemon. We would pass it on, and
-the others could not tell it from ours: zenoh's source of a sample is what its sender writes. Nor
-may he hear what others ask: a command carries the lease."""
-
-
 def session_config(endpoint: str) -> zenoh.Config:
     """Return the configuration of a session that only listens at `endpoint`, found by nobody."""
-    return zenoh.Config.from_json5(
-        json.dumps(
-            {
-                "mode": "peer",
-                "listen": {"endpoints": [endpoint]},
-                "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-                "adminspace": {"enabled": False},
-                "access_control": _ACCESS_CONTROL,
-                "transport": {
-                    "shared_memory": {"enabled": False},
-                    "link": {
-                        "rx": {"max_message_size": MOST_BYTES},
-                        "tx": {"queue": {"congestion_control": {"drop": {"wait_before_drop": 0}}}},
-                    },
-                },
-            }
-        )
-    )
+    return zenoh.Config.from_json5(json.dumps(owned_session(endpoint, most_received=MOST_BYTES)))
 
 
 def _opened(endpoint: str) -> zenoh.Session:

@@ -1,0 +1,95 @@
+"""The command play: a recording published again, for subscribers and dashboards."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from armrig.cli.chosen_recording import File
+from armrig.cli.next_step import say_next, typed
+from armrig.cli.options import From, Json, To, echo, print_json, tell
+
+if TYPE_CHECKING:
+    from armrig.recordings.published import PublishedRun
+
+Speed = Annotated[
+    float, typer.Option("--speed", metavar="X", help="How many times as fast as it was recorded.")
+]
+Loop = Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")]
+Wait = Annotated[bool, typer.Option("--wait", help="Begin when somebody listens.")]
+Listen = Annotated[
+    str | None,
+    typer.Option(
+        "--listen",
+        metavar="ENDPOINT",
+        help="zenoh endpoint to be heard at.",
+        show_default="a socket of this user's",
+    ),
+]
+
+
+def play(
+    file: File,
+    speed: Speed = 1.0,
+    start: From = None,
+    stop: To = None,
+    loop: Loop = False,
+    wait: Wait = False,
+    listen: Listen = None,
+    json: Json = False,
+) -> None:
+    """Publish a recording again, as its daemon published it, until its end or Ctrl-C.
+
+    It has the same messages under keys of its own, rig/played-1/sample for a recording of rig 1.
+    No rig has such an id, and no command is answered there.
+
+    With --json a line says where it is heard, and one at the end how much was published.
+    """
+    from math import inf
+
+    from armrig_core.topics import check_rig_id, played_id
+
+    from armrig.recordings.published import published
+    from armrig.rig.play import play as played
+    from armrig.rig.play import staged
+    from armrig.rig.session import own_endpoint
+
+    if not 0 < speed < inf:
+        msg = f"--speed {speed:g}: a number above 0 is needed, such as 1 or 10"
+        raise ValueError(msg)
+    run = published(file, start, stop)
+    rig = played_id(check_rig_id(run.manifest.rig))
+    if run.damage:
+        tell(f"{file}: {run.damage}; what is whole is played")
+    where = listen or own_endpoint(rig)
+    count = 0
+    with staged(where, rig) as stage, suppress(KeyboardInterrupt):  # Ctrl-C is a way to end it
+        _announce(run, rig, where, speed, named=listen, json=json)
+        while True:
+            if wait:
+                stage.wait_for_listener()
+            for _ in played(run, stage.publish, speed=speed):
+                count += 1
+            if not loop:
+                break
+    if json:
+        print_json({"rig": rig, "published": count})
+        return
+    echo(f"published {count} messages")
+    say_next("play", file=typed(file))
+
+
+def _announce(
+    run: PublishedRun, rig: str, where: str, speed: float, *, named: str | None, json: bool
+) -> None:
+    """Say what is played and where it is heard."""
+    from armrig.cli.next_step import naming
+
+    if json:
+        facts = {"rig": rig, "endpoint": where, "messages": len(run), "samples": run.samples.size}
+        print_json({**facts, "seconds": run.seconds / speed})
+        return
+    echo(f"{rig} at {where}: {len(run)} messages in {run.seconds / speed:.3g} s; Ctrl-C ends it")
+    echo(f"in a second terminal: armrig watch{naming(rig, named)}")

@@ -1,0 +1,132 @@
+"""What a recording's daemon published during the run, message after message."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from armrig_core.manifest import Manifest
+from armrig_core.recording_file.part_names import part_paths
+from armrig_core.telemetry import Sample, encode_sample
+from numpy.typing import NDArray
+
+from armrig.recordings.container import Content
+from armrig.recordings.daemon_reports import Clock
+from armrig.recordings.loading import EVERYTHING, clock_of, origin_of, run_content
+from armrig.recordings.recording import RecordingError
+
+_AT_ONCE = 4096  # samples that are made into Python's numbers at once
+
+
+class Published(NamedTuple):
+    """One message as it was published."""
+
+    t: float
+    """When, in s from the run's first sample; before it for what was said at the start."""
+    stream: str
+    """Such as sample."""
+    data: bytes
+    """The message."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PublishedRun:
+    """The messages of a run, in the order in which they were published."""
+
+    manifest: Manifest
+    """How the run was made."""
+    damage: str
+    """Why the file could not be read to its end; "" for a whole one."""
+    samples: NDArray[np.void]
+    """Its samples, as recorded."""
+    others: tuple[Published, ...]
+    """All other messages, in their order."""
+    clock: Clock
+    """Of the host, from which `t` counts."""
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return int(self.samples.size) + len(self.others)
+
+    @property
+    def seconds(self) -> float:
+        """From the first message to the last, in s."""
+        ends = [self.others[0].t, self.others[-1].t] if self.others else []
+        ends += [self._t(int(row["t_host_ns"])) for row in self.samples[[0, -1]]] * (
+            self.samples.size > 0
+        )
+        return max(ends) - min(ends) if ends else 0.0
+
+    def messages(self) -> Iterator[Published]:
+        """Give all messages; a gap stands before the sample behind it."""
+        return heapq.merge(self.others, self._samples(), key=lambda message: message.t)
+
+    def _samples(self) -> Iterator[Published]:
+        for begin in range(0, self.samples.size, _AT_ONCE):
+            for row in self.samples[begin : begin + _AT_ONCE].tolist():
+                sample = Sample._make(row)
+                yield Published(self._t(sample.t_host_ns), "sample", encode_sample(sample))
+
+    def _t(self, host_ns: int) -> float:
+        return self.clock.seconds(host_ns)
+
+
+def published(path: Path, start: float | None = None, stop: float | None = None) -> PublishedRun:
+    """Return what was published during the run in a file, or in the parts of one.
+
+    Parameters
+    ----------
+    start, stop : float, optional
+        Only what is of start <= t < stop, in s from the run's first sample.
+
+    Raises
+    ------
+    RecordingError
+        As of `armrig.load`, or there is nothing to publish.
+    OSError
+        The file cannot be opened or read.
+    """
+    found = run_content(part_paths(path), start, stop, digest=False)
+    content, manifest = found.content, found.manifest
+    clock = clock_of(content, manifest, origin_of(content, manifest))
+    first, end = found.between
+    k = content.samples["k"]
+    samples = content.samples[np.searchsorted(k, first) : np.searchsorted(k, end)]
+    others = sorted(_others(content, clock), key=lambda message: message.t)
+    if found.between != EVERYTHING:
+        low, high = start or 0.0, np.inf if stop is None else stop
+        others = [message for message in others if low <= message.t < high]
+    if not (samples.size or others):
+        msg = f"{path}: there is nothing in it to publish"
+        raise RecordingError(msg)
+    return PublishedRun(
+        manifest=manifest,
+        damage=content.damage,
+        samples=samples,
+        others=tuple(others),
+        clock=clock,
+    )
+
+
+def _others(content: Content, clock: Clock) -> Iterator[Published]:
+    for stream, messages in content.messages.items():
+        for message in messages:
+            t = clock.seconds(_host_ns(stream, message, content, clock))
+            yield Published(t, stream, message.SerializeToString())
+
+
+def _host_ns(stream: str, message: Any, content: Content, clock: Clock) -> int:
+    """Return when a message was published, on the host's monotonic clock."""
+    if stream == "event":
+        stamp = message.timestamp
+        return int(stamp.seconds) * 1_000_000_000 + int(stamp.nanos) - clock.offset_ns
+    if stream != "gap":
+        return int(message.t_host_ns)
+    behind = np.searchsorted(content.samples["k"], min(message.k_first, (1 << 63) - 1))
+    if behind == content.samples.size:
+        return int(message.t_to_ns)
+    return min(int(message.t_to_ns), int(content.samples["t_host_ns"][behind]))

@@ -1,0 +1,300 @@
+"""A recording played again: the same messages in the same order, and never taken for a rig."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from armrig.cli import main
+from armrig.recordings.published import published
+from armrig.recordings.recording import RecordingError
+from armrig.rig import play as playing
+from armrig.rig.client import Rig
+from armrig.rig.live_gaps import LiveGap
+from armrig.rig.play import play, staged
+from armrig.rig.session import NoReplyError, RigError, open_session
+from armrig.rig.telemetry_stream import stream
+from armrig_core import telemetry
+from armrig_core.topics import PLAYED, check_own_id, played_id
+from armrig_daemon.config import Rig as RigTable
+from made_recordings import event, gap, manifest, recorded, sample, timing, written
+
+N = 60
+
+
+def run_of(directory: Path, **changes: Any) -> Path:
+    """Write a recording of samples, a gap, an event and a report of timing."""
+    messages: list[Any] = [event(0, "begun")]
+    for k in range(N):
+        if k == 20:
+            messages.append(gap(20, 5, 1.0))
+        if not 20 <= k < 25:
+            messages.append(sample(k))
+        if k == 40:
+            messages.append(timing(40))
+    about = manifest(k_first=0, samples=N, **changes)
+    return written(directory, recorded(messages, manifest=about, flush_every=10))
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """Return a recording."""
+    return run_of(tmp_path)
+
+
+@pytest.fixture
+def place() -> Iterator[str]:
+    """Return a directory whose path is short enough for a socket."""
+    with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
+        yield directory
+
+
+def test_the_messages_are_those_recorded_in_their_order(run: Path) -> None:
+    """Bit for bit, a gap before the sample behind it."""
+    found = published(run)
+    messages = list(found.messages())
+
+    samples = [sample(k) for k in range(N) if not 20 <= k < 25]
+    sent = [m.data for m in messages if m.stream == "sample"]
+    assert sent == [telemetry.encode_sample(one) for one in samples]
+    assert [m.data for m in messages if m.stream == "gap"] == [gap(20, 5, 1.0).SerializeToString()]
+    order = [m.stream for m in messages]
+    assert order.index("gap") == 1 + 20  # behind the event and the first 20
+    assert order.count("event") == order.count("timing") == 1
+    assert len(messages) == len(found)
+    assert [m.t for m in messages] == sorted(m.t for m in messages)
+    assert found.seconds == pytest.approx((N - 1) * 0.01)
+
+
+def test_a_part_is_played_alone(run: Path) -> None:
+    """By the times of the run, samples and all else."""
+    messages = list(published(run, 0.1, 0.3).messages())
+
+    ks = [telemetry.decode_sample(m.data).k for m in messages if m.stream == "sample"]  # type: ignore[union-attr]
+    assert ks == [*range(10, 20), *range(25, 30)]
+    assert [m.stream for m in messages if m.stream != "sample"] == ["gap"]
+    with pytest.raises(RecordingError, match="nothing in it to publish"):
+        published(run, 5.0, 6.0)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 20.0])
+def test_each_message_is_published_when_it_is_due(
+    run: Path, speed: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a clock that only sleeping moves, in pieces that Ctrl-C may end."""
+    now = [100.0]
+    slept: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        now[0] += seconds
+
+    monkeypatch.setattr(playing.time, "sleep", sleep)
+    monkeypatch.setattr(playing.time, "monotonic", lambda: now[0])
+    sent: list[float] = []
+
+    messages = list(play(published(run), lambda *_: sent.append(now[0]), speed=speed))
+
+    due = [100.0 + (m.t - messages[0].t) / speed for m in messages]
+    assert sent == pytest.approx(due, abs=1e-9)
+    assert max(slept) <= 1.0
+
+
+def test_a_pause_of_ages_is_slept_through_in_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A time that no clock reaches is no error, and does not keep Ctrl-C out."""
+    late = [sample(0), sample(1, t_host_ns=2**62)]
+    run = published(written(tmp_path, recorded(late)))
+    now = [0.0]
+    slept: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        now[0] += seconds
+        if len(slept) == 5:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(playing.time, "sleep", sleep)
+    monkeypatch.setattr(playing.time, "monotonic", lambda: now[0])
+    with pytest.raises(KeyboardInterrupt):
+        list(play(run, lambda *_: None, speed=1.0))
+
+    assert slept == [1.0] * 5
+
+
+def test_a_listener_hears_what_was_recorded(run: Path, place: str) -> None:
+    """Through a real session: every sample, and the gap with the daemon's own reason."""
+    where = f"unixsock-stream/{place}/p.sock"
+    heard: list[Any] = []
+
+    with staged(where, "played-1") as stage:
+        samples = stream("rig/played-1/sample", connect=where)
+
+        def listen() -> None:
+            for value in samples:
+                heard.append(value)
+                if getattr(value, "k", 0) == N - 1:
+                    break
+
+        thread = threading.Thread(target=listen)
+        thread.start()
+        stage.wait_for_listener()
+        list(play(published(run), stage.publish, speed=1.0))
+        thread.join(20)
+        samples.close()
+
+    assert [v for v in heard if not isinstance(v, LiveGap)] == [
+        sample(k) for k in range(N) if not 20 <= k < 25
+    ]
+    [missing] = [v for v in heard if isinstance(v, LiveGap)]
+    assert (missing.k_first, missing.count, missing.reason) == (20, 5, "link silent")
+
+
+def test_it_is_no_rig(place: str) -> None:
+    """No command is answered, nobody else may publish there, and its id is none of a rig's."""
+    where = f"unixsock-stream/{place}/p.sock"
+    with staged(where, "played-1"):
+        with Rig("played-1", connect=where) as rig:
+            with pytest.raises(NoReplyError, match="a recording that is played again takes no"):
+                rig.status()
+            with pytest.raises(NoReplyError):
+                rig.arm("somebody")
+        with (
+            open_session(where, rig="played-1") as stranger,
+            open_session(where, rig="played-1") as other,
+        ):
+            heard = other.declare_subscriber("rig/**", zenoh.handlers.RingChannel(10))
+            stranger.put("rig/played-1/sample", telemetry.encode_sample(sample(1)))
+            replies = list(stranger.get("rig/*/cmd/status", timeout=0.5))
+            tokens = [r.ok.key_expr for r in other.liveliness().get("rig/*/alive") if r.ok]
+            schemas = list(other.get("rig/played-1/schema/armrig.v1.Sample"))
+            assert heard.try_recv() is None
+    assert replies == []
+    assert [str(token) for token in tokens] == ["rig/played-1/alive"]
+    assert len(schemas) == 1
+    for refused in (check_own_id, lambda rig: RigTable(id=rig)):
+        with pytest.raises(ValueError, match="what begins with played- is a recording that"):
+            refused("played-1")
+
+
+def test_its_id_is_short_enough_and_marked_once() -> None:
+    """Also of a long one, and of what was recorded from a recording that was played."""
+    assert played_id("1") == "played-1"
+    assert played_id("played-1") == "played-1"
+    assert len(played_id("a" * 40)) == 40
+    assert played_id("a" * 40).startswith(PLAYED)
+
+
+def test_an_endpoint_that_is_taken_is_told_so(place: str) -> None:
+    """And one that is none."""
+    where = f"unixsock-stream/{place}/p.sock"
+    with (
+        staged(where, "played-1"),
+        pytest.raises(RigError, match="played there already"),
+        staged(where, "played-1"),
+    ):
+        pass
+    with pytest.raises(RigError, match="--listen"), staged("nonsense", "played-1"):
+        pass
+
+
+def test_the_command_plays_to_the_end(
+    run: Path, place: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At a socket of this user's; for a person and for a program."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", place)
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+
+    assert main(["play", str(run), "--speed", "100"]) == 0
+    told = capsys.readouterr()
+    assert main(["play", str(run), "--speed", "100", "--from", "0.5", "--json"]) == 0
+    first, last = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+
+    assert f"played-1 at unixsock-stream/{place}/armrig/played-1.sock: 58 messages" in told.out
+    assert "in a second terminal: armrig watch --rig played-1" in told.out
+    assert "published 58 messages" in told.out
+    assert told.err.startswith("next: armrig info ")
+    assert first["endpoint"].endswith("/armrig/played-1.sock")
+    assert (first["rig"], first["messages"], first["samples"]) == ("played-1", 10, 10)
+    assert last == {"rig": "played-1", "published": 10}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
+    """Without a trace, and the socket can be listened at again."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "armrig", "play", str(run), "--loop", "--wait", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "XDG_RUNTIME_DIR": place},
+    ) as process:
+        assert process.stdout is not None
+        try:
+            where = json.loads(process.stdout.readline())["endpoint"]
+            samples = stream("rig/played-1/sample", connect=where)
+            ks = (value.k for value in samples if not isinstance(value, LiveGap))
+            while next(ks) < N - 1:
+                pass
+            assert next(ks) < N - 1  # once more from the start
+            samples.close()
+            process.send_signal(number)
+            out, err = process.communicate(timeout=20)
+        finally:
+            process.kill()
+
+    assert process.returncode == (0 if number == signal.SIGINT else 128 + number)
+    assert json.loads(out)["published"] >= 60  # 58, an event and a sample
+    assert "Traceback" not in err
+    with staged(where, "played-1"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--speed", "0"], "--speed 0: a number above 0 is needed"),
+        (["--speed", "inf"], "--speed inf: a number above 0 is needed"),
+        (["--from", "9"], "nothing in it to publish"),
+        (["--listen", "nonsense"], "give another with --listen"),
+    ],
+)
+def test_what_cannot_be_played_is_told(
+    run: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line."""
+    assert main(["play", str(run), *arguments]) == 1
+
+    assert told in capsys.readouterr().err
+
+
+def test_hostile_files_are_played_as_far_as_they_are_whole(
+    tmp_path: Path, place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Or refused in a line: a rig's id that is no key, times beyond any clock."""
+    where = ["--listen", f"unixsock-stream/{place}/p.sock", "--speed", "1000"]
+    whole = run_of(tmp_path).read_bytes()
+    cut = written(tmp_path, whole[: len(whole) // 2], "cut.mcap")
+    assert main(["play", str(cut), *where]) == 0
+    assert "what is whole is played" in capsys.readouterr().err
+
+    far = [event(0, "x"), gap(0, 1, 1.0), sample(5)]
+    far[1].count, far[1].t_to_ns = 2**64 - 1, -(2**63)
+    far[0].timestamp.seconds = 2**62 // 10**9
+    data = recorded(far, manifest=manifest(samples=10, k_first=0))
+    assert len(list(published(written(tmp_path, data, "far.mcap")).messages())) == 3
+
+    bad = written(tmp_path, b"text", "text.mcap")
+    assert main(["play", str(bad), *where]) == 1
+    assert "not an MCAP file" in capsys.readouterr().err
