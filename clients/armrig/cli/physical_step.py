@@ -102,7 +102,7 @@ def _state_space(p: ArmParameters) -> str:
 
 
 def _table(found: dict[str, _Answer]) -> str:
-    """Return the figures by which the models differ, a model a column."""
+    """Return the figures by which the models differ, a model a column; five fit 80 characters."""
     columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
     columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
     for name, answer in found.items():
@@ -115,7 +115,7 @@ def _table(found: dict[str, _Answer]) -> str:
     widths = [max(map(len, column)) for column in columns]
     rows = zip(*columns, strict=True)
     return "\n".join(
-        "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+        " ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
     )
 

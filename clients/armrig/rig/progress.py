@@ -71,7 +71,7 @@ class TimingNote:
             queue = report.queue_depth
             self._queue = f", queue {queue.p50:.0f}" if queue.n else ""
         p99_us = float(np.percentile(self._late[:, 1], 99)) / 1e3
-        return f"host's lateness p99 {number(p99_us)} µs, missing {self._missing}{self._queue}"
+        return f"host late p99 {number(p99_us)} µs, missing {self._missing}{self._queue}"
 
 
 @contextmanager

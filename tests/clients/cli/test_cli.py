@@ -562,7 +562,7 @@ def test_the_bar_says_how_the_timing_is(
     assert main(["collect", "step", "--connect", where]) == 0
 
     said = " ".join(capsys.readouterr().err.split())
-    assert "host's lateness p99 456 µs, missing 2, queue 17" in said
+    assert "host late p99 456 µs, missing 2, queue 17" in said
 
 
 def test_info_says_lateness_as_the_bar_does(

@@ -27,6 +27,8 @@ def test_the_matrices_say_of_which_parameters_they_are(capsys: pytest.CaptureFix
     assert said(["model"], capsys).startswith("A and B with the parameters of the handout:\n")
     changed = said(["model", "--set", "J_1=0.0034", "--set", "K_lin=2.38"], capsys)
     assert changed.startswith("A and B with J_1=0.0034, K_lin=2.38:\n")
+    table = changed.partition("A step of 1 V")[0]
+    assert max(map(len, table.splitlines())) <= 80
 
 
 def test_check_finds_no_feedback_and_no_delay(
