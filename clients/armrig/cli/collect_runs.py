@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from armrig.cli.next_step import say_next, typed
+from armrig.cli.next_step import naming, say_next, step_again, typed
 from armrig.cli.options import echo, print_json, tell
 
 SECONDS = 30.0
@@ -157,4 +158,19 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         else:
             tell(f"{kept}{verdict.summary}")
     if first is not None and not run.json:
-        say_next(f"collect {each[0].experiment}", file=typed(first))
+        _say_next(each[0].experiment, first, naming(run.rig, run.connect))
+
+
+def _say_next(kind: str, first: Path, rig: str) -> None:
+    """Say what comes after a collection: a step whose rise is hidden is made again."""
+    from armrig.recordings.loading import load
+    from armrig.recordings.recording import RecordingError
+
+    again = ""
+    if kind == "step":
+        with suppress(RecordingError, OSError):  # the verdict is out: this is a hint
+            again = step_again(load(first))
+    if again:
+        say_next("step hidden", again=f"{rig}{again}")
+    else:
+        say_next(f"collect {kind}", file=typed(first))

@@ -59,9 +59,10 @@ def check(
     """Test for open loop and for a delay (handout 3.7, 3.8)."""
     from armrig.cli.spinner import spinner
     from armrig.validation.feedback_and_delay.delay import delay
-    from armrig.validation.feedback_and_delay.open_loop import open_loop
+    from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
 
     check_plot(plot, [file])
+    require_level(level)
     signals = Signals(
         signal=signal,
         input=input,

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armrig.cli.chosen_recording import DataFile, File
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import AFTER, kind_of, say_next, typed, validation_beside
+from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
     CalibrationFile,
     DataTs,
@@ -32,12 +31,7 @@ if TYPE_CHECKING:
     from armrig.nonparametric.sampling_time import SamplingTime
     from armrig.nonparametric.step_analysis import StepAnalysis
     from armrig.nonparametric.structure_hints import StructureHints
-    from armrig.recordings.recording import Recording
     from armrig.recordings.usability import Finding
-
-_LATER_S = 1.0
-_LONGEST = 28
-"""Letters of a name that another word is put behind."""
 
 Drawing = Annotated[Path, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")]
 
@@ -113,26 +107,12 @@ def sampling(
         print_json(source_facts(data) | _sampling_facts(choice))
         return
     say("\n".join(repr(one) for one in reversed(shown)))
-    if steps is not None and steps.hidden and signals.read:
-        say_next("sampling hidden", **_step_again(signals.read[0]))
+    if signals.read and (again := step_again(signals.read[0])):
+        say_next("step hidden", again=again)
     elif from_recording(data):
         say_next("sampling", Ts=choice.Ts)
     else:
         say_next("sampling other", file=typed(file), given=signals.options())
-
-
-def _step_again(recording: Recording) -> dict[str, str | float]:
-    """Return the same step a second later, when the chassis has turned on."""
-    manifest = recording.manifest
-    said = manifest.details.get("at")
-    at = float(said) if isinstance(said, int | float) else 1.0
-    name = manifest.experiment.partition("-")[2][:_LONGEST]
-    return {
-        "Ts": manifest.Ts,
-        "at": at + _LATER_S,
-        "seconds": max(recording.asked_s, at + 4 * _LATER_S),
-        "name": f" --name {quote(name)}-again" if name else "",
-    }
 
 
 def _steps(data: Dataset) -> StepAnalysis | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,8 +62,8 @@ def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
 
 
 def _row(summary: RecordingSummary, answering: Answering) -> tuple[str, ...]:
-    ended = summary.outcome
-    how = "" if ended == "complete" else f"({ended.split(':')[0]})"
+    why = re.split("[:(]", summary.outcome)[0].strip()
+    how = "" if summary.outcome == "complete" else f"({why})"
     return (
         short_name(summary, answering),
         summary.kind,

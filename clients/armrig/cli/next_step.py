@@ -6,9 +6,17 @@ import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
+from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from armrig_core.printable import printable
+
+if TYPE_CHECKING:
+    from armrig.recordings.recording import Recording
+
+_LONGEST = 28
+"""Letters of a name that another word is put behind."""
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -23,7 +31,7 @@ AFTER: Mapping[str, str] = {
     "info": "armrig plot {file}",
     "play": "armrig info {file}",
     "collect step": "armrig sampling {file} -o sampling.png",
-    "sampling hidden": "armrig collect step --Ts {Ts:g} --seconds {seconds:g} --at {at:g}{name}",
+    "step hidden": "armrig collect step{again}",
     "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --validation",
     "sampling other": "armrig hints {file}{given} -o hints.png",
     "collect blackbox": "armrig plot {file}",
@@ -67,6 +75,23 @@ def say_to_copy(text: str) -> None:
 def next_line(after: str, **values: str | float) -> str:
     """Return the line after a command."""
     return f"next: {printable(AFTER[after].format(**values))}"
+
+
+def step_again(recording: Recording) -> str:
+    """Return the options of the step that shows what a dead band has hidden; "" where it has not.
+
+    Where the chassis rests before the step, no time is better than another: it is to be turned.
+    """
+    from armrig.recordings.hidden_step import hidden_step
+
+    manifest = recording.manifest
+    kind, _, name = manifest.experiment.partition("-")
+    hidden = hidden_step(recording) if kind == "step" else None
+    if hidden is None or not isfinite(hidden.at_s):
+        return ""
+    named = f" --name {shlex.quote(f'{name[:_LONGEST]}-again')}" if name else ""
+    when = f" --at {hidden.at_s:g} --seconds {hidden.seconds:g}"
+    return f" --Ts {manifest.Ts:g}{when}{named}"
 
 
 def opener() -> str:

@@ -236,8 +236,9 @@ def simulate(
     if json:
         print_json({"recording": data.source, "models": [row_facts(row) for row in table.rows]})
         return
-    echo(f"{table!r}\n{table.table()}")
-    echo(table.explain())
+    say(repr(table))
+    echo(table.table())
+    say(table.explain())
     say_next("simulate F", file=typed(file))
 
 
@@ -255,7 +256,7 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
         figures = ("steady_speed", "initial_slope", "rigid_slope")
         print_json({name: getattr(found, name) for name in figures} | roots)
         return
-    echo(found.explain())
+    say(found.explain())
     say_next("simulate")
 
 

@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import armrig
 import pytest
 import typer
 from armrig.cli import app, main
@@ -24,9 +25,7 @@ VALUES: dict[str, Any] = {
     "Ts": 0.005,
     "rig": " --rig 2",
     "given": " --signal theta_1",
-    "name": " --name first-again",
-    "at": 2.0,
-    "seconds": 10.0,
+    "again": " --Ts 0.002 --at 1.8 --seconds 11 --name first-again",
 }
 
 
@@ -109,8 +108,11 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
         assert main(["sampling", str(written(tmp_path, data, name))]) == 0
     hidden, seen = (x for x in capsys.readouterr().err.splitlines() if x.startswith("next: "))
 
-    again = "next: armrig collect step --Ts 0.01 --seconds 5 --at 2 --name first-again"
-    assert hidden == again
+    again = armrig.data_verdict(armrig.load(tmp_path / "hidden.mcap")).summary
+    advised = re.search(r"Repeat with `(--at \S+ --seconds \d+)`", again)
+    assert advised is not None
+    wanted = f"next: armrig collect step --Ts 0.01 {advised[1]} --name first-again"
+    assert hidden == wanted
     assert seen.startswith("next: armrig collect blackbox --Ts ")
 
 

@@ -131,6 +131,13 @@ class OpenLoop:
         return "\n".join([f"{self.verdict}{how}", *(f"  note: {r}" for r in self.remarks)])
 
 
+def require_level(level: float) -> None:
+    """Refuse a level of significance that is none."""
+    if not 0 < level < 1:
+        msg = f"level={level!r} must lie between 0 and 1, such as 0.05"
+        raise ValueError(msg)
+
+
 @takes_recordings
 def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     """Test whether the rig ran in open loop (`sims`): nothing in u from t on knows of y(t).
@@ -162,9 +169,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     .. [1] C. A. Sims, American Economic Review 62 (1972) 540-552.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.4.
     """
-    if not 0 < level < 1:
-        msg = f"level={level!r} must lie between 0 and 1, such as 0.05"
-        raise ValueError(msg)
+    require_level(level)
     found: Sims | None = None
     remarks: tuple[str, ...] = ()
     try:
