@@ -106,7 +106,7 @@ def file_records(
     """
     ended = False
     while True:
-        source.whole = source.at
+        source.end_record()
         head = source.read(RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             raise CutOffError("without its footer")
@@ -140,18 +140,16 @@ def file_records(
         if opcode == Opcode.CHUNK and wanted.chunk is not None:
             begin = source.read(min(length, _CHUNK_TIMES.size))
             if len(begin) == _CHUNK_TIMES.size and not wanted.chunk(*_CHUNK_TIMES.unpack(begin)):
-                source.skip(length - len(begin))
-                source.passed = True
+                source.pass_over(length - len(begin))
                 continue
         body = begin + source.read(length - len(begin))
         if opcode == Opcode.FOOTER:
             if source.read(len(MAGIC)) != MAGIC:
                 raise CutOffError("without its closing magic")
-            source.whole = source.at
+            source.end_record()
             return
         if opcode == Opcode.DATA_END:
-            # Check it once: each check reads the whole file again.
-            _check_data(source, body, again=ended)
+            _check_data(source, body)
             ended = True
         else:
             yield Record(opcode, body, place)
@@ -163,10 +161,10 @@ def _stays(begin: bytes, name: str) -> bool:
     return name != "" and begin[at : at + len(told)] == told
 
 
-def _check_data(source: ByteSource, body: bytes, *, again: bool) -> None:
-    """Check all data before its end; what was passed over has not been read, nor is it checked."""
+def _check_data(source: ByteSource, body: bytes) -> None:
+    """Check all data before its end; where chunks were passed over there is nothing to check by."""
     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
-    if expected and not source.passed and (again or expected != source.crc(source.whole)):
+    if expected and not source.passed and expected != source.crc:
         msg = "the checksum over all data is wrong: something in the file was changed"
         raise DamageError(msg)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import resource
 import struct
@@ -25,9 +26,10 @@ from armrig.recordings.recording import Recording, RecordingError
 from armrig.recordings.timing_disturbances import disturbances
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
-from armrig_core.manifest import RUN, Manifest, Outcome
+from armrig_core.manifest import INPUT, RUN, Manifest, Outcome
 from armrig_core.recording_file import budget, file_records
 from armrig_core.recording_file.byte_source import ByteSource
+from armrig_core.recording_file.file_records import Wanted
 from armrig_protocol.messages import Flag
 from fuzz.cuts import edges
 from hypothesis import given, settings
@@ -784,26 +786,35 @@ def test_an_attachment_longer_than_memory_ends_the_reading(tmp_path: Path) -> No
     assert "a record cannot be read" in rec.damage
 
 
-def test_the_end_of_the_data_is_checked_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Each check reads the file again."""
-    lengths: list[int] = []
-    crc = ByteSource.crc
+class _Counted(BytesIO):
+    """A file that counts what is read of it."""
 
-    def counted(self: Any, length: int) -> int:
-        lengths.append(length)
-        return crc(self, length)
+    count = 0
 
-    monkeypatch.setattr(ByteSource, "crc", counted)
-    data = _broken_off(b"")
-    for _ in range(50):
-        data += _record(0x0F, struct.pack("<I", zlib.crc32(data)))
+    def read(self, n: int | None = -1) -> bytes:
+        data = super().read(n)
+        self.count += len(data)
+        return data
 
-    rec = load(written(tmp_path, data))
 
-    assert len(lengths) == 1
-    assert "checksum over all data" in rec.damage
+def test_a_file_is_read_once() -> None:
+    """Its checksum and its hash are made of the same bytes, what nobody wants among them."""
+    data = recorded([sample(k) for k in range(300)], u=[1.0] * 100_000) + b"behind its end"
+    file = _Counted(data)
+    source = ByteSource(file, len(data), is_hashed=True)
+
+    source.read(len(file_records.MAGIC))
+    for _ in file_records.file_records(source, Wanted(left=INPUT), lambda _: None):
+        pass
+
+    assert source.sha256() == hashlib.sha256(data).hexdigest()
+    assert file.count == len(data)
+
+
+def test_a_hash_that_was_not_asked_for_is_refused() -> None:
+    """It would be that of nothing."""
+    with pytest.raises(ValueError, match="is_hashed"):
+        ByteSource(BytesIO(b"x"), 1).sha256()
 
 
 def test_compression_that_is_not_known_is_named(tmp_path: Path) -> None:
