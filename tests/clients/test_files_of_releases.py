@@ -14,6 +14,7 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
+from armrig.recordings.verification import verify
 from armrig_core.calibration_file import CalibrationFileError, raw_path, read_calibration
 from armrig_core.manifest import CALIBRATION_RAW
 from armrig_core.volts import applied_code, volts_of
@@ -49,6 +50,16 @@ def test_a_recording_is_read_to_the_last_bit(folder: Path, pacing: str) -> None:
     assert recording.missing == sum(gap.count for gap in recording.gaps) > 0
     assert recording.outcome is not None
     assert recording.outcome.outcome == "complete"
+
+
+@FOLDERS
+@pytest.mark.parametrize("pacing", PACINGS)
+def test_a_recording_is_verified(folder: Path, pacing: str) -> None:
+    """Each check that there is today finds in it what it needs, and nothing wrong."""
+    checks = {check.about: check for check in verify(folder / f"{pacing}.mcap").checks}
+
+    assert {check.result for check in checks.values()} == {"passed"}, checks
+    assert {"file", "samples", "envelope", "input", "timing", "configuration", "clock"} == {*checks}
 
 
 @FOLDERS

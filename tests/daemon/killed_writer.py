@@ -18,9 +18,9 @@ from typing import NamedTuple, NoReturn
 
 import armrig
 from armrig_core.manifest import CONFIG, INPUT, Manifest
-from armrig_core.recording_file.recovery import Recovery
 from armrig_core.recording_file.unfinished import unfinished
 from armrig_core.telemetry import Sample, encode_sample
+from armrig_daemon.service.left_over import LeftOver
 from armrig_daemon.service.protobuf_out import Outgoing
 from armrig_daemon.service.recorder import Recording
 
@@ -73,31 +73,41 @@ def main() -> None:
 
 
 def judged(folder: Path) -> list[Killed]:
-    """Recover what the processes left, as the next start of a daemon does; judge each.
+    """Judge what the processes left, and what the next start of a daemon makes of it.
 
     A file of 0 B is of one that was killed before it had begun.
     """
-    recovery = Recovery(armrig="test", now=lambda: "2026-01-01T00:00:00+00:00", rig="1")
-    left = unfinished(folder, "1")
-    return [_judged(path, recovery) for path in left if path.stat().st_size]
+    left = {path: _loaded(path) for path in unfinished(folder, "1") if path.stat().st_size}
+    next_start = LeftOver(folder, "1", lambda: None)
+    next_start.start()
+    next_start.join()
+    return [_judged(path, found) for path, found in left.items()]
 
 
-def _judged(path: Path, recovery: Recovery) -> Killed:
+def _judged(path: Path, left: armrig.Recording | str) -> Killed:
     ledger = Ledger(*_LEDGER.unpack((path.parent / _ledger_name(path.name)).read_bytes()))
+    whole = _loaded(path.with_suffix(""))
+    if isinstance(left, str) or isinstance(whole, str):
+        return Killed(ledger, 0, 0, (f"left: {left}; recovered: {whole}",))
     faults = []
-    try:
-        left = armrig.load(path)
-        k = left.samples["k"].tolist()
-        whole = armrig.load(recovery.recover(path).path)
-    except Exception as err:
-        return Killed(ledger, 0, 0, (repr(err),))
+    k = left.samples["k"].tolist()
     if k != list(range(len(k))):
         faults.append("what is there is no prefix without gaps")
     if len(k) < ledger.acknowledged:
         faults.append(f"{ledger.acknowledged - len(k)} acknowledged samples are lost")
     if whole.samples.tobytes() != left.samples.tobytes() or whole.truncated:
         faults.append("what was completed is not what was there")
+    if path.exists():
+        faults.append("what was left is still there")
     return Killed(ledger, len(k), int(whole.samples.size), tuple(faults))
+
+
+def _loaded(path: Path) -> armrig.Recording | str:
+    """Return a recording, or why it cannot be loaded."""
+    try:
+        return armrig.load(path)
+    except Exception as err:
+        return repr(err)
 
 
 def _ledger_name(name: str) -> str:
