@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from machine import CHECKOUT, Machine, missing, wait_for
+from machine import Machine, missing, wait_for
 from served_rig import Rig
 
 _RIG = """[Unit]
@@ -36,15 +36,7 @@ def machine() -> Iterator[Machine]:
         pytest.skip(why)
     machine = Machine()
     try:
-        for kind, name in (
-            ("systemd/system", "systemd/armrigd@.service"),
-            ("sysusers.d", "sysusers.d/armrig.conf"),
-            ("tmpfiles.d", "tmpfiles.d/armrig.conf"),
-        ):
-            path = CHECKOUT / "deploy" / name
-            machine.write(Path("/etc") / kind / path.name, path.read_text())
-        machine.run("systemd-sysusers")
-        machine.run("systemd-tmpfiles", "--create")
+        machine.run("armrig", "service", "install", "--yes")
         machine.write(Path("/etc/systemd/system/rig@.service"), _RIG)
         machine.systemctl("daemon-reload")
         yield machine

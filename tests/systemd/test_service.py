@@ -278,3 +278,33 @@ def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
     finally:
         machine.systemctl("stop", rig.unit)
         machine.run("umount", "/var/lib/armrig")
+
+
+def test_what_is_installed_is_told(rig: Rig) -> None:
+    """To install once more writes nothing, and disturbs no rig."""
+    machine, pid = rig.machine, rig.main_pid()
+
+    again = machine.run("armrig", "service", "install", "--yes").stdout
+    status = machine.run("armrig", "service", "status").stdout
+
+    assert "write" not in again
+    assert "replace" not in again
+    assert "missing" not in status
+    assert "rig 1: active: safe, nobody has it, does not start with the machine" in status
+    assert rig.main_pid() == pid
+
+
+def test_to_take_the_service_away_stops_the_rig_and_leaves_what_is_ours(rig: Rig) -> None:
+    """0 V, no unit; the configuration and the recordings stay. Installed again, it serves again."""
+    machine = rig.machine
+    rig.drive()
+    machine.systemctl("enable", rig.unit)
+
+    machine.run("armrig", "service", "uninstall", "--yes")
+
+    assert _is_at_rest(rig)
+    assert machine.systemctl("is-active", rig.unit, check=False).stdout == "inactive\n"
+    assert machine.path("/etc/armrig/1.toml").exists()
+    assert [*machine.path("/var/lib/armrig/recordings").glob("*.mcap")]
+    machine.run("armrig", "service", "install", "--yes")
+    rig.start()

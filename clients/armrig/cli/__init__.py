@@ -35,6 +35,7 @@ from armrig.cli import (
     recovery,
     reporting,
     rig,
+    service,
     validation,
 )
 from armrig.cli.options import tell
@@ -94,6 +95,7 @@ for _command, _example in (
     (host.demo, "--directory demo"),
     (host.bench, ""),
     (host.doctor, ""),
+    (service.app, "service"),
     (pki.app, "pki"),
 ):
     if isinstance(_command, typer.Typer):

@@ -28,6 +28,9 @@ COMMANDS = [
     "simulate",
     "integrate",
     "report",
+    "service install",
+    "service uninstall",
+    "service status",
 ]
 COLLECTS = [f"collect {kind}" for kind in ("blackbox", "greybox", "step", "staircase", "bla")]
 

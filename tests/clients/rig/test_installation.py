@@ -1,0 +1,162 @@
+"""The service's files below a root of the test's own; a real systemd has them in tests/systemd."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from armrig.rig import installation
+from armrig.rig.installation import SHIPPED, Plan, files, installing, uninstalling
+
+UNIT = "etc/systemd/system/armrigd@.service"
+
+
+class Commands:
+    """Takes the commands, and looks which files there were at each."""
+
+    def __init__(self, root: Path) -> None:
+        self.given: list[str] = []
+        self.files: list[int] = []
+        self._root = root
+
+    def __call__(self, command: Sequence[str]) -> None:
+        """Take one."""
+        self.given.append(" ".join(command))
+        self.files.append(sum(path.is_file() for path in self._root.rglob("*")))
+
+
+@pytest.fixture
+def commands(tmp_path: Path) -> Commands:
+    """Give what takes commands and runs none."""
+    return Commands(tmp_path)
+
+
+def _contents(root: Path) -> dict[str, str]:
+    return {str(p.relative_to(root)): p.read_text() for p in root.rglob("*") if p.is_file()}
+
+
+def test_all_that_is_deployed_is_installed(tmp_path: Path, commands: Commands) -> None:
+    """Each file where its program looks for it, and before a command that reads it."""
+    installing(tmp_path).carry_out(commands)
+
+    assert set(_contents(tmp_path)) == {
+        UNIT,
+        "etc/udev/rules.d/70-armrig.rules",
+        "etc/sysusers.d/armrig.conf",
+        "etc/tmpfiles.d/armrig.conf",
+    }
+    assert commands.given == [
+        f"systemd-sysusers --root={tmp_path}",
+        f"systemd-tmpfiles --root={tmp_path} --create armrig.conf",
+    ]
+    assert set(commands.files) == {4}
+
+
+def test_to_install_twice_is_as_once(tmp_path: Path, commands: Commands) -> None:
+    """The second plan writes nothing."""
+    installing(tmp_path).carry_out(commands)
+    before = _contents(tmp_path)
+
+    again = installing(tmp_path)
+    again.carry_out(commands)
+
+    assert again.written == ()
+    assert _contents(tmp_path) == before
+
+
+def test_what_was_changed_is_shown_before_it_is_replaced(
+    tmp_path: Path, commands: Commands
+) -> None:
+    """Line by line; a link, such as that of a masked unit, is replaced and not written through."""
+    installing(tmp_path).carry_out(commands)
+    unit = tmp_path / UNIT
+    kept = unit.with_name("kept")
+    kept.write_text(unit.read_text().replace("WatchdogSec=10", "WatchdogSec=99"))
+    unit.unlink()
+    unit.symlink_to(kept)
+
+    plan = installing(tmp_path)
+
+    shown = [*plan.lines()]
+    assert shown[0] == f"replace  {unit}"
+    assert [line.strip() for line in shown[2:4]] == ["-WatchdogSec=99", "+WatchdogSec=10"]
+    plan.carry_out(commands)
+    assert not unit.is_symlink()
+    assert "WatchdogSec=99" in kept.read_text()
+
+
+def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Commands) -> None:
+    """A rig's configuration is left; enabled rigs are disabled before their unit is gone."""
+    installing(tmp_path).carry_out(commands)
+    own = tmp_path / "etc/armrig/1.toml"
+    own.parent.mkdir()
+    own.write_text("[device]\n")
+    wants = tmp_path / "etc/systemd/system/multi-user.target.wants"
+    wants.mkdir()
+    (wants / "armrigd@1.service").symlink_to("/nowhere")
+    commands.given.clear()
+
+    uninstalling(tmp_path).carry_out(commands)
+
+    assert commands.given == [f"systemctl --root={tmp_path} disable armrigd@1.service"]
+    assert _contents(tmp_path) == {"etc/armrig/1.toml": "[device]\n"}
+
+
+def test_a_machine_without_it_has_nothing_to_take_away(tmp_path: Path) -> None:
+    """No command, no file."""
+    assert uninstalling(tmp_path) == Plan()
+
+
+def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A root that does not run gets the place of the documentation."""
+    monkeypatch.setattr(sys, "prefix", "/srv/armrig-2")
+
+    (unit,) = (file for file in files(Path("/")) if file.path.name == "armrigd@.service")
+
+    assert "ExecStart=/srv/armrig-2/bin/armrigd run --system --rig %i" in unit.text
+    assert SHIPPED not in unit.text
+    (other,) = (file for file in files(Path("/mnt")) if file.path.name == "armrigd@.service")
+    assert f"ExecStart={SHIPPED} run" in other.text
+
+
+def test_a_program_that_the_sandbox_hides_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Somebody's checkout in his home: the unit would fail at each start."""
+    monkeypatch.setattr(sys, "prefix", "/home/student/armrig/.venv")
+
+    assert main(["service", "install", "--dry-run"]) == 1
+    said = capsys.readouterr().err
+    assert "/home/student/armrig/.venv/bin/armrigd: the service sees nothing of /home;" in said
+    assert "install armrig into /opt/armrig" in said
+
+
+def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It shows each file and each command."""
+    assert main(["service", "install", "--root", str(tmp_path), "--dry-run"]) == 0
+
+    assert f"write    {tmp_path}/{UNIT}" in capsys.readouterr().out
+    assert not [*tmp_path.iterdir()]
+
+
+def test_without_anybody_to_agree_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a script it has to be said."""
+    assert main(["service", "install", "--root", str(tmp_path)]) == 1
+
+    assert "--yes does it, --dry-run only shows it" in capsys.readouterr().err
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_command_that_fails_or_is_not_there_is_said() -> None:
+    """In a line, with what it was."""
+    with pytest.raises(RuntimeError, match=r"^false: ended with 1$"):
+        installation.run_command(["false"])
+    with pytest.raises(RuntimeError, match=r"^no-such-command: not found; the service needs syst"):
+        installation.run_command(["no-such-command"])
