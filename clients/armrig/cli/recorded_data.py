@@ -101,9 +101,9 @@ class Signals:
 
         if self._is_other(file):
             data = between(self._other(file, model), self.start, self.stop)
+            _check_varies(file, data)
         else:
             data = self._recorded(file, model)
-        _check_varies(file, data)
         if _without_means(model) and not self.detrend:
             tell("the model is of data without their means: validate it with --detrend")
         if self.hampel:

@@ -46,7 +46,7 @@ def test_a_file_that_is_no_recording_is_told_in_a_line(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit code 1: what came, and what is read."""
-    path = str(written(tmp_path, b"t;u;y\n0;1;2\n", "data.csv"))
+    path = str(written(tmp_path, b"t;u;y\n0;1;2\n", "data.bin"))
     files = [path, path] if command == ["compare"] else [path]
 
     assert main([*command, *files]) == 1
