@@ -1,8 +1,8 @@
 """Loading a recording against the bare work on its chunks, and against mcap's own reader.
 
 `python tests/benchmarks/load_recording.py FILE [--rounds 3]`; `long_recording.py` makes the file.
-All take turns in one process; times are its processor time, so that neighbours count less. The
-memory of loading is seen in a process of its own.
+All take turns in one process; times are its processor time, of which the least counts, so that
+neighbours count less. The memory of loading is seen in a process of its own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import zlib
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
-from statistics import median
 
 import zstandard
 from armrig.recordings.loading import load
@@ -80,19 +79,19 @@ def main() -> None:
     path, say = asked.file, sys.stdout.write
     N, unpacked = load(path).samples.size, bare(path)
     say(f"{N} samples, {path.stat().st_size / 1e6:.0f} MB, unpacked {unpacked / 1e6:.0f} MB\n")
-    shares, factors = [], []
+    took: dict[str, list[float]] = {"bare": [], "load": [], "mcap": []}
     for _ in range(asked.rounds):
-        chunks, whole = seconds(lambda: bare(path)), seconds(lambda: load(path))
-        each = seconds(lambda: by_mcap(path)) / min(READ_BY_MCAP, N)
-        shares.append(chunks / whole)
-        factors.append(each * N / whole)
-        say(f"bare {chunks:.2f} s, load {whole:.2f} s ({shares[-1]:.0%} of the bare speed), ")
-        say(f"mcap {each * N:.1f} s ({factors[-1]:.1f} times as long)\n")
+        took["bare"].append(seconds(lambda: bare(path)))
+        took["load"].append(seconds(lambda: load(path)))
+        took["mcap"].append(seconds(lambda: by_mcap(path)) * N / min(READ_BY_MCAP, N))
+        say(", ".join(f"{name} {times[-1]:.2f} s" for name, times in took.items()) + "\n")
+    chunks, whole, mcap = (min(times) for times in took.values())
     told = subprocess.run(
         [sys.executable, "-c", _PEAK, str(path)], capture_output=True, text=True, check=True
     ).stdout
     peak, arrays = (float(word) for word in told.split())
-    say(f"median {median(shares):.0%} of the bare speed, {median(factors):.1f} times mcap's; ")
+    say(f"by the least of each: {chunks / whole:.0%} of the bare speed, ")
+    say(f"{mcap / whole:.1f} times mcap's; ")
     say(f"{peak:.0f} MiB for arrays of {arrays:.0f} MiB\n")
 
 
