@@ -63,8 +63,12 @@ class Machine:
         start += f"--kill-child sh {_SCRIPT} {self._folder} {CHECKOUT} {sys.base_prefix}"
         self._unshare = subprocess.Popen(["sh", "-c", start], stdin=subprocess.DEVNULL)
         self._pid = 0
-        wait_for(self._is_up)
-        self._install()
+        try:
+            wait_for(self._is_up)
+            self._install()
+        except BaseException:
+            self.end()
+            raise
 
     def _is_up(self) -> bool:
         assert self._unshare.poll() is None, "the machine did not start"

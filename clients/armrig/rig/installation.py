@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +21,7 @@ _FOLDERS = {
 _UNSEEN = ("/home", "/root", "/tmp", "/var/tmp", "/run/user")  # by the unit's sandbox
 _UNITS = "armrigd@*.service"
 _SYSTEM = Path("/")
+_UDEV = Path("/run/udev/control")  # there where udev runs, which in a container it may not
 
 FileState = Literal["installed", "differs", "missing"]
 
@@ -210,7 +210,7 @@ def _reloading(root: Path) -> list[tuple[str, ...]]:
     if root != _SYSTEM:
         return []
     commands: list[tuple[str, ...]] = [("systemctl", "daemon-reload")]
-    if shutil.which("udevadm"):
+    if _UDEV.exists():
         commands.append(("udevadm", "control", "--reload"))
         commands.append(("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=misc"))
     return commands

@@ -1,0 +1,54 @@
+"""The rules for boards' names, as udev itself reads them; what a board would tell is made up."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from machine import Machine
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("udevadm") is None, reason="udevadm is not installed (udev)"
+)
+RULES = Path("/etc/udev/rules.d")
+USB = 'ENV{ID_BUS}="usb", ENV{ID_PATH_TAG}="pci-0000_00_14_0-usb-0_2_1_0"'
+
+
+def _properties(machine: Machine, board: str) -> list[str]:
+    """Return what udev knows of a terminal of this kind."""
+    machine.write(RULES / "65-made-up.rules", f'KERNEL=="tty", {board}\n')
+    done = machine.run("udevadm", "test", "--action=add", "/sys/class/tty/tty")
+    assert "70-armrig.rules:" not in "".join(
+        line for line in done.stderr.splitlines() if "nvalid" in line or "nknown" in line
+    )
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("board", "name"),
+    [
+        (
+            f'{USB}, ENV{{ID_VENDOR_ID}}="2341", ENV{{ID_SERIAL_SHORT}}="5563930353535"',
+            "/dev/armrig-5563930353535",
+        ),
+        (
+            f'{USB}, ENV{{ID_VENDOR_ID}}="1a86"',
+            "/dev/armrig-pci-0000_00_14_0-usb-0_2_1_0",
+        ),
+    ],
+)
+def test_a_board_has_one_name_that_stays(machine: Machine, board: str, name: str) -> None:
+    """By its serial number or, where it has none, by its USB port; no modem is looked for in it."""
+    properties = _properties(machine, board)
+
+    assert f"DEVLINKS={name}" in properties
+    assert "ID_MM_DEVICE_IGNORE=1" in properties
+
+
+@pytest.mark.parametrize(
+    "other", [f'{USB}, ENV{{ID_VENDOR_ID}}="1199"', 'ENV{ID_VENDOR_ID}="2341"']
+)
+def test_what_is_no_board_is_left_alone(machine: Machine, other: str) -> None:
+    """A modem, and a terminal that is not at a USB port."""
+    assert not [line for line in _properties(machine, other) if "armrig" in line or "MM" in line]
