@@ -19,12 +19,13 @@ import msgspec
 import numpy as np
 from armrig_core.calibration import Calibration
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Device
 from armrig_daemon.pipe import Answer, Play, Record, RunEnded, RunStarted, State
-from armrig_daemon.service.protobuf_out import Outgoing, outgoing
-from armrig_daemon.service.recorder import Recording
+from armrig_daemon.service.protobuf_out import outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 from numpy.typing import NDArray
 from virtual_bench import LEASE, Bench

@@ -15,11 +15,11 @@ from pathlib import Path
 
 from armrig_core import protobuf
 from armrig_core.manifest import Manifest, Outcome
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recording_part import CHUNK, Part
 from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recorder import Recording
-from armrig_daemon.service.recording_part import CHUNK, Part
 from mcap.writer import CompressionType, Writer
 
 _FLUSH = 100  # samples, ten times a second at 1 kHz

@@ -18,11 +18,11 @@ from typing import NamedTuple, NoReturn
 
 import armrig
 from armrig_core.manifest import CONFIG, INPUT, Manifest
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.unfinished import unfinished
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.left_over import LeftOver
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recorder import Recording
 
 TS_NS = 1_000_000
 SIDE_BY_SIDE = 4

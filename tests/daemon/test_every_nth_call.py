@@ -20,13 +20,13 @@ import armrig
 import msgspec
 import pytest
 from armrig_core.manifest import Manifest
+from armrig_core.recording_file import recorder
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.telemetry import Sample, decode_sample, encode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import Phase
 from armrig_daemon.pipe import Acquire, Answer, Gap, Log, Play, RunEnded, RunStarted
-from armrig_daemon.service import recorder
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recorder import Recording, RecordingError
 from failing_disk import Disk
 from failing_world import WAYS, World
 from virtual_bench import LEASE, MS, codes

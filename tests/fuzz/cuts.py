@@ -16,8 +16,8 @@ from armrig.recordings.recording import Recording, RecordingError
 from armrig_core import telemetry
 from armrig_core.manifest import CONFIG, INPUT, Manifest, Outcome
 from armrig_core.recording_file import file_records
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recording_part import Part
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recording_part import Part
 
 from fuzz.files import in_memory, in_one_line
 

@@ -15,7 +15,7 @@ import pytest
 from armrig.rig.client import RefusedError, RunEndedError
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest
-from armrig_daemon.service.recorder import Recording, RecordingError
+from armrig_core.recording_file.recorder import Recording, RecordingError
 from driving import STOPPED_S, check_every_k, check_volts, driven
 from processes import Bench, wait_for
 

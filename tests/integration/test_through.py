@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.manifest import CALIBRATION, Manifest
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Acquire, Play, RunStarted
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recorder import Recording
 from armrig_daemon.virtual import VirtualRig
 from numpy.typing import NDArray
 

@@ -71,10 +71,10 @@ def test_a_bug_is_in_a_program_that_is_started(monkeypatch: pytest.MonkeyPatch) 
     program = [
         sys.executable,
         "-c",
-        "from armrig_daemon.service import recorder as r; print(r.QUEUE)",
+        "from armrig_core.recording_file import recorder as r; print(r.QUEUE)",
     ]
     _plant_from_now_on(
-        monkeypatch, _bug("armrig_daemon.service.recorder", "QUEUE = 10000", "QUEUE = 10001")
+        monkeypatch, _bug("armrig_core.recording_file.recorder", "QUEUE = 10000", "QUEUE = 10001")
     )
 
     said = subprocess.run(program, capture_output=True, text=True, check=True)

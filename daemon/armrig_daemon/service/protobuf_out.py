@@ -2,26 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import msgspec
 from armrig_core import protobuf
+from armrig_core.recording_file.outgoing import Outgoing
 
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
 
 _DISTRIBUTIONS = ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth")
-
-
-class Outgoing(NamedTuple):
-    """One message on its way to the subscribers and the file."""
-
-    stream: str
-    t_host_ns: int
-    """Monotonic time of what it tells."""
-    t_sched_ns: int
-    """Monotonic time when that was due."""
-    sequence: int
-    data: bytes
 
 
 def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns: int) -> Outgoing:

@@ -16,6 +16,8 @@ from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import raw_samples
 from armrig_core.commands import LastRun, Renew, Run, RunAccepted
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.rehearsal import Rehearsal, rehearse
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
@@ -27,8 +29,6 @@ from armrig_daemon.service.circumstances import Circumstances, of_this_host
 from armrig_daemon.service.directory import check_directory
 from armrig_daemon.service.played_input import checked, one_a_line
 from armrig_daemon.service.presence import Presence, begun, renewed
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recorder import PartLimits, Recording, RecordingError
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
 _ROOM = 1 << 20  # and what a recording takes without any

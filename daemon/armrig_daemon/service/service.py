@@ -18,6 +18,8 @@ from pathlib import Path
 
 import zenoh
 from armrig_core.held_up import held_up
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.telemetry import Sample, decode_sample
 from msgspec.structs import replace
 
@@ -43,9 +45,8 @@ from armrig_daemon.pipe import (
 from armrig_daemon.service import child, pressure
 from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.left_over import LeftOver
-from armrig_daemon.service.protobuf_out import Outgoing, outgoing
+from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import Session
-from armrig_daemon.service.recorder import RecordingError
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.sentences import endpoint_error, print_line, served, state_sentence

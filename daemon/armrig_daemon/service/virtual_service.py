@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 from armrig_core.commands import Run
+from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.telemetry import decode_sample
 from msgspec.structs import replace
 
@@ -33,7 +34,7 @@ from armrig_daemon.pipe import (
     Trace,
 )
 from armrig_daemon.service.circumstances import Circumstances
-from armrig_daemon.service.protobuf_out import Outgoing, outgoing
+from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.thinning import Thinning
 from armrig_daemon.virtual import VirtualRig

@@ -15,11 +15,11 @@ import armrig
 import pytest
 from armrig.recordings.verification import verify
 from armrig_core.manifest import Manifest
+from armrig_core.recording_file import recorder, recording_part
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.service import recorder, recording_part
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recorder import Recording
 from failing_disk import Disk
 
 MANIFEST = Manifest(

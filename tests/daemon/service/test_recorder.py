@@ -12,12 +12,13 @@ import pytest
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.directory import check_directory
-from armrig_daemon.service.protobuf_out import Outgoing, outgoing
-from armrig_daemon.service.recorder import Recording, RecordingError
+from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -173,7 +174,7 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
         compact(source, target)
         directory.rename(elsewhere)
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.compact", moved)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", moved)
     recording = _recording(directory / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
     recording.finish("complete")
@@ -213,7 +214,7 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_too(
 
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
-    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fsync", full)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fsync", full)
     recording.finish("complete")
     recording.join(5)
 
@@ -229,7 +230,7 @@ def test_whatever_fails_in_the_writer_is_told(
     def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.compact", broken)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", broken)
     recording = _recording(tmp_path / "run.mcap")
     recording.finish("complete")
     recording.join(5)
@@ -261,8 +262,8 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
         asked.set()
         answers.wait()
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fdatasync", answer)
-    monkeypatch.setattr("armrig_daemon.service.recorder.QUEUE", 3)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", answer)
+    monkeypatch.setattr("armrig_core.recording_file.recorder.QUEUE", 3)
     recording = _recording(tmp_path / "run.mcap")
     assert asked.wait(5)
     for k in range(9):
@@ -284,15 +285,15 @@ def test_a_sample_is_acknowledged_when_the_disk_has_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Not when it was handed over, nor when the kernel has it; at the end all of them are."""
-    monkeypatch.setattr("armrig_daemon.service.recorder.SYNC_S", 0.05)
-    monkeypatch.setattr("armrig_daemon.service.recorder.FLUSH_S", 0.01)
+    monkeypatch.setattr("armrig_core.recording_file.recorder.SYNC_S", 0.05)
+    monkeypatch.setattr("armrig_core.recording_file.recorder.FLUSH_S", 0.01)
     asked, answers = threading.Semaphore(0), threading.Semaphore(0)
 
     def answer(_fd: int) -> None:
         asked.release()
         answers.acquire()
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fdatasync", answer)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", answer)
     recording = _recording(tmp_path / "run.mcap")
     assert asked.acquire(timeout=5)  # the first, of the header
     recording.add([_sample(k) for k in range(50)])
@@ -326,7 +327,7 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fdatasync", full)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", full)
     assert changed.wait(5)
     recording.add([_sample(k) for k in range(50, 60)])
     recording.finish("complete")
@@ -358,7 +359,7 @@ def test_half_a_chunk_that_found_no_more_room_is_cut_off(
         if room_again:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.os.ftruncate", freed)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.ftruncate", freed)
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
     try:
         recording.add([_sample(k) for k in range(50, 100)])
@@ -384,7 +385,7 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
         names = sorted(p.name for p in tmp_path.iterdir())
         synced.append((path.name, path.is_dir() or path.read_bytes().endswith(_MAGIC), names))
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.os.fsync", noted)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fsync", noted)
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
     recording.finish("complete")
@@ -409,7 +410,7 @@ def test_no_room_for_the_compact_copy_keeps_the_first(
         target.write_bytes(source.read_bytes()[:100])
         raise err
 
-    monkeypatch.setattr("armrig_daemon.service.recording_part.compact", full)
+    monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", full)
     recording = _recording(tmp_path / "run.mcap")
 
     recording.add([_sample(k) for k in range(50)])

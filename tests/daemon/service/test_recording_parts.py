@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 from armrig.recordings.verification import verify
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
+from armrig_core.recording_file import recorder
+from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_paths
+from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
+from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Gap
-from armrig_daemon.service import recorder
-from armrig_daemon.service.protobuf_out import Outgoing, outgoing
-from armrig_daemon.service.recorder import PartLimits, Recording, RecordingError
-from armrig_daemon.service.recording_part import Part
+from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import part_limits
 from failing_disk import Disk
 from mcap.reader import make_reader

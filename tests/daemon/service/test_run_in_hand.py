@@ -10,11 +10,12 @@ from types import SimpleNamespace
 import pytest
 from armrig_core.commands import Run
 from armrig_core.manifest import OUTCOME, outcome_of
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.recording_part import EndsHereError, Part
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Config, Limits, Recording
 from armrig_daemon.pipe import Gap, RunStarted, State
-from armrig_daemon.service.protobuf_out import Outgoing, outgoing
-from armrig_daemon.service.recording_part import EndsHereError, Part
+from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from mcap.reader import make_reader
 
@@ -155,7 +156,7 @@ def test_a_recording_that_would_fill_the_disk_is_not_begun(
     runs: Runs, monkeypatch: pytest.MonkeyPatch, samples: int, fits: bool
 ) -> None:
     """200 B a sample and 1 MiB; asked before the motor turns."""
-    monkeypatch.setattr("armrig_daemon.service.recorder.os.statvfs", lambda _: NEARLY_FULL)
+    monkeypatch.setattr("armrig_core.recording_file.recorder.os.statvfs", lambda _: NEARLY_FULL)
     request = Run(lease="a" * 32, n=1, u=[0.0] * samples)
 
     if fits:

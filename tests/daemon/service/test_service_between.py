@@ -247,7 +247,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("armrig_daemon.service.recorder.os.fdatasync", full)
+    monkeypatch.setattr("armrig_core.recording_file.recorder.os.fdatasync", full)
     between.begin_run()
     between.service._handle([_sample(0)])
     assert select.select([between.service._wake_fd], [], [], 5)[0]

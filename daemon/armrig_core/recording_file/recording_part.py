@@ -9,17 +9,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, cast
 
+from mcap.writer import CompressionType, Writer
+
 from armrig_core import protobuf
 from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.reserve import Reserve
 from armrig_core.recording_file.rewriting import compact, sync_directory
 from armrig_core.recording_file.unfinished import ACTIVE, COPY
 from armrig_core.topics import RECORDED, topic
-from mcap.writer import CompressionType, Writer
-
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.reserve import Reserve
 
 CHUNK = 128 * 1024
 _ENDING = 4 * CHUNK  # B: what is pending when the disk is found full, and the end of the file

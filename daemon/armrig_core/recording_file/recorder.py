@@ -14,12 +14,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from armrig_core.manifest import INPUT, Manifest, Outcome
-from armrig_core.recording_file.part_names import part_path
 from msgspec.structs import replace
 
-from armrig_daemon.service.protobuf_out import Outgoing
-from armrig_daemon.service.recording_part import EndsHereError, Part, RemovedError
+from armrig_core.manifest import INPUT, Manifest, Outcome
+from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.part_names import part_path
+from armrig_core.recording_file.recording_part import EndsHereError, Part, RemovedError
 
 FLUSH_S = 0.1
 SYNC_S = 1.0
