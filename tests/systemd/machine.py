@@ -22,6 +22,7 @@ CHECKOUT = Path(__file__).parents[2]
 WITHIN_S = 30.0
 _CAP_SYS_RESOURCE = 24  # <linux/capability.h>
 _SCRIPT = Path(__file__).with_name("machine.sh")
+_NAMESPACES = ("--cgroup", "--mount", "--pid", "--fork", "--uts", "--ipc", "--net")
 _OURS = ("firmware_protocol", "daemon", "clients")
 _PROGRAM = """#!/opt/armrig/bin/python
 import sys
@@ -39,6 +40,8 @@ def missing() -> str:
             return f"{program} is not installed"
     if not Path("/lib/systemd/systemd").exists():
         return "systemd is not installed"
+    if subprocess.run(["unshare", *_NAMESPACES, "true"], check=False).returncode != 0:
+        return "namespaces are not permitted, as in a container without privileges"
     return ""
 
 
@@ -58,8 +61,7 @@ class Machine:
         self._folder = Path(tempfile.mkdtemp(prefix="armrig-machine-"))
         self._cgroup = _cgroups() / self._folder.name
         self._cgroup.mkdir()
-        namespaces = ["--cgroup", "--mount", "--pid", "--fork", "--uts", "--ipc", "--net"]
-        start = f"echo $$ > {self._cgroup}/cgroup.procs; exec unshare {' '.join(namespaces)} "
+        start = f"echo $$ > {self._cgroup}/cgroup.procs; exec unshare {' '.join(_NAMESPACES)} "
         start += f"--kill-child sh {_SCRIPT} {self._folder} {CHECKOUT} {sys.base_prefix}"
         self._unshare = subprocess.Popen(["sh", "-c", start], stdin=subprocess.DEVNULL)
         self._pid = 0

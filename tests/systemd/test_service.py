@@ -78,6 +78,7 @@ def test_a_stop_in_a_run_ends_at_0_v_with_the_file_finished(rig: Rig, second: Ri
     """As an upgrade does, which stops and starts; no ESTOP follows, and other rigs go on."""
     second.start()
     rig.drive()
+    before = len(rig.said())
 
     rig.machine.systemctl("restart", rig.unit)
 
@@ -86,6 +87,7 @@ def test_a_stop_in_a_run_ends_at_0_v_with_the_file_finished(rig: Rig, second: Ri
     wait_for(lambda: rig.phase() == "safe")
     rig.machine.systemctl("stop", rig.unit)
     assert not rig.machine.path("/run/armrig/1").exists()
+    assert not [line for _, line in rig.said()[before:] if "estop" in line]
     assert second.phase() == "safe"
     second.machine.systemctl("stop", second.unit)
 
