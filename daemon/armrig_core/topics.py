@@ -57,6 +57,11 @@ def schema_key(rig: str, name: str) -> str:
     return f"rig/{rig}/schema/{name}"
 
 
+def history_key(rig: str) -> str:
+    """Return the key of what was published of late, such as `rig/1/history`."""
+    return f"rig/{rig}/history"
+
+
 def alive_key(rig: str) -> str:
     """Return the key of the liveliness token."""
     return f"rig/{rig}/alive"

@@ -69,6 +69,7 @@ def test_every_key_is_told_with_its_encoding() -> None:
         topics.schema_key("<id>", "<message>"),
         topics.schema_key("<id>", "cmd/<command>"),
         topics.command_key("<id>", "<command>"),
+        topics.history_key("<id>"),
         topics.alive_key("<id>"),
     ]
 

@@ -30,6 +30,7 @@ AFTER: Mapping[str, str] = {
     "ls": "armrig info {file}",
     "info": "armrig plot {file}",
     "play": "armrig info {file}",
+    "record": "armrig info {file}",
     "collect step": "armrig sampling {file} -o sampling.png",
     "step hidden": "armrig collect step{again}",
     "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --validation",

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import queue
+import secrets
 import time
 from collections.abc import Callable, Iterator
 from enum import Enum
@@ -15,18 +16,28 @@ import msgspec
 import zenoh
 from armrig_core import protobuf
 from armrig_core.commands import REQUESTS, Calibrate, Refused, Renew, Status, Stop, json_schema
+from armrig_core.history import HistoryRequest
 from armrig_core.owned_session import owned_session
-from armrig_core.topics import STREAMS, alive_key, command_key, schema_key, stream_key
+from armrig_core.topics import (
+    STREAMS,
+    alive_key,
+    command_key,
+    history_key,
+    schema_key,
+    stream_key,
+)
 
 from armrig_daemon.service import admission, token_bucket
+from armrig_daemon.service.history import History
 
 MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
 MOST_BYTES = 88 << 20  # the longest run, 20 B a sample as JSON, and its details
 _URGENT = (Stop.name, Renew.name)
 """Commands with a thread of zenoh's for themselves: none of the others stands before them."""
-_SCHEMA = "schema"
-_COUNTED = (*REQUESTS, _SCHEMA)
+_SCHEMA, _HISTORY = "schema", "history"
+_COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
+_LONGEST_QUESTION = 64  # B, for a history
 
 
 class Kind(Enum):
@@ -119,6 +130,9 @@ class Session:
         }
         for name in REQUESTS:
             self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)
+        self._history = History(secrets.token_bytes(16))
+        self._history_key = history_key(rig)
+        self._session.declare_queryable(self._history_key, self._serve_history)
         self._session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
         self._session.declare_queryable(command_key(rig, "*"), self._receive)
         for name in _URGENT:
@@ -134,8 +148,9 @@ class Session:
         self._session.close()
 
     def put(self, stream: str, data: bytes) -> None:
-        """Publish; dropped by zenoh where a subscriber does not keep up."""
+        """Publish; dropped by zenoh where a subscriber does not keep up, and kept for a while."""
         self._publishers[stream].put(data)
+        self._history.add(stream, data)
 
     def waiting(self, kind: Kind, most: int = MOST_WAITING) -> Iterator[Command]:
         """Iterate over the commands of a kind that wait, at most so many."""
@@ -156,6 +171,21 @@ class Session:
             for key, data in self._served.items():
                 if query.key_expr.intersects(zenoh.KeyExpr(key)):
                     query.reply(key, data)
+
+    def _serve_history(self, query: zenoh.Query) -> None:
+        if self._is_too_many(_HISTORY):
+            _refuse(query, token_bucket.refusal(_HISTORY))
+            return
+        payload = query.payload.to_bytes()[:_LONGEST_QUESTION] if query.payload else b"{}"
+        try:
+            asked = msgspec.json.decode(payload, type=HistoryRequest)
+        except (msgspec.DecodeError, UnicodeDecodeError) as err:
+            _refuse(query, f'history: {err}; ask with {{"first": 0}}')
+            return
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        reply = self._history.reply(asked.first, offset_ns)
+        query.reply(self._history_key, reply)
+        query.drop()
 
     def _receive(self, query: zenoh.Query) -> None:
         name = _name(query)

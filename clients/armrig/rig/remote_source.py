@@ -1,0 +1,80 @@
+"""All that a rig publishes, message after message and none twice, from a daemon that may go away.
+
+Nothing is subscribed to: the daemon keeps what it published of late, in one numbered row, and is
+asked for what follows the last message that came. A slow line, a lost one and a late beginning are
+then the same: the next question begins where the last answer ended.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import zenoh
+from armrig_core.history import REPLY_LIMIT, HistoryError, HistoryRequest, Past, decode_past
+from armrig_core.topics import history_key
+
+from armrig.rig.session import RigError
+
+_REPLY_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """What came by one question."""
+
+    past: Past
+    """The messages, which follow those of the piece before."""
+    is_new_life: bool
+    """The daemon was started anew: its numbers, and the samples', begin again."""
+    lost: int
+    """Messages that are gone for good between the piece before and this one."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there was more than one answer takes."""
+        return sum(len(data) for _, data in self.past.messages) >= REPLY_LIMIT
+
+
+class RemoteSource:
+    """A place in the row of what a daemon has published."""
+
+    def __init__(self, session: zenoh.Session, rig: str) -> None:
+        """Begin with the oldest message that the daemon keeps."""
+        self._session, self._key = session, history_key(rig)
+        self._life = b""
+        self._next = 0
+
+    def next_piece(self) -> Piece | None:
+        """Return what follows, perhaps nothing; None where the daemon does not answer now.
+
+        Raises
+        ------
+        RigError
+            What answers is no daemon of this version.
+        """
+        past = self._asked(self._next)
+        if past is None:
+            return None
+        is_new = past.life != self._life
+        if is_new and self._next:
+            # What was asked for is a number of another row; this one is taken from its beginning.
+            past = self._asked(0)
+            if past is None:
+                return None
+        began = bool(self._life)
+        lost = past.first if is_new and began else past.first - self._next if began else 0
+        self._life, self._next = past.life, past.first + len(past.messages)
+        return Piece(past=past, is_new_life=is_new and began, lost=lost)
+
+    def _asked(self, first: int) -> Past | None:
+        question = msgspec.json.encode(HistoryRequest(first=first))
+        for reply in self._session.get(self._key, payload=question, timeout=_REPLY_S):
+            if reply.ok is None:
+                continue  # too many ask just now, or it came too late
+            try:
+                return decode_past(reply.ok.payload.to_bytes())
+            except HistoryError as err:
+                msg = f"{self._key}: {err}; what answers there is no armrigd of this version"
+                raise RigError(msg) from err
+        return None

@@ -1,0 +1,49 @@
+"""The messages published of late, kept for who missed some: bounded, and answered at once.
+
+zenoh's own cache (its advanced publisher) is not used: see docs/decisions/0016.
+"""
+
+from __future__ import annotations
+
+from armrig_core.history import REPLY_LIMIT, encode_past
+
+MOST_BYTES = 2 << 20
+"""What is kept at most, in B of messages: 24 105 samples of 87 B, 24 s at 1 kHz."""
+
+
+class History:
+    """Messages by their numbers; one thread adds, another may ask meanwhile."""
+
+    def __init__(self, life: bytes, most_bytes: int = MOST_BYTES) -> None:
+        """Begin with none.
+
+        Parameters
+        ----------
+        life : bytes
+            16 B that no other start of a daemon has.
+        """
+        self._life, self._most = life, most_bytes
+        self._kept: dict[int, tuple[str, bytes]] = {}
+        self._first = self._end = self._size = 0
+
+    def add(self, stream: str, data: bytes) -> None:
+        """Keep a message, and forget the oldest where all would be too long."""
+        self._kept[self._end] = (stream, data)
+        self._end += 1
+        self._size += len(data)
+        while self._size > self._most:
+            _, oldest = self._kept.pop(self._first)
+            self._first += 1
+            self._size -= len(oldest)
+
+    def reply(self, first: int, clock_offset_ns: int) -> bytes:
+        """Return the messages from number `first` on, as many as one answer takes."""
+        number = first = min(max(first, self._first), self._end)
+        messages: list[tuple[str, bytes]] = []
+        size = 0
+        # The oldest may be forgotten just now, by the thread that adds.
+        while size < REPLY_LIMIT and (message := self._kept.get(number)) is not None:
+            messages.append(message)
+            size += len(message[1])
+            number += 1
+        return encode_past(self._life, first, clock_offset_ns, messages)

@@ -1,0 +1,45 @@
+"""What was published of late, as bytes: it comes back as it was, and nothing else is taken."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_core.history import HistoryError, decode_past, encode_past
+from armrig_core.topics import STREAMS
+from hypothesis import given
+from hypothesis import strategies as st
+
+messages = st.lists(st.tuples(st.sampled_from(STREAMS), st.binary(max_size=200)), max_size=20)
+
+
+@given(st.binary(min_size=16, max_size=16), st.integers(0, 2**63), messages)
+def test_an_answer_comes_back_as_it_was(
+    life: bytes, first: int, given: list[tuple[str, bytes]]
+) -> None:
+    """Each message with its stream, in order."""
+    past = decode_past(encode_past(life, first, -5, given))
+
+    assert past == (life, first, -5, tuple(given))
+
+
+@given(messages, st.data())
+def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
+    given: list[tuple[str, bytes]], data: st.DataObject
+) -> None:
+    """Whatever stands there: an answer, or the one error."""
+    whole = bytearray(encode_past(bytes(16), 0, 0, given))
+    cut = whole[: data.draw(st.integers(0, len(whole)))]
+    for _ in range(data.draw(st.integers(0, 3))):
+        if cut:
+            cut[data.draw(st.integers(0, len(cut) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        past = decode_past(bytes(cut))
+    except HistoryError:
+        return
+    assert all(stream in STREAMS for stream, _ in past.messages)
+
+
+@pytest.mark.parametrize("data", [b"", bytes(31), bytes(32) + b"\x06" + bytes(4), bytes(33)])
+def test_what_is_no_answer_is_refused(data: bytes) -> None:
+    """Too short, of an unknown stream, or cut within a message."""
+    with pytest.raises(HistoryError):
+        decode_past(data)

@@ -1,0 +1,110 @@
+"""The newest messages are kept for who missed some, and no more of them than may be."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import zenoh
+from armrig.rig.session import open_session
+from armrig_core.history import REPLY_LIMIT, decode_past
+from armrig_daemon.service.history import History
+from armrig_daemon.service.publish import Session
+
+LIFE = bytes(range(16))
+
+
+def asked(history: History, first: int) -> tuple[int, list[bytes]]:
+    """Return the number of the first message of an answer, and the messages."""
+    past = decode_past(history.reply(first, 0))
+    return past.first, [data for _, data in past.messages]
+
+
+def test_messages_are_given_from_a_number_on() -> None:
+    """Behind the last there are none, and before the first it begins with the oldest."""
+    history = History(LIFE)
+    for k in range(5):
+        history.add("sample", bytes([k]))
+
+    assert asked(history, 0) == (0, [bytes([k]) for k in range(5)])
+    assert asked(history, 3) == (3, [b"\x03", b"\x04"])
+    assert asked(history, 5) == (5, [])
+    assert asked(history, 99) == (5, [])
+    assert decode_past(history.reply(0, -7))[:3] == (LIFE, 0, -7)
+
+
+def test_no_more_is_kept_than_allowed() -> None:
+    """In bytes: the oldest go, and the numbers tell it."""
+    history = History(LIFE, most_bytes=100)
+    for k in range(50):
+        history.add("gap", bytes([k]) * 30)
+
+    assert asked(history, 0) == (47, [bytes([k]) * 30 for k in (47, 48, 49)])
+    history.add("event", bytes(101))
+    assert asked(history, 0) == (51, [])
+
+
+def test_an_answer_has_a_length() -> None:
+    """The rest is asked for next."""
+    history = History(LIFE)
+    for _ in range(1000):
+        history.add("event", bytes(1000))
+
+    first, messages = asked(history, 0)
+    assert len(messages) == -(-REPLY_LIMIT // 1000)
+    assert asked(history, first + len(messages))[0] == len(messages)
+
+
+@pytest.fixture
+def session() -> Iterator[tuple[Session, zenoh.Session]]:
+    """Give the daemon's session, and that of somebody who connects."""
+    with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
+        where = f"unixsock-stream/{Path(directory) / '1.sock'}"
+        with Session(where, "1", lambda: None) as ours, open_session(where, rig="1") as theirs:
+            yield ours, theirs
+
+
+def replies(session: zenoh.Session, payload: bytes | None) -> list[zenoh.Reply]:
+    """Return what is answered."""
+    return list(session.get("rig/1/history", payload=payload, timeout=10))
+
+
+def test_what_was_published_is_answered(session: tuple[Session, zenoh.Session]) -> None:
+    """All streams in one row."""
+    ours, theirs = session
+    ours.put("sample", b"one")
+    ours.put("gap", b"two")
+    ours.put("sample", b"three")
+
+    [reply] = replies(theirs, json.dumps({"first": 1}).encode())
+    assert reply.ok is not None
+    past = decode_past(reply.ok.payload.to_bytes())
+
+    assert past.first == 1
+    assert past.messages == (("gap", b"two"), ("sample", b"three"))
+
+
+@pytest.mark.parametrize("payload", [b'{"first": -1}', b'{"from": 1}', b"\xff", b"[" * 5000])
+def test_a_question_that_is_none_is_refused(
+    session: tuple[Session, zenoh.Session], payload: bytes
+) -> None:
+    """In a line that says how to ask."""
+    [reply] = replies(session[1], payload)
+
+    assert reply.err is not None
+    assert 'ask with {\\"first\\": 0}' in reply.err.payload.to_bytes().decode()
+
+
+def test_who_asks_too_much_is_told_so(session: tuple[Session, zenoh.Session]) -> None:
+    """As of any question that needs no lease: the burst is answered, not the flood."""
+    _, theirs = session
+    answers = [theirs.get("rig/1/history", timeout=20) for _ in range(1000)]
+    told = [reply for answer in answers for reply in answer]
+
+    refused = [reply for reply in told if reply.err is not None]
+    assert len(told) == 1000
+    assert refused
+    assert "history: too many queries" in refused[0].err.payload.to_bytes().decode()  # type: ignore[union-attr]

@@ -1,0 +1,322 @@
+"""A rig recorded from afar: nothing is lost that its daemon still keeps, and the rest is told."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+import zenoh
+from armrig.cli import main
+from armrig.recordings.recording import Recording
+from armrig.recordings.verification import verify
+from armrig.rig.remote_recording import CUT_OFF, STARTED_ANEW, RemoteRecording
+from armrig.rig.remote_source import Piece, RemoteSource
+from armrig.rig.session import RigError, open_session
+from armrig_core import protobuf
+from armrig_core.history import encode_past
+from armrig_core.telemetry import Sample, encode_sample
+from armrig_daemon.service.history import History
+from armrig_daemon.service.publish import Session
+from processes import Bench
+
+TS_NS = 10_000_000
+
+
+@pytest.fixture
+def where() -> Iterator[str]:
+    """Return an endpoint in a directory of its own."""
+    with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
+        yield f"unixsock-stream/{directory}/1.sock"
+
+
+def sample(k: int) -> bytes:
+    """Return sample k."""
+    due = 5_000_000_000 + k * TS_NS
+    return encode_sample(Sample(k, due, due + 9, k * 10_000, 0.1, 0.0, 1.0, 1.0, 32768, 32768, 3))
+
+
+def state(k: int, Ts: float = 0.01) -> bytes:
+    """Return the state at sample k."""
+    message = protobuf.message_class(protobuf.STATE)(
+        t_host_ns=5_000_000_000 + k * TS_NS, phase="safe", Ts_s=Ts, device='{"uid": "7"}'
+    )
+    return bytes(message.SerializeToString())
+
+
+def gap(k_first: int, count: int) -> bytes:
+    """Return a gap that the daemon tells."""
+    t_ns = 5_000_000_000 + k_first * TS_NS
+    message = protobuf.message_class(protobuf.GAP)(
+        k_first=k_first,
+        count=count,
+        t_from_ns=t_ns,
+        t_to_ns=t_ns + count * TS_NS,
+        u_held_v=2.5,
+        reason="link silent",
+    )
+    return bytes(message.SerializeToString())
+
+
+class Recorder:
+    """The recorder and its source, driven by hand."""
+
+    def __init__(self, session: zenoh.Session, path: Path) -> None:
+        self.source = RemoteSource(session, "1")
+        self.told: list[str] = []
+        self.recording = RemoteRecording(
+            path=path, rig="1", endpoint="there", tell=self.told.append
+        )
+
+    def take(self) -> Piece:
+        """Record all that there is; wait for a daemon that is away."""
+        until = time.monotonic() + 30
+        while (piece := self.source.next_piece()) is None:
+            assert time.monotonic() < until
+        self.recording.add(piece)
+        while piece.is_full:
+            more = self.source.next_piece()
+            assert more is not None
+            self.recording.add(piece := more)
+        return piece
+
+    def files(self) -> list[Recording]:
+        """Return what was recorded, complete."""
+        self.recording.finish("complete")
+        return [armrig.load(file.path) for file in self.recording.done]
+
+
+def publish(session: Session, ks: range) -> None:
+    """Publish the state and these samples."""
+    session.put("state", state(ks.start))
+    for k in ks:
+        session.put("sample", sample(k))
+
+
+def recorded_k(recording: Recording) -> list[int]:
+    """Return the indices of the samples in a file."""
+    return [int(k) for k in recording.samples["k"]]
+
+
+def test_who_comes_late_gets_what_is_kept(where: str, tmp_path: Path) -> None:
+    """And then all that follows, however seldom he asks: each message once, in order."""
+    with Session(where, "1", lambda: None) as daemon:
+        publish(daemon, range(1000))
+        with open_session(where, rig="1") as session:
+            recorder = Recorder(session, tmp_path / "a.mcap")
+            recorder.take()
+            publish(daemon, range(1000, 5000))
+            daemon.put("gap", gap(5000, 5))
+            publish(daemon, range(5005, 5010))
+            recorder.take()
+            assert recorder.take().past.messages == ()
+        [found] = recorder.files()
+
+    assert recorded_k(found) == [*range(5000), *range(5005, 5010)]
+    assert [(g.k_first, g.count, g.reason) for g in found.gaps] == [(5000, 5, "link silent")]
+    assert found.missing == 5
+    assert recorder.told == []
+    assert found.Ts == 0.01
+    assert found.manifest.device == {"uid": "7"}
+    assert (found.manifest.experiment, found.manifest.details) == (
+        "remote",
+        {"recorded_from": "there"},
+    )
+    assert found.outcome is not None
+    assert (found.outcome.outcome, found.outcome.missing) == ("complete", 5)
+    assert verify(found.path).passed
+
+
+def test_what_is_lost_for_good_is_a_gap(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a reason, and its exact number of samples; a daemon's gap within it stays its own."""
+    with Session(where, "1", lambda: None) as daemon:
+        monkeypatch.setattr(daemon, "_history", History(bytes(16), most_bytes=100 * 87))
+        publish(daemon, range(50))
+        with open_session(where, rig="1") as session:
+            recorder = Recorder(session, tmp_path / "a.mcap")
+            recorder.take()
+            publish(daemon, range(50, 1000))
+            recorder.take()
+        [found] = recorder.files()
+
+    ks = recorded_k(found)
+    assert ks == [*range(50), *range(ks[50], 1000)]
+    [missing] = found.gaps
+    assert (missing.k_first, missing.count, missing.reason) == (50, ks[50] - 50, CUT_OFF)
+    assert np.isnan(found.u[50 : ks[50]]).all()
+    assert found.missing == missing.count > 800
+    assert any("messages are lost" in event.message for event in found.events)
+    assert len(recorder.told) == 1
+
+
+def test_a_daemon_that_is_started_anew_begins_a_file(where: str, tmp_path: Path) -> None:
+    """The session finds it again by itself; the first file says why it ended."""
+    with Session(where, "1", lambda: None) as daemon:
+        publish(daemon, range(30))
+        session = open_session(where, rig="1")
+        recorder = Recorder(session, tmp_path / "a.mcap")
+        recorder.take()
+    with session:
+        assert recorder.source.next_piece() is None
+        with Session(where, "1", lambda: None) as daemon:
+            publish(daemon, range(40))
+            assert recorder.take().is_new_life
+        first, second = recorder.files()
+
+    assert recorded_k(first) == list(range(30))
+    assert first.outcome is not None
+    assert first.outcome.outcome == STARTED_ANEW
+    assert recorded_k(second) == list(range(40))
+    assert [first.path.name, second.path.name] == ["a.mcap", "a-2.mcap"]
+    assert recorder.told == [STARTED_ANEW]
+
+
+def test_another_sampling_time_begins_a_file(where: str, tmp_path: Path) -> None:
+    """A file has one."""
+    with Session(where, "1", lambda: None) as daemon, open_session(where, rig="1") as session:
+        publish(daemon, range(10))
+        daemon.put("state", state(10, Ts=0.002))
+        for k in range(10, 15):
+            daemon.put("sample", sample(k))
+        recorder = Recorder(session, tmp_path / "a.mcap")
+        recorder.take()
+        first, second = recorder.files()
+
+    assert (first.Ts, recorded_k(first)) == (0.01, list(range(10)))
+    assert (second.Ts, recorded_k(second)) == (0.002, list(range(10, 15)))
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"nonsense",
+        encode_past(bytes(16), 0, 0, [("event", b"\xff\xff")]),
+        encode_past(bytes(16), 0, 0, [("sample", b"\xff" * 87)]),
+    ],
+)
+def test_what_answers_and_is_no_daemon_is_told_so(
+    where: str, tmp_path: Path, answer: bytes
+) -> None:
+    """In a line."""
+    config = zenoh.Config.from_json5(
+        json.dumps({"mode": "peer", "listen": {"endpoints": [where]}, "scouting": {}})
+    )
+    config.insert_json5("scouting/multicast/enabled", "false")
+    with zenoh.open(config) as other:
+        other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
+        with open_session(where, rig="1") as session:
+            recorder = Recorder(session, tmp_path / "a.mcap")
+            with pytest.raises(RigError, match=r"no armrigd|no message of armrigd's"):
+                recorder.take()
+
+
+@pytest.fixture
+def published(where: str) -> Iterator[Callable[[], int]]:
+    """Publish samples until the end; give a function that says how many there are."""
+    with Session(where, "1", lambda: None) as daemon:
+        stop, k = threading.Event(), 0
+
+        def until_stopped() -> None:
+            nonlocal k
+            while not stop.wait(0.001):
+                if k % 100 == 0:
+                    daemon.put("state", state(k))
+                daemon.put("sample", sample(k))
+                k += 1
+
+        thread = threading.Thread(target=until_stopped)
+        thread.start()
+        try:
+            yield lambda: k
+        finally:
+            stop.set()
+            thread.join()
+
+
+def test_the_command_records_until_its_time_is_over(
+    where: str,
+    tmp_path: Path,
+    published: Callable[[], int],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """And says where; for a person, and for a program."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["record", "--from", where, "-o", "a.mcap", "--seconds", "1"]) == 0
+    told = capsys.readouterr()
+    assert main(["record", "--from", where, "--seconds", "0.5", "--json"]) == 0
+    [facts] = json.loads(capsys.readouterr().out)["recordings"]
+
+    found = armrig.load("a.mcap")
+    assert recorded_k(found) == list(range(found.N))
+    assert told.out == f"a.mcap: {found.N} samples, 0 missing, complete\n"
+    assert told.err.endswith("next: armrig info a.mcap\n")
+    assert Path(facts["recording"]).name.startswith("1-remote-")
+    assert facts["samples"] == armrig.load(facts["recording"]).N > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["-o", "a.txt"], "-o a.txt: a recording's name ends in .mcap"),
+        (["-o", "there.mcap"], "there.mcap is there already; give another name"),
+        (["-o", "none/a.mcap"], "No such file or directory"),
+        (["--rig", "9"], "no reply from rig 9"),
+    ],
+)
+def test_what_cannot_be_recorded_is_told(
+    where: str,
+    tmp_path: Path,
+    published: Callable[[], int],
+    arguments: list[str],
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In a line, and nothing is left."""
+    monkeypatch.chdir(tmp_path)
+    Path("there.mcap").touch()
+    while published() < 5:
+        time.sleep(0.01)
+
+    assert main(["record", "--from", where, *arguments]) == 1
+
+    assert told in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
+
+
+def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
+    """On a real daemon: the samples of its own recording, bit for bit, through a run and beyond."""
+    bench.configure()
+    bench.emulate()
+    bench.serve()
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    path = tmp_path / "afar.mcap"
+    command = [sys.executable, "-m", "armrig", "record", "--from", endpoint, "-o", str(path)]
+    with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE) as process:
+        try:
+            with bench.rig() as rig:
+                rig.arm("a test", Ts=0.01)
+                there = armrig.load(rig.run(np.full(150, 1.0)))
+            time.sleep(1.0)
+        finally:
+            process.send_signal(2)
+        out: Any = process.communicate(timeout=60)[0]
+    files = [armrig.load(file["recording"]) for file in json.loads(out)["recordings"]]
+
+    assert process.returncode == 0
+    rows = {int(row["k"]): bytes(row) for here in files for row in here.samples}
+    assert len(rows) > there.samples.size
+    assert all(rows[int(row["k"])] == bytes(row) for row in there.samples)
+    assert all(here.missing == sum(gap.count for gap in here.gaps) for here in files)
