@@ -38,7 +38,9 @@ def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
     assert all(stream in STREAMS for stream, _ in past.messages)
 
 
-@pytest.mark.parametrize("data", [b"", bytes(31), bytes(32) + b"\x06" + bytes(4), bytes(33)])
+@pytest.mark.parametrize(
+    "data", [b"", bytes(31), bytes(32) + b"\x06" + bytes(4), bytes(33), bytes(33) + b"\5\0\0\0ab"]
+)
 def test_what_is_no_answer_is_refused(data: bytes) -> None:
     """Too short, of an unknown stream, or cut within a message."""
     with pytest.raises(HistoryError):

@@ -266,6 +266,16 @@ def test_the_command_records_until_its_time_is_over(
     assert facts["samples"] == armrig.load(facts["recording"]).N > 0
 
 
+def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path: Path) -> None:
+    """However soon that is: what one answer does not take is asked for."""
+    path = tmp_path / "a.mcap"
+    with Session(where, "1", lambda: None) as daemon:
+        publish(daemon, range(20_000))
+        assert main(["record", "--from", where, "-o", str(path), "--seconds", "0.001"]) == 0
+
+    assert recorded_k(armrig.load(path)) == list(range(20_000))
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -36,6 +36,7 @@ Seconds = Annotated[
 ]
 _ASK_S = 0.2
 _SILENCE_S = 2.0
+_MOST_PIECES = 64
 
 
 def record(
@@ -69,6 +70,7 @@ def record(
                 recording.add(piece)
                 tell(f"recording rig {rig} from {where}; Ctrl-C ends it")
                 _record(row, recording, rig, seconds)
+            _catch_up(row, recording)
         finally:
             recording.finish("complete")
     if not recording.done:
@@ -107,6 +109,17 @@ def _record(row: RemoteSource, recording: RemoteRecording, rig: str, seconds: fl
         recording.add(piece)
         if not piece.is_full:  # else there is more
             time.sleep(_ASK_S)
+
+
+def _catch_up(row: RemoteSource, recording: RemoteRecording) -> None:
+    """Record what has been published up to now; no more than a daemon keeps."""
+    for _ in range(_MOST_PIECES):
+        piece = row.next_piece()
+        if piece is None:
+            break
+        recording.add(piece)
+        if not piece.is_full:
+            break
 
 
 def _say(recording: RemoteRecording, *, json: bool) -> None:
