@@ -154,7 +154,7 @@ def test_a_mistake_is_refused_with_the_way_out(
 @pytest.mark.parametrize(
     ("name", "content", "way_out"),
     [
-        ("data.csv", b"t,u,y\n0,1,2\n", "identify, validate and check read other data"),
+        ("data.csv", b"t,u,y\n0,1,2\n", "read by sampling, hints, identify, validate and check"),
         ("empty.mcap", b"", "is empty, 0 B: nothing was recorded"),
         ("report.pdf", b"%PDF-1.7", "not an MCAP file"),
     ],

@@ -44,7 +44,7 @@ def test_one_that_refuses_to_start_is_quoted(tmp_path: Path) -> None:
     config.write_text('[rig]\nid = "child"\nname = "x"\n')
 
     with (
-        pytest.raises(RigError, match=r"exit code 1: .*name"),
+        pytest.raises(RigError, match=r"exit code 78: .*name"),
         running(["--config", str(config), "--emulate"], rig=RIG, log=tmp_path / "log"),
     ):
         pass
