@@ -7,10 +7,16 @@ from dataclasses import dataclass
 from machine import Machine, wait_for
 
 _RUNNER = """
-import sys
+import sys, time
 import armrig
+from armrig.rig.client import RefusedError
 with armrig.Rig(sys.argv[1], connect=sys.argv[2]) as rig:
-    rig.arm("group 3", Ts=0.01)
+    for _ in range(100):
+        try:  # on a busy machine it may be refused for a moment
+            rig.arm("group 3", Ts=0.01)
+            break
+        except RefusedError:
+            time.sleep(0.2)
     rig.run([1.0, 4.0] * 3000)
 """
 
