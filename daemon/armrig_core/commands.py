@@ -119,6 +119,8 @@ class Status(Request, frozen=True, kw_only=True):
     name: ClassVar[str] = "status"
 
 
+MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
+"""Longest command over a network, in B: 8 MiB less what zenoh writes around it."""
 MOST_DETAILS = 1 << 20
 """Longest `details` of a run, as JSON in B."""
 Requests = Arm | Disarm | Run | Renew | Set | Stop | Reset | Calibrate | Status

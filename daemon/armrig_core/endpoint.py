@@ -1,16 +1,27 @@
-"""Where a daemon listens and its clients look for it, unless told otherwise."""
+"""Where a daemon listens and its clients look for it."""
 
 from __future__ import annotations
 
+import ipaddress
 import os
+import re
 import stat
 from collections.abc import Collection, Mapping
-from pathlib import PurePosixPath
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import Any
 
 from armrig_core.topics import check_rig_id
 
 SOCKET_PATH_MAX = 107
 """Longest path of a Unix socket, in B: sun_path of unix(7) without its closing zero."""
+
+SERVICES = PurePosixPath("/run/armrig")
+"""Where the daemons that systemd runs have their folders, one for each rig."""
+SERVICE_USER = "armrig"
+"""Who runs them."""
+_FILES = {"access": ("certificate", "names", "passwords"), "client": ("certificate", "password")}
+_NETWORK = re.compile(r"(tls|tcp)/(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9.-]+)):(\d{1,5})")
 
 
 def socket_directory(
@@ -75,3 +86,50 @@ def endpoint(rig: str, directory: PurePosixPath) -> str:
         msg += "set XDG_RUNTIME_DIR to a shorter directory"
         raise ValueError(msg)
     return f"unixsock-stream/{path}"
+
+
+def check_listen(where: str) -> str:
+    """Return the protocol of an endpoint to listen at over a network, tls or tcp.
+
+    Raises
+    ------
+    ValueError
+        It is none of both, or tcp, where nothing is encrypted, beyond this machine.
+    """
+    found = _NETWORK.fullmatch(where)
+    if found is None or not 0 < int(found[4]) < 1 << 16:
+        msg = f"listen = {where!r} must be tls/HOST:PORT or tcp/127.0.0.1:PORT, such as "
+        msg += "tls/0.0.0.0:7447"
+        raise ValueError(msg)
+    host = found[2] or found[3]
+    loopback = False
+    with suppress(ValueError):  # a name may lead anywhere
+        loopback = ipaddress.ip_address(host).is_loopback
+    if found[1] == "tcp" and not loopback:
+        msg = f"listen = {where!r}: tcp is not encrypted: allowed is tcp/127.0.0.1:{found[4]}; "
+        msg += f"for a network take tls/{host}:{found[4]} with certificates"
+        raise ValueError(msg)
+    return found[1]
+
+
+def network_address(where: str) -> tuple[str, int] | None:
+    """Return host and port of a tls or tcp endpoint; None for another."""
+    found = _NETWORK.fullmatch(where)
+    return None if found is None else (found[2] or found[3], int(found[4]))
+
+
+def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
+    """Return a configuration's tables, their paths to credentials relative to `directory`."""
+    result = dict(tables)
+    for table, keys in _FILES.items():
+        given = result.get(table)
+        if isinstance(given, Mapping):
+            paths = {k: given[k] for k in keys if isinstance(given.get(k), str) and given[k]}
+            result[table] = {**given, **{k: _absolute(p, directory) for k, p in paths.items()}}
+    return result
+
+
+def _absolute(path: str, directory: Path) -> str:
+    with suppress(RuntimeError):  # there is no such user
+        return str(directory / Path(path).expanduser())
+    return str(directory / path)

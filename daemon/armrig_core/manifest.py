@@ -33,6 +33,9 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     """Kind of experiment, such as blackbox."""
     details: dict[str, Any] = {}
     """What the experiment was made of, such as the seed of its input."""
+    owner: str = ""
+    """Who had the rig: what he said of himself, and the certificate or user that was checked, as in
+    `armrig collect (certificate alice)`; empty in recordings of earlier releases."""
     Ts: float
     """Sampling time, in s."""
     samples: int

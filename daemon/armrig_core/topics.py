@@ -47,9 +47,13 @@ def stream_key(rig: str, stream: str) -> str:
     return f"rig/{rig}/{stream}"
 
 
-def command_key(rig: str, command: str) -> str:
-    """Return the key of a command, such as `rig/1/cmd/arm`."""
-    return f"rig/{rig}/cmd/{command}"
+def command_key(rig: str, command: str, asker: str = "") -> str:
+    """Return the key of a command, such as `rig/1/cmd/arm`.
+
+    Over a network whoever asks stands behind it, as in `rig/1/cmd/arm/alice`: the daemon's access
+    control lets each one take his own name only, so that what comes under a name is his.
+    """
+    return f"rig/{rig}/cmd/{command}" + (f"/{asker}" if asker else "")
 
 
 def schema_key(rig: str, name: str) -> str:

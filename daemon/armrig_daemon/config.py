@@ -20,6 +20,7 @@ import msgspec
 from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
+from armrig_core.endpoint import anchored, check_listen
 from armrig_core.printable import printable
 from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
 from armrig_core.topics import check_own_id
@@ -196,6 +197,35 @@ class Recording(Table, frozen=True, kw_only=True):
     """Whether a run is stopped when the disk takes no more of it; else it plays on, unrecorded."""
 
 
+class Access(Table, frozen=True, kw_only=True):
+    """`[access]`: who may connect over a network; without it the Unix socket is the only way."""
+
+    listen: str = ""
+    """Where to listen beside the Unix socket, such as tls/0.0.0.0:7447; empty is nowhere."""
+    certificate: str = ""
+    """The rig's credential, which `armrig pki rig` writes; what tls/ listens with."""
+    names: str = ""
+    """The access list, which `armrig pki` writes: who may drive the rig, and who may watch."""
+    passwords: str = ""
+    """File with a line user:password for each user of tcp/, which is for this machine alone."""
+
+    def __post_init__(self) -> None:
+        """Refuse to listen without a certificate where others could hear what is said."""
+        if self.listen:
+            check_listen(self.listen)
+
+
+class Client(Table, frozen=True, kw_only=True):
+    """`[client]`: how `armrig` finds the daemon from here; the daemon itself needs none of it."""
+
+    connect: str = ""
+    """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; empty is this machine's."""
+    certificate: str = ""
+    """Your credential, which `armrig pki operator` or `observer` writes; for tls/."""
+    password: str = ""
+    """File with a line user:password; for tcp/."""
+
+
 class Config(Table, frozen=True, kw_only=True):
     """The whole configuration."""
 
@@ -206,6 +236,8 @@ class Config(Table, frozen=True, kw_only=True):
     motor: Motor = Motor()
     arm: Arm = Arm()
     recording: Recording = Recording()
+    access: Access = Access()
+    client: Client = Client()
     calibration: Calibration = Calibration()
     """`[calibration]`: what makes angles of readings and volts of codes, by file or by key."""
     emulator: EmulatorSettings = EmulatorSettings()
@@ -287,10 +319,12 @@ def load(
     """
     tables = dict(below)
     for path in paths:
-        layer = _calibrated(_read(path), path.absolute().parent, str(path))
+        directory = path.absolute().parent
+        layer = _calibrated(anchored(_read(path), directory), directory, str(path))
         _check(layer, str(path))
         tables = _merged(tables, layer)
-    layer = _calibrated(_from_environment(environ), Path.cwd(), "environment")
+    given = anchored(_from_environment(environ), Path.cwd())
+    layer = _calibrated(given, Path.cwd(), "environment")
     _check(layer, "environment")
     tables = _merged(tables, layer)
     _check(overrides, "command line")

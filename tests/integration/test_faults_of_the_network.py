@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import armrig
 import pytest
 from armrig.rig.session import NoReplyError
-from armrig_daemon.service.publish import MOST_BYTES
+from armrig_daemon.service.access_control import MOST_LOCAL_BYTES
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
 from processes import Bench
 
@@ -109,7 +109,7 @@ def test_a_flood_of_commands_keeps_no_stop_from_getting_through(bench: Bench) ->
     assert grown < MORE_MIB
 
 
-@pytest.mark.parametrize("size", [MOST_BYTES - (1 << 20), MOST_BYTES + (8 << 20)])
+@pytest.mark.parametrize("size", [MOST_LOCAL_BYTES - (1 << 20), MOST_LOCAL_BYTES + (8 << 20)])
 def test_a_payload_that_is_too_large_disturbs_nobody(bench: Bench, size: int) -> None:
     """Just inside what zenoh takes it is refused as JSON; beyond, its sender is cut off."""
     bench.emulate()

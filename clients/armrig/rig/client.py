@@ -18,7 +18,14 @@ from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.rig.replies import MalformedReplyError, refusal_of, reply_of
-from armrig.rig.session import RigError, default_endpoint, no_daemon, no_reply, open_session
+from armrig.rig.session import (
+    RigError,
+    configured_endpoint,
+    no_daemon,
+    no_reply,
+    not_permitted,
+    open_connection,
+)
 from armrig.rig.telemetry_stream import arrivals, listen
 
 Progress = Callable[[int, int], None]
@@ -60,22 +67,34 @@ class Rig:
     rig : str, default "1"
         Its id.
     connect : str, optional
-        Endpoint of the daemon; by default the socket that a daemon of the same user listens on.
+        Endpoint of the daemon; by default that of `[client]` in the configuration, else the socket
+        of this user's daemon, else that of this machine's service.
+    certificate : str or Path, optional
+        Our credential, for an endpoint such as tls/lab-1.local:7447; by default that of `[client]`.
 
     Raises
     ------
     NoReplyError
-        On entering: there is no daemon at the endpoint.
+        On entering: there is no daemon at the endpoint, or it does not let us in.
     RigError
-        On entering: the directory of that socket may be another user's.
+        On entering: the directory of that socket may be another user's, or the credential cannot
+        be used.
     ValueError
         The id is not valid.
     """
 
-    def __init__(self, rig: str = "1", *, connect: str | None = None) -> None:
+    def __init__(
+        self,
+        rig: str = "1",
+        *,
+        connect: str | None = None,
+        certificate: str | Path | None = None,
+    ) -> None:
         self.rig = topics.check_rig_id(rig)
-        self.endpoint = connect or default_endpoint(rig)
+        self.endpoint = connect or configured_endpoint(rig)
         self._connect = connect
+        self._certificate = certificate
+        self._name = ""  # that in the certificate, which stands in the keys of our commands
         self._session: zenoh.Session | None = None
         self._lease = ""
         self._owner = ""
@@ -86,7 +105,9 @@ class Rig:
 
     def __enter__(self) -> Self:
         """Connect."""
-        self._session = open_session(self._connect, rig=self.rig)
+        self._session, self.endpoint, self._name = open_connection(
+            self._connect, rig=self.rig, certificate=self._certificate
+        )
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -357,8 +378,13 @@ class Rig:
             time.sleep(_AGAIN_S)
 
     def _ask(self, request: commands.Request, answer: type[_R]) -> _R:
-        key = topics.command_key(self.rig, request.name)
+        key = topics.command_key(self.rig, request.name, self._name)
         payload = msgspec.json.encode(request)
+        if self._name and len(payload) > commands.MOST_REMOTE_BYTES:
+            msg = f"{request.name}: {len(payload)} B, over a network at most "
+            msg += f"{commands.MOST_REMOTE_BYTES} B are allowed: play it in parts, or on the rig's "
+            msg += "own machine"
+            raise RigError(msg)
         replies = self._connected().get(
             key, payload=payload, encoding="application/json", timeout=longest_reply_s(request)
         )
@@ -370,6 +396,8 @@ class Rig:
                     raise _refused(refusal_of(request.name, reply.err.payload.to_bytes()))
         except MalformedReplyError as err:
             raise no_daemon(self.rig, self.endpoint, str(err)) from err
+        if self._name:
+            raise not_permitted(self.rig, self.endpoint, self._name, request.name)
         raise no_reply(self.rig, self.endpoint)
 
 

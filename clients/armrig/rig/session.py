@@ -5,12 +5,29 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
 
 import zenoh
-from armrig_core.endpoint import distrust, endpoint, socket_directory
+from armrig_core.client_settings import ClientSettings, client_settings
+from armrig_core.credential import CredentialError, read_credential
+from armrig_core.endpoint import (
+    SERVICE_USER,
+    SERVICES,
+    distrust,
+    endpoint,
+    network_address,
+    socket_directory,
+)
+from armrig_core.passwords import PasswordError, read_users
 from armrig_core.printable import printable
-from armrig_core.topics import PLAYED
+from armrig_core.recording_directory import installed
+from armrig_core.topics import PLAYED, check_rig_id
+
+from armrig.rig.connection_faults import why_not_connected
 
 MOST_RECEIVED = 16 << 20
 """Longest message that is received, in B; beyond it the connection ends."""
@@ -26,6 +43,26 @@ class RigError(RuntimeError):
 
 class NoReplyError(RigError):
     """Nobody replies."""
+
+
+class Connection(NamedTuple):
+    """An open session, which must be closed."""
+
+    session: zenoh.Session
+    endpoint: str
+    name: str
+    """Under which commands are sent: that in our certificate, or of the user; "" on a socket."""
+
+
+class _Way(NamedTuple):
+    """A way to a daemon that has not been tried yet."""
+
+    endpoint: str
+    name: str = ""
+    proof: tuple[tuple[str, Any], ...] = ()
+    """What of zenoh's configuration shows who we are."""
+    fault: Callable[[], str] = str
+    """Returns why it came to nothing, "" where that is not known."""
 
 
 def default_endpoint(rig: str) -> str:
@@ -48,49 +85,149 @@ def own_endpoint(rig: str) -> str:
         msg = f"{directory}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours"
         raise RigError(msg) from err
     where = default_endpoint(rig)
-    _check_directory(rig, where)
+    _check_directory(directory, {os.getuid()})
     return where
 
 
-def open_session(connect: str | None, *, rig: str) -> zenoh.Session:
-    """Return a zenoh session as a client of the endpoint `connect`; it must be closed.
+def configured_endpoint(rig: str) -> str:
+    """Return the endpoint that `[client]` names, or that of this user's daemon."""
+    return _settings(rig).connect or default_endpoint(rig)
+
+
+def open_session(
+    connect: str | None, *, rig: str, certificate: str | Path | None = None
+) -> zenoh.Session:
+    """Return the session of `open_connection`."""
+    return open_connection(connect, rig=rig, certificate=certificate).session
+
+
+def open_connection(
+    connect: str | None, *, rig: str, certificate: str | Path | None = None
+) -> Connection:
+    """Connect to a daemon as a client of its endpoint.
 
     Parameters
     ----------
     connect : str, optional
-        None is the daemon of this user and rig. Then no other user may be able to put a socket
-        into its directory.
+        Endpoint; None is that of `[client]`, and where that names none the socket of this user's
+        daemon, then that of the service of this machine. Nobody but its owner may be able to put a
+        socket into its directory.
+    certificate : str or Path, optional
+        Our credential, for an endpoint tls/HOST:PORT; that of `[client]` where it is left out.
 
     Raises
     ------
     NoReplyError
         Nobody listens there.
     RigError
-        `connect` is not an endpoint, or the directory may be another user's.
+        `connect` is not an endpoint, the credential cannot be used, or the directory may be
+        another user's.
     """
-    where = connect or default_endpoint(rig)
-    if not connect:
-        _check_directory(rig, where)
+    settings = _settings(rig)
+    where = connect or settings.connect
+    ways = [_way(where, certificate, settings)] if where else _local_ways(rig)
+    for way in ways:
+        try:
+            return Connection(zenoh.open(_config(way)), way.endpoint, way.name)
+        except zenoh.ZError:
+            continue
+    raise no_reply(rig, ways[0].endpoint, ways[0].fault())
+
+
+def _config(way: _Way) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in (
         ("mode", "client"),
-        ("connect/endpoints", [where]),
+        ("connect/endpoints", [way.endpoint]),
         # Only the endpoint asked for: zenoh looks for nobody else, and tells nobody of us.
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/shared_memory/enabled", False),
         # Longer than anything that a daemon sends. What listens there may not be a daemon.
         ("transport/link/rx/max_message_size", MOST_RECEIVED),
+        *way.proof,
     ):
         try:
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as err:
-            msg = f"{where!r} is no zenoh endpoint, such as unixsock-stream/run/armrig/1.sock"
+            msg = f"{way.endpoint!r} is no zenoh endpoint, such as "
+            msg += "unixsock-stream/run/armrig/1.sock"
             raise RigError(msg) from err
+    return config
+
+
+def _settings(rig: str) -> ClientSettings:
     try:
-        return zenoh.open(config)
-    except zenoh.ZError as err:
-        raise no_reply(rig, where) from err
+        return client_settings(installed(rig), os.environ)
+    except ValueError as err:
+        raise RigError(str(err)) from err
+
+
+def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -> _Way:
+    """Return the way to an endpoint, with what is needed there to be let in."""
+    try:
+        if where.startswith("tls/"):
+            return _way_by_certificate(where, certificate or settings.certificate)
+        if where.startswith("tcp/") and settings.password:
+            ((user, password), *others) = read_users(Path(settings.password)).items()
+            if others:
+                msg = f"{settings.password}: {1 + len(others)} users: your own line alone is needed"
+                raise RigError(msg)
+            proof = ("transport/auth/usrpwd", {"user": user, "password": password})
+            return _Way(where, user, (proof,))
+    except (CredentialError, PasswordError) as err:
+        raise RigError(str(err)) from err
+    return _Way(where)
+
+
+def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
+    if not certificate:
+        msg = f"{where}: needs your certificate: name its file in [client] certificate of "
+        msg += "~/.config/armrig/armrig.toml, or in ARMRIG_CLIENT_CERTIFICATE"
+        raise RigError(msg)
+    path = Path(certificate)
+    credential = read_credential(path, "client")
+    proof = ("transport/link/tls", credential.tls("connect"))
+    address = network_address(where)
+    if address is None:
+        msg = f"{where!r} is no endpoint: it must be tls/HOST:PORT, such as tls/lab-1.local:7447"
+        raise RigError(msg)
+    return _Way(
+        where, credential.name, (proof,), partial(why_not_connected, *address, credential, path)
+    )
+
+
+def _local_ways(rig: str) -> list[_Way]:
+    """Return the sockets of this machine that there are: of this user's daemon, then a service's.
+
+    Where there is none, the first of them, as if there were.
+    """
+    own, services = Path(_socket_directory()), Path(SERVICES)
+    ways = []
+    for directory, above, owners in (
+        (own, None, {os.getuid()}),
+        (services / check_rig_id(rig), services, _service_owners()),
+    ):
+        where = endpoint(rig, PurePosixPath(directory))
+        if directory.is_symlink() or directory.exists():
+            for checked in filter(None, (above, directory)):
+                _check_directory(checked, owners)
+            if directory != own and not os.access(directory, os.X_OK):
+                msg = f"{directory}: only the group {SERVICE_USER} may operate rig {rig}: "
+                msg += f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in anew"
+                raise RigError(msg)
+            if (directory / f"{rig}.sock").exists():
+                ways.append(_Way(where))
+    return ways or [_Way(default_endpoint(rig))]
+
+
+def _service_owners() -> set[int]:
+    """Return who may own the folder of a service: root, and the user that runs it."""
+    from pwd import getpwnam
+
+    with suppress(KeyError):  # there is no such user
+        return {0, getpwnam(SERVICE_USER).pw_uid}
+    return {0}
 
 
 def _socket_directory() -> PurePosixPath:
@@ -101,14 +238,9 @@ def _socket_directory() -> PurePosixPath:
     return socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
 
 
-def _check_directory(rig: str, where: str) -> None:
+def _check_directory(directory: Path, owners: Collection[int]) -> None:
     """Refuse a directory that others may have made, as anybody could in a temporary one."""
-    directory = Path(_socket_directory())
-    try:
-        found = directory.lstat()
-    except OSError as err:
-        raise no_reply(rig, where) from err
-    wrong = distrust(found, owners={os.getuid()})
+    wrong = distrust(directory.lstat(), owners=owners)
     if wrong:
         msg = f"{directory}: {wrong}, so what listens there may be a stranger's; set "
         msg += "XDG_RUNTIME_DIR to a directory of yours, for armrigd too, or name the endpoint "
@@ -116,13 +248,23 @@ def _check_directory(rig: str, where: str) -> None:
         raise RigError(msg)
 
 
-def no_reply(rig: str, where: str) -> NoReplyError:
-    """Return the error of a daemon that does not answer."""
+def not_permitted(rig: str, where: str, name: str, command: str) -> NoReplyError:
+    """Return the error of a daemon over a network that is connected, and passes a command over."""
+    return NoReplyError(
+        f"no reply from rig {rig} at {where} to {command!r}: not running, or not permitted: its "
+        f"access list says what {name} may do"
+    )
+
+
+def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
+    """Return the error of a daemon that does not answer; `fault` says why, where that is known."""
     if rig.startswith(PLAYED):
         return NoReplyError(
             f"no reply from {rig} at {where}: a recording that is played again takes no commands; "
             f"start it with `armrig play F`, watch it with `armrig watch --rig {rig}`"
         )
+    if fault:
+        return NoReplyError(f"no reply from rig {rig} at {where}: {fault}")
     return NoReplyError(
         f"no reply from rig {rig} at {where}: not running, or not permitted; "
         "start it with `armrig lab` or `armrigd run`, or give its endpoint with --connect"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 import zenoh
@@ -21,7 +22,9 @@ _LISTEN_S = 0.002
 _RING = 10_000  # samples that a slow listener may be behind before it misses some
 
 
-def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
+def stream(
+    key: str, *, connect: str | None = None, certificate: str | Path | None = None
+) -> Iterator[Any]:
     """Iterate over the live messages of a key such as `rig/1/sample`.
 
     A stream of samples has no silent break: where some are missing, a `LiveGap` stands in their
@@ -33,7 +36,9 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
     key : str
         `rig/<id>/` and one of sample, gap, event, timing, clock and state.
     connect : str, optional
-        zenoh endpoint of the daemon; by default the socket of this user's daemon.
+        zenoh endpoint of the daemon; found as by `armrig.Rig`.
+    certificate : str or Path, optional
+        Our credential, for an endpoint such as tls/lab-1.local:7447.
 
     Yields
     ------
@@ -51,7 +56,7 @@ def stream(key: str, *, connect: str | None = None) -> Iterator[Any]:
         The key is not a stream of a rig.
     """
     rig, _ = _stream_of(key)
-    with open_session(connect, rig=rig) as session:
+    with open_session(connect, rig=rig, certificate=certificate) as session:
         yield from listen(session, key)
 
 

@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any, NamedTuple, assert_never
 
 from armrig_core import commands
-from armrig_core.printable import printable
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
@@ -34,19 +33,21 @@ from armrig_daemon.pipe import (
     Reset,
     SetVoltage,
 )
+from armrig_daemon.service.askers import signed
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.child import LoopChild
+from armrig_daemon.service.listener import Command
 from armrig_daemon.service.played_input import checked
-from armrig_daemon.service.publish import Command, Kind, Session
+from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
 _SILENT = f"the loop did not answer within {ANSWER_S:g} s: ask again, or start armrigd anew"
+_SOMEBODY = "somebody on this machine"
 _MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
 _MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
-_LONGEST_NAME = 80  # of who stops a run, in its recording
 _MOST_UNANSWERED = 64  # and nobody's: what the service has to say itself must not wait behind more
 
 
@@ -58,6 +59,16 @@ class _Waiting(NamedTuple):
     order: Orders
     body: Any
     """What to answer instead of the loop's own body."""
+    who: str
+    """Who asked, for the log."""
+
+
+class _Holder(NamedTuple):
+    """Who was granted the lease: it is of no use to anybody else."""
+
+    owner: str
+    by: str
+    """As was checked; "" on the Unix socket."""
 
 
 class Commands:
@@ -84,6 +95,7 @@ class Commands:
         self._numbers = 0
         self._Ts = config.ts_us / 1e6  # of the newest lease
         self._lease = ""
+        self._holder = _Holder("", "")
         self._n = -1  # number of its newest order
 
     def note_lease(self, lease: str) -> None:
@@ -132,9 +144,12 @@ class Commands:
         if isinstance(waiting.order, Acquire):
             self._Ts = answer.body["Ts"]
             self.note_lease(waiting.order.lease)
+            self._holder = _Holder(waiting.order.owner, waiting.command.by)
         elif isinstance(waiting.order, Leased) and waiting.order.lease == self._lease:
             self._n = max(self._n, waiting.order.n)
         waiting.command.answer(waiting.body or answer.body)
+        if not isinstance(waiting.order, SetVoltage):
+            self._say("info", f"{waiting.command.name}: by {waiting.who or _SOMEBODY}")
 
     def refuse_overdue(self) -> None:
         """Refuse what the loop has not answered in time."""
@@ -158,6 +173,8 @@ class Commands:
 
     def _carry_out(self, command: Command, request: commands.Requests) -> None:
         """Hand a request to the loop; raises ValueError where it is not allowed."""
+        if isinstance(request, commands.Leased) and command.by != self._holder.by:
+            raise ValueError(orders.NOT_HELD)
         match request:
             case commands.Status():
                 command.answer(self._rig.status(self._runs.last))
@@ -166,7 +183,8 @@ class Commands:
                 if error:
                     raise ValueError(error)
                 lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
-                self._order(command, Acquire(owner=request.owner, lease=lease, ts_us=ts_us))
+                owner = signed(request.owner, command.by)
+                self._order(command, Acquire(owner=owner, lease=lease, ts_us=ts_us), who=owner)
             case commands.Disarm():
                 self._order(command, Release(lease=request.lease, n=request.n))
             case commands.Set():
@@ -185,8 +203,9 @@ class Commands:
                 self._runs.renew(request, command.came_s)
                 command.answer(commands.Done())
             case commands.Stop():
-                who = printable(request.by).strip()[:_LONGEST_NAME]
-                self._order(command, Halt(reason=f"stopped by {who}") if who else Halt())
+                who = signed(request.by, command.by)
+                halt = Halt(reason=f"stopped by {who}") if who else Halt()
+                self._order(command, halt, who=who)
             case commands.Reset():
                 self._order(command, Reset())
             case commands.Calibrate():
@@ -237,12 +256,17 @@ class Commands:
         check(round(Ts * 1e6), self._config.device.baud, scheduled=True)
         return round(Ts * 1e6)
 
-    def _order(self, command: Command, order: Orders, body: Any = None) -> None:
+    def _order(
+        self, command: Command, order: Orders, body: Any = None, who: str | None = None
+    ) -> None:
         """Give the loop an order; its answer is that of the command."""
+        if who is None:
+            who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
         if len(self._waiting) >= _MOST_ASKED and isinstance(order, Acquire | Reset | Calibrate):
             msg = "too many commands are waiting: try again"
             raise ValueError(msg)
         self._numbers += 1
         order = replace(order, order=self._numbers)
-        self._waiting[self._numbers] = _Waiting(command, time.monotonic() + ANSWER_S, order, body)
+        until = time.monotonic() + ANSWER_S
+        self._waiting[self._numbers] = _Waiting(command, until, order, body, who)
         self._loop.order(order)

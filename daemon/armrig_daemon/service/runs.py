@@ -306,6 +306,7 @@ class Runs:
             run_id=planned.run_id,
             experiment=planned.request.experiment,
             details=planned.request.details,
+            owner=state.owner,
             Ts=state.ts_us / 1e6,
             samples=len(planned.request.u),
             k_first=started.k_first,

@@ -5,12 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from datetime import datetime, timedelta
 
 from armrig_core.printable import printable
 
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import State
+from armrig_daemon.service.access import Network
 from armrig_daemon.service.systemd import journal_prefix
+
+_SOON = timedelta(days=30)
 
 
 def served(config: Config, ended_by: str = "Ctrl-C") -> str:
@@ -28,6 +32,30 @@ def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
     if "lock" in str(err):
         return f"a daemon of rig {rig} already runs at {endpoint}; end it, or choose another --rig"
     return f"{endpoint}: {str(err).splitlines()[0][:200]}; see that the directory can be written"
+
+
+def listening(network: Network, now: datetime) -> tuple[str, str]:
+    """Return, with its level, who may come over a network, and until when."""
+    who = f"{network.operators} may drive and {network.observers} may watch, by {network.known_by}"
+    text = f"also at {network.endpoint}: {who}"
+    if network.expires is None:
+        return "info", text
+    text += f"; the rig's certificate counts until {network.expires:%Y-%m-%d}"
+    if network.expires - now > _SOON:
+        return "info", text
+    return "warning", f"{text}: `armrig pki renew rig-ID` makes a new one"
+
+
+def network_error(endpoint: str, err: Exception) -> str:
+    """Return why nobody can be served at the endpoint of a network."""
+    if "os error 98" in str(err):  # EADDRINUSE
+        return f"[access] listen = {endpoint!r}: another program listens there; take another port"
+    if "os error 99" in str(err):  # EADDRNOTAVAIL
+        return f"[access] listen = {endpoint!r}: this machine has no such address"
+    if "os error 13" in str(err):  # EACCES
+        return f"[access] listen = {endpoint!r}: not permitted; take a port from 1024 on"
+    reason = str(err).splitlines()[0][:200]
+    return f"[access] listen = {endpoint!r}: {reason}; see that host and port are this machine's"
 
 
 def state_sentence(state: State, line: str) -> str:

@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import zenoh
@@ -43,13 +44,21 @@ from armrig_daemon.pipe import (
     Trace,
 )
 from armrig_daemon.service import child, pressure
+from armrig_daemon.service.access import AccessError, network_of
 from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.left_over import LeftOver
 from armrig_daemon.service.protobuf_out import outgoing
-from armrig_daemon.service.publish import Session
+from armrig_daemon.service.publish import NetworkError, Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
-from armrig_daemon.service.sentences import endpoint_error, print_line, served, state_sentence
+from armrig_daemon.service.sentences import (
+    endpoint_error,
+    listening,
+    network_error,
+    print_line,
+    served,
+    state_sentence,
+)
 from armrig_daemon.service.systemd import Notifier
 from armrig_daemon.service.thinning import Thinning
 
@@ -75,7 +84,7 @@ class Service:
         directory: Path,
         stalls_fd: int | None = None,
         notifier: Notifier | None = None,
-        check_configuration: Callable[[], object] | None = None,
+        check_configuration: Callable[[], Config] | None = None,
     ) -> None:
         """Take the signals; nothing is started yet.
 
@@ -111,6 +120,11 @@ class Service:
     def run(self) -> int:
         """Run until SIGTERM, SIGINT or the loop's end."""
         config = self._config
+        try:
+            network = network_of(config)
+        except AccessError as err:
+            print_line("error", str(err))
+            return MEND
         loop = child.start(
             Settings(
                 rules=replace(config.rules(), service_ns=SILENCE_NS),
@@ -125,11 +139,13 @@ class Service:
             # The loop has its priority; whatever starts from here on must not take it.
             has_left = realtime.leave_fifo()
             sys.setswitchinterval(_SWITCH_S)
-            with Session(self._endpoint, config.rig.id, self._wake) as session:
+            with Session(self._endpoint, config.rig.id, self._wake, network) as session:
                 self._connect(loop, session)
                 if not has_left:
                     self._say("warning", _AT_FIFO)
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
+                if network is not None:
+                    self._say(*listening(network, datetime.now(UTC)))
                 by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
                 self._say("info", served(config, by))
                 self._left_over.start()
@@ -139,6 +155,9 @@ class Service:
                 self._say_finished(_FINISH_S)
         except zenoh.ZError as err:
             print_line("error", endpoint_error(self._endpoint, config.rig.id, err))
+            return MEND
+        except NetworkError as err:
+            print_line("error", network_error(config.access.listen, err))
             return MEND
         finally:
             code = loop.end()
@@ -309,7 +328,7 @@ class Service:
         for level, text in self._left_over.lines():
             self._say(level, text)
 
-    def _begin_anew(self, check_configuration: Callable[[], object]) -> None:
+    def _begin_anew(self, check_configuration: Callable[[], Config]) -> None:
         """End, to be started with the configuration as it is now; refused while it would disturb.
 
         Another process reads it, not this one, which has given up the priority that a loop needs.
@@ -320,8 +339,8 @@ class Service:
             self._say("warning", f"configuration not read anew: {who}; reload when it is free")
             return
         try:
-            check_configuration()
-        except ValueError as err:
+            network_of(check_configuration())
+        except ValueError as err:  # AccessError is one
             self._say("error", f"configuration not read anew, the one in force stays: {err}")
             return
         self._begins_anew = True

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import socket
 import tempfile
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import armrig
 import pytest
 from armrig.cli import main
+from armrig.rig import session
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.endpoint import endpoint
@@ -95,3 +97,80 @@ def test_where_there_is_no_directory_nobody_answers(directory: Path) -> None:
 
     with pytest.raises(NoReplyError, match="start it with `armrig lab` or `armrigd run`"), Rig():
         pass
+
+
+SERVICE_UID = 4711
+
+
+@pytest.fixture
+def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Give the folder of a rig's service on a machine where its user runs it, with one in it."""
+    if os.getuid() != 0:
+        pytest.skip("only root can give a directory to another user")
+    with (
+        tempfile.TemporaryDirectory(prefix="armrig-") as temporary,
+        tempfile.TemporaryDirectory(prefix="armrig-") as login,
+    ):
+        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", login)
+        monkeypatch.setattr(session, "SERVICES", PurePosixPath(temporary) / "armrig")
+        monkeypatch.setattr(session, "_service_owners", lambda: {0, SERVICE_UID})
+        found = Path(temporary) / "armrig" / "1"
+        found.mkdir(mode=0o750, parents=True)
+        os.chown(found, SERVICE_UID, SERVICE_UID)
+        with FakeDaemon(endpoint("1", found)):
+            yield found
+
+
+def test_the_service_of_this_machine_is_found(service: Path) -> None:
+    """Where this user runs no daemon; whose folder is root's or that of the service's user."""
+    for owner in (SERVICE_UID, 0):
+        os.chown(service, owner, owner)
+        with Rig() as rig:
+            assert rig.status().rig == "1"
+            assert rig.endpoint == endpoint("1", service)
+
+
+def test_one_s_own_daemon_is_asked_first(service: Path) -> None:
+    """Where it runs; what was left of one that was killed stands in nobody's way."""
+    own = Path(os.environ["XDG_RUNTIME_DIR"]) / "armrig"
+    own.mkdir(mode=0o700)
+    with FakeDaemon(endpoint("1", own)) as daemon, Rig() as rig:
+        assert rig.endpoint == daemon.endpoint
+    with socket.socket(socket.AF_UNIX) as left_over:
+        left_over.bind(str(own / "1.sock"))
+
+    with Rig() as rig:
+        assert rig.endpoint == endpoint("1", service)
+
+
+@pytest.mark.parametrize("above", [False, True])
+@pytest.mark.parametrize(
+    ("spoil", "wrong"),
+    [
+        (lambda path: os.chown(path, NOBODY, NOBODY), "belongs to another user"),
+        (lambda path: path.chmod(0o770), "can be written by other users"),
+    ],
+)
+def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
+    service: Path, spoil: Callable[[Path], None], wrong: str, above: bool
+) -> None:
+    """And so is the one above, in which another could be put in its place."""
+    spoil(service.parent if above else service)
+
+    with pytest.raises(RigError, match=wrong), Rig():
+        pass
+
+
+def test_the_service_s_user_is_looked_up() -> None:
+    """Root may own its folder, and nobody else where there is no such user."""
+    assert session._service_owners() >= {0}
+    assert len(session._service_owners()) <= 2
+
+
+def test_who_is_not_in_the_group_is_told(service: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the name of the group, and what to type."""
+    monkeypatch.setattr(session.os, "access", lambda path, mode: False)
+
+    with pytest.raises(RigError, match="only the group armrig may operate rig 1: `sudo usermod"):
+        Rig().__enter__()

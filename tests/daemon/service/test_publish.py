@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 import zenoh
 from armrig_daemon.service import token_bucket
-from armrig_daemon.service.publish import Command, Kind, Session
+from armrig_daemon.service.listener import Command
+from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.token_bucket import BURST
 
 WITHIN_S = 5.0
@@ -60,7 +61,7 @@ def test_nobody_else_publishes_what_a_watcher_hears(
     session: Session, where: str, mode: str
 ) -> None:
     """Whatever he declares, and whosever he says that his samples are."""
-    ours = session._publishers["sample"]
+    ours = session._listeners[0]._publishers["sample"]
     with _connected(where) as watcher, _connected(where, mode) as stranger:
         heard: list[bytes] = []
         watcher.declare_subscriber(
@@ -121,7 +122,7 @@ def test_nobody_else_stands_for_a_daemon(session: Session, where: str, mode: str
         tokens = [stranger.liveliness().declare_token(f"rig/1/{key}") for key in ("alive", "a")]
         time.sleep(SPREAD_S)
         _until(lambda: alive() == 1)
-        session._alive.undeclare()
+        session._listeners[0]._alive.undeclare()
         _until(lambda: alive() == 0)
         for token in tokens:  # it is withdrawn where nobody keeps it
             token.undeclare()

@@ -1,0 +1,86 @@
+"""How a client finds its daemon: `[client]` of the configuration, under the environment."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
+from armrig_core.endpoint import anchored
+
+_PREFIX = "ARMRIG_CLIENT_"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClientSettings:
+    """What is configured; empty where nothing is."""
+
+    connect: str = ""
+    """Endpoint of the daemon."""
+    certificate: str = ""
+    """Path of a credential."""
+    password: str = ""
+    """Path of a file with a user and a password."""
+
+
+def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> ClientSettings:
+    """Return the settings of these files and variables.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        TOML files, the later over the earlier; one that this user may not read says nothing to
+        him, as the daemon's own may.
+    environ : mapping
+        Environment variables; those that begin with `ARMRIG_CLIENT_` are over the files.
+
+    Raises
+    ------
+    ValueError
+        A file is no TOML, or its table has another key, or a value that is no text.
+    """
+    settings = ClientSettings()
+    for path in paths:
+        settings = replace(settings, **_checked(_table(path), str(path)))
+    given = {
+        key.removeprefix(_PREFIX).lower(): value
+        for key, value in environ.items()
+        if key.startswith(_PREFIX)
+    }
+    return replace(settings, **_checked(_anchored(given, Path.cwd()), "environment"))
+
+
+def _table(path: Path) -> Any:
+    try:
+        tables = tomllib.loads(read_text(path, CONFIGURATION_LIMIT))
+    except PermissionError:
+        return {}
+    except OSError as err:
+        msg = f"{path}: {err.strerror}"
+        raise ValueError(msg) from err
+    except (TextError, tomllib.TOMLDecodeError, RecursionError) as err:
+        msg = f"{path}: not a TOML file: {err}"
+        raise ValueError(msg) from err
+    return _anchored(tables.get("client", {}), path.absolute().parent)
+
+
+def _anchored(table: Any, directory: Path) -> Any:
+    return anchored({"client": table}, directory)["client"]
+
+
+def _checked(table: Any, where: str) -> dict[str, str]:
+    known = [field.name for field in fields(ClientSettings)]
+    if not isinstance(table, Mapping):
+        msg = f"{where}: client must be a table, [client]"
+        raise ValueError(msg)
+    for key, value in table.items():
+        if key not in known:
+            msg = f"{where}: client.{key} = {value!r}: no such key; allowed are {', '.join(known)}"
+            raise ValueError(msg)
+        if not isinstance(value, str):
+            msg = f"{where}: client.{key} = {value!r}: must be text"
+            raise ValueError(msg)
+    return dict(table)

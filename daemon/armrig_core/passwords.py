@@ -1,0 +1,71 @@
+"""Users with a password: a file of lines user:password, as zenoh reads them.
+
+For this machine alone: the daemon takes passwords on its loopback only, where nothing is encrypted.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
+from armrig_core.credential import check_name
+
+SHORTEST = 12
+"""A password that is guessed in no time protects nobody."""
+
+
+class PasswordError(ValueError):
+    """A file of passwords that is refused; names the file and what is wrong, and no password."""
+
+
+def read_users(path: Path) -> dict[str, str]:
+    """Return the password of each user in a file.
+
+    Raises
+    ------
+    PasswordError
+        It cannot be read, or others can; a line is not user:password, a password is too short, or
+        a user stands there twice.
+    """
+    try:
+        mode = path.stat().st_mode
+        lines = read_text(path, CONFIGURATION_LIMIT).splitlines()
+    except OSError as err:
+        msg = f"{path}: {err.strerror}; a line user:password for each user is needed there"
+        raise PasswordError(msg) from err
+    except TextError as err:
+        raise PasswordError(f"{path}: {err}") from err
+    if os.name == "posix" and mode & (stat.S_IROTH | stat.S_IWOTH):
+        msg = f"{path}: anybody here can read the passwords or change them: chmod o= {path}"
+        raise PasswordError(msg)
+    users: dict[str, str] = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        name, _, password = (part.strip() for part in line.partition(":"))
+        wrong = _wrong(name, password, users)
+        if wrong:
+            msg = f"{path}: line {number}: {wrong}"
+            raise PasswordError(msg)
+        users[name] = password
+    if not users:
+        msg = f"{path}: nobody is in it; a line user:password for each user is needed"
+        raise PasswordError(msg)
+    return users
+
+
+def read_passwords(path: Path) -> frozenset[str]:
+    """Return who has a password in a file; raises as `read_users`."""
+    return frozenset(read_users(path))
+
+
+def _wrong(name: str, password: str, before: dict[str, str]) -> str:
+    try:
+        check_name(name)
+    except ValueError as err:
+        return f"{err}, then : and the password"
+    if len(password) < SHORTEST:
+        return f"the password of {name!r} has {len(password)} characters: at least {SHORTEST}"
+    return f"{name!r} stands there twice: once is allowed" if name in before else ""

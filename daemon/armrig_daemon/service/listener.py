@@ -1,0 +1,198 @@
+"""One zenoh session of the service, which listens at one endpoint: streams out, commands in.
+
+Each way in has a session of its own: what a network does to its listener (a password asked for,
+all places taken, a limit of questions used up) is nothing to whoever comes by the Unix socket.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import zenoh
+from armrig_core import protobuf
+from armrig_core.commands import REQUESTS, Refused, Renew, Stop, json_schema
+from armrig_core.history import HistoryRequest
+from armrig_core.owned_session import owned_session
+from armrig_core.topics import (
+    STREAMS,
+    alive_key,
+    command_key,
+    history_key,
+    schema_key,
+    stream_key,
+)
+
+from armrig_daemon.service import access_control, admission, token_bucket
+from armrig_daemon.service.access import Network
+from armrig_daemon.service.history import History
+
+URGENT = (Stop.name, Renew.name)
+"""Commands with a thread of zenoh's for themselves: none of the others stands before them."""
+_SCHEMA, _HISTORY = "schema", "history"
+_COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
+_LONGEST_QUESTION = 64  # B, for a history
+
+
+def session_config(endpoint: str, network: Network | None = None) -> zenoh.Config:
+    """Return the configuration of a session that only listens at `endpoint`, found by nobody."""
+    if network is None:
+        config = owned_session(endpoint, most_received=access_control.MOST_LOCAL_BYTES)
+    else:
+        config = owned_session(endpoint, most_received=access_control.MOST_IN_A_MESSAGE)
+        config["access_control"] = network.access_control
+        config["low_pass_filter"] = network.low_pass_filter
+        config["transport"]["link"] |= network.transport.get("link", {})
+        config["transport"] |= {"auth": network.transport.get("auth", {})}
+    return zenoh.Config.from_json5(json.dumps(config))
+
+
+class Command:
+    """A query that waits for its answer; exactly one is given."""
+
+    def __init__(self, name: str, query: zenoh.Query, by: str = "") -> None:
+        self.name = name
+        self.by = by
+        """Who asks, as zenoh has proved it, such as `certificate alice`; "" on the Unix socket."""
+        self._key = str(query.key_expr)
+        self._query: zenoh.Query | None = query
+        self.came_s = time.monotonic()
+        self.payload = query.payload.to_bytes() if query.payload is not None else b""
+
+    def answer(self, body: Any) -> None:
+        """Answer with JSON."""
+        query, self._query = self._query, None
+        if query is not None:
+            query.reply(self._key, msgspec.json.encode(body), encoding="application/json")
+            query.drop()
+
+    def refuse(self, error: str) -> None:
+        """Answer with an error for a person."""
+        query, self._query = self._query, None
+        if query is not None:
+            _refuse(query, error)
+
+
+class Listener:
+    """An open session at one endpoint."""
+
+    def __init__(
+        self,
+        endpoint: str,
+        rig: str,
+        admit: Callable[[Command], None],
+        history: History,
+        network: Network | None = None,
+    ) -> None:
+        """Listen; `admit` is called, from zenoh's threads, with each command that may be looked at.
+
+        Raises
+        ------
+        zenoh.ZError
+            The endpoint is taken or cannot be made.
+        """
+        self._admit = admit
+        self._known_by = "" if network is None else network.known_by
+        self._buckets: dict[str, token_bucket.Bucket] = {}
+        self._session = _opened(session_config(endpoint, network))
+        self._publishers = {
+            stream: self._session.declare_publisher(
+                stream_key(rig, stream),
+                encoding=f"application/protobuf;{protobuf.OF_STREAM[stream]}",
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for stream in STREAMS
+        }
+        self._served = {
+            schema_key(rig, n): protobuf.descriptor_set(n) for n in protobuf.OF_STREAM.values()
+        }
+        for name in REQUESTS:
+            self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)
+        self._history, self._history_key = history, history_key(rig)
+        self._session.declare_queryable(self._history_key, self._serve_history)
+        self._session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
+        asker = "*" if network is not None else ""
+        self._session.declare_queryable(command_key(rig, "*", asker), self._receive)
+        for name in URGENT:
+            self._session.declare_queryable(command_key(rig, name, asker), self._receive_urgent)
+        self._alive = self._session.liveliness().declare_token(alive_key(rig))
+
+    def close(self) -> None:
+        """Close; an open session would never let the interpreter end."""
+        self._session.close()
+
+    def put(self, stream: str, data: bytes) -> None:
+        """Publish; dropped by zenoh where a subscriber does not keep up."""
+        self._publishers[stream].put(data)
+
+    def _serve_schema(self, query: zenoh.Query) -> None:
+        if self._is_too_many(_SCHEMA):
+            _refuse(query, token_bucket.refusal(_SCHEMA))
+            return
+        with query:
+            for key, data in self._served.items():
+                if query.key_expr.intersects(zenoh.KeyExpr(key)):
+                    query.reply(key, data)
+
+    def _serve_history(self, query: zenoh.Query) -> None:
+        if self._is_too_many(_HISTORY):
+            _refuse(query, token_bucket.refusal(_HISTORY))
+            return
+        payload = query.payload.to_bytes()[:_LONGEST_QUESTION] if query.payload else b"{}"
+        try:
+            asked = msgspec.json.decode(payload, type=HistoryRequest)
+        except (msgspec.DecodeError, UnicodeDecodeError) as err:
+            _refuse(query, f'history: {err}; ask with {{"first": 0}}')
+            return
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        reply = self._history.reply(asked.first, offset_ns)
+        query.reply(self._history_key, reply)
+        query.drop()
+
+    def _receive(self, query: zenoh.Query) -> None:
+        name, _ = self._parts(query)
+        if name in URGENT:
+            query.drop()  # it comes on its own way, too
+        elif name not in admission.LEASED and self._is_too_many(name):
+            _refuse(query, token_bucket.refusal(name))
+        else:
+            self._receive_urgent(query)
+
+    def _receive_urgent(self, query: zenoh.Query) -> None:
+        name, by = self._parts(query)
+        self._admit(Command(name, query, by))
+
+    def _parts(self, query: zenoh.Query) -> tuple[str, str]:
+        """Return the command's name, and who asks: his name is the end of a network's keys."""
+        key = str(query.key_expr)
+        if not self._known_by:
+            return key.rsplit("/", 1)[-1], ""
+        _, name, asker = key.rsplit("/", 2)
+        return name, f"{self._known_by} {asker}"
+
+    def _is_too_many(self, name: str) -> bool:
+        """Count a question that needs no lease. Only zenoh's thread of its queryable asks."""
+        kind = name if name in _COUNTED else ""  # all that there are not are of one kind
+        left = token_bucket.take(self._buckets.get(kind, token_bucket.Bucket()), time.monotonic())
+        if left is not None:
+            self._buckets[kind] = left
+        return left is None
+
+
+def _opened(config: zenoh.Config) -> zenoh.Session:
+    """Return a session whose socket the group may open, too: to connect is to write to it."""
+    before = os.umask(0o007)
+    try:
+        return zenoh.open(config)
+    finally:
+        os.umask(before)
+
+
+def _refuse(query: zenoh.Query, error: str) -> None:
+    refused = msgspec.json.encode(Refused(error=error))
+    query.reply_err(refused, encoding="application/json")
+    query.drop()

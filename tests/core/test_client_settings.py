@@ -1,0 +1,67 @@
+"""How a client finds its daemon: files under the environment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig_core import client_settings as settings_module
+from armrig_core.client_settings import ClientSettings, client_settings
+
+
+def _file(path: Path, text: str) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_the_later_file_is_over_the_earlier_and_the_environment_over_both(tmp_path: Path) -> None:
+    """Key by key."""
+    first = _file(tmp_path / "a", '[client]\nconnect = "tls/a:1"\ncertificate = "/a.pem"')
+    second = _file(tmp_path / "b", '[client]\nconnect = "tls/b:1"\n[rig]\nid = "1"')
+
+    assert client_settings([], {}) == ClientSettings()
+    assert client_settings([first, second], {}) == ClientSettings(
+        connect="tls/b:1", certificate="/a.pem"
+    )
+    assert client_settings([first], {"ARMRIG_CLIENT_CONNECT": "tls/c:1"}).connect == "tls/c:1"
+
+
+def test_a_credential_lies_beside_the_file_that_names_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That of the environment in the folder where the command is typed; ~ is the user's own."""
+    path = _file(tmp_path / "x" / "a", '[client]\ncertificate = "alice.pem"\npassword = "~/p"')
+    monkeypatch.setenv("HOME", "/home/alice")
+    monkeypatch.chdir(tmp_path)
+
+    assert client_settings([path], {}).certificate == str(tmp_path / "x" / "alice.pem")
+    assert client_settings([path], {}).password == "/home/alice/p"
+    given = client_settings([], {"ARMRIG_CLIENT_CERTIFICATE": "alice.pem"})
+    assert given.certificate == str(tmp_path / "alice.pem")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[client]\nconect = ''", "no such key; allowed are connect, certificate, password"),
+        ("[client]\nconnect = 1", "client.connect = 1: must be text"),
+        ("client = 1", "client must be a table"),
+        ("[client", "not a TOML file"),
+    ],
+)
+def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    """With the file's name."""
+    with pytest.raises(ValueError, match=rf"armrig.toml: .*{says}"):
+        client_settings([_file(tmp_path / "armrig.toml", text)], {})
+
+
+def test_a_file_of_the_daemon_s_alone_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who may not read it is no less a client."""
+
+    def refuse(path: Path, most: int) -> str:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(settings_module, "read_text", refuse)
+
+    assert client_settings([Path("/etc/armrig/1.toml")], {}) == ClientSettings()

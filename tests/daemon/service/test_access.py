@@ -1,0 +1,187 @@
+"""The way in over a network is judged before the motor's loop starts: nobody listens half-open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig.rig import pki
+from armrig_core.access_list import AccessList
+from armrig_daemon.config import Access, Config, ConfigError, load
+from armrig_daemon.service.access import AccessError, network_of
+from armrig_daemon.service.access_control import remote
+
+TLS, TCP = "tls/0.0.0.0:7447", "tcp/127.0.0.1:7447"
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, str]:
+    """Give all that can be named in [access]."""
+    pki.make_authority(tmp_path)
+    pki.issue_to_rig(tmp_path, "1", ["localhost"])
+    pki.issue_to_person(tmp_path, "alice", "operators")
+    pki.issue_to_person(tmp_path, "bob", "observers")
+    passwords = tmp_path / "passwords"
+    passwords.write_text("alice:correct horse\nmallory:battery staple\n")
+    passwords.chmod(0o600)
+    return {
+        "certificate": str(tmp_path / "rig-1.pem"),
+        "names": str(tmp_path / "access.toml"),
+        "passwords": str(passwords),
+    }
+
+
+def _network(**access: str) -> Any:
+    return network_of(Config(access=Access(**access)))
+
+
+def _chosen(files: dict[str, str], *keys: str) -> dict[str, str]:
+    return {key: files[key] for key in keys}
+
+
+def test_without_an_endpoint_nobody_comes_over_a_network() -> None:
+    """The default."""
+    assert network_of(Config()) is None
+
+
+def test_who_is_on_the_list_is_let_in(files: dict[str, str]) -> None:
+    """By certificate, or by password where there is one."""
+    tls = _network(listen=TLS, **_chosen(files, "certificate", "names"))
+    tcp = _network(listen=TCP, **_chosen(files, "names", "passwords"))
+
+    assert (tls.known_by, tls.operators, tls.observers) == ("certificate", 1, 1)
+    assert (tcp.known_by, tcp.operators, tcp.observers) == ("user", 1, 0)
+    subjects = [subject["id"] for subject in tcp.access_control["subjects"]]
+    assert subjects == ["alice"]
+
+
+@pytest.mark.parametrize(
+    ("listen", "keys", "says"),
+    [
+        (TLS, [], r"needs certificate, too; `armrig pki rig` makes one"),
+        (TLS, ["names"], r"needs certificate, too"),
+        (TLS, ["certificate"], r"needs names, too; `armrig pki ca` makes one"),
+        (TLS, ["names", "passwords"], r"needs certificate, too"),
+        (TLS, ["certificate", "names", "passwords"], r"passwords does not go with listen = 'tls/"),
+        (TCP, [], r"needs names, too"),
+        (TCP, ["names"], r"needs passwords, too: a line user:password each"),
+        (TCP, ["names", "certificate"], r"needs passwords, too"),
+        ("", ["certificate"], r"certificate is given and listen is not"),
+        ("", ["names"], r"names is given and listen is not"),
+    ],
+)
+def test_what_is_missing_is_told(
+    files: dict[str, str], listen: str, keys: list[str], says: str
+) -> None:
+    """Nobody is let in by less than all of it."""
+    with pytest.raises(AccessError, match=rf"^\[access\] .*{says}"):
+        _network(listen=listen, **_chosen(files, *keys))
+
+
+@pytest.mark.parametrize(
+    ("listen", "says"),
+    [
+        (
+            "tcp/0.0.0.0:7447",
+            r"tcp is not encrypted: allowed is tcp/127.0.0.1:7447; .* tls/0.0.0.0",
+        ),
+        ("tcp/192.0.2.7:7447", r"tcp is not encrypted"),
+        ("tcp/[::]:7447", r"tcp is not encrypted"),
+        ("tcp/localhost:7447", r"tcp is not encrypted"),
+        ("udp/127.0.0.1:7447", r"must be tls/HOST:PORT or tcp/127.0.0.1:PORT"),
+        ("quic/127.0.0.1:7447", r"must be tls/HOST:PORT"),
+        ("tls/0.0.0.0", r"must be tls/HOST:PORT"),
+        ("tls/0.0.0.0:0", r"must be tls/HOST:PORT"),
+        ("tls/0.0.0.0:70000", r"must be tls/HOST:PORT"),
+        ("tls/0.0.0.0:7447#enable_mtls=false", r"must be tls/HOST:PORT"),
+        ("tls/0.0.0.0:7447?prio=1", r"must be tls/HOST:PORT"),
+        ("7447", r"must be tls/HOST:PORT"),
+    ],
+)
+def test_an_endpoint_without_encryption_is_for_this_machine_alone(listen: str, says: str) -> None:
+    """Whatever else stands in the configuration: zenoh would take what stands behind a #, too."""
+    with pytest.raises(ConfigError, match=says):
+        load([], {"ARMRIG_ACCESS_LISTEN": listen}, {})
+
+
+@pytest.mark.parametrize("listen", ["tcp/127.0.0.1:7447", "tcp/[::1]:7447", "tls/[::]:7447"])
+def test_endpoints_of_this_machine_and_encrypted_ones_are_taken(listen: str) -> None:
+    """Of both kinds of addresses."""
+    assert load([], {"ARMRIG_ACCESS_LISTEN": listen}, {}).access.listen == listen
+
+
+def test_files_are_looked_for_beside_the_configuration(
+    files: dict[str, str], tmp_path: Path
+) -> None:
+    """Wherever the daemon is started."""
+    path = tmp_path / "armrig.toml"
+    path.write_text(f'[access]\nlisten = "{TLS}"\ncertificate = "rig-1.pem"\nnames = "access.toml"')
+
+    assert load([path], {}, {}).access.certificate == files["certificate"]
+    assert network_of(load([path], {}, {})) is not None
+
+
+@pytest.mark.parametrize("key", ["certificate", "names", "passwords"])
+def test_a_file_that_cannot_be_used_is_refused(
+    files: dict[str, str], tmp_path: Path, key: str
+) -> None:
+    """With its path."""
+    files[key] = str(tmp_path / "nothing")
+    listen, keys = (TCP, ["names", "passwords"]) if key == "passwords" else (TLS, [])
+
+    with pytest.raises(AccessError, match=rf"^\[access\] {tmp_path}/nothing: "):
+        _network(listen=listen, **_chosen(files, *(keys or ["certificate", "names"])))
+
+
+def test_a_client_s_certificate_does_not_serve(files: dict[str, str], tmp_path: Path) -> None:
+    """It is told before zenoh, which would start, and nobody could connect."""
+    files["certificate"] = str(tmp_path / "alice.pem")
+
+    with pytest.raises(AccessError, match="is for another purpose: `armrig pki rig` makes"):
+        _network(listen=TLS, **_chosen(files, "certificate", "names"))
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "says"),
+    [
+        ("alice", 0o600, "line 1: the password of 'alice' has 0 characters: at least 12"),
+        ("alice:short", 0o600, "line 1: the password of 'alice' has 5 characters: at least 12"),
+        ("Alice:correct horse", 0o600, "line 1: name 'Alice': 1 to 40 of a-z"),
+        ("\nalice:correct horse\nalice:correct horse", 0o600, "line 3: 'alice' stands there twice"),
+        ("\n\n", 0o600, "nobody is in it"),
+        ("alice:correct horse", 0o644, "anybody here can read the passwords"),
+    ],
+)
+def test_passwords_that_protect_nobody_are_refused(
+    files: dict[str, str], text: str, mode: int, says: str
+) -> None:
+    """And no password is said."""
+    path = Path(files["passwords"])
+    path.write_text(text)
+    path.chmod(mode)
+
+    with pytest.raises(AccessError, match=says) as caught:
+        _network(listen=TCP, **_chosen(files, "names", "passwords"))
+    assert "horse" not in str(caught.value)
+
+
+def test_what_is_not_allowed_is_denied() -> None:
+    """Zenoh passes all of it over where it is not enabled; who was revoked is in no rule."""
+    people = AccessList(operators=("alice",), observers=("bob",), revoked=("eve",))
+
+    control = remote("1", people, "cert_common_names")
+
+    assert (control["enabled"], control["default_permission"]) == (True, "deny")
+    assert {rule["permission"] for rule in control["rules"]} == {"allow"}
+    asked = {
+        rule["id"]: rule["key_exprs"]
+        for rule in control["rules"]
+        if rule["flows"] == ["ingress"] and "query" in rule["messages"]
+    }
+    assert asked == {
+        "ask what is told to all": ["rig/1/schema/**", "rig/1/history"],
+        "alice asks": ["rig/1/cmd/*/alice"],
+        "bob asks": ["rig/1/cmd/status/bob"],
+    }
+    assert "'eve'" not in str(control)

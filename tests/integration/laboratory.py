@@ -1,0 +1,94 @@
+"""A daemon that a network reaches, and those who come: certificates of all kinds, and of none."""
+
+from __future__ import annotations
+
+import socket
+from datetime import timedelta
+from pathlib import Path
+from unittest.mock import patch
+
+from armrig.rig import pki
+from armrig.rig.client import Rig
+from processes import Bench
+
+HOSTS = ["localhost", "127.0.0.1", "10.77.0.1"]
+PASSWORD = "correct horse battery"
+OPERATORS, OBSERVERS = ("alice", "carol"), ("bob",)
+
+
+def free_port() -> int:
+    """Return a port of TCP that nobody listens at."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def certificates(folder: Path) -> Path:
+    """Make an authority's folder with all that are told apart; return it.
+
+    Operators, an observer, one who was revoked (eve), one who is on no list (wrong), one whose time
+    is over (expired), and an operator's name by another authority (forged).
+    """
+    made = folder / "pki"
+    pki.make_authority(made)
+    pki.issue_to_rig(made, "1", HOSTS)
+    for name in OPERATORS:
+        pki.issue_to_person(made, name, "operators")
+    for name in OBSERVERS:
+        pki.issue_to_person(made, name, "observers")
+    pki.issue_to_person(made, "eve", "operators")
+    pki.revoke(made, "eve")
+    people = (made / pki.ACCESS_LIST).read_text()
+    pki.issue_to_person(made, "wrong", "operators")
+    (made / pki.ACCESS_LIST).write_text(people)
+    with patch.object(pki, "_BEFORE", timedelta(days=10)):
+        expired = pki._issue(made, "alice", "operators", [], -1, force=True).path
+        expired.rename(made / "expired.pem")
+    pki._issue(made, "alice", "operators", [], 365, force=True)
+    other = folder / "forged"
+    pki.make_authority(other)
+    pki.issue_to_person(other, "alice", "operators").path.rename(made / "forged.pem")
+    return made
+
+
+def expire_rig(made: Path) -> None:
+    """Put a rig's certificate whose time is over in the place of the good one."""
+    with patch.object(pki, "_BEFORE", timedelta(days=10)):
+        pki.issue_to_rig(made, "1", HOSTS, days=-1, force=True)
+
+
+def by_certificate(bench: Bench, made: Path, where: str) -> str:
+    """Have a bench's daemon listen at `where`; return that."""
+    bench.configure(
+        watchdog_ms=250,
+        more=f'[access]\nlisten = "{where}"\ncertificate = "{made}/rig-1.pem"\n'
+        f'names = "{made}/access.toml"\n',
+    )
+    return where
+
+
+def by_password(bench: Bench, made: Path) -> str:
+    """Have a bench's daemon listen on the loopback for who has a password; return where."""
+    where = f"tcp/127.0.0.1:{free_port()}"
+    passwords = bench.folder / "passwords"
+    passwords.write_text(f"alice:{PASSWORD}\nbob:{PASSWORD}\nmallory:{PASSWORD}\n")
+    passwords.chmod(0o600)
+    bench.configure(
+        watchdog_ms=250,
+        more=f'[access]\nlisten = "{where}"\npasswords = "{passwords}"\n'
+        f'names = "{made}/access.toml"\n',
+    )
+    return where
+
+
+class Laboratory:
+    """A daemon at a port of this machine, for who has a certificate."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.made = certificates(bench.folder)
+        self.endpoint = by_certificate(bench, self.made, f"tls/localhost:{free_port()}")
+
+    def rig(self, who: str) -> Rig:
+        """Return the client of somebody."""
+        return Rig("1", connect=self.endpoint, certificate=self.made / f"{who}.pem")

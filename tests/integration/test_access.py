@@ -1,0 +1,260 @@
+"""Who comes over a network does what his name allows, and is named for it."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig.rig.client import RefusedError, Rig, RunEndedError
+from armrig.rig.session import NoReplyError, RigError
+from armrig_daemon.config import MEND
+from driving import whole_run
+from laboratory import (
+    PASSWORD,
+    Laboratory,
+    by_certificate,
+    by_password,
+    certificates,
+    expire_rig,
+    free_port,
+)
+from processes import WITHIN_S, Bench, wait_for
+
+NOT_HELD = "not the lease in force: arm first"
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Laboratory]:
+    """Give a laboratory that a module's tests share."""
+    bench = Bench(tmp_path_factory.mktemp("lab"))
+    laboratory = Laboratory(bench)
+    try:
+        bench.emulate()
+        bench.serve()
+        yield laboratory
+    finally:
+        bench.end()
+
+
+@pytest.fixture
+def lab(shared: Laboratory) -> Laboratory:
+    """Give the laboratory, its rig at 0 V and nobody's."""
+    with shared.bench.rig() as rig:
+        rig.stop()
+        wait_for(lambda: rig.status().phase in ("safe", "fault"))
+        rig.reset()
+        wait_for(lambda: rig.status().phase == "safe")
+    return shared
+
+
+def test_an_operator_s_run_is_recorded_under_his_name(lab: Laboratory) -> None:
+    """What he says of himself, and behind it what was checked: in the file and in the log."""
+    with lab.rig("alice") as rig:
+        recording = armrig.load(whole_run(rig, [1.0, 4.0] * 25, Ts=0.01))
+
+    assert recording.manifest.owner == "a test (certificate alice)"
+    said = lab.bench.processes[-1].said
+    assert "info: arm: by a test (certificate alice)" in said
+    assert "info: run: by a test (certificate alice)" in said
+
+
+def test_a_stop_is_recorded_under_the_name_of_who_stopped(lab: Laboratory) -> None:
+    """Another operator's: a stop needs no lease."""
+    with lab.rig("alice") as rig, lab.rig("carol") as other:
+        rig.arm("a test", Ts=0.01)
+        with pytest.raises(RunEndedError, match=r"stopped by the next \(certificate carol\)"):
+            rig.run([1.0] * 1000, progress=lambda done, total: done > 20 and other.stop("the next"))
+
+
+def test_who_sits_at_the_rig_stops_it_without_any_certificate(lab: Laboratory) -> None:
+    """By the Unix socket, as ever."""
+    with lab.rig("alice") as rig, lab.bench.rig() as here:
+        rig.arm("a test")
+        assert here.status().owner == "a test (certificate alice)"
+        here.stop()
+        wait_for(lambda: here.status().phase == "safe")
+        with pytest.raises(RefusedError, match="not the lease in force"):
+            rig.set(1.0)
+
+
+def test_a_name_cannot_be_borrowed(lab: Laboratory) -> None:
+    """Who says that he was checked has it taken out, over the network and at the rig."""
+    with lab.bench.rig() as here, lab.rig("carol") as rig:
+        here.arm("me (certificate alice)")
+        assert here.status().owner == "me (alice)"
+        here.disarm()
+        rig.arm("me (certificate alice) (user alice)")
+        assert rig.status().owner == "me (alice) (alice) (certificate carol)"
+        rig.disarm()
+
+
+def test_a_lease_is_of_use_to_nobody_else(lab: Laboratory) -> None:
+    """Whoever has learnt it: another operator, and who sits at the rig."""
+    with lab.rig("alice") as rig, lab.rig("carol") as other, lab.bench.rig() as here:
+        lease = rig.arm("a test").lease
+        for thief in (other, here):
+            thief._lease, thief._n = lease, 10
+            with pytest.raises(RefusedError, match=NOT_HELD):
+                thief.set(1.0)
+            with pytest.raises(RefusedError, match=NOT_HELD):
+                thief.run([1.0] * 10)
+            thief._lease = ""
+        rig.disarm()
+    assert lab.bench.volts() == 0.0
+
+
+def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
+    """He sees samples and state; his commands find nobody who replies."""
+    with lab.rig("bob") as rig:
+        assert next(rig.stream()).u_applied_v == 0.0
+        assert rig.status().phase == "safe"
+        for command in (rig.stop, rig.reset, lambda: rig.arm("a test")):
+            with pytest.raises(NoReplyError, match=r"not permitted: its access list .* bob may"):
+                command()
+
+
+@pytest.mark.parametrize("who", ["eve", "wrong"])
+def test_who_is_on_no_list_is_told_nothing(lab: Laboratory, who: str) -> None:
+    """Revoked, or never put on it: a certificate alone opens nothing."""
+    with lab.rig(who) as rig:
+        with pytest.raises(NoReplyError, match="not permitted"):
+            rig.status()
+        with pytest.raises(NoReplyError):
+            next(rig.stream())
+
+
+@pytest.mark.parametrize(
+    ("who", "says"),
+    [
+        ("forged", "its certificate is not of the authority that signed yours"),
+        ("expired", "expired.pem: the certificate has expired: `armrig pki renew`"),
+    ],
+)
+def test_a_certificate_that_does_not_count_is_told(lab: Laboratory, who: str, says: str) -> None:
+    """Before anything is sent."""
+    with pytest.raises(RigError, match=says), lab.rig(who):
+        pass
+
+
+def test_commands_find_rig_and_certificate_in_the_configuration(
+    lab: Laboratory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a file of the user's, as a student is given one."""
+    (tmp_path / "armrig").mkdir()
+    (tmp_path / "armrig" / "armrig.toml").write_text(
+        f'[client]\nconnect = "{lab.endpoint}"\ncertificate = "{lab.made}/alice.pem"\n'
+    )
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+
+    with Rig() as rig:
+        rig.arm("a test")
+        assert rig.status().owner == "a test (certificate alice)"
+        rig.disarm()
+    assert next(armrig.stream("rig/1/sample")).k > 0
+
+
+def test_a_run_that_is_too_long_for_a_network_is_refused_by_the_client(lab: Laboratory) -> None:
+    """The daemon would end the connection: it holds no more than that for anybody."""
+    with lab.rig("alice") as rig:
+        rig.arm("a test")
+        with pytest.raises(RigError, match="at most 8323072 B are allowed: play it in parts"):
+            rig.run([1.0 + 1e-15] * 500_000)
+
+
+def test_a_user_with_a_password_is_known_by_his_name(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On this machine; who has none still finds the Unix socket."""
+    where = by_password(bench, certificates(bench.folder))
+    bench.emulate()
+    bench.serve()
+
+    def rig(user: str, password: str = PASSWORD) -> Rig:
+        own = bench.folder / f"{user}.password"
+        own.write_text(f"{user}:{password}\n")
+        own.chmod(0o600)
+        monkeypatch.setenv("ARMRIG_CLIENT_PASSWORD", str(own))
+        return Rig("1", connect=where)
+
+    with rig("alice") as alice:
+        alice.arm("a test")
+        assert alice.status().owner == "a test (user alice)"
+    with rig("bob") as bob:
+        assert bob.status().phase == "safe"
+        with pytest.raises(NoReplyError, match="not permitted"):
+            bob.stop()
+    with rig("mallory") as mallory, pytest.raises(NoReplyError, match="not permitted"):
+        mallory.status()
+    with pytest.raises(NoReplyError), rig("alice", "another password"):
+        pass
+    monkeypatch.delenv("ARMRIG_CLIENT_PASSWORD")
+    with pytest.raises(NoReplyError), Rig("1", connect=where):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "says"),
+    [
+        ("names", "access.toml: there is no such file; `armrig pki ca` writes one"),
+        ("certificate", "rig-1.pem: the certificate has expired: `armrig pki renew`"),
+        ("address", "this machine has no such address"),
+        ("port", "another program listens there; take another port"),
+    ],
+)
+def test_a_daemon_that_cannot_listen_as_it_should_does_not_start(
+    bench: Bench, spoilt: str, says: str
+) -> None:
+    """Exit code 78, one line, and the motor's loop was never there."""
+    made = certificates(bench.folder)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        host = "192.0.2.7" if spoilt == "address" else "127.0.0.1"
+        port = taken.getsockname()[1] if spoilt == "port" else free_port()
+        by_certificate(bench, made, f"tls/{host}:{port}")
+        if spoilt == "names":
+            (made / "access.toml").unlink()
+        if spoilt == "certificate":
+            expire_rig(made)
+        bench.emulate()
+        daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+        assert daemon.popen.wait(WITHIN_S) == MEND
+
+    assert says in daemon.said
+    assert "Traceback" not in daemon.said
+    assert bench.volts() == 0.0
+
+
+_LISTENS = "0A"  # TCP_LISTEN of tcp_states.h
+_INODE = {"tcp": 9, "tcp6": 9, "udp": 9, "udp6": 9, "raw": 9, "raw6": 9, "packet": 8}
+
+
+def _sockets(pid: int) -> dict[str, list[str]]:
+    """Return where a process hears what is sent to it: ports of TCP that listen, and all others."""
+    links = [str(f.readlink()) for f in Path(f"/proc/{pid}/fd").iterdir()]
+    inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
+    found = {}
+    for table, inode in _INODE.items():
+        rows = [row.split() for row in Path(f"/proc/net/{table}").read_text().splitlines()[1:]]
+        own = [row for row in rows if row[inode] in inodes]
+        found[table] = [r[1] for r in own if not table.startswith("tcp") or r[3] == _LISTENS]
+    return {table: where for table, where in found.items() if where}
+
+
+@pytest.mark.parametrize("level", ["socket", "certificate", "password"])
+def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
+    """A1: nothing, or one port of TCP; no multicast, no gossip, no second port."""
+    made = certificates(bench.folder)
+    port = free_port()
+    if level == "certificate":
+        by_certificate(bench, made, f"tls/127.0.0.1:{port}")
+    if level == "password":
+        port = int(by_password(bench, made).rsplit(":", 1)[1])
+    bench.emulate()
+    daemon = bench.serve()
+
+    expected = {} if level == "socket" else {"tcp": [f"0100007F:{port:04X}"]}
+    assert _sockets(daemon.popen.pid) == expected
+    assert _sockets(bench.loop_pid(daemon)) == {}
