@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import socket
 from collections.abc import Iterator
 from pathlib import Path
 
 import armrig
 import pytest
+import zenoh
 from armrig.rig.client import RefusedError, Rig, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
+from armrig_core.credential import read_credential
 from armrig_daemon.config import MEND
 from driving import whole_run
 from laboratory import (
@@ -258,3 +261,33 @@ def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
     expected = {} if level == "socket" else {"tcp": [f"0100007F:{port:04X}"]}
     assert _sockets(daemon.popen.pid) == expected
     assert _sockets(bench.loop_pid(daemon)) == {}
+
+
+def _connected(lab: Laboratory, who: str, zid: str) -> zenoh.Session:
+    """Return the session of somebody who says that he is another."""
+    tls = read_credential(lab.made / f"{who}.pem", "client").tls("connect")
+    config = {
+        "mode": "client",
+        "id": zid,
+        "connect": {"endpoints": [lab.endpoint]},
+        "transport": {"link": {"tls": tls}},
+    }
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+
+
+def _is_answered(session: zenoh.Session, key: str) -> bool:
+    return any(reply.ok is not None for reply in session.get(key, timeout=5))
+
+
+def test_another_s_zenoh_id_gives_nobody_his_rights(lab: Laboratory) -> None:
+    """It is what its bearer says: while the other is there it opens no link, then not his keys."""
+    with _connected(lab, "alice", "a11ce") as alice:
+        assert _is_answered(alice, "rig/1/cmd/status/alice")
+        with pytest.raises(zenoh.ZError):
+            _connected(lab, "bob", "a11ce")
+        assert _is_answered(alice, "rig/1/cmd/status/alice")
+
+    with _connected(lab, "bob", "a11ce") as bob:
+        assert _is_answered(bob, "rig/1/cmd/status/bob")
+        assert not _is_answered(bob, "rig/1/cmd/status/alice")
+        assert not _is_answered(bob, "rig/1/cmd/stop/bob")

@@ -1,0 +1,29 @@
+"""The daemon without its guard, for the control of the tests that nobody gets past it.
+
+`python open_daemon.py run …`: whoever speaks TLS is let in, and nothing is denied him.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from armrig_core.credential import Credential
+from armrig_daemon.__main__ import main
+from armrig_daemon.service import access_control
+
+_tls = Credential.tls
+
+
+def _without_mutual_tls(self: Credential, side: Any) -> dict[str, Any]:
+    return {**_tls(self, side), "enable_mtls": False}
+
+
+def _nothing_denied(*_: Any) -> dict[str, Any]:
+    return {"enabled": False, "default_permission": "allow"}
+
+
+Credential.tls = _without_mutual_tls  # type: ignore[method-assign]
+access_control.remote = _nothing_denied  # type: ignore[assignment]
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+"""Who may do what over a network, tried: everybody, every thing that zenoh can do, every key.
+
+Each cell 20 times, from a network namespace of its own. And the control: with the guard taken away
+the same attempts succeed, so that a cell that stays empty says something.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import namespaces
+import pytest
+import stranger
+from laboratory import by_certificate, certificates
+from namespaces import Namespaces
+from processes import Bench, wait_for
+from stranger import ALIVE, SCHEMA_KEYS, STREAM_KEYS, TIMES, command_keys, every_key
+
+HERE = Path(__file__).parent
+PORT = 7447
+WITHIN_S = 120
+WHO = {
+    "nobody": "",
+    "forged": "forged.pem",
+    "expired": "expired.pem",
+    "wrong": "wrong.pem",
+    "eve": "eve.pem",
+    "bob": "bob.pem",
+    "alice": "alice.pem",
+}
+NOT_LET_IN = ("nobody", "forged", "expired")
+ON_NO_LIST = ("wrong", "eve")
+
+
+class Tried(NamedTuple):
+    """What came of it all."""
+
+    by: dict[str, dict[str, Any]]
+    watcher: dict[str, dict[str, int]]
+    log: str
+
+
+@pytest.fixture(scope="module")
+def line() -> Iterator[Namespaces]:
+    """Give two machines."""
+    if why := namespaces.missing():
+        pytest.skip(why)
+    with namespaces.connected() as both:
+        yield both
+
+
+@pytest.fixture(scope="module")
+def guarded(line: Namespaces, tmp_path_factory: pytest.TempPathFactory) -> Tried:
+    """Return what everybody can do to the daemon."""
+    return _tried(line, tmp_path_factory.mktemp("guarded"), "-m", "armrig_daemon")
+
+
+@pytest.fixture(scope="module")
+def unguarded(line: Namespaces, tmp_path_factory: pytest.TempPathFactory) -> Tried:
+    """Return what everybody can do where nothing is denied."""
+    return _tried(line, tmp_path_factory.mktemp("open"), str(HERE / "open_daemon.py"))
+
+
+def _tried(line: Namespaces, folder: Path, *program: str) -> Tried:
+    bench = Bench(folder)
+    made = certificates(folder)
+    where = by_certificate(bench, made, f"tls/{namespaces.ADDRESSES['rig']}:{PORT}")
+    try:
+        bench.emulate()
+        with _started(line, bench, *program) as log:
+            with _watching(line, where, made) as watcher:
+                attempts = {who: _stranger(line, where, made, who, pem) for who, pem in WHO.items()}
+                by = {who: _said(attempt) for who, attempt in attempts.items()}
+            return Tried(by, _said(watcher), log.read_text())
+    finally:
+        bench.end()
+
+
+@contextmanager
+def _started(line: Namespaces, bench: Bench, *program: str) -> Iterator[Path]:
+    """Have a daemon run on the rig's side; give its log."""
+    log = bench.folder / "log"
+    command = [sys.executable, *program, "run", "--config", str(bench.config)]
+    with log.open("wb") as stderr:
+        daemon = subprocess.Popen(
+            ["env", f"XDG_RUNTIME_DIR={bench.folder}", *line.command("rig", *command)],
+            stderr=stderr,
+        )
+    try:
+        wait_for(lambda: bench.phase() == "safe" or daemon.poll() is not None)
+        assert daemon.poll() is None, log.read_text()
+        yield log
+    finally:
+        daemon.terminate()
+        assert daemon.wait(WITHIN_S) == 0
+
+
+def _stranger(
+    line: Namespaces, where: str, made: Path, who: str, pem: str
+) -> subprocess.Popen[str]:
+    credential = [str(made / pem)] if pem else []
+    return subprocess.Popen(
+        line.command(
+            "stranger",
+            *(sys.executable, str(HERE / "stranger.py")),
+            *(where, str(made / "authority.pem"), who, *credential),
+        ),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+@contextmanager
+def _watching(line: Namespaces, where: str, made: Path) -> Iterator[subprocess.Popen[str]]:
+    """Have an operator listen, from the strangers' side, until the block ends."""
+    watcher = _stranger(line, where, made, "watch", "carol.pem")
+    assert watcher.stdout is not None
+    assert watcher.stdout.readline() == "there\n"
+    yield watcher
+
+
+def _said(program: subprocess.Popen[str]) -> Any:
+    said, _ = program.communicate(timeout=WITHIN_S)
+    assert program.returncode == 0
+    return json.loads(said)
+
+
+def _worked(counts: dict[str, int]) -> dict[str, int]:
+    return {key: n for key, n in counts.items() if n}
+
+
+@pytest.mark.parametrize("who", NOT_LET_IN)
+def test_who_has_no_certificate_that_counts_is_not_let_in(guarded: Tried, who: str) -> None:
+    """None, an operator's name by another authority, one whose time is over: no link, nothing."""
+    found = guarded.by[who]
+
+    assert found["links"] == 0
+    for what in ("query", "liveliness", "subscribe", "tokens", "overhear"):
+        assert _worked(found[what]) == {}, what
+
+
+@pytest.mark.parametrize("who", ON_NO_LIST)
+def test_who_is_on_no_list_hears_and_does_nothing(guarded: Tried, who: str) -> None:
+    """A certificate of the authority lets him connect, and that is all."""
+    found = guarded.by[who]
+
+    assert found["links"] == TIMES
+    for what in ("query", "liveliness", "subscribe", "tokens", "overhear"):
+        assert _worked(found[what]) == {}, what
+
+
+def test_an_observer_hears_the_rig_and_asks_for_its_state(guarded: Tried) -> None:
+    """Each time; nothing else, not under an operator's name, not by a key that means several."""
+    found = guarded.by["bob"]
+
+    assert found["links"] == TIMES
+    assert _worked(found["query"]) == dict.fromkeys((*SCHEMA_KEYS, "rig/1/cmd/status/bob"), TIMES)
+    assert _heard_only(found, {*STREAM_KEYS, "rig/1/*"})
+    assert _worked(found["liveliness"]) == dict.fromkeys((ALIVE, "rig/1/*"), TIMES)
+    # His own session tells the token that it has got to each subscriber of his whom it fits.
+    assert min(found["tokens"][key] for key in (ALIVE, "rig/1/*")) > TIMES / 2
+    assert _worked(found["overhear"]) == {}
+
+
+def test_an_operator_commands_under_his_own_name(guarded: Tried) -> None:
+    """Each command, each time; he can neither publish nor hear what others ask."""
+    found = guarded.by["alice"]
+
+    assert found["links"] == TIMES
+    assert _worked(found["query"]) == dict.fromkeys((*SCHEMA_KEYS, *command_keys("alice")), TIMES)
+    assert _heard_only(found, {*STREAM_KEYS, "rig/1/*"})
+    assert _worked(found["liveliness"]) == dict.fromkeys((ALIVE, "rig/1/*"), TIMES)
+    assert _worked(found["overhear"]) == {}
+
+
+def _heard_only(found: dict[str, Any], keys: set[str]) -> bool:
+    """Whether samples were heard, in most rounds on a busy machine, and no other key than these."""
+    heard = _worked(found["subscribe"])
+    return min(heard["rig/1/sample"], heard["rig/1/*"]) > TIMES / 2 and heard.keys() <= keys
+
+
+def test_nobody_else_is_heard_by_who_listens(guarded: Tried) -> None:
+    """A watcher met none of 10 000 forgeries: no sample, no end of one, no token, no reply."""
+    assert guarded.watcher["heard"]["rig/1/sample"] > 100
+    assert _worked(guarded.watcher["forged"]) == {}
+
+
+def test_no_command_was_taken_but_an_operator_s(guarded: Tried) -> None:
+    """By the daemon's own log."""
+    taken = [line.split(": by ")[1] for line in guarded.log.splitlines() if ": by " in line]
+
+    assert taken
+    assert {who for who in taken if not who.startswith("certificate alice")} == set()
+
+
+@pytest.mark.parametrize("who", WHO)
+def test_without_the_guard_everybody_does_everything(unguarded: Tried, who: str) -> None:
+    """The control: the same attempts, and all of them succeed."""
+    found = unguarded.by[who]
+
+    assert found["links"] == TIMES
+    assert set(command_keys(who)) | set(command_keys("alice")) <= {
+        key for key, n in found["query"].items() if n == TIMES
+    }
+    assert {"rig/1/sample", "rig/1/*", "rig/1/**", "**"} <= _worked(found["subscribe"]).keys()
+    assert {ALIVE, "rig/1/*", "**"} <= _worked(found["liveliness"]).keys()
+    forged = _worked(unguarded.watcher["forged"])
+    assert forged[f"PUT {who}"] > TIMES
+    assert forged[f"DELETE {who}"] > TIMES
+
+
+def test_without_the_guard_tokens_and_replies_are_forged(unguarded: Tried) -> None:
+    """The control of the watcher."""
+    forged = _worked(unguarded.watcher["forged"])
+
+    assert forged[f"TOKEN {stranger.FORGED}"] > 0
+    assert any(_worked(found["overhear"]) for found in unguarded.by.values())
+
+
+def test_every_key_of_the_rig_was_tried() -> None:
+    """A stream or a command that is new stands in the matrix by itself."""
+    keys = every_key("bob")
+
+    assert len(keys) == len(set(keys))
+    assert {*STREAM_KEYS, ALIVE, *SCHEMA_KEYS, *command_keys("bob")} <= set(keys)
