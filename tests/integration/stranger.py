@@ -11,7 +11,7 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -30,7 +30,7 @@ FORGED = "rig/1/forged"
 _LOOK_S = 0.1
 _ROUND_S = 0.08
 Counts = dict[str, int]
-_ALL: dict[str, Any] = {
+ANY: dict[str, Any] = {
     "target": zenoh.QueryTarget.ALL,
     "consolidation": zenoh.ConsolidationMode.NONE,  # else one reply of a key hides another
 }
@@ -123,11 +123,16 @@ def _overhear(query: zenoh.Query, overheard: Counter[str]) -> None:
 
 
 def _answered(session: zenoh.Session, key: str) -> bool:
-    """Whether the daemon has answered: of strangers who look for others some find each other."""
-    replies = list(session.get(key, payload="{}", timeout=5, **_ALL))
-    errors = [r.err.payload.to_bytes() for r in replies if r.err is not None]
-    answers = [r.ok.payload.to_bytes() for r in replies if r.ok is not None]
-    return any(b'"error"' in error for error in errors) or any(a != LIE for a in answers)
+    return answers(session.get(key, payload="{}", timeout=5, **ANY)) > 0
+
+
+def answers(replies: Iterable[zenoh.Reply]) -> int:
+    """Return how often the daemon has answered: of those who look for others some find each other.
+
+    It says JSON, and a refusal is an answer.
+    """
+    texts = [(r.ok or r.err).payload.to_bytes() for r in replies]
+    return sum(text != LIE and text not in (b"", b"Timeout") for text in texts)
 
 
 def _alive(session: zenoh.Session, key: str) -> bool:
@@ -192,7 +197,7 @@ def watch(endpoint: str, authority: str, credential: str) -> None:
         session.liveliness().declare_subscriber("rig/1/*", see, history=True)
         print("there", flush=True)
         while not _ended(_LOOK_S):
-            for reply in session.get(f"rig/1/cmd/status/{WATCHER}", timeout=5, **_ALL):
+            for reply in session.get(f"rig/1/cmd/status/{WATCHER}", timeout=5, **ANY):
                 if reply.ok is not None and reply.ok.payload.to_bytes() == LIE:
                     forged["REPLY"] += 1
     print(json.dumps({"forged": dict(forged), "heard": dict(heard)}), flush=True)

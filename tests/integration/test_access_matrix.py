@@ -6,25 +6,18 @@ the same attempts succeed, so that a cell that stays empty says something.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import namespaces
 import pytest
-import stranger
 from laboratory import by_certificate, certificates
 from namespaces import Namespaces
-from processes import Bench, wait_for
-from stranger import ALIVE, SCHEMA_KEYS, STREAM_KEYS, TIMES, command_keys, every_key
+from processes import Bench
+from remote_rig import GUARDED, PORT, UNGUARDED, said, started, stranger, watching
+from stranger import ALIVE, FORGED, SCHEMA_KEYS, STREAM_KEYS, TIMES, command_keys, every_key
 
-HERE = Path(__file__).parent
-PORT = 7447
-WITHIN_S = 120
 WHO = {
     "nobody": "",
     "forged": "forged.pem",
@@ -58,13 +51,13 @@ def line() -> Iterator[Namespaces]:
 @pytest.fixture(scope="module")
 def guarded(line: Namespaces, tmp_path_factory: pytest.TempPathFactory) -> Tried:
     """Return what everybody can do to the daemon."""
-    return _tried(line, tmp_path_factory.mktemp("guarded"), "-m", "armrig_daemon")
+    return _tried(line, tmp_path_factory.mktemp("guarded"), *GUARDED)
 
 
 @pytest.fixture(scope="module")
 def unguarded(line: Namespaces, tmp_path_factory: pytest.TempPathFactory) -> Tried:
     """Return what everybody can do where nothing is denied."""
-    return _tried(line, tmp_path_factory.mktemp("open"), str(HERE / "open_daemon.py"))
+    return _tried(line, tmp_path_factory.mktemp("open"), *UNGUARDED)
 
 
 def _tried(line: Namespaces, folder: Path, *program: str) -> Tried:
@@ -73,63 +66,13 @@ def _tried(line: Namespaces, folder: Path, *program: str) -> Tried:
     where = by_certificate(bench, made, f"tls/{namespaces.ADDRESSES['rig']}:{PORT}")
     try:
         bench.emulate()
-        with _started(line, bench, *program) as log:
-            with _watching(line, where, made) as watcher:
-                attempts = {who: _stranger(line, where, made, who, pem) for who, pem in WHO.items()}
-                by = {who: _said(attempt) for who, attempt in attempts.items()}
-            return Tried(by, _said(watcher), log.read_text())
+        with started(line, bench, *program) as log:
+            with watching(line, where, made) as watcher:
+                attempts = {who: stranger(line, where, made, who, pem) for who, pem in WHO.items()}
+                by = {who: said(attempt) for who, attempt in attempts.items()}
+            return Tried(by, said(watcher), log.read_text())
     finally:
         bench.end()
-
-
-@contextmanager
-def _started(line: Namespaces, bench: Bench, *program: str) -> Iterator[Path]:
-    """Have a daemon run on the rig's side; give its log."""
-    log = bench.folder / "log"
-    command = [sys.executable, *program, "run", "--config", str(bench.config)]
-    with log.open("wb") as stderr:
-        daemon = subprocess.Popen(
-            ["env", f"XDG_RUNTIME_DIR={bench.folder}", *line.command("rig", *command)],
-            stderr=stderr,
-        )
-    try:
-        wait_for(lambda: bench.phase() == "safe" or daemon.poll() is not None)
-        assert daemon.poll() is None, log.read_text()
-        yield log
-    finally:
-        daemon.terminate()
-        assert daemon.wait(WITHIN_S) == 0
-
-
-def _stranger(
-    line: Namespaces, where: str, made: Path, who: str, pem: str
-) -> subprocess.Popen[str]:
-    credential = [str(made / pem)] if pem else []
-    return subprocess.Popen(
-        line.command(
-            "stranger",
-            *(sys.executable, str(HERE / "stranger.py")),
-            *(where, str(made / "authority.pem"), who, *credential),
-        ),
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-
-@contextmanager
-def _watching(line: Namespaces, where: str, made: Path) -> Iterator[subprocess.Popen[str]]:
-    """Have an operator listen, from the strangers' side, until the block ends."""
-    watcher = _stranger(line, where, made, "watch", "carol.pem")
-    assert watcher.stdout is not None
-    assert watcher.stdout.readline() == "there\n"
-    yield watcher
-
-
-def _said(program: subprocess.Popen[str]) -> Any:
-    said, _ = program.communicate(timeout=WITHIN_S)
-    assert program.returncode == 0
-    return json.loads(said)
 
 
 def _worked(counts: dict[str, int]) -> dict[str, int]:
@@ -220,7 +163,7 @@ def test_without_the_guard_tokens_and_replies_are_forged(unguarded: Tried) -> No
     """The control of the watcher."""
     forged = _worked(unguarded.watcher["forged"])
 
-    assert forged[f"TOKEN {stranger.FORGED}"] > 0
+    assert forged[f"TOKEN {FORGED}"] > 0
     assert any(_worked(found["overhear"]) for found in unguarded.by.values())
 
 

@@ -1,0 +1,167 @@
+"""docs/access.md: every command and every configuration in it, on a real daemon."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from armrig_daemon.config import Config, load
+from armrig_daemon.service.access import network_of
+from laboratory import free_port
+from processes import Bench
+
+PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
+HOST = "lab-1.example.edu"
+
+
+def _blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", PAGE, re.DOTALL)
+
+
+def _here(text: str, port: int) -> str:
+    """Return what the page says, for a rig on this machine."""
+    return (
+        text.replace("0.0.0.0:7447", f"127.0.0.1:{port}")
+        .replace(HOST, "localhost")
+        .replace(":7447", f":{port}")
+    )
+
+
+def _commands(block: str) -> list[list[str]]:
+    return [shlex.split(line)[1:] for line in block.splitlines()]
+
+
+ACCESS, CLIENT, ACCESS_BY_PASSWORD, CLIENT_BY_PASSWORD = _blocks("toml")
+INSTALL, MADE, USED, CHANGED = _blocks("sh")
+(PASSWORDS,) = _blocks("text")
+
+
+@pytest.fixture
+def lab(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """Give a bench in whose folder the page's authority was made."""
+    monkeypatch.chdir(bench.folder)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(bench.folder / "config"))
+    for command in _commands(MADE):
+        assert main([part.replace(HOST, "localhost") for part in command]) == 0
+    return bench
+
+
+def _serve(lab: Bench, access: str, port: int) -> None:
+    for name in ("rig-1.pem", "access.toml"):
+        (lab.folder / "pki" / name).rename(lab.folder / name)
+    lab.configure(watchdog_ms=250, more=_here(access, port))
+    lab.emulate()
+    lab.serve()
+
+
+def _client(lab: Bench, table: str, port: int) -> None:
+    folder = lab.folder / "config" / "armrig"
+    folder.mkdir(parents=True)
+    (folder / "armrig.toml").write_text(_here(table, port))
+
+
+def _armrig(lab: Bench, *arguments: str, **env: str) -> subprocess.CompletedProcess[str]:
+    """Run a command as a person who runs no daemon of his own."""
+    environ = {**os.environ, "XDG_RUNTIME_DIR": str(lab.folder / "nowhere"), **env}
+    return subprocess.run(
+        [sys.executable, "-m", "armrig", *arguments],
+        env=environ,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_a_recording_is_made_over_the_network_as_the_page_says(lab: Bench) -> None:
+    """From the authority to the recording; by the configuration, for once, and in Python."""
+    port = free_port()
+    _serve(lab, ACCESS, port)
+    _client(lab, CLIENT, port)
+    credential = lab.folder / "config" / "armrig" / "alice.pem"
+    (lab.folder / "pki" / "alice.pem").rename(credential)
+
+    for command in _commands(USED):
+        done = _armrig(lab, *command)
+        assert done.returncode == 0, done.stderr
+
+    (once,) = re.findall(r"`ARMRIG_CLIENT_CERTIFICATE=alice.pem armrig (.*?)`", PAGE)
+    (lab.folder / "config" / "armrig" / "armrig.toml").unlink()
+    done = _armrig(lab, *_here(once, port).split(), ARMRIG_CLIENT_CERTIFICATE=str(credential))
+    assert done.returncode == 0, done.stderr
+
+    (program,) = _blocks("python")
+    asked = subprocess.run(
+        [sys.executable, "-c", _here(program, port)],
+        cwd=credential.parent,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert asked.stdout.strip() in ("safe", "fault")
+
+
+def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
+    """The daemon's file, and the user's own."""
+    port = free_port()
+    _client(lab, CLIENT_BY_PASSWORD, port)
+    for path in (lab.folder / "passwords", lab.folder / "config" / "armrig" / "alice.password"):
+        path.write_text(PASSWORDS)
+        path.chmod(0o640)
+    _serve(lab, ACCESS_BY_PASSWORD, port)
+
+    done = _armrig(lab, "stop")
+
+    assert done.returncode == 0, done.stderr
+    assert "stop: by root (user alice)" in lab.processes[-1].said.replace(
+        os.environ.get("USER", "root"), "root"
+    )
+
+
+def test_certificates_are_renewed_and_revoked_as_the_page_says(
+    lab: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Command by command."""
+    for command in _commands(CHANGED):
+        assert main(command) == 0
+    capsys.readouterr()
+    assert main(["pki", "list"]) == 0
+
+    roles = dict(line.split()[:2] for line in capsys.readouterr().out.splitlines())
+    assert roles == {
+        "alice": "revoked",
+        "alice-2": "operators",
+        "bob": "observers",
+        "rig-1": "rig",
+    }
+
+
+@pytest.mark.parametrize("access", [ACCESS, ACCESS_BY_PASSWORD])
+def test_a_configuration_of_the_page_opens_what_it_says(lab: Bench, access: str) -> None:
+    """As it stands, beside the files that it names."""
+    folder = lab.folder / "pki"
+    (folder / "passwords").write_text(PASSWORDS)
+    (folder / "passwords").chmod(0o640)
+    (folder / "armrig.toml").write_text(access)
+
+    config: Config = load([folder / "armrig.toml"], {}, {})
+    network = network_of(config)
+
+    assert network is not None
+    assert network.endpoint == re.findall(r'listen = "(.*)"', access)[0]
+    assert network.operators == 1
+
+
+def test_the_extra_has_the_name_that_the_page_says() -> None:
+    """As pyproject.toml declares it."""
+    project = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+
+    assert INSTALL.strip() == "pip install 'armrig[pki]'"
+    assert '\npki = ["cryptography' in project
