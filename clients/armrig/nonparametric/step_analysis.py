@@ -15,8 +15,8 @@ from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
 from armrig.nonparametric.integrator import integration
+from armrig.nonparametric.step_course import course
 from armrig.nonparametric.step_lag import area_above, lag_of_angle
-from armrig.nonparametric.step_overshoot import overshoot
 from armrig.nonparametric.step_rise import Rise, step_rise
 from armrig.numerics.quantities import plural, with_std
 from armrig.numerics.step_times import SHARE, linear_crossing
@@ -31,6 +31,7 @@ Vector = NDArray[np.float64]
 SHORTEST_HOLD = 8  # samples before and after a step
 SHORTEST_GAP, SMALL_GAP = 2, 0.1
 """Samples, and share of the 63 % time, from which on a gap on the rise is told."""
+BAND = 0.05  # about the final value, in which the answer has settled
 SMOOTH = 0.03  # noise of the smoothed response, as a share of the final value
 
 
@@ -72,7 +73,7 @@ class StepAnalysis:
     hidden: tuple[float, float] | None
     """Between which times y is missing on the rise, in s; None where it is not."""
     settling: float
-    """Time from which the smoothed answer stays within 5 % of its final value, in s."""
+    """Time from which the answer stays within 5 % of its final value, in s."""
     overshoot: float
     """Largest value over the final one, less 1: 0 where there is none, NaN where noise hides it."""
     overshoot_std: float
@@ -140,8 +141,9 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. The 63 % time is read from a
     smoothing spline from the step on (`armrig.nonparametric.step_rise`), whose deviation grows
     where samples are missing. The dead time L is that of s (t - L)^p for t > L, p = 1 or 2, fitted
-    to the rise up to one half. Settling is that of a moving average, as short as brings the noise
-    under 3 % of the final value; overshoot that of parabolas (`step_overshoot`).
+    to the rise up to one half. Overshoot and settling are those of parabolas, each fitted to a
+    stretch of the answer (`armrig.nonparametric.step_course`); what settles faster than a stretch
+    can tell is that of a moving average, as short as brings the noise under 3 % of the final value.
 
     Parameters
     ----------
@@ -191,12 +193,14 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     off = np.abs(smooth / gain - 1)
     # What the settled third does is noise: of thousands of samples some are beyond any 2 of its
     # standard deviations.
-    outside = off[after] > 0.05 + np.nanmax(off[k >= (2 * k[-1]) // 3])
+    outside = off[after] > BAND + np.nanmax(off[k >= (2 * k[-1]) // 3])
     hidden = _hidden(own, k, rise.crossing, data.Ts)
     last = int(np.flatnonzero(outside)[-1]) if outside.any() else -1
     times = t[after]
-    above = overshoot(own, k, gain * (data.Ts if integrates else 1.0), integrated=integrates)
-    settling = float(times[min(last + 1, times.size - 1)])
+    fitted = course(own, k, gain * (data.Ts if integrates else 1.0), integrated=integrates)
+    # The moving average tells of what is fast, the stretches of what noise would hide.
+    settling = max(float(times[min(last + 1, times.size - 1)]), data.Ts * fitted.settling(BAND))
+    above, above_std = fitted.overshoot()
     return StepAnalysis(
         t=t,
         y=y,
@@ -215,8 +219,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         rise_std=rise.std * abs(gain),
         hidden=hidden,
         settling=settling,
-        overshoot=float(above[0]),
-        overshoot_std=float(above[1]),
+        overshoot=above,
+        overshoot_std=above_std,
         rate=integrates,
         steps=len(steps.at),
         Ts=data.Ts,
