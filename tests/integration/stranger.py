@@ -23,7 +23,7 @@ TIMES = 20
 OPERATOR, WATCHER = "alice", "carol"
 LIE = b"forged"
 STREAM_KEYS = [f"rig/1/{stream}" for stream in STREAMS]
-SCHEMA_KEYS = ["rig/1/schema/armrig.v1.Sample", "rig/1/schema/cmd/run"]
+TOLD_KEYS = ["rig/1/schema/armrig.v1.Sample", "rig/1/schema/cmd/run", "rig/1/history"]
 WILD_KEYS = ["rig/1/*", "rig/1/**", "rig/*/sample", "**", "rig/1/cmd/**", "rig/1/cmd/arm/*"]
 ALIVE = "rig/1/alive"
 FORGED = "rig/1/forged"
@@ -45,7 +45,7 @@ def every_key(name: str) -> list[str]:
     """Return every key that there is, somebody else's, and those that mean several."""
     commands = [f"rig/1/cmd/{command}" for command in REQUESTS]
     return [
-        *(*STREAM_KEYS, ALIVE, *SCHEMA_KEYS, *WILD_KEYS, *commands),
+        *(*STREAM_KEYS, ALIVE, *TOLD_KEYS, *WILD_KEYS, *commands),
         *dict.fromkeys((*command_keys(name), *command_keys(OPERATOR))),
     ]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import armrig
 import pytest
 import zenoh
+from armrig.cli import main
 from armrig.rig.client import RefusedError, Rig, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.credential import read_credential
@@ -291,3 +292,13 @@ def test_another_s_zenoh_id_gives_nobody_his_rights(lab: Laboratory) -> None:
         assert _is_answered(bob, "rig/1/cmd/status/bob")
         assert not _is_answered(bob, "rig/1/cmd/status/alice")
         assert not _is_answered(bob, "rig/1/cmd/stop/bob")
+
+
+def test_an_observer_records_from_afar(lab: Laboratory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the daemon keeps, and what it publishes meanwhile."""
+    path = lab.bench.folder / "afar.mcap"
+    monkeypatch.setenv("ARMRIG_CLIENT_CERTIFICATE", str(lab.made / "bob.pem"))
+
+    assert main(["record", "--from", lab.endpoint, "--seconds", "1", "-o", str(path)]) == 0
+
+    assert armrig.load(path).t.size > 50

@@ -16,7 +16,7 @@ from laboratory import by_certificate, certificates
 from namespaces import Namespaces
 from processes import Bench
 from remote_rig import GUARDED, PORT, UNGUARDED, said, started, stranger, watching
-from stranger import ALIVE, FORGED, SCHEMA_KEYS, STREAM_KEYS, TIMES, command_keys, every_key
+from stranger import ALIVE, FORGED, STREAM_KEYS, TIMES, TOLD_KEYS, command_keys, every_key
 
 WHO = {
     "nobody": "",
@@ -104,7 +104,7 @@ def test_an_observer_hears_the_rig_and_asks_for_its_state(guarded: Tried) -> Non
     found = guarded.by["bob"]
 
     assert found["links"] == TIMES
-    assert _worked(found["query"]) == dict.fromkeys((*SCHEMA_KEYS, "rig/1/cmd/status/bob"), TIMES)
+    assert _worked(found["query"]) == dict.fromkeys((*TOLD_KEYS, "rig/1/cmd/status/bob"), TIMES)
     assert _heard_only(found, {*STREAM_KEYS, "rig/1/*"})
     assert _worked(found["liveliness"]) == dict.fromkeys((ALIVE, "rig/1/*"), TIMES)
     # His own session tells the token that it has got to each subscriber of his whom it fits.
@@ -117,7 +117,7 @@ def test_an_operator_commands_under_his_own_name(guarded: Tried) -> None:
     found = guarded.by["alice"]
 
     assert found["links"] == TIMES
-    assert _worked(found["query"]) == dict.fromkeys((*SCHEMA_KEYS, *command_keys("alice")), TIMES)
+    assert _worked(found["query"]) == dict.fromkeys((*TOLD_KEYS, *command_keys("alice")), TIMES)
     assert _heard_only(found, {*STREAM_KEYS, "rig/1/*"})
     assert _worked(found["liveliness"]) == dict.fromkeys((ALIVE, "rig/1/*"), TIMES)
     assert _worked(found["overhear"]) == {}
@@ -172,4 +172,4 @@ def test_every_key_of_the_rig_was_tried() -> None:
     keys = every_key("bob")
 
     assert len(keys) == len(set(keys))
-    assert {*STREAM_KEYS, ALIVE, *SCHEMA_KEYS, *command_keys("bob")} <= set(keys)
+    assert {*STREAM_KEYS, ALIVE, *TOLD_KEYS, *command_keys("bob")} <= set(keys)

@@ -56,10 +56,10 @@ def record(
 
     from armrig.rig.remote_recording import RemoteRecording
     from armrig.rig.remote_source import RemoteSource
-    from armrig.rig.session import default_endpoint, no_reply, open_session
+    from armrig.rig.session import configured_endpoint, no_reply, open_session
 
     path = _checked(out or Path(f"{rig}-remote-{time.strftime('%Y%m%dT%H%M%S')}.mcap"))
-    where = source or default_endpoint(rig)
+    where = source or configured_endpoint(rig)
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
     with open_session(source, rig=rig) as session:
         row = RemoteSource(session, rig)

@@ -78,7 +78,7 @@ def size_limits(rig: str) -> list[dict[str, Any]]:
 
 
 def _watching(rig: str) -> list[dict[str, Any]]:
-    """Return what all who are listed may do: hear the rig, of late too, and read its schemas."""
+    """Return what all who are in a list may do: hear the rig, now and of late, and see it alive."""
     streams = [stream_key(rig, stream) for stream in STREAMS]
     any_stream, told = stream_key(rig, "*"), [schema_key(rig, "**"), history_key(rig)]
     hears = ["declare_subscriber", "liveliness_query", "declare_liveliness_subscriber"]

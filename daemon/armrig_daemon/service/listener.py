@@ -29,7 +29,6 @@ from armrig_core.topics import (
 
 from armrig_daemon.service import access_control, admission, token_bucket
 from armrig_daemon.service.access import Network
-from armrig_daemon.service.history import History
 
 URGENT = (Stop.name, Renew.name)
 """Commands with a thread of zenoh's for themselves: none of the others stands before them."""
@@ -85,10 +84,20 @@ class Listener:
         endpoint: str,
         rig: str,
         admit: Callable[[Command], None],
-        history: History,
+        past: Callable[[int, int], bytes],
         network: Network | None = None,
     ) -> None:
-        """Listen; `admit` is called, from zenoh's threads, with each command that may be looked at.
+        """Listen.
+
+        Parameters
+        ----------
+        admit : callable
+            Called, from zenoh's threads, with each command that may be looked at.
+        past : callable
+            Returns the answer to who asks for the history from a number on, given the clocks'
+            offset in ns.
+        network : Network, optional
+            Who may do what there; none is the Unix socket.
 
         Raises
         ------
@@ -112,7 +121,7 @@ class Listener:
         }
         for name in REQUESTS:
             self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)
-        self._history, self._history_key = history, history_key(rig)
+        self._past, self._history_key = past, history_key(rig)
         self._session.declare_queryable(self._history_key, self._serve_history)
         self._session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
         asker = "*" if network is not None else ""
@@ -149,7 +158,7 @@ class Listener:
             _refuse(query, f'history: {err}; ask with {{"first": 0}}')
             return
         offset_ns = time.time_ns() - time.monotonic_ns()
-        reply = self._history.reply(asked.first, offset_ns)
+        reply = self._past(asked.first, offset_ns)
         query.reply(self._history_key, reply)
         query.drop()
 

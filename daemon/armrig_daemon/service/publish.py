@@ -73,10 +73,10 @@ class Session:
         }
         self._wake = wake
         self._history = History(secrets.token_bytes(16))
-        self._listeners = [Listener(endpoint, rig, self._admit, self._history)]
+        self._listeners = [Listener(endpoint, rig, self._admit, self._past)]
         if network is not None:
             try:
-                remote = Listener(network.endpoint, rig, self._admit, self._history, network)
+                remote = Listener(network.endpoint, rig, self._admit, self._past, network)
             except zenoh.ZError as err:
                 self._listeners[0].close()
                 raise NetworkError(str(err)) from err
@@ -107,6 +107,9 @@ class Session:
     def is_asked(self) -> bool:
         """Whether a command waits."""
         return not all(waiting.empty() for waiting in self._waiting.values())
+
+    def _past(self, first: int, clock_offset_ns: int) -> bytes:
+        return self._history.reply(first, clock_offset_ns)
 
     def _admit(self, command: Command) -> None:
         error = admission.refusal(command.name, command.payload, self.lease)
