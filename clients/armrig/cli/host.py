@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, echo, print_json
+from armrig.cli.options import Json, echo, print_json, say
 from armrig.cli.output_file import check_output
 
 _LONGEST_DEMO_S = 600.0
@@ -110,7 +110,7 @@ def doctor(json: Json = False) -> None:
     if json:
         print_json(checks)
     else:
-        echo("\n".join(map(str, checks)))
+        say("\n".join(map(str, checks)))
     if not is_well(checks):
         raise typer.Exit(1)
 

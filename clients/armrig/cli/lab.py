@@ -89,10 +89,12 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, js
 def _sentence(status: StatusReport, what: str) -> str:
     """Return that the rig is ready, or what it waits for; "" for what passes by itself."""
     if status.phase == "safe":
+        alone = "; its arm is taken off, says [arm] removed" if status.arm_removed else ""
+        after = "lab chassis" if status.arm_removed else "lab"
         return (
             f"rig ready, 0 V: {what}, rig {status.rig}; Ctrl-C ends it\n"
-            f"recordings go to {status.recordings}\n"
-            f"in a second terminal:\n{next_line('lab', rig=naming(status.rig))}"
+            f"recordings go to {status.recordings}{alone}\n"
+            f"in a second terminal:\n{next_line(after, rig=naming(status.rig))}"
         )
     if status.reason:
         from armrig.rig.collection import reset_command

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.chosen_recording import (
+    VALIDATION,
     Answering,
     answering_among,
     recording_folder,
@@ -55,7 +56,10 @@ def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
         return
     answering = answering_among(whole)
     if shown:
-        echo(_table([_HEADINGS, *(_row(s, answering) for s in shown)]))
+        rows = [_row(s, answering) for s in shown]
+        # Most names say what a recording validates, and 80 columns are few.
+        columns = len(_HEADINGS) if any(row[-1] for row in rows) else len(_HEADINGS) - 1
+        echo(_table([row[:columns] for row in (_HEADINGS, *rows)]))
     tell(_the_rest(folder, found, len(shown)))
     if shown:
         say_next("ls", file=short_name(shown[0], answering))
@@ -76,8 +80,8 @@ def _row(summary: RecordingSummary, answering: Answering) -> tuple[str, ...]:
 
 
 def _validated_by(summary: RecordingSummary, answering: Answering) -> str:
-    """Return which recording one validates, by its short name; "" where none."""
-    if not summary.is_validation:
+    """Return which recording one validates, by its short name; "" where its own name says so."""
+    if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []
     return short_name(estimations[0], answering) if estimations else "not said"

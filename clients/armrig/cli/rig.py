@@ -57,7 +57,8 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         ("recordings", report.recordings),
     )
     if report.phase == "safe" and not report.line:
-        say_next("status", rig=naming(rig, connect))
+        after = "status chassis" if report.arm_removed else "status"
+        say_next(after, rig=naming(rig, connect))
 
 
 def _device_text(device: dict[str, Any]) -> str:

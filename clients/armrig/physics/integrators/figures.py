@@ -175,7 +175,7 @@ def plot_solution(
     if finite:
         below.set_ylim(-1.2 * max(finite), 1.2 * max(finite))
     ax.set_ylabel(label)
-    below.set_ylabel("error")
+    below.set_ylabel(f"error{label[label.rfind(' [') :]}" if " [" in label else "error")
     below.set_xlabel("$t$ [s]")
     finish(ax, below, xlim=(0.0, end))
     legend(ax, *([f"$h$ = {_in_ms(steps[names[0]])}"] if one else []))
