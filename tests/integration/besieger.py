@@ -17,7 +17,7 @@ import zenoh
 from stranger import ANY, LIE, OPERATOR, STREAM_KEYS, answers, command_keys, opened
 
 _OVERSIZE = bytes(7 << 20)  # inside of what the connection stands, far beyond any command
-_HUGE = bytes(9 << 20)  # beyond it: the connection ends
+_HUGE = bytes(9 << 20)  # beyond it: dropped piece by piece
 
 
 def main(endpoint: str, authority: str, name: str, credential: str) -> None:

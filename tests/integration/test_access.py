@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import armrig
 import pytest
 import zenoh
 from armrig.cli import main
+from armrig.rig import pki
 from armrig.rig.client import RefusedError, Rig, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.credential import read_credential
@@ -162,7 +164,7 @@ def test_commands_find_rig_and_certificate_in_the_configuration(
 
 
 def test_a_run_that_is_too_long_for_a_network_is_refused_by_the_client(lab: Laboratory) -> None:
-    """The daemon would end the connection: it holds no more than that for anybody."""
+    """The daemon would drop it: it holds no more than that for anybody."""
     with lab.rig("alice") as rig:
         rig.arm("a test")
         with pytest.raises(RigError, match="at most 8323072 B are allowed: play it in parts"):
@@ -302,3 +304,35 @@ def test_an_observer_records_from_afar(lab: Laboratory, monkeypatch: pytest.Monk
     assert main(["record", "--from", lab.endpoint, "--seconds", "1", "-o", str(path)]) == 0
 
     assert armrig.load(path).t.size > 50
+
+
+def test_a_link_ends_with_the_certificate_that_opened_it(lab: Laboratory, tmp_path: Path) -> None:
+    """However long it has been open: the client is there, and hears nothing any more."""
+    made = Path(shutil.copytree(lab.made, tmp_path / "pki"))
+    days = 4 / 86_400
+    short = pki._issue(made, "carol", "operators", [], days, force=True).path
+
+    with Rig("1", connect=lab.endpoint, certificate=short) as rig:
+        assert rig.status().phase == "safe"
+        wait_for(lambda: not _is_answered(rig._connected(), "rig/1/cmd/status/carol"), 15)
+
+
+def _most_resident_mib(pid: int) -> float:
+    """Return the most memory that a process has ever held, in MiB."""
+    return int(Path(f"/proc/{pid}/status").read_text().split("VmHWM:")[1].split()[0]) / 1024
+
+
+def test_what_is_too_long_is_dropped_before_anybody_reads_it(lab: Laboratory) -> None:
+    """A command of more than a command has; and of 64 MB no more than 8 are ever held."""
+    daemon = lab.bench.processes[-1].popen.pid
+    with _connected(lab, "alice", "a11ce") as alice:
+        status = "rig/1/cmd/status/alice"
+        assert _is_answered(alice, status)
+        assert list(alice.get(status, payload=b" " * 5000, timeout=5)) == []
+        before = _most_resident_mib(daemon)
+
+        replies = alice.get("rig/1/cmd/run/alice", payload=bytes(64 << 20), timeout=3)
+        assert all(reply.ok is None for reply in replies)
+
+        assert _is_answered(alice, status)
+        assert _most_resident_mib(daemon) - before < 48

@@ -129,6 +129,16 @@ def test_a_reload_that_brings_a_bad_configuration_is_refused(bench: Bench, daemo
     assert bench.phase() == "safe"
 
 
+def test_a_reload_that_opens_half_a_network_is_refused(bench: Bench, daemon: Process) -> None:
+    """The daemon would end at once, and not be started again."""
+    bench.configure(more='[access]\nlisten = "tls/127.0.0.1:7447"')
+
+    daemon.kill(signal.SIGHUP)
+
+    wait_for(lambda: "configuration not read anew, the one in force stays: [access]" in daemon.said)
+    assert bench.phase() == "safe"
+
+
 def test_a_reload_of_a_free_rig_ends_the_daemon_to_be_started_again(
     bench: Bench, daemon: Process
 ) -> None:

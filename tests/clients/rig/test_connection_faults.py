@@ -1,0 +1,161 @@
+"""Who is not connected over a network is told why, by what really listens there."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from armrig.rig import connection_faults, pki
+from armrig.rig.client import Rig
+from armrig.rig.connection_faults import why_not_connected
+from armrig.rig.session import NoReplyError, RigError
+from armrig_core.credential import read_credential
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    """Give an authority's folder, with a rig at localhost and an operator."""
+    folder = tmp_path / "pki"
+    pki.make_authority(folder)
+    pki.issue_to_rig(folder, "1", ["localhost"])
+    pki.issue_to_person(folder, "alice", "operators")
+    return folder
+
+
+def _port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+@contextmanager
+def _listening(rig: Path, protocol: str = "tls", **tls: Any) -> Iterator[int]:
+    """Have zenoh listen with a rig's credential; give the port."""
+    port = _port()
+    config = {
+        "mode": "peer",
+        "listen": {"endpoints": [f"{protocol}/127.0.0.1:{port}"]},
+        "scouting": {"multicast": {"enabled": False}},
+        "transport": {"link": {"tls": {**read_credential(rig, "rig").tls("listen"), **tls}}},
+    }
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(config))):
+        yield port
+
+
+def _told(made: Path, port: int, host: str = "localhost") -> str:
+    """Return what an operator is told whom nobody lets in."""
+    where = f"tls/{host}:{port}"
+    with pytest.raises(NoReplyError) as refused:
+        Rig("1", connect=where, certificate=made / "alice.pem").__enter__()
+    assert str(refused.value).startswith(f"no reply from rig 1 at {where}: ")
+    return str(refused.value).removeprefix(f"no reply from rig 1 at {where}: ")
+
+
+def test_where_nobody_listens_the_daemon_is_named(made: Path) -> None:
+    """It may not run, or not be open to the network."""
+    port = _port()
+
+    assert _told(made, port) == (
+        f"nobody listens at port {port} of localhost: see that armrigd runs, with [access]"
+    )
+
+
+def test_a_host_that_there_is_not_is_named(made: Path) -> None:
+    """As it was typed."""
+    assert _told(made, 7447, "lab.invalid") == "there is no host lab.invalid: see how it is spelt"
+
+
+def test_a_name_that_is_not_in_the_certificate_is_told(made: Path) -> None:
+    """With what makes one that has it."""
+    with _listening(made / "rig-1.pem") as port:
+        assert _told(made, port, "127.0.0.1").endswith("`armrig pki rig ID --host 127.0.0.1`")
+
+
+def test_another_authority_s_rig_is_no_rig_of_ours(made: Path, tmp_path: Path) -> None:
+    """Whatever its name is."""
+    pki.make_authority(tmp_path / "other")
+    rig = pki.issue_to_rig(tmp_path / "other", "1", ["localhost"]).path
+    with _listening(rig) as port:
+        assert "not of the authority that signed yours" in _told(made, port)
+
+
+def test_a_rig_whose_time_is_over_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """That it is its certificate, and not ours."""
+    good = (made / "rig-1.pem").read_bytes()
+    monkeypatch.setattr(pki, "_BEFORE", timedelta(days=10))
+    old = pki.issue_to_rig(made, "1", ["localhost"], days=-1, force=True).path.read_bytes()
+    (made / "rig-1.pem").write_bytes(good)
+    key, certificate, _ = re.findall(rb"-----BEGIN.*?-----END [^-]+-----\n", old, re.DOTALL)
+    parts = {"listen_private_key": key, "listen_certificate": certificate}
+    files = {name: made / name for name in parts}
+    for name, path in files.items():
+        path.write_bytes(parts[name])
+    none = {f"{name}_base64": None for name in parts}
+    with _listening(made / "rig-1.pem", **none, **{n: str(p) for n, p in files.items()}) as port:
+        assert _told(made, port).startswith("its certificate has expired: `armrig pki renew`")
+
+
+def test_a_rig_that_refuses_our_certificate_is_told(made: Path, tmp_path: Path) -> None:
+    """It was set up with another authority for its clients."""
+    pki.make_authority(tmp_path / "other")
+    other = str(tmp_path / "other" / "authority.pem")
+    trusts = {"root_ca_certificate_base64": None, "root_ca_certificate": other}
+    with _listening(made / "rig-1.pem", **trusts) as port:
+        assert _told(made, port).startswith("it refuses the certificate of alice (")
+
+
+def test_what_speaks_no_tls_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as a daemon with passwords."""
+    monkeypatch.setattr(connection_faults, "LONGEST_S", 0.3)
+    with _listening(made / "rig-1.pem", "tcp") as port:
+        assert "does not speak TLS 1.3" in _told(made, port)
+
+
+def test_what_never_answers_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that hangs, or waits for another protocol's first word."""
+    monkeypatch.setattr(connection_faults, "LONGEST_S", 0.3)
+    alice = made / "alice.pem"
+    with socket.create_server(("127.0.0.1", 0)) as hanging:
+        port = hanging.getsockname()[1]
+        told = why_not_connected("127.0.0.1", port, read_credential(alice, "client"), alice)
+
+    assert "does not speak TLS 1.3" in told
+
+
+def test_a_connection_that_goes_well_is_not_blamed(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where zenoh failed once, and the next try would not."""
+    monkeypatch.setattr(connection_faults, "_LISTENS_S", 0.2)
+    alice = made / "alice.pem"
+    with _listening(made / "rig-1.pem") as port:
+        told = why_not_connected("localhost", port, read_credential(alice, "client"), alice)
+
+    assert told == ""
+
+
+@pytest.mark.parametrize(
+    ("where", "says"),
+    [
+        ("tls/localhost", "must be tls/HOST:PORT"),
+        ("tls/localhost:7447#verify_name_on_connect=false", "must be tls/HOST:PORT"),
+    ],
+)
+def test_an_endpoint_that_is_none_is_refused(made: Path, where: str, says: str) -> None:
+    """And one that would have zenoh look away."""
+    with pytest.raises(RigError, match=says):
+        Rig("1", connect=where, certificate=made / "alice.pem").__enter__()
+
+
+def test_without_a_certificate_it_says_where_one_is_named(made: Path) -> None:
+    """In the configuration, or in the environment."""
+    with pytest.raises(RigError, match=r"needs your certificate: .* ARMRIG_CLIENT_CERTIFICATE"):
+        Rig("1", connect="tls/localhost:7447").__enter__()
