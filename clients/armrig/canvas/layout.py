@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import SubplotSpec
     from numpy.typing import NDArray
 
 MISSING = "#BBBBBB"
@@ -51,11 +52,7 @@ def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes,
     Panels that share no axis stand side by side where `ax` is much wider than high.
     """
     ax = axes(ax)
-    place = ax.get_subplotspec()
-    if place is None:
-        # Placed by hand: a grid of one place, just there.
-        (x0, y0), (x1, y1) = ax.get_position().get_points()
-        place = ax.figure.add_gridspec(1, 1, left=x0, right=x1, bottom=y0, top=y1)[0]
+    place = _place(ax)
     # A layout engine makes room for labels itself.
     room = 0.02 if ax.figure.get_layout_engine() is not None else 0.08 if sharex else 0.5
     shares = (1 - share, share)
@@ -68,6 +65,29 @@ def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes,
     if sharex:
         ax.tick_params(labelbottom=False)
     return ax, below
+
+
+def rows(ax: Axes | None, n: int) -> list[Axes]:
+    """Return `ax`, shortened, and more panels below it: n as high as each other, over one axis.
+
+    They begin at one place, however wide their labels are, since they are of one grid.
+    """
+    ax = axes(ax)
+    grid = _place(ax).subgridspec(n, 1, hspace=0.02 if ax.figure.get_layout_engine() else 0.08)
+    ax.set_subplotspec(grid[0])
+    every = [ax, *(ax.figure.add_subplot(grid[i], sharex=ax) for i in range(1, n))]
+    for panel in every[:-1]:
+        panel.tick_params(labelbottom=False)
+    return every
+
+
+def _place(ax: Axes) -> SubplotSpec:
+    """Return where axes stand in a grid; where they were placed by hand, a grid of one place."""
+    place = ax.get_subplotspec()
+    if place is not None:
+        return place
+    (x0, y0), (x1, y1) = ax.get_position().get_points()
+    return ax.figure.add_gridspec(1, 1, left=x0, right=x1, bottom=y0, top=y1)[0]
 
 
 def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:

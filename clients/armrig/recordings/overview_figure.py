@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, INK, MISSING, NAMES, VERMILION, finish, panels, sign
+from armrig.canvas import BLUE, INK, MISSING, NAMES, VERMILION, finish, rows, sign
 from armrig.numerics.stretches import stretches
 
 if TYPE_CHECKING:
@@ -35,10 +35,8 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     Shaded is where a sample is missing or shows no angle; outliers are ringed.
     """
     rec = found.recording
-    ax, below = panels(ax, 0.75)
-    below, third = panels(below, 2 / 3)
-    third, fourth = panels(third, 1 / 2)
-    every = [ax, below, third, fourth]
+    every = rows(ax, 4)
+    ax = every[0]
     rate = np.diff(rec.theta_1, prepend=np.nan) / rec.Ts
     ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
     signals = (
@@ -54,7 +52,7 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
             begin, end = (gap.start - 0.5) * rec.Ts, (gap.stop - 0.5) * rec.Ts
             panel.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
         _ring(panel, found, name, y)
-    fourth.set_xlabel("$t$ [s]")
+    every[-1].set_xlabel("$t$ [s]")
     finish(*every, xlim=(0.0, float(rec.t[-1]) or 1.0))
     return sign(ax, rec.sha256)
 
@@ -62,8 +60,8 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
 def _ring(panel: Axes, found: Overview, name: str, y: np.ndarray) -> None:
     """Draw a ring around each outlier of a signal."""
     times = found.outliers.get(name, np.zeros(0))
-    rows = np.searchsorted(found.recording.t, times)
-    if rows.size:
-        label = f"{rows.size} outliers" if rows.size > 1 else "an outlier"
-        panel.plot(times, y[rows], "o", mfc="none", mec=VERMILION, ms=7, label=label)
+    at = np.searchsorted(found.recording.t, times)
+    if at.size:
+        label = f"{at.size} outliers" if at.size > 1 else "an outlier"
+        panel.plot(times, y[at], "o", mfc="none", mec=VERMILION, ms=7, label=label)
         panel.legend(loc="upper right", fontsize="small")
