@@ -22,6 +22,7 @@ from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from armrig.validation.comparison import compare
+from armrig.validation.residuals import residuals
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -325,6 +326,18 @@ def test_errors_are_shown_against_the_best_model(done: Study) -> None:
     lines = [np.asarray(line.get_ydata()) for line in below.lines]
     for difference in differences:
         assert any(y.shape == difference.shape and np.allclose(y, difference) for y in lines)
+
+
+def test_a_test_of_residuals_and_a_comparison_show_themselves(done: Study) -> None:
+    """As the figures of models and data do, for what was found already."""
+    fit, data = done.best.fit, done.validation
+
+    tested = residuals(fit, data).plot(ax=Figure().add_subplot())
+    compared = compare(data, fit, labels=["mine"]).plot(ax=Figure().add_subplot())
+
+    assert [ax.get_ylabel() for ax in tested.axes] == ["$r_e$(lag)", "$r_{eu}$(lag)"]
+    assert compared.axes[1].get_ylabel().startswith("minus mine")
+    assert tested.axes[0].get_title("right") == compared.axes[0].get_title("right") != ""
 
 
 def test_identical_errors_need_no_logarithm(done: Study) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,10 @@ from armrig.models.model import Model
 from armrig.models.prediction import predicted
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.validation.model_differences import explanation, table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 
@@ -58,6 +63,8 @@ class ComparisonTable:
     """Unit of the rms error."""
     note: str
     """What was estimated from the compared data themselves."""
+    data: Dataset
+    """What the models were compared with."""
 
     def __len__(self) -> int:
         """Return the number of models."""
@@ -81,6 +88,13 @@ class ComparisonTable:
         3.4); without one each is held against the last.
         """
         return "\n".join(explanation(self.rows))
+
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of data and models, and their errors: see `armrig.plots.plot_compare`."""
+        from armrig.canvas import figure_of
+        from armrig.validation.comparison_figure import plot_comparison
+
+        return figure_of(plot_comparison(self.data, self.rows, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a few lines."""
@@ -162,6 +176,7 @@ def compare(
         horizon=horizon,
         unit=data.unit,
         note=f"{note} estimated from these data by least squares",
+        data=data,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +27,16 @@ from armrig.numerics.whiteness import (
     ljung_box,
     portmanteau,
 )
+from armrig.validation.residual_figure import BAND_99_PERCENT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
 
 MOST_ALLOWED = 10.0
 """Widening of the bands by the parameters' deviations beyond which a test has no power."""
-BAND_99_PERCENT = 2.58  # two-sided quantile of the normal distribution
 _COLUMNS = 8  # of the lagged inputs that are worked on at once
 
 
@@ -67,6 +72,8 @@ class ResidualTest:
     """p value of no correlation with future input, lags -L … -1."""
     on_estimation_data: bool
     """The tests allow for parameters fitted to these very data."""
+    source: str
+    """Where the data come from."""
 
     @property
     def white(self) -> Whiteness:
@@ -93,6 +100,13 @@ class ResidualTest:
             "a known model's, so these tests find nothing. Estimate with integrator=True if a pole "
             "is near 1, or with lower orders, or from more data"
         )
+
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure of both correlations: see `armrig.plots.plot_residuals`."""
+        from armrig.canvas import figure_of
+        from armrig.validation.residual_figure import plot_residual_test
+
+        return figure_of(plot_residual_test(self, ax=ax))
 
     def __repr__(self) -> str:
         """Say it in a few lines."""
@@ -199,6 +213,7 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
         missing_dynamics=joint_p_value(input_.sums[past], input_.covariance[past, past]),
         feedback=joint_p_value(input_.sums[future], input_.covariance[future, future]),
         on_estimation_data=own,
+        source=data.source,
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, legend, panels, sign
 from armrig.numerics.quantities import p_relation
-from armrig.validation.residuals import BAND_99_PERCENT
+from armrig.validation.residual_figure import BAND_99_PERCENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,105 @@
+"""The figure of a comparison: data and models, and what tells the models apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.canvas import GREY, INK, MISSING, finish, legend, panels, pens, shade, sign
+from armrig.data.figures import without_ramp
+from armrig.models.labels import Labels
+from armrig.numerics.quantities import error, minus
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from armrig.data.dataset import Dataset
+
+
+class Compared(Protocol):
+    """One model in it: see `armrig.validation.comparison.Comparison`, whose fields say more."""
+
+    @property
+    def name(self) -> str:
+        """Label."""
+
+    @property
+    def rms_error(self) -> float:
+        """In y's unit."""
+
+    @property
+    def y(self) -> NDArray[np.float64]:
+        """The model's output, (N,)."""
+
+
+def plot_comparison(
+    data: Dataset,
+    compared: Sequence[Compared],
+    *,
+    labels: Labels = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Show measured output and models, and what tells the models apart.
+
+    Below are data and other models less the best model, which has the least rms error: the data as
+    dots, so that what hides in their noise shows. The scale is linear up to three times that error
+    and logarithmic beyond. What is a ramp and little else is shown without it: see
+    `armrig.data.figures.without_ramp`.
+    """
+    ax, below = panels(ax, 0.38)
+    for panel in (ax, below):
+        shade(panel, data)
+    names = labels or [row.name for row in compared]
+    best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
+    reference = compared[best].y
+    ramp, label = without_ramp(data)
+    ax.plot(data.t, data.y - ramp, color=MISSING, lw=4.5, label="measured")
+    for i, (row, name, pen) in enumerate(zip(compared, names, pens(len(names)), strict=True)):
+        text = f"{name}, rms error {error(row.rms_error, data.unit)}"
+        ax.plot(data.t, row.y - ramp, label=text, **pen)
+        if i != best:
+            below.plot(data.t, row.y - reference, **(pen | {"lw": 0.6 * pen["lw"]}))
+    below.plot(data.t, data.y - reference, ".", color=GREY, ms=1.2, zorder=3)
+    below.axhline(0, color=INK, lw=0.6)
+    _limit_errors(below, data, compared, best)
+    # Not autoscaled: where nothing was measured a model's initial transient may be anywhere.
+    shown = np.concatenate([(y - ramp)[data.valid] for y in (data.y, *(r.y for r in compared))])
+    measured, all_ = _range(data.y - ramp), _range(shown[np.isfinite(shown)])
+    span = measured[1] - measured[0] or 1.0
+    ax.set_ylim(
+        max(all_[0], measured[0] - span) - 0.05 * span,
+        min(all_[1], measured[1] + span) + 0.05 * span,
+    )
+    ax.set_ylabel(label)
+    below.set_ylabel(f"minus {names[best]}\n[{data.unit or '–'}]")
+    below.set_xlabel("$t$ [s]")
+    finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
+    return sign(ax, data.source, above=legend(ax))
+
+
+def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Compared], best: int) -> None:
+    """Make the scale logarithmic beyond the best model's errors where another's are far larger."""
+    sizes = [r.rms_error for r in rows if np.isfinite(r.rms_error) and r.rms_error > 0]
+    if not sizes or max(sizes) <= 8 * min(sizes):
+        return
+    linear = 3 * min(sizes)
+    others = [np.abs(row.y - rows[best].y)[data.valid] for row in rows]
+    largest = max(float(np.nanmax(e, initial=linear)) for e in others if np.isfinite(e).any())
+    ax.set_yscale("symlog", linthresh=linear, linscale=1.0)
+    ax.set_ylim(-2 * largest, 2 * largest)
+    decades = {np.ceil(np.log10(linear)), np.floor(np.log10(largest))}
+    ticks = [sign * 10.0**d for d in sorted(decades) for sign in (-1, 1)]
+    ax.set_yticks([0, *ticks], [minus(f"{v:g}") for v in (0, *ticks)])
+    ax.minorticks_off()
+
+
+def _size(x: float) -> float:
+    """Return a number to be compared by: what is not finite is the largest."""
+    return x if np.isfinite(x) else np.inf
+
+
+def _range(x: NDArray[np.float64]) -> tuple[float, float]:
+    return (float(np.nanmin(x)), float(np.nanmax(x))) if x.size else (0.0, 1.0)

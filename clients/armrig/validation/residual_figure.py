@@ -1,0 +1,98 @@
+"""The figure of a test of residuals: both correlations, with their bands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.canvas import BLUE, GREY, VERMILION, finish, legend, panels, sign, stems
+from armrig.numerics.quantities import NBSP, p_relation
+from armrig.numerics.whiteness import Whiteness
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BAND_99_PERCENT = 2.58
+"""Two-sided quantile of the normal distribution."""
+
+
+class ResidualTest(Protocol):
+    """What is drawn: see `armrig.validation.residuals.ResidualTest`, whose fields say more."""
+
+    @property
+    def lags(self) -> NDArray[np.int_]:
+        """Of the autocorrelation."""
+
+    @property
+    def autocorrelation(self) -> NDArray[np.float64]:
+        """At `lags`."""
+
+    @property
+    def autocorrelation_band(self) -> float:
+        """Of each lag."""
+
+    @property
+    def cross_lags(self) -> NDArray[np.int_]:
+        """Of the correlation with the input."""
+
+    @property
+    def cross_correlation(self) -> NDArray[np.float64]:
+        """At `cross_lags`."""
+
+    @property
+    def cross_std(self) -> NDArray[np.float64]:
+        """Its standard deviation, at `cross_lags`."""
+
+    @property
+    def white(self) -> Whiteness:
+        """What came out of the test of white residuals."""
+
+    @property
+    def missing_dynamics(self) -> float:
+        """Probability, p."""
+
+    @property
+    def feedback(self) -> float:
+        """Probability, p."""
+
+    @property
+    def source(self) -> str:
+        """Where the data come from."""
+
+
+def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
+    """Show the residuals' autocorrelation and, below, their correlation with the input.
+
+    Grey bands hold 99 % of each lag's values: if the residuals are white, and if the input has
+    nothing to do with them. Negative lags point to feedback, positive ones to missing dynamics.
+    """
+    ax, below = panels(ax, 0.5, sharex=False)
+    ax.axhspan(-test.autocorrelation_band, test.autocorrelation_band, color=GREY, alpha=0.25, lw=0)
+    stems(ax, test.lags[1:], test.autocorrelation[1:], BLUE)
+    ax.set_ylabel("$r_e$(lag)")
+    band = BAND_99_PERCENT * test.cross_std
+    below.fill_between(test.cross_lags, -band, band, step="mid", color=GREY, alpha=0.25, lw=0)
+    stems(below, test.cross_lags, test.cross_correlation, VERMILION)
+    below.axvline(-0.5, color=GREY, lw=0.6, ls=":")
+    below.set_ylabel("$r_{eu}$(lag)")
+    for panel in (ax, below):
+        panel.set_xlabel("lag [samples]")
+    for panel, values, width in (
+        (ax, test.autocorrelation[1:], test.autocorrelation_band),
+        (below, test.cross_correlation, float(np.nanmax(band, initial=0.0))),
+    ):
+        reach = 1.15 * max(float(np.nanmax(np.abs(values), initial=0.0)), width, 1e-12)
+        panel.set_ylim(-reach, reach)
+    finish(ax)
+    finish(below)
+    legend(
+        below,
+        f"no feedback: {_p(test.feedback)}; no dynamics missing: {_p(test.missing_dynamics)}",
+    )
+    return sign(ax, test.source, above=legend(ax, f"residuals {test.white}"))
+
+
+def _p(p: float) -> str:
+    return f"p {p_relation(p)}".replace(" ", NBSP)
