@@ -68,6 +68,8 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, js
 
     shown = told = ""
     status, asked_s = rig.status(), time.monotonic()
+    # Once: what is recorded from here on changes it, and each command says its own.
+    after = next_line("lab chassis" if status.arm_removed else "lab", rig=naming(status.rig))
     with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
         sample = None
         while True:
@@ -76,7 +78,7 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, js
                 status, asked_s = rig.status(), time.monotonic()
             sample = (newest() or [sample])[-1]
             how = f"{status.phase} {status.reason} {status.line}"
-            now = how if json else _sentence(status, what)
+            now = how if json else _sentence(status, what, after)
             if now and now != told:
                 say(status if json else now)
                 told = now
@@ -86,15 +88,14 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, js
             time.sleep(_VIEW_S)
 
 
-def _sentence(status: StatusReport, what: str) -> str:
+def _sentence(status: StatusReport, what: str, after: str) -> str:
     """Return that the rig is ready, or what it waits for; "" for what passes by itself."""
     if status.phase == "safe":
         alone = "; its arm is taken off, says [arm] removed" if status.arm_removed else ""
-        after = "lab chassis" if status.arm_removed else "lab"
         return (
             f"rig ready, 0 V: {what}, rig {status.rig}; Ctrl-C ends it\n"
             f"recordings go to {status.recordings}{alone}\n"
-            f"in a second terminal:\n{next_line(after, rig=naming(status.rig))}"
+            f"in a second terminal:\n{after}"
         )
     if status.reason:
         from armrig.rig.collection import reset_command

@@ -38,7 +38,7 @@ AFTER: Mapping[str, str] = {
     "sampling": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --validation",
     "sampling other": "armrig hints {file}{given} -o hints.png",
     "collect blackbox": "armrig plot {file}",
-    "collect greybox": "armrig greybox {file}",
+    "collect greybox": "armrig greybox {file} -o chassis.png",
     "collect staircase": "armrig plot {file}",
     "collect bla": "armrig plot {file}",
     "plot": "armrig hints {file} -o hints.png",
@@ -77,7 +77,33 @@ def say_to_copy(text: str) -> None:
 
 def next_line(after: str, **values: str | float) -> str:
     """Return the line after a command."""
-    return f"next: {printable(AFTER[after].format(**values))}"
+    return f"next: {printable(_goes_on(AFTER[after].format(**values)))}"
+
+
+def _goes_on(line: str) -> str:
+    """Return the line, or what comes after it where there is a whole recording of its name.
+
+    A second one of the name would leave nobody able to say which of them is meant.
+    """
+    words = shlex.split(line)
+    if words[1] != "collect" or words[-2] != "--name":
+        return line
+    from armrig.cli.chosen_recording import (
+        COMPLETE,
+        NoSuchRecordingError,
+        matching,
+        recording_folder,
+    )
+    from armrig.recordings.folder import newest_first
+
+    try:
+        found = matching(f"@{words[-1]}", newest_first(recording_folder()))
+    except (NoSuchRecordingError, OSError):
+        return line
+    if not found or found[0].outcome != COMPLETE:
+        return line
+    after = f"collect {found[0].kind}"
+    return AFTER[after if after in AFTER else "plot"].format(file=typed(found[0].path))
 
 
 def step_again(recording: Recording) -> str:

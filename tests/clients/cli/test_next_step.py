@@ -11,7 +11,8 @@ import armrig
 import pytest
 import typer
 from armrig.cli import app, main
-from armrig.cli.next_step import AFTER
+from armrig.cli.next_step import AFTER, next_line
+from armrig_core.manifest import Outcome
 from made_recordings import manifest, of_the_arm, recorded, sample, written
 
 VALUES: dict[str, Any] = {
@@ -114,6 +115,30 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
     wanted = f"next: armrig collect step --Ts 0.01 {advised[1]} --name first-again"
     assert hidden == wanted
     assert seen.startswith("next: armrig collect blackbox --Ts ")
+
+
+@pytest.mark.parametrize(
+    ("after", "experiment", "goes_on"),
+    [
+        ("status", "step-first", "armrig sampling @first -o sampling.png"),
+        ("lab chassis", "greybox-chassis", "armrig greybox @chassis -o chassis.png"),
+    ],
+)
+def test_no_line_records_a_second_one_of_a_name(
+    pair: Path, after: str, experiment: str, goes_on: str
+) -> None:
+    """Where it is there, what comes after it; a run that ended early is repeated by its name."""
+    collects = next_line(after, rig="")
+    samples = [sample(k) for k in range(10)]
+    for run_id, outcome in (("0000000e", "stopped"), ("0000000f", "complete")):
+        about = manifest(experiment=experiment, run_id=run_id)
+        assert next_line(after, rig="") == collects
+        ended = Outcome(outcome=outcome, samples=10, missing=0)
+        data = recorded(samples, manifest=about, outcome=ended)
+        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
+
+    assert collects.startswith("next: armrig collect ")
+    assert next_line(after, rig="") == f"next: {goes_on}"
 
 
 def test_a_program_is_told_nothing_of_it(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
