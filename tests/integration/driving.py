@@ -11,7 +11,7 @@ from typing import Any
 
 import armrig
 import numpy as np
-from armrig.rig.client import Rig, RunEndedError
+from armrig.rig.client import RefusedError, Rig, RunEndedError
 from fork_server import Forked
 from numpy.typing import ArrayLike
 from processes import Bench, wait_for
@@ -72,10 +72,10 @@ def _changed(bench: Bench, times: int) -> bool:
 def whole_run(rig: Rig, u: ArrayLike, *, Ts: float, **how: Any) -> Path:
     """Arm and run; where this machine stalls, and the run is ended for it, once more."""
     for _ in range(_TRIES - 1):
-        rig.arm("a test", Ts=Ts)
         try:
+            rig.arm("a test", Ts=Ts)
             return rig.run(u, **how)
-        except RunEndedError as err:
+        except (RefusedError, RunEndedError) as err:
             if "no answer from the device for" not in str(err):
                 raise
         at_rest(rig)

@@ -85,7 +85,7 @@ def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
 
     assert second.returncode == MEND
     (said,) = [text for text in SAID if "already runs" in text]
-    assert f"armrigd: {said.replace(THERE, _endpoint(served))}" in second.stderr.splitlines()
+    assert f"armrigd: error: {said.replace(THERE, _endpoint(served))}" in second.stderr.splitlines()
 
 
 def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:

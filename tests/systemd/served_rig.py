@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from machine import Machine, wait_for
 
+_TRIES = 3
 _RUNNER = """
 import sys, time
 import armrig
@@ -72,10 +73,21 @@ class Rig:
 
     def drive(self) -> None:
         """Have a client run the motor at 1 V and 4 V in turn for a minute; it turns."""
-        before = len(self.volts())
         command = ["python", "-c", _RUNNER, self.id, self.endpoint]
-        self.machine.run("systemd-run", "--quiet", "/opt/armrig/bin/" + command[0], *command[1:])
-        wait_for(lambda: len(self.volts()) > before + 20)
+        for _ in range(_TRIES):  # where the machine stalls, a run may be ended before it turns
+            before = len(self.volts())
+            self.machine.run(
+                "systemd-run", "--quiet", f"/opt/armrig/bin/{command[0]}", *command[1:]
+            )
+            wait_for(
+                lambda before=before: len(self.volts()) > before + 20 or self.phase() == "fault"
+            )
+            if len(self.volts()) > before + 20:
+                return
+            self.armrig("stop")
+            self.armrig("reset")
+            wait_for(lambda: self.phase() == "safe")
+        raise AssertionError(f"{_TRIES} runs ended before the motor turned")
 
     def said(self) -> list[tuple[str, str]]:
         """Return what the daemon has put into the journal: priority and line."""
