@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,6 +102,9 @@ def sampling(
     with spinner("estimating the response"):
         choice = sampling_time(data)
         steps = _steps(data) if choice.from_step else None
+    if steps is not None:  # what the choice says of them is said once
+        said = set(choice.notes)
+        steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
     shown = [choice] if steps is None else [steps, choice]
     write_plot(plot, *(_drawing(one) for one in shown), height=5.0)
     if json:
