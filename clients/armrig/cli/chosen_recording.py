@@ -51,7 +51,8 @@ def recording_path(text: str) -> Path:
         _check_bare_name(Path(text))
         return Path(text)
     found = chosen(text, recording_folder())
-    tell(f"{text} is {described(found)}")
+    about = described(found).removeprefix(f"{text}, ")  # an id says nothing of itself
+    tell(f"{text} is {about}")
     return found.path
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import for_the_report, say_next
+from armrig.cli.next_step import for_the_report, free_name, say_next
 from armrig.cli.options import Json, print_json, say
 
 if TYPE_CHECKING:
@@ -197,4 +197,4 @@ def _print_table(solved: _Solved) -> None:
         "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
         "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
     )
-    say_next("integrate", files=for_the_report())
+    say_next("integrate", files=for_the_report(), report=free_name())

@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
+from itertools import count
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -58,7 +59,7 @@ AFTER: Mapping[str, str] = {
     "check other": "armrig hints {file}{given} -o hints.png",
     "greybox": "armrig split {file} -o split.png",
     "split": "armrig integrate -o integrate.png",
-    "integrate": "armrig report --handout{files} -o report.pdf",
+    "integrate": "armrig report --handout{files} -o {report}",
     "report": "{opener} {file}",
 }
 """The line after each command, with what stands in braces filled in."""
@@ -188,6 +189,12 @@ def kind_of(path: Path) -> str:
         return summary_of(path).kind
     except (DamageError, OSError):
         return ""
+
+
+def free_name() -> str:
+    """Return the first of report.pdf, report-2.pdf … that no file here has."""
+    free = (n for n in count(2) if not Path(f"report-{n}.pdf").exists())
+    return f"report-{next(free)}.pdf" if Path("report.pdf").exists() else "report.pdf"
 
 
 def for_the_report() -> str:

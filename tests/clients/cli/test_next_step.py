@@ -26,6 +26,7 @@ VALUES: dict[str, Any] = {
     "Ts": 0.005,
     "rig": " --rig 2",
     "given": " --signal theta_1",
+    "report": "report.pdf",
     "again": " --Ts 0.002 --at 1.8 --seconds 11 --name first-again",
 }
 
@@ -91,9 +92,15 @@ def test_the_report_is_of_the_newest_step_pair_and_chassis(
 
     assert main(["integrate"]) == 0
 
-    last = capsys.readouterr().err.splitlines()[-1]
+    Path("report.pdf").touch()
+    assert main(["integrate"]) == 0
+
+    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
     files = "@first @0000000a @0000000a/validation @chassis"
-    assert last == f"next: armrig report --handout {files} -o report.pdf"
+    assert lines == [
+        f"next: armrig report --handout {files} -o {name}"
+        for name in ("report.pdf", "report-2.pdf")
+    ]
 
 
 def test_a_step_whose_rise_is_hidden_is_made_again(
