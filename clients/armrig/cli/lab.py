@@ -14,7 +14,7 @@ import typer
 from armrig_core.printable import printable
 
 from armrig.cli.next_step import naming, next_line
-from armrig.cli.options import Json, RigId, echo, print_json, tell
+from armrig.cli.options import Json, RigId, echo, folded, print_json, tell
 
 if TYPE_CHECKING:
     import subprocess
@@ -124,6 +124,12 @@ def _angle(x: float) -> str:
     return f"{degrees(x):.1f}°" if isfinite(x) else _BLANK
 
 
+def _between_words(text: str, columns: int) -> str:
+    """Return the text in lines of the terminal's width; a line to copy stays whole."""
+    lines = printable(text, keep="\n").splitlines()
+    return "\n".join(x if x.startswith("next: ") else folded(x, columns) for x in lines)
+
+
 @contextmanager
 def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
     """Give what says a line for good, and what draws the live view below, on a terminal only."""
@@ -137,6 +143,6 @@ def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str]
     console = Console()
     with Live(console=console, refresh_per_second=10, transient=True) as live:
         yield (
-            lambda text: console.print(Text(printable(text, keep="\n")), soft_wrap=True),
-            lambda text: live.update(Text(printable(text, keep="\n"))),
+            lambda text: console.print(Text(_between_words(text, console.width)), soft_wrap=True),
+            lambda text: live.update(Text(_between_words(text, console.width))),
         )
