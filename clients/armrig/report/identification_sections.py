@@ -47,6 +47,8 @@ def _lacking(study: HandoutStudy, number_: str, title: str, name: str, command: 
     """Return a section without a result."""
     refused = study.refused.get(name, "")
     lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
+    if command == _GREYBOX:
+        lack += " For it the rotating part is taken off (handout, figure 6)."
     return Section(number=number_, title=title, lack=lack, fill=command)
 
 
@@ -257,13 +259,13 @@ def _split(study: HandoutStudy) -> Section:
         for s in found.splits
     )
     first, last = found.splits[0], found.splits[-1]
-    ratio = float((last.std**2).mean() / (first.std**2).mean())
     return Section(
         number="3.6",
         title=title,
         answer=(
             f"From the whole to {plural(last.k, 'part')} the variance of J grows by a factor of "
-            f"{ratio:.2f}; with 1/N it would grow by {first.N.mean() / last.N.mean():.2f}. "
+            f"{found.std_growth**2:.2f}; with 1/N it would grow by "
+            f"{first.N.mean() / last.N.mean():.2f}. "
             "Each sample adds its share to the information, Σ ψψᵀ/λ, and the covariance is its "
             "inverse.",
         ),

@@ -118,7 +118,7 @@ def _other_parameters(p: ArmParameters) -> Section:
             header=("parameters", "steady speed [rad/(s V)]", "slope [rad/(s² V)]", "poles [1/s]"),
             rows=tuple(rows),
         ),
-        reasons="why these two parameters; what else you tried (`armrig simulate --set J_1=…`)",
+        reasons="why these two parameters; what else you tried (`armrig model --set J_1=…`)",
     )
 
 

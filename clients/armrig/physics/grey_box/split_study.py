@@ -88,6 +88,11 @@ class SplitStudy:
         return float(np.polyfit(np.log(N), np.log(std), 1)[0])
 
     @property
+    def std_growth(self) -> float:
+        """Mean standard deviation of the last split over that of the first."""
+        return float(np.mean(self.splits[-1].std) / np.mean(self.splits[0].std))
+
+    @property
     def verdict(self) -> str:
         """Whether the parts agree, and how the standard deviation goes with the length."""
         return "\n".join([*self._trend(), *self._agreement()])
@@ -109,7 +114,7 @@ class SplitStudy:
         first, last = self.splits[0], self.splits[-1]
         if len(self.splits) == 1:
             return []
-        ratio = float(np.mean(last.std) / np.mean(first.std))
+        ratio = self.std_growth
         expected = sqrt(float(np.mean(first.N) / np.mean(last.N)))
         return [
             f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
