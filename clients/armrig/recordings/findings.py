@@ -149,7 +149,8 @@ def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
     """Check what theta_1 does against its noise and the step of the converter, in rad."""
     ratio = signal / noise
     text = f"signal to noise {ratio:.2g} to 1: theta_1 departs from steady turning by "
-    text += f"{error(signal, 'rad')} rms, and its noise is {error(noise, 'rad')} "
+    text += f"{error(signal, 'rad')} rms, and what its past and u "
+    text += f"do not foretell is {error(noise, 'rad')} "
     text += f"({noise / step:.2g} steps of the converter)"
     if ratio < NO_RATIO:
         yield _unusable("signal", f"{text}; nothing but noise: set the levels further apart")
