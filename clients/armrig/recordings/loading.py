@@ -253,7 +253,9 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         "clock": tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
     }
     if between != EVERYTHING:
+        first, end = rows.k_first, rows.k_first + rows.N
         reports = {name: _within(found, t, manifest.Ts) for name, found in reports.items()}
+        reports["gaps"] = tuple(g for g in gaps if g.k_first < end and g.k_first + g.count > first)
     recording = Recording(
         path=path,
         sha256=content.sha256,
@@ -278,11 +280,11 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
 
 
 def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
-    """Return the reports of the time of these rows; a gap counts with all its samples."""
+    """Return the reports of the time of these rows."""
     if not t.size:
         return ()
     begin, end = float(t[0]), float(t[-1]) + Ts
-    return tuple(f for f in found if f.t < end and f.t + getattr(f, "count", 0) * Ts >= begin)
+    return tuple(f for f in found if begin <= f.t < end)
 
 
 def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:

@@ -10,7 +10,7 @@ from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig_core.manifest import Outcome
 from armrig_core.recording_file.chunks import Unpacker
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from made_recordings import (
     TS,
@@ -47,6 +47,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @settings(max_examples=40, deadline=None)
+@example(50, 1)
 @given(st.integers(0, N - 2), st.integers(1, N))
 def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n: int) -> None:
     """Every array but the count of turns, which begins anew; reports of its time alone."""
