@@ -24,6 +24,7 @@ Vector = NDArray[np.float64]
 _Output = Literal["theta_1", "alpha", "velocity"]
 _SEARCHED: tuple[_Output, ...] = ("theta_1", "alpha")
 _DRIFTING: tuple[_Output, ...] = ("velocity", "alpha")
+_FEWEST_CHANGES = 20  # of u: the coefficients of u in the model that outliers are found by
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -37,7 +38,7 @@ class Overview:
     drift: Mapping[str, Drift]
     """By output: of the rate of theta_1, which integrates, and of alpha."""
     reasons: Mapping[str, str]
-    """Why an output could not be searched, by output."""
+    """Why an output could not be searched, by output; "outliers" where no output could be."""
 
     def rows(self) -> list[tuple[str, str]]:
         """Return names and values for a person."""
@@ -90,7 +91,10 @@ def overview(recording: Recording) -> Overview:
     if not alpha_moves(recording):  # of a reading that hardly changes each step looks like one
         reasons["alpha"] = "it rests: the arm was off, or held"
     known = np.isfinite(recording.u)
-    for output in (name for name in _SEARCHED if name not in reasons):
+    if poor := _poor_input(recording.u[known]):
+        reasons["outliers"] = poor
+    searched = () if poor else _SEARCHED
+    for output in (name for name in searched if name not in reasons):
         try:
             data = recording.dataset(output)
             marked = data.valid & ~hampel(data).valid
@@ -100,7 +104,9 @@ def overview(recording: Recording) -> Overview:
             outliers[output] = recording.t[known][marked]
     for output in (name for name in _DRIFTING if name not in reasons):
         try:
-            drifts[output] = drift(recording.dataset(output))[0]
+            # Neither integrates: springs hold alpha, and the back-EMF the rate. A swing after a
+            # step is too short a record for a test to see that.
+            drifts[output] = drift(recording.dataset(output), integrator=False)[0]
         except ValueError as err:
             reasons.setdefault(output, str(err))
     return Overview(
@@ -108,6 +114,17 @@ def overview(recording: Recording) -> Overview:
         outliers=MappingProxyType(outliers),
         drift=MappingProxyType(drifts),
         reasons=MappingProxyType(reasons),
+    )
+
+
+def _poor_input(u: Vector) -> str:
+    """Return why u teaches too little to tell an outlier from a swing, "" where it does not."""
+    changes = int(np.count_nonzero(np.diff(u)))
+    if changes >= _FEWEST_CHANGES:
+        return ""
+    return (
+        f"u changes {plural(changes, 'time')}; fewer than {_FEWEST_CHANGES} teach no model that "
+        "tells an outlier from the swing after a change: look at the figure"
     )
 
 

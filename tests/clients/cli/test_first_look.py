@@ -143,6 +143,20 @@ def test_plot_of_a_chassis_says_that_alpha_rests(
     assert found["not_looked_at"]["alpha"].startswith("it rests")
 
 
+def test_plot_of_a_step_takes_no_swing_for_outliers_or_an_integrator(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One change teaches no model to judge by, and says so; springs hold alpha: it may drift."""
+    path = written(tmp_path, of_the_arm(step(600, at=100)))
+
+    found = facts(["plot", str(path), "-o", str(tmp_path / "x.png")], capsys)
+
+    assert found["outliers"] == {}
+    assert found["not_looked_at"]["outliers"].startswith("u changes 1 time; fewer than 20 teach")
+    assert set(found["drift"]) == {"velocity", "alpha"}
+    assert abs(found["drift"]["alpha"]["rate"]) < 3 * found["drift"]["alpha"]["std"]
+
+
 def test_sampling_recommends_a_time_with_its_method(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -233,5 +233,7 @@ def test_an_angle_has_no_drift_but_an_offset_of_its_input() -> None:
 
     with pytest.raises(ValueError, match=r"theta_1 integrates its input.*free\[0\].offset"):
         drift(angle)
+    with pytest.raises(ValueError, match="was said to integrate"):
+        drift(drifting(0, 0.0), integrator=True)
     with pytest.raises(ValueError, match="has 12 samples; a drift by a model of order 10 needs 50"):
         drift(drifting(0, 0.0)[:12])

@@ -42,7 +42,9 @@ class Drift:
 
 
 @takes_recordings
-def drift(data: Dataset, order: int = _ORDER) -> tuple[Drift, ...]:
+def drift(
+    data: Dataset, order: int = _ORDER, *, integrator: bool | None = None
+) -> tuple[Drift, ...]:
     """Estimate the drift of the output of each experiment, with the input's answer set apart.
 
     From A(q) y(t) = B(q) u(t) + c + d t + e(t) of high order by least squares; the output drifts
@@ -55,6 +57,9 @@ def drift(data: Dataset, order: int = _ORDER) -> tuple[Drift, ...]:
         N samples; rows that a missing sample touches are left out.
     order : int, default 10
         Order of A and B.
+    integrator : bool, optional
+        Whether the output integrates; asked of the data by default. A short record of a stable
+        output may leave it open, and where the physics say False that settles it.
 
     Returns
     -------
@@ -66,7 +71,11 @@ def drift(data: Dataset, order: int = _ORDER) -> tuple[Drift, ...]:
     ValueError
         The output integrates, so that its line is the input's work; or there are too few samples.
     """
-    if reason := integrating(data):
+    if integrator is None:
+        reason = integrating(data)
+    else:
+        reason = f"{data.output} was said to integrate" if integrator else ""
+    if reason:
         msg = f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
         msg += "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
         raise ValueError(msg)
