@@ -33,8 +33,8 @@ _LEFT_THEN_UP = "angle,angleA=180,angleB=90,rad=0"
 _QUANTITIES = (
     ("circuit", "motor", (0.0, 0.0), _STRAIGHT, "$i$", (1.95, _TOP + 0.2)),
     ("motor", "gear", (0.0, 0.0), _STRAIGHT, "$Q_m$", (3.3, _TOP + 0.2)),
-    ("gear", "chassis", (0.2, 0.0), _STRAIGHT, "$Q_E$", (4.4, _BETWEEN)),
-    ("chassis", "back-EMF", (-0.25, 0.0), _UP_THEN_LEFT, r"$\dot\theta_1$", (3.25, 1.22)),
+    ("gear", "chassis", (0.1, 0.0), _STRAIGHT, "$Q_E$", (4.3, _BETWEEN)),
+    ("chassis", "back-EMF", (-0.1, 0.0), _UP_THEN_LEFT, r"$\dot\theta_1$", (3.25, 1.22)),
     ("back-EMF", "circuit", (0.0, 0.0), _LEFT_THEN_UP, "$u_m$", (1.05, _BETWEEN + 0.35)),
     ("chassis", "spring", (0.0, 0.08), _STRAIGHT, "$Q_s$", (3.25, 0.28)),
     ("spring", "chassis", (0.0, -0.08), _STRAIGHT, r"$\theta_1$", (3.25, -0.28)),
