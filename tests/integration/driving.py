@@ -83,6 +83,11 @@ def whole_run(rig: Rig, u: ArrayLike, *, Ts: float, **how: Any) -> Path:
     return rig.run(u, **how)
 
 
+def samples(rig: Rig) -> Iterator[Any]:
+    """Give the live samples; what was missed on the way here is passed over."""
+    return (one for one in rig.stream() if not isinstance(one, armrig.LiveGap))
+
+
 def at_rest(rig: Rig) -> None:
     """Stop a rig, and reset it."""
     rig.stop()

@@ -8,6 +8,7 @@ import pytest
 from armrig.rig.client import RefusedError
 from armrig_core.commands import RunAccepted
 from armrig_core.rehearsal import rehearse
+from driving import samples
 from processes import Bench
 
 
@@ -50,7 +51,7 @@ def test_a_rig_whose_alpha_is_at_the_end_of_its_range_is_not_armed(bench: Bench)
     _serve(bench, "alpha_zero_deg = 0.0\nadc_noise_v = 0.0")
 
     with bench.rig() as rig:
-        next(sample for sample in rig.stream() if sample.k > 100)
+        next(sample for sample in samples(rig) if sample.k > 100)
         with pytest.raises(RefusedError, match="alpha reads 0 of 65535"):
             rig.arm("a test")
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from armrig.rig.client import RefusedError
-from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded
+from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, samples
 from processes import Bench, wait_for
 from relay import Relay
 
@@ -54,8 +54,8 @@ def _stays_at_0_v_but_samples_again(bench: Bench) -> None:
     """T1 and S6: by itself, disarmed; only a reset, then arm, leads out."""
     with bench.rig() as rig:
         wait_for(lambda: bool(rig.status().device), BACK_S)
-        k = next(iter(rig.stream())).k
-        assert next(iter(rig.stream())).k > k
+        k = next(samples(rig)).k
+        assert next(samples(rig)).k > k
         assert rig.status().phase == "fault"
         with pytest.raises(RefusedError, match="in fault"):
             rig.arm("a test")
@@ -135,8 +135,8 @@ def test_another_firmware_is_read_and_never_armed(bench: Bench, line: Relay) -> 
         for ask in (lambda: rig.arm("a test"), rig.reset, lambda: rig.arm("a test")):
             with pytest.raises(RefusedError, match="the firmware speaks version"):
                 ask()
-        k = next(iter(rig.stream())).k
-        assert next(iter(rig.stream())).k > k
+        k = next(samples(rig)).k
+        assert next(samples(rig)).k > k
     assert {volts for _, volts in bench.voltage_changes()[before - 1 :]} == {0.0}
     line.do("ends")
     line.do("reset")

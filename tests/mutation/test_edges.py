@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 import tomllib
 from ast import literal_eval
 from collections.abc import Callable
@@ -128,8 +129,9 @@ def test_what_a_bug_has_left_behind_ends_with_its_child(tmp_path: Path) -> None:
 
     assert in_child(run, 5.0)[1] == 1
 
-    state = Path(f"/proc/{pid.read_text()}/stat")
-    assert not state.exists() or state.read_text().rpartition(")")[2].split()[0] == "Z"
+    state, until = Path(f"/proc/{pid.read_text()}/stat"), time.monotonic() + 10.0
+    while state.exists() and state.read_text().rpartition(")")[2].split()[0] != "Z":
+        assert time.monotonic() < until
 
 
 def test_a_draw_goes_on_where_it_was_left(tmp_path: Path) -> None:
