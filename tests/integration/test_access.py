@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import socket
@@ -239,7 +240,10 @@ _INODE = {"tcp": 9, "tcp6": 9, "udp": 9, "udp6": 9, "raw": 9, "raw6": 9, "packet
 
 def _sockets(pid: int) -> dict[str, list[str]]:
     """Return where a process hears what is sent to it: ports of TCP that listen, and all others."""
-    links = [str(f.readlink()) for f in Path(f"/proc/{pid}/fd").iterdir()]
+    links = []
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        with contextlib.suppress(FileNotFoundError):  # closed since it was listed
+            links.append(str(descriptor.readlink()))
     inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
     found = {}
     for table, inode in _INODE.items():
