@@ -15,7 +15,7 @@ SCHEMA_HASH = 0xF7128A84
 MAX_DECODED = 64
 """Longest decoded frame, header and CRC included, in bytes."""
 QUEUE_CAPACITY = 512
-"""Setpoints that a device holds ahead in scheduled mode."""
+"""Most setpoints that a device may hold ahead in scheduled mode; HELLO_R says in `queue` what it does hold."""
 SETPOINTS_PER_FRAME = 24
 """Places for codes in one SETPOINTS frame."""
 CODE_FULL_SCALE = 65535
@@ -157,7 +157,7 @@ class Flag(IntFlag):
     REV_LIMIT = 0x2000
     """Latched by too many turns."""
     VCC_LOW = 0x4000
-    """Supply low."""
+    """Supply below 4000 mV when last measured."""
 
 
 class Capability(IntFlag):
@@ -212,7 +212,7 @@ class Config(NamedTuple):
     hold: int
     """Length of HOLD, in ticks."""
     oversampling: int
-    """Conversions averaged in one reading, at least 1."""
+    """Conversions averaged in one reading of each channel, at least 1."""
     rail_ticks: int
     """Samples in a row at a rail before FAULT(ADC_RAIL) in RUN; 0 is none, in samples."""
     turns: int
@@ -338,7 +338,7 @@ class Cal(NamedTuple):
     zero: int
     """0."""
     n: int
-    """Readings, at least 1."""
+    """Readings, 1 to 1024."""
 
 
 class HelloReply(NamedTuple):
@@ -361,7 +361,7 @@ class HelloReply(NamedTuple):
     token: int
     """What CLEAR_FAULT must carry; 0 outside FAULT and ESTOP."""
     ts_min_us: int
-    """Shortest sampling time of the device itself, in µs."""
+    """Shortest sampling time of the device itself, with oversampling 1, in µs."""
     full_scale_mv: int
     """Voltage of code 65535, in mV."""
     queue: int
@@ -369,7 +369,7 @@ class HelloReply(NamedTuple):
     capabilities: int
     """What it can do (`Capability`)."""
     skew_us: int
-    """Alpha is sampled this long before theta_1, in µs."""
+    """Alpha is sampled this long before theta_1, rounded up; so far apart are conversions, in µs."""
     hold_us: int
     """From the trigger (t_us) to the sampling of theta_1 and the latch of u, in µs."""
     adc_bits: int
@@ -456,7 +456,7 @@ class Event(NamedTuple):
     token: int
     """What CLEAR_FAULT must carry; 0 outside FAULT and ESTOP."""
     detail: int
-    """RANGE and SLEW: the code refused; else 0."""
+    """RANGE and SLEW: the code refused; VCC_LOW: the supply in mV; else 0."""
 
 
 class Status(NamedTuple):
@@ -469,7 +469,7 @@ class Status(NamedTuple):
     boot: int
     """Low half of boot_id."""
     vcc_mv: int
-    """Supply, in mV."""
+    """Supply, as measured last; 0 where it is not measured, in mV."""
     uptime_ms: int
     """Since boot, in ms."""
     frames: int
@@ -554,7 +554,7 @@ class CalReply(NamedTuple):
     mean_256: int
     """Mean, in counts/256."""
     variance_256: int
-    """Variance, n - 1, in counts²/256."""
+    """Variance, over n - 1; at most 2^32 - 1, and 0 for n = 1, in counts²/256."""
     least: int
     """Smallest, in counts."""
     greatest: int

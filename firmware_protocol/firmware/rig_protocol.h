@@ -8,7 +8,7 @@
 #define RIG_VERSION 2
 #define RIG_SCHEMA_HASH 0xF7128A84UL
 #define RIG_MAX_DECODED 64U // Longest decoded frame, header and CRC included, in bytes.
-#define RIG_QUEUE_CAPACITY 512U // Setpoints that a device holds ahead in scheduled mode.
+#define RIG_QUEUE_CAPACITY 512U // Most setpoints that a device may hold ahead in scheduled mode; HELLO_R says in `queue` what it does hold.
 #define RIG_SETPOINTS_PER_FRAME 24U // Places for codes in one SETPOINTS frame.
 #define RIG_CODE_FULL_SCALE 65535U // Code of the full-scale voltage; 0 is 0 V, linear between.
 #define RIG_FULL_SCALE_MV 5000U // Full-scale motor voltage, in mV. Above it the rig is destroyed.
@@ -87,7 +87,7 @@ enum {
     RIG_FLAG_RX_OVERFLOW = 0x800, // received bytes were lost since the last sample
     RIG_FLAG_TX_DROP = 0x1000, // frames to the host were dropped since the last sample
     RIG_FLAG_REV_LIMIT = 0x2000, // latched by too many turns
-    RIG_FLAG_VCC_LOW = 0x4000, // supply low
+    RIG_FLAG_VCC_LOW = 0x4000, // supply below 4000 mV when last measured
 };
 
 // What a device can do.
@@ -126,7 +126,7 @@ typedef struct __attribute__((packed)) {
     uint8_t mode; // who paces (`Mode`)
     uint8_t underrun; // policy for a dry queue (`Underrun`)
     uint8_t hold; // length of HOLD, in ticks
-    uint8_t oversampling; // conversions averaged in one reading, at least 1
+    uint8_t oversampling; // conversions averaged in one reading of each channel, at least 1
     uint16_t rail_ticks; // samples in a row at a rail before FAULT(ADC_RAIL) in RUN; 0 is none, in samples
     uint16_t turns; // turns of theta_1 since START before FAULT(REV_LIMIT); 0 is none, in turns/100
     uint32_t crc; // CRC-32/ISO-HDLC of all before it
@@ -254,7 +254,7 @@ typedef struct __attribute__((packed)) {
     uint16_t seq; // +1 each frame of this sender
     uint8_t channel; // 0 theta_1, 1 alpha
     uint8_t zero; // 0
-    uint16_t n; // readings, at least 1
+    uint16_t n; // readings, 1 to 1024
     uint32_t crc; // CRC-32/ISO-HDLC of all before it
 } rig_cal_t;
 _Static_assert(sizeof(rig_cal_t) == 12, "CAL");
@@ -272,11 +272,11 @@ typedef struct __attribute__((packed)) {
     uint32_t boot_id; // drawn anew at each boot
     uint32_t firmware; // CRC-32 of the firmware's image
     uint32_t token; // what CLEAR_FAULT must carry; 0 outside FAULT and ESTOP
-    uint32_t ts_min_us; // shortest sampling time of the device itself, in µs
+    uint32_t ts_min_us; // shortest sampling time of the device itself, with oversampling 1, in µs
     uint16_t full_scale_mv; // voltage of code 65535, in mV
     uint16_t queue; // setpoints it can hold
     uint16_t capabilities; // what it can do (`Capability`)
-    uint16_t skew_us; // alpha is sampled this long before theta_1, in µs
+    uint16_t skew_us; // alpha is sampled this long before theta_1, rounded up; so far apart are conversions, in µs
     uint16_t hold_us; // from the trigger (t_us) to the sampling of theta_1 and the latch of u, in µs
     uint8_t adc_bits; // of the converter; readings are left-justified to 16
     uint8_t pwm_bits; // of the duty; 16 if not quantised
@@ -339,7 +339,7 @@ typedef struct __attribute__((packed)) {
     uint8_t cause; // why (`Cause`)
     uint32_t t_us; // device clock, in µs
     uint32_t token; // what CLEAR_FAULT must carry; 0 outside FAULT and ESTOP
-    uint32_t detail; // RANGE and SLEW: the code refused; else 0
+    uint32_t detail; // RANGE and SLEW: the code refused; VCC_LOW: the supply in mV; else 0
     uint32_t crc; // CRC-32/ISO-HDLC of all before it
 } rig_event_t;
 _Static_assert(sizeof(rig_event_t) == 24, "EVENT");
@@ -352,7 +352,7 @@ typedef struct __attribute__((packed)) {
     uint8_t state; // of the sender (`State`)
     uint16_t seq; // +1 each frame of this sender
     uint16_t boot; // low half of boot_id
-    uint16_t vcc_mv; // supply, in mV
+    uint16_t vcc_mv; // supply, as measured last; 0 where it is not measured, in mV
     uint32_t uptime_ms; // since boot, in ms
     uint32_t frames; // valid frames received
     uint32_t spoilt; // frames dropped for COBS, length or CRC
@@ -414,7 +414,7 @@ typedef struct __attribute__((packed)) {
     uint8_t zero; // 0
     uint16_t n; // readings taken
     uint32_t mean_256; // mean, in counts/256
-    uint32_t variance_256; // variance, n - 1, in counts²/256
+    uint32_t variance_256; // variance, over n - 1; at most 2^32 - 1, and 0 for n = 1, in counts²/256
     uint16_t least; // smallest, in counts
     uint16_t greatest; // largest, in counts
     uint32_t crc; // CRC-32/ISO-HDLC of all before it
