@@ -20,6 +20,8 @@ VOLTS = (1.0, 4.0)
 STOPPED_S = 1.0
 """Tells a stop from no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
 _TRIES = 3
+_STALLS = ("no answer from the device for", "the host paused for")
+"""How a run ends where the machine has kept the loop or the emulator waiting."""
 _STEP_V = 5 / 1024  # of the emulated duty
 _RUNNER = """
 import sys
@@ -76,11 +78,16 @@ def whole_run(rig: Rig, u: ArrayLike, *, Ts: float, **how: Any) -> Path:
             rig.arm("a test", Ts=Ts)
             return rig.run(u, **how)
         except (RefusedError, RunEndedError) as err:
-            if "no answer from the device for" not in str(err):
+            if not stalled(str(err)):
                 raise
         at_rest(rig)
     rig.arm("a test", Ts=Ts)
     return rig.run(u, **how)
+
+
+def stalled(said: str) -> bool:
+    """Return whether a run was ended because this machine stalls."""
+    return any(how in said for how in _STALLS)
 
 
 def samples(rig: Rig) -> Iterator[Any]:

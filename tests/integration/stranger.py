@@ -86,13 +86,25 @@ def main(endpoint: str, authority: str, name: str, credential: str = "") -> None
             session.close()
         session = opened(endpoint, authority, credential)
         links += session is not None
-    with session or anywhere(endpoint) as trying:
-        found: dict[str, Any] = {"links": links, **tried(trying, name)}
+    if session is not None:
+        session.close()
+
+    def enter() -> zenoh.Session:
+        return opened(endpoint, authority, credential) or anywhere(endpoint)
+
+    found: dict[str, Any] = {"links": links, **tried(enter, name)}
     print(json.dumps(found), flush=True)
 
 
-def tried(session: zenoh.Session, name: str) -> dict[str, Counts]:
+def tried(enter: Callable[[], zenoh.Session], name: str) -> dict[str, Counts]:
     """Return how often each thing worked on each key, and what was overheard."""
+    with enter() as session:
+        asked = _asked(session, name)
+    return asked | _heard(enter, every_key(name))
+
+
+def _asked(session: zenoh.Session, name: str) -> dict[str, Counts]:
+    """Return how often each question was answered, and whose questions came here."""
     overheard: Counter[str] = Counter()
     keys = every_key(name)
     for key in ("**", "rig/1/cmd/*/*", f"rig/1/cmd/status/{WATCHER}"):
@@ -106,7 +118,6 @@ def tried(session: zenoh.Session, name: str) -> dict[str, Counts]:
     return {
         "query": {key: _count(lambda key=key: _answered(session, key)) for key in keys},
         "liveliness": {key: _count(lambda key=key: _alive(session, key)) for key in keys},
-        **_heard(session, keys),
         # Of others, too, who are as cut off as he is: what the watcher asks goes to the daemon.
         "overhear": {key: n for key, n in overheard.items() if key.endswith(f"/{WATCHER}")},
     }
@@ -141,13 +152,15 @@ def _alive(session: zenoh.Session, key: str) -> bool:
     return any(str(r.ok.key_expr) == ALIVE for r in replies if r.ok is not None)
 
 
-def _heard(session: zenoh.Session, keys: list[str]) -> dict[str, Counts]:
+def _heard(enter: Callable[[], zenoh.Session], keys: list[str]) -> dict[str, Counts]:
     """Return in how many rounds each key was heard, and each token's coming seen."""
     heard: dict[str, Counter[str]] = {"subscribe": Counter(), "tokens": Counter()}
-    # A sample that comes for one is given to each that fits it: those that may be allowed apart.
+    # A sample that comes for one is given to each of its session that fits it, also to one that was
+    # declared while it was on its way: those that may be allowed apart.
     apart = [STREAM_KEYS, ["rig/1/*"], [ALIVE]]
     groups = [[key for key in keys if not any(key in group for group in apart)], *apart]
-    for group in groups * TIMES:
+    sessions = [enter() for _ in groups]
+    for session, group in [*zip(sessions, groups, strict=True)] * TIMES:
         met: dict[str, set[str]] = {"subscribe": set(), "tokens": set()}
         declared: list[Any] = []
         for key in group:
@@ -161,6 +174,8 @@ def _heard(session: zenoh.Session, keys: list[str]) -> dict[str, Counts]:
             what.undeclare()
         for kind, found in met.items():
             heard[kind].update(found)
+    for session in sessions:
+        session.close()
     return {kind: dict(found) for kind, found in heard.items()}
 
 
