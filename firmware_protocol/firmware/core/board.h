@@ -73,8 +73,9 @@ uint16_t board_rx_lost(void); // bytes lost in reception since the last call
 void board_feed_watchdog(void); // the hardware's; called by `rig_poll`
 
 // ------------------------------------------------------------- asked of a board: interrupts
-// Inline in `board_constants.h`, or here as functions: off and as they were. The core keeps them off
-// for no longer than it takes to copy a few words.
+// Off, and as they were before; the compiler must move no access to memory across either. The core
+// keeps them off for no longer than it takes to copy a few words. Functions, or inline ones in
+// `board_constants.h` with BOARD_IRQ_INLINE defined.
 #ifndef BOARD_IRQ_INLINE
 uint8_t board_irq_save(void);
 void board_irq_restore(uint8_t before);

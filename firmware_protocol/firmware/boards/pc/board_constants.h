@@ -1,0 +1,24 @@
+// The board on a PC, in virtual time: what `armrigd emulate` is by default.
+#ifndef BOARD_CONSTANTS_H
+#define BOARD_CONSTANTS_H
+
+#ifndef BOARD_QUEUE
+#define BOARD_QUEUE 512
+#endif
+#ifndef BOARD_QUEUE_FRAMES
+#define BOARD_QUEUE_FRAMES BOARD_QUEUE
+#endif
+#ifndef BOARD_ADC_BITS
+#define BOARD_ADC_BITS 10
+#endif
+#ifndef BOARD_PWM_BITS
+#define BOARD_PWM_BITS 10
+#endif
+#define BOARD_SKEW_US 104
+#define BOARD_HOLD_US 12
+#define BOARD_TS_MIN_US 208
+#define BOARD_CAPABILITIES \
+    (RIG_CAPABILITY_EXCHANGE | RIG_CAPABILITY_SCHEDULED | RIG_CAPABILITY_ENABLE_LINE)
+#define BOARD_RAM 4096
+
+#endif

@@ -1,0 +1,31 @@
+#include <stdbool.h>
+
+#include "rig_configuration.h"
+
+#include "board.h"
+#include "rig_crc.h" // rig_crc
+
+// Returns whether all fields are within what the wire allows.
+static bool is_allowed(const rig_config_t *m)
+{
+    const bool has_enable = BOARD_CAPABILITIES & RIG_CAPABILITY_ENABLE_LINE;
+    return m->ts_us >= BOARD_TS_MIN_US && m->u_min <= m->u_max
+        && (m->u_rest == 0 || (has_enable && m->u_min <= m->u_rest && m->u_rest <= m->u_max))
+        && m->watchdog_ms >= RIG_WATCHDOG_MIN_MS && m->watchdog_ms <= RIG_WATCHDOG_MAX_MS
+        && m->mode <= RIG_MODE_SCHEDULED && m->underrun <= RIG_UNDERRUN_HOLD && m->oversampling >= 1;
+}
+
+uint8_t rig_check_config(const rig_config_t *m)
+{
+    if (!is_allowed(m))
+        return RIG_CODE_BAD_VALUE;
+    const bool has_timer = BOARD_CAPABILITIES & RIG_CAPABILITY_SCHEDULED;
+    if (m->oversampling != 1 || (m->mode == RIG_MODE_SCHEDULED && !has_timer))
+        return RIG_CODE_UNSUPPORTED;
+    return RIG_CODE_OK;
+}
+
+uint32_t rig_config_crc(const rig_config_t *m)
+{
+    return rig_crc((const uint8_t *)&m->ts_us, RIG_CONFIG_BODY);
+}

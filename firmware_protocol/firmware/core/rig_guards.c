@@ -1,0 +1,42 @@
+#include "rig_guards.h"
+
+#include "../rig_protocol.h"
+
+enum { RAIL_CODES = 64 }; // 1/1024 of the range of 65536 codes
+
+bool rig_at_rail(uint16_t y)
+{
+    return y < RAIL_CODES || y >= 0x10000UL - RAIL_CODES;
+}
+
+// Counts samples in a row at a rail, up to the longest row that can be asked for.
+static uint16_t counted(uint16_t in_a_row, uint16_t y)
+{
+    if (!rig_at_rail(y))
+        return 0;
+    return in_a_row < UINT16_MAX ? in_a_row + 1 : in_a_row;
+}
+
+// Returns whether `codes` of way are `turns`/100 turns or more. In 32 bits: 65536 turns/100 fit.
+static bool too_far(int32_t codes, uint16_t turns)
+{
+    const uint32_t least = (((uint32_t)turns << 16) + 99) / 100;
+    return (uint32_t)(codes < 0 ? -codes : codes) >= least;
+}
+
+uint8_t rig_watch(
+    struct rig_guards *guards, uint16_t y0, uint16_t y1, uint16_t rail_ticks, uint16_t turns)
+{
+    guards->rails[0] = counted(guards->rails[0], y0);
+    guards->rails[1] = counted(guards->rails[1], y1);
+    // Without a limit there is nothing to add up, and so nothing that could overflow.
+    if (guards->has_y0 && turns)
+        guards->turned += (int16_t)(y0 - guards->y0);
+    guards->y0 = y0;
+    guards->has_y0 = true;
+    if (rail_ticks && (guards->rails[0] >= rail_ticks || guards->rails[1] >= rail_ticks))
+        return RIG_CAUSE_ADC_RAIL;
+    if (turns && too_far(guards->turned, turns))
+        return RIG_CAUSE_REV_LIMIT;
+    return RIG_CAUSE_NONE;
+}
