@@ -47,6 +47,13 @@ mkdir -p mnt
 pivot_root . mnt
 cd /
 umount -l /mnt
+
+# A Python with a shared library looks for it where it was built. If that is a home, which the unit
+# hides, the loader takes that of the host's Python of the same version, and no module fits it.
+if [ "$python" != /usr ]; then
+    echo /opt/python/lib > etc/ld.so.conf.d/0-python.conf
+    ldconfig
+fi
 exec setpriv --bounding-set=-sys_module,-sys_time,-sys_rawio,-syslog,-mac_admin,-mknod \
     env -i container=other PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
     /lib/systemd/systemd --system --unit=basic.target

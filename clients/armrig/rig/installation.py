@@ -193,11 +193,13 @@ def _deploy() -> Path:
 
 def _program() -> str:
     program = Path(sys.prefix) / "bin" / "armrigd"
-    hidden = next((top for top in _UNSEEN if program.is_relative_to(top)), "")
-    if hidden:
-        msg = f"{program}: the service sees nothing of {hidden}; install armrig into /opt/armrig, "
-        msg += "and run /opt/armrig/bin/armrig service install"
-        raise ValueError(msg)
+    # Of a virtual environment the interpreter lies elsewhere: uv and pyenv keep theirs in a home.
+    for needed in (program, Path(sys.base_prefix)):
+        hidden = next((top for top in _UNSEEN if needed.is_relative_to(top)), "")
+        if hidden:
+            msg = f"{needed}: the service sees nothing of {hidden}; install armrig into /opt/armrig "
+            msg += "with /usr/bin/python3, and run /opt/armrig/bin/armrig service install"
+            raise ValueError(msg)
     return str(program)
 
 

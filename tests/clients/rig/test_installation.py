@@ -115,6 +115,7 @@ def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
 ) -> None:
     """A root that does not run gets the place of the documentation."""
     monkeypatch.setattr(sys, "prefix", "/srv/armrig-2")
+    monkeypatch.setattr(sys, "base_prefix", "/usr")
 
     (unit,) = (file for file in files(Path("/")) if file.path.name == "armrigd@.service")
 
@@ -124,16 +125,36 @@ def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
     assert f"ExecStart={SHIPPED} run" in other.text
 
 
+@pytest.mark.parametrize(
+    ("prefix", "base", "says"),
+    [
+        (
+            "/home/student/armrig/.venv",
+            "/usr",
+            "/home/student/armrig/.venv/bin/armrigd: the service sees nothing of /home;",
+        ),
+        (
+            "/opt/armrig",
+            "/root/.local/share/uv/python/3.12",
+            "/root/.local/share/uv/python/3.12: the service sees nothing of /root;",
+        ),
+    ],
+)
 def test_a_program_that_the_sandbox_hides_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    prefix: str,
+    base: str,
+    says: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Somebody's checkout in his home: the unit would fail at each start."""
-    monkeypatch.setattr(sys, "prefix", "/home/student/armrig/.venv")
+    """A checkout in somebody's home, and a Python in it: the unit would fail at each start."""
+    monkeypatch.setattr(sys, "prefix", prefix)
+    monkeypatch.setattr(sys, "base_prefix", base)
 
     assert main(["service", "install", "--dry-run"]) == 1
     said = capsys.readouterr().err
-    assert "/home/student/armrig/.venv/bin/armrigd: the service sees nothing of /home;" in said
-    assert "install armrig into /opt/armrig" in said
+    assert says in said
+    assert "install armrig into /opt/armrig with /usr/bin/python3" in said
 
 
 def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
