@@ -2,15 +2,19 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test check coverage mutants bench fuzz simulate format clean
+.PHONY: demo test machine check coverage mutants bench fuzz simulate format clean
 
 demo: .venv/run
 	$(BIN)/armrig demo
 
 # Two side by side; then what is timed, alone, and also where something before it failed.
 test: .venv/dev
-	$(BIN)/pytest -m "not timed" -n 2 --dist worksteal; \
+	$(BIN)/pytest -m "not timed and not machine" -n 2 --dist worksteal; \
 	  beside=$$?; $(BIN)/pytest -m timed tests/integration && exit $$beside
+
+# As root: the service under a systemd, and strangers on a network, each in a machine of its own.
+machine: .venv/dev
+	$(BIN)/pytest -m machine tests/systemd tests/integration
 
 check: .venv/dev
 	$(BIN)/ruff check

@@ -18,6 +18,7 @@ from processes import Bench
 from remote_rig import GUARDED, PORT, UNGUARDED, said, started, stranger, watching
 from stranger import ALIVE, FORGED, STREAM_KEYS, TIMES, TOLD_KEYS, command_keys, every_key
 
+pytestmark = pytest.mark.machine
 WHO = {
     "nobody": "",
     "forged": "forged.pem",

@@ -28,7 +28,8 @@ def test_a_real_run_is_decided_once_more_to_the_last_bit(
 
     assert found.difference == ""
     assert found.samples == armrig.load(path).samples.size
-    assert found.frames > (10 if pacing == "scheduled" else 390)
+    # A tick that a stall of this machine costs is asked for by no frame.
+    assert found.frames > (10 if pacing == "scheduled" else found.samples)
     assert found.seconds > 1.9
     if pacing == "scheduled":
         monkeypatch.setattr(setpoints, "PING_US", 10_000_000)

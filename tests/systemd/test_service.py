@@ -9,6 +9,7 @@ import pytest
 from machine import Machine, wait_for
 from served_rig import Rig
 
+pytestmark = pytest.mark.machine
 PRIORITY = 80  # [timing] priority
 RESTARTED_S = 30.0
 """Tells a restart from none; what it took is in docs/service.md."""
