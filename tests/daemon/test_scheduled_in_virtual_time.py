@@ -62,9 +62,10 @@ def assert_aligned(bench: Bench, volts: list[float], missing: int = 0) -> None:
 @pytest.mark.parametrize(
     ("ts_us", "baud"), [(10_000, 500_000), (1_000, 500_000), (500, 1_000_000), (250_000, 115_200)]
 )
-def test_every_u_is_at_its_k(ts_us: int, baud: int) -> None:
-    """From 4 Hz to 2 kHz: all samples, all aligned, 0 V afterwards."""
-    bench = Bench(Config(device=Device(baud=baud)))
+@pytest.mark.parametrize("queue", [512, 256])
+def test_every_u_is_at_its_k(ts_us: int, baud: int, queue: int) -> None:
+    """From 4 Hz to 2 kHz: all samples, all aligned, 0 V afterwards; an Uno's queue is enough."""
+    bench = Bench(Config(device=Device(baud=baud)), queue=queue)
     volts = telegraph(20 if ts_us > 100_000 else 2000)
 
     run(bench, volts, ts_us)
@@ -123,9 +124,10 @@ def _losing(share: float, length: int, seed: int = 3) -> Callable[[bytes], bytes
     return line
 
 
-def test_setpoints_that_are_lost_are_sent_again() -> None:
+@pytest.mark.parametrize("queue", [512, 256])
+def test_setpoints_that_are_lost_are_sent_again(queue: int) -> None:
     """Three frames of ten: go-back-N by `queued` fills the queue all the same."""
-    bench = Bench()
+    bench = Bench(queue=queue)
     bench.ports.to_device = _losing(0.3, SETPOINTS)
     volts = telegraph(3000)
 
@@ -164,6 +166,28 @@ def test_a_stall_shorter_than_the_watchdog_costs_nothing() -> None:
     assert_aligned(bench, volts)
     late_us = max(t.wake_lateness_us.max for t in bench.of(TimingRecord))
     assert late_us == pytest.approx(150_000, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("queue", "stall_ms", "dry"), [(256, 228, False), (256, 238, True), (512, 220, False)]
+)
+def test_a_small_queue_may_run_dry_before_the_watchdog_at_1_khz(
+    queue: int, stall_ms: int, dry: bool
+) -> None:
+    """Of 256 ms it has 24 less where no frame fits yet; then each sample says so, at 0 V."""
+    bench = Bench(Config(device=Device(watchdog_ms=250)), queue=queue)
+    play(bench, telegraph(1500), ts_us=1_000)
+    bench.run_for(810)  # where the next frame is almost due
+    bench.lateness_ns = stall_ms * MS
+    bench.run_for(10)
+    bench.lateness_ns = 0
+
+    bench.run_for(1500)
+
+    flagged = [s for s in bench.samples if s.flags & Flag.UNDERRUN]
+    assert bool(flagged) is dry
+    assert all(s.u_applied_v == 0.0 for s in flagged)
+    assert bench.of(RunEnded)[0].outcome == "complete"
 
 
 def test_a_stall_longer_than_the_watchdog_ends_at_0_v() -> None:

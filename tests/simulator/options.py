@@ -87,6 +87,8 @@ class Options:
     service_ns: int
     boot_ms: float
     pwm_bits: int
+    queue: int
+    """Setpoints that the device holds: the most there is, or what an Uno has room for."""
     adc_noise_v: float
     clock_ppm: float
     clock_start_us: int
@@ -152,6 +154,7 @@ def draw(seed: int, *, only: Sequence[str] = KINDS, stalls: bool | None = None) 
         service_ns=rng.choice([0, 400 * MS]),
         boot_ms=rng.choice([0.0, 5.0, 50.0]),
         pwm_bits=rng.choice([10, 10, 10, 8, 16, 0]),
+        queue=(512, 256)[seed % 2],
         adc_noise_v=rng.choice([0.0, 0.0, 0.0, 0.0025]),
         clock_ppm=rng.choice([0.0, rng.uniform(-100, 100), rng.uniform(-100, 100)]),
         clock_start_us=rng.choice([0, 0, (1 << 32) - rng.randint(1, 9_000_000)]),

@@ -600,6 +600,7 @@ def _settings(options: Options) -> EmulatorSettings:
         boot_ms=options.boot_ms,
         pwm_bits=options.pwm_bits,
         adc_noise_v=options.adc_noise_v,
+        queue=options.queue,
         clock_ppm=options.clock_ppm,
         tolerates_stalls=options.tolerates_stalls,
     )

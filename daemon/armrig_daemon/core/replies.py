@@ -112,7 +112,8 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
         return _rebooted(state, now_ns)
     state = replace(state, token=event.token)
     if event.token and state.phase is not Phase.FAULT:
-        detail = f" (code {event.detail})" if event.detail else ""
+        unit = "{} mV" if event.cause == Cause.VCC_LOW else "code {}"
+        detail = f" ({unit.format(event.detail)})" if event.detail else ""
         state = replace(state, device_state=event.state)
         cause = f"the device stopped by itself: {of_device(event.cause)}{detail}"
         fault = Fault(Id.DEVICE, cause)

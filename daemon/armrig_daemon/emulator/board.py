@@ -20,6 +20,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 
 _RUN = State.RUN
 FULL_SCALE_V = FULL_SCALE_MV / 1000
+BROWN_OUT_MV = 3500
 
 
 class VoltageError(Exception):
@@ -101,6 +102,9 @@ class Board:
         self._rng = rng
         self._witness = witness
         self._now_ns = now_ns
+        self._supply_mv = round(settings.supply_v * 1000)
+        self._brown_out_ns = now_ns + round(settings.brown_out_s * 1e9)
+        self._browns_out = settings.brown_out_s > 0
         self._x = plant.REST
         self._volts = 0.0
         self.code = 0
@@ -132,6 +136,11 @@ class Board:
         """Disconnect the pin, drive it and the enable line low: 0 V."""
         self.code = 0
         self._apply(now_ns, 0.0, state, cause)
+
+    def supply_mv(self, now_ns: int) -> int:
+        """Return the supply, in mV."""
+        low = self._browns_out and now_ns >= self._brown_out_ns
+        return BROWN_OUT_MV if low else self._supply_mv
 
     def theta_1(self, now_ns: int) -> int:
         """Return the reading of theta_1."""

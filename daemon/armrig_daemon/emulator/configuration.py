@@ -15,10 +15,17 @@ HEADER_FIELDS = 2
 NONE_IN_FORCE = (0,) * (len(Config._fields) - HEADER_FIELDS)
 
 
-def check_config(config: Config, *, ts_min_us: int) -> Code:
-    """Return OK, or why this device refuses `config`."""
+def check_config(config: Config, *, ts_min_us: int, skew_us: int) -> Code:
+    """Return OK, or why this device refuses `config`.
+
+    Parameters
+    ----------
+    ts_min_us, skew_us : int
+        As HELLO_R tells them.
+    """
+    pairs_more = config.oversampling - 1
     allowed = (
-        config.ts_us >= ts_min_us
+        config.ts_us >= ts_min_us + 2 * pairs_more * skew_us
         and config.u_min <= config.u_max
         # The device has an enable line, so that a rest other than 0 is allowed.
         and (config.u_rest == 0 or config.u_min <= config.u_rest <= config.u_max)
@@ -27,8 +34,4 @@ def check_config(config: Config, *, ts_min_us: int) -> Code:
         and config.underrun in set(Underrun)
         and config.oversampling >= 1
     )
-    if not allowed:
-        return Code.BAD_VALUE
-    if config.oversampling != 1:
-        return Code.UNSUPPORTED
-    return Code.OK
+    return Code.OK if allowed else Code.BAD_VALUE

@@ -1,64 +1,83 @@
-"""The converter: one channel after the other, for one sample after the other.
+"""The converter: one conversion after the other, for one sample after the other, or for a CAL.
 
-A sample's times follow from its trigger, in device time; `due_ns` and `end_ns` are given time.
+Its times follow from the first trigger, in device time; `due_ns` and `end_ns` are given time.
 """
 
 from __future__ import annotations
 
 from armrig_protocol.messages import Message
 
+from armrig_daemon.emulator.cal import answer
 from armrig_daemon.emulator.clock import microseconds
 from armrig_daemon.emulator.firmware import NEVER, Firmware
 from armrig_daemon.emulator.sampling import latch, sample
+from armrig_daemon.emulator.sensors import mean
 
 
 class Converter:
-    """Takes the samples that wait in `fw.pending`."""
+    """Takes the samples that wait in `fw.pending`, and the readings of `fw.cal`."""
 
     def __init__(self, fw: Firmware) -> None:
         """Begin idle."""
         self._fw = fw
         self._conversion_ns = fw.hardware.conversion_ns
         self._hold_ns = fw.hardware.hold_ns
-        self._y1 = self._y0 = 0
+        self._codes: tuple[list[int], list[int]] = ([], [])
+        """What was read of theta_1 and of alpha since the first trigger."""
         self._trigger_ns = 0
-        self._act = 0
+        self._held = self._conversions = 0
         self.due_ns = NEVER
         """When the next act is due."""
         self.end_ns = NEVER
-        """When the sample under way will have ended."""
+        """When the sample or CAL under way will have ended."""
 
     def wake(self) -> None:
-        """Begin with the first pending sample, unless one is being converted."""
-        if self._fw.pending and not self._act:
-            self._trigger(self._fw.pending[0].due_ns)
+        """Begin with the first that waits, unless one is under way."""
+        fw = self._fw
+        if self._conversions:
+            return
+        if fw.pending:
+            self._trigger(fw.pending[0].due_ns, fw.conversions)
+        elif fw.cal is not None:
+            self._trigger(fw.cal.due_ns, fw.cal.n)
 
     def step(self, t_ns: int) -> list[Message]:
-        """Do the next of a sample's three acts: hold alpha; hold theta_1 and latch; answer."""
-        fw = self._fw
-        if self._act == 1:
-            self._y1 = fw.board.alpha(t_ns)
-            after_ns = self._conversion_ns + self._hold_ns
-            self._act, self.due_ns = 2, fw.clock.instant(self._trigger_ns + after_ns)
-            return []
-        if self._act == 2:
-            # theta_1 is held just before the latch, so that it cannot know of this u.
-            self._y0 = fw.board.theta_1(t_ns)
-            latch(fw, t_ns)
-            self._act, self.due_ns = 3, self.end_ns
-            return []
-        t_us = microseconds(self._trigger_ns + self._conversion_ns)
+        """Hold the next input, latching behind theta_1's last; behind the last answer."""
+        fw, codes = self._fw, self._codes
+        if self._held == self._conversions:
+            return self._end(t_ns)
+        alpha_is_next = not self._held & 1  # alpha first, then in turn
+        channel = fw.cal.channel if fw.cal is not None else int(alpha_is_next)
+        codes[channel].append(fw.board.alpha(t_ns) if channel else fw.board.theta_1(t_ns))
+        self._held += 1
+        if self._held < self._conversions:
+            after_ns = self._held * self._conversion_ns + self._hold_ns
+            self.due_ns = fw.clock.instant(self._trigger_ns + after_ns)
+        else:
+            if fw.cal is None:
+                # theta_1 is held just before the latch, so that it cannot know of this u.
+                latch(fw, t_ns)
+            self.due_ns = self.end_ns
+        return []
+
+    def _end(self, t_ns: int) -> list[Message]:
+        fw, conversion_ns = self._fw, self._conversion_ns
+        theta_1, alpha = self._codes
+        end_ns = self._trigger_ns + self._conversions * conversion_ns
+        self._conversions, self.due_ns, self.end_ns = 0, NEVER, NEVER
+        if fw.cal is not None:
+            return [answer(fw, alpha or theta_1)]
+        t_us = microseconds(end_ns - conversion_ns)
         late = self._trigger_ns > fw.pending[0].due_ns
-        messages = sample(fw, t_ns, t_us, self._y0, self._y1, late=late)
-        end_ns = self._trigger_ns + 2 * self._conversion_ns
-        self._act, self.due_ns, self.end_ns = 0, NEVER, NEVER
+        messages = sample(fw, t_ns, t_us, mean(theta_1), mean(alpha), late=late)
         if fw.pending:
-            self._trigger(max(end_ns, fw.pending[0].due_ns))
+            self._trigger(max(end_ns, fw.pending[0].due_ns), fw.conversions)
         return messages
 
-    def _trigger(self, device_ns: int) -> None:
-        """Start alpha's conversion, and plan all that follows from it."""
+    def _trigger(self, device_ns: int, conversions: int) -> None:
+        """Start the first conversion, and plan all that follows from it."""
         clock = self._fw.clock
-        self._trigger_ns = device_ns
-        self.end_ns = clock.instant(device_ns + 2 * self._conversion_ns)
-        self._act, self.due_ns = 1, clock.instant(device_ns + self._hold_ns)
+        self._codes = ([], [])
+        self._trigger_ns, self._held, self._conversions = device_ns, 0, conversions
+        self.end_ns = clock.instant(device_ns + conversions * self._conversion_ns)
+        self.due_ns = clock.instant(device_ns + self._hold_ns)

@@ -25,6 +25,7 @@ from armrig_daemon.emulator.uart import wire_ns
 HOLD_NS = 12_000  # ATmega328P data sheet, table 24-1: sample and hold after 1.5 clocks of 125 kHz
 LEAD_NS = 80_000  # twice what an answer takes to be made, so that it is there when it is due
 STATUS_NS = 1_000_000_000
+SUPPLY_NS = 100_000_000
 MOST_PENDING = 2
 _BOOT = State.BOOT
 POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
@@ -57,6 +58,7 @@ class Device:
             hold_ns=HOLD_NS,
             adc_bits=settings.adc_bits or CODE_BITS,
             pwm_bits=settings.pwm_bits or CODE_BITS,
+            queue=settings.queue,
         )
         self._boot_id = 0
         self._next_ns = now_ns
@@ -105,13 +107,16 @@ class Device:
         fw, sample_ns = self._fw, self._sample_ns
         timer_ns, answer_ns = fw.timer_ns, max(0, sample_ns - LEAD_NS)
         rx_ns = self._rx.first_ns + self._shortest_ns
+        conversions_ns = fw.conversions * self._hardware.conversion_ns
         if self._rx.first_ns < NEVER and self._next_makes_sample():
-            end_ns = fw.clock.after(self._rx.first_ns, 2 * self._hardware.conversion_ns)
+            end_ns = fw.clock.after(self._rx.first_ns, conversions_ns)
             rx_ns = min(end_ns + answer_ns, self._rx.second_ns() + self._shortest_ns)
         if fw.timer is not None:
             answer_ns = sample_ns
             if not fw.timer.ends:
-                timer_ns = fw.clock.after(timer_ns, 2 * self._hardware.conversion_ns) + sample_ns
+                timer_ns = fw.clock.after(timer_ns, conversions_ns) + sample_ns
+        elif fw.cal is not None:
+            answer_ns = self._shortest_ns
         return min(
             rx_ns,
             timer_ns,
@@ -119,6 +124,7 @@ class Device:
             self._booted_ns,
             fw.watchdog_ns,
             self._status_ns,
+            self._supply_ns,
         )
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
@@ -160,6 +166,7 @@ class Device:
         self._converter = Converter(self._fw)
         self._booted_ns = self._fw.clock.after(now_ns, self._boot_ns)
         self._status_ns = self._fw.clock.after(now_ns, max(STATUS_NS, self._boot_ns + 1))
+        self._supply_ns = NEVER
         self._next_ns = self._booted_ns  # nothing else is due before
 
     def _step(self, t_ns: int) -> None:
@@ -173,6 +180,8 @@ class Device:
         elif self._booted_ns == t_ns:
             self._booted_ns = NEVER
             rx.forget(t_ns)
+            self._supply_ns = fw.clock.after(t_ns, SUPPLY_NS)
+            fw.measure_supply(t_ns)
             self._tx.begin(t_ns)
             self._tx.send(fw, t_ns, [fw.enter(t_ns, State.IDLE, fw.cause)])
         elif fw.watchdog_ns == t_ns:
@@ -184,6 +193,11 @@ class Device:
         elif fw.timer_ns == t_ns:
             self._tx.send(fw, t_ns, fw.tick(t_ns))
             converter.wake()
+        elif self._supply_ns == t_ns:
+            self._supply_ns = converter.end_ns  # where it is taken: as soon as it is free
+            if self._supply_ns == NEVER:
+                self._supply_ns = fw.clock.after(t_ns, SUPPLY_NS)
+                self._tx.send(fw, t_ns, fw.measure_supply(t_ns))
         else:
             self._status_ns = fw.clock.after(t_ns, STATUS_NS)
             self._tx.send(fw, t_ns, [fw.status(t_ns)])
@@ -194,6 +208,7 @@ class Device:
             fw.timer_ns,
             self._status_ns,
             self._booted_ns,
+            self._supply_ns,
         )
 
     def _next_makes_sample(self) -> bool:
@@ -212,7 +227,7 @@ class Device:
         for item in received:
             # Where the timer samples, an EXCHANGE never waits: it is refused.
             waits = isinstance(item, Exchange) and fw.timer is None
-            if waits and len(fw.pending) >= MOST_PENDING:
+            if waits and sum(one.u is not None for one in fw.pending) >= MOST_PENDING:
                 fw.count_lost(frame.wire_length(Exchange))
                 continue
             answers = handle(fw, t_ns, item)

@@ -27,7 +27,7 @@ NEVER: Final = 1 << 62
 U16: Final = 0xFFFF
 UNNUMBERED: Final = 0
 """seq of a frame before it leaves."""
-SUPPLY_MV = 5000
+SUPPLY_LOW_MV = 4000
 MOTOR_MAY_TURN: Final = (State.ARMED, State.RUN)
 NO_STACK_LIMIT = 0xFFFF  # an emulator has no stack to run out of
 
@@ -42,11 +42,18 @@ class Hardware:
     """From a trigger to its sampling."""
     adc_bits: int
     pwm_bits: int
+    queue: int
+    """Setpoints that there is room for."""
 
     @property
     def ts_min_us(self) -> int:
-        """Shortest sampling time: that of the two conversions."""
+        """Shortest sampling time: that of two conversions, rounded up."""
         return -(-2 * self.conversion_ns // 1000)
+
+    @property
+    def skew_us(self) -> int:
+        """From one conversion to the next, rounded up."""
+        return -(-self.conversion_ns // 1000)
 
 
 class PendingSample(msgspec.Struct, frozen=True, gc=False):
@@ -61,6 +68,16 @@ class PendingSample(msgspec.Struct, frozen=True, gc=False):
     """None is what the queue has for k when it is latched."""
     drives: bool = True
     """u is to be latched: it was asked for in this RUN."""
+
+
+class PendingCal(msgspec.Struct, frozen=True, gc=False):
+    """The readings that a CAL asked for and that are not all taken yet."""
+
+    due_ns: int
+    """Device time at which the first conversion is to begin."""
+    channel: int
+    """0 theta_1, 1 alpha."""
+    n: int
 
 
 @dataclass(slots=True, kw_only=True)
@@ -117,6 +134,10 @@ class Firmware:
     new_flags: int = 0
     """Flags to be told once, in the next SAMPLE."""
     pending: deque[PendingSample] = field(default_factory=deque)
+    cal: PendingCal | None = None
+    """Holds the converter."""
+    supply_mv: int = 0
+    """As measured last."""
     queue: SetpointQueue | None = None
     """In ARMED and RUN of scheduled mode; elsewhere None, and so empty."""
     timer: Timer | None = None
@@ -131,6 +152,23 @@ class Firmware:
         # 1 ... 2^32 - 1 in turn; begun at boot_id, so that no other boot has the same ones.
         self.nonce = (self.boot_id + self.accepted) % U32 + 1
         self.accepted += 1
+
+    @property
+    def conversions(self) -> int:
+        """How many a sample that begins now takes, of both channels together."""
+        return 2 * self.config.oversampling if self.config is not None else 2
+
+    @property
+    def supply_is_low(self) -> bool:
+        """Whether the supply was too low when it was measured last."""
+        return self.supply_mv < SUPPLY_LOW_MV
+
+    def measure_supply(self, now_ns: int) -> list[Message]:
+        """Measure the supply; too low a one trips where the motor may turn."""
+        self.supply_mv = self.board.supply_mv(now_ns)
+        if not self.supply_is_low or self.state not in MOTOR_MAY_TURN:
+            return []
+        return [self.enter(now_ns, State.FAULT, Cause.VCC_LOW, detail=self.supply_mv)]
 
     def device_us(self, now_ns: int) -> int:
         """Return the device's clock, which starts at reset and wraps at 2^32."""
@@ -217,7 +255,7 @@ class Firmware:
             self.state,
             UNNUMBERED,
             boot=self.boot_id & U16,
-            vcc_mv=SUPPLY_MV,
+            vcc_mv=self.supply_mv,
             uptime_ms=self.clock.device_ns(now_ns) // 1_000_000 & U32,
             frames=counters.frames & U32,
             spoilt=counters.spoilt & U32,

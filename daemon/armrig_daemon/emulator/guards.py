@@ -5,7 +5,8 @@ from __future__ import annotations
 import msgspec
 from armrig_protocol.messages import Cause
 
-RAIL_CODES = 64  # 1/1024 of the range of 65536 codes
+from armrig_daemon.emulator.sensors import at_rail
+
 _TURN = 1 << 16
 _NONE = Cause.NONE
 
@@ -22,11 +23,6 @@ class Guards(msgspec.Struct, frozen=True, gc=False):
 
 
 NOTHING_SEEN = Guards()
-
-
-def at_rail(y: int) -> bool:
-    """Return whether a reading is in the lowest or highest 1/1024 of the range."""
-    return not RAIL_CODES <= y < _TURN - RAIL_CODES
 
 
 def watch(guards: Guards, y0: int, y1: int, *, rail_ticks: int, turns: int) -> tuple[Guards, Cause]:

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from itertools import islice, pairwise
 from typing import NamedTuple
 
-from armrig_protocol.messages import QUEUE_CAPACITY, Cause, Config, Setpoints, Underrun
+from armrig_protocol.messages import Cause, Config, Setpoints, Underrun
 
 _INDICES = 1 << 32
+LEAST_A_FRAME = 8  # so many entries at least must a frame bring for the queue to be filled
 
 
 class Setpoint(NamedTuple):
@@ -23,11 +24,13 @@ class Setpoint(NamedTuple):
 class SetpointQueue:
     """What is to be latched at `next`, `next` + 1 ..., from ARM to the end of RUN."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, capacity: int) -> None:
         """Begin empty, at sample 0, with u_rest before it."""
-        self._config = config
+        self._config, self._capacity = config, capacity
         self._rest = Setpoint(config.u_rest, 0)
         self._entries: deque[Setpoint] = deque()
+        self._frames: deque[int] = deque()
+        """How many of the entries each frame brought that is still among them."""
         self._dry = 0
         self.next = 0
         """Index of the next sample to be latched; does not wrap."""
@@ -63,8 +66,10 @@ class SetpointQueue:
         known = islice(self._entries, first, None)
         if any(entry.u != u for entry, u in zip(known, codes, strict=False)):
             return False
-        new = codes[have - first : QUEUE_CAPACITY - first]
-        self._entries.extend(Setpoint(u, m.seq) for u in new)
+        new = codes[have - first : self._capacity - first]
+        if new and len(self._frames) < self._capacity // LEAST_A_FRAME:
+            self._entries.extend(Setpoint(u, m.seq) for u in new)
+            self._frames.append(len(new))
         return True
 
     def advance(self) -> bool:
@@ -75,6 +80,9 @@ class SetpointQueue:
         self.next += 1
         if self._entries:
             self.in_force = self._entries.popleft()
+            self._frames[0] -= 1
+            if not self._frames[0]:
+                self._frames.popleft()
             self._dry = 0
             return True
         self._dry += 1

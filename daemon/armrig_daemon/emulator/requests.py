@@ -9,7 +9,6 @@ from armrig_protocol.decoder import Received
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
     FULL_SCALE_MV,
-    QUEUE_CAPACITY,
     SCHEMA_HASH,
     TYPES,
     VERSION,
@@ -36,6 +35,7 @@ from armrig_protocol.messages import (
 )
 
 from armrig_daemon.emulator import transitions
+from armrig_daemon.emulator.cal import cal
 from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Firmware, PendingSample
 from armrig_daemon.emulator.setpoints import setpoints
@@ -43,7 +43,9 @@ from armrig_daemon.emulator.setpoints import setpoints
 UID = int.from_bytes(b"emulator", "little")
 _RUN, _NONE = State.RUN, Cause.NONE
 NO_IMAGE = 0  # an emulator has no image to take a CRC of
-CAPABILITIES = int(Capability.EXCHANGE | Capability.SCHEDULED | Capability.ENABLE_LINE)
+CAPABILITIES = int(
+    Capability.EXCHANGE | Capability.SCHEDULED | Capability.CAL | Capability.ENABLE_LINE
+)
 
 
 def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
@@ -78,7 +80,8 @@ def is_newer(number: int, last: int | None, mask: int) -> bool:
 def makes_sample(fw: Firmware, m: Exchange) -> bool:
     """Return whether `m`, taken in the present state, is answered by a sample."""
     fresh = is_newer(m.seq, fw.newest, U16) and is_newer(m.k, fw.k, U32)
-    return fw.timer is None and fresh and _trip(fw, m) is _NONE
+    free = fw.timer is None and fw.cal is None
+    return free and fresh and _trip(fw, m) is _NONE
 
 
 def _trip(fw: Firmware, m: Exchange) -> Cause:
@@ -95,7 +98,7 @@ def _trip(fw: Firmware, m: Exchange) -> Cause:
 
 
 def _exchange(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
-    if fw.timer is not None:
+    if fw.timer is not None or fw.cal is not None:
         return [fw.answer(TYPES[Exchange], m.seq, Code.WRONG_STATE)]
     if not is_newer(m.k, fw.k, U32):
         return [fw.answer(TYPES[Exchange], m.seq, Code.STALE)]
@@ -125,9 +128,9 @@ def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
         token=fw.token,
         ts_min_us=hardware.ts_min_us,
         full_scale_mv=FULL_SCALE_MV,
-        queue=QUEUE_CAPACITY,
+        queue=hardware.queue,
         capabilities=CAPABILITIES,
-        skew_us=round(hardware.conversion_ns / 1000),
+        skew_us=hardware.skew_us,
         hold_us=hardware.hold_ns // 1000,
         adc_bits=hardware.adc_bits,
         pwm_bits=hardware.pwm_bits,
@@ -146,10 +149,6 @@ def _keepalive(fw: Firmware, now_ns: int, m: Keepalive) -> list[Message]:
     return []
 
 
-def _unsupported(fw: Firmware, now_ns: int, m: Cal) -> list[Message]:
-    return [fw.answer(TYPES[Cal], m.seq, Code.UNSUPPORTED)]
-
-
 _HANDLERS: dict[type[Message], Callable[[Firmware, int, Any], list[Message]]] = {
     Exchange: _exchange,
     Keepalive: _keepalive,
@@ -162,5 +161,5 @@ _HANDLERS: dict[type[Message], Callable[[Firmware, int, Any], list[Message]]] = 
     Start: transitions.start,
     ClearFault: transitions.clear_fault,
     Setpoints: setpoints,
-    Cal: _unsupported,
+    Cal: cal,
 }

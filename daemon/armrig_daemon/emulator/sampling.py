@@ -6,8 +6,9 @@ from armrig_protocol.messages import Cause, Flag, Message, Sample, State
 
 from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.firmware import U16, UNNUMBERED, Firmware
-from armrig_daemon.emulator.guards import at_rail, watch
+from armrig_daemon.emulator.guards import watch
 from armrig_daemon.emulator.queue import Setpoint
+from armrig_daemon.emulator.sensors import at_rail
 
 # By names of their own: an enum's member, looked up in it, takes 0.08 µs each time.
 _RUN, _FAULT, _REQUEST, _NONE = State.RUN, State.FAULT, Cause.REQUEST, Cause.NONE
@@ -24,6 +25,7 @@ _FAULT_FLAGS = {
 }
 _RAIL_0, _RAIL_1 = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
 _LATE, _UNDERRUN = int(Flag.TICK_LATE), int(Flag.UNDERRUN)
+_VCC_LOW = int(Flag.VCC_LOW)
 
 
 def latch(fw: Firmware, now_ns: int) -> None:
@@ -76,6 +78,8 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
         flags |= _RAIL_0
     if at_rail(y1):
         flags |= _RAIL_1
+    if fw.supply_is_low:
+        flags |= _VCC_LOW
     if late:
         flags |= _LATE
         fw.counters.late += 1

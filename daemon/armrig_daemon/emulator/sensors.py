@@ -14,6 +14,7 @@ from math import floor, tau
 import numpy as np
 
 CODE_BITS = 16
+RAIL_CODES = 64  # 1/1024 of the range of 65536 codes
 REFERENCE_V = 5.0
 
 
@@ -47,6 +48,23 @@ def wiper(pot: Potentiometer, angle: float) -> float | None:
     elif position > pot.range_rad:
         position = pot.range_rad
     return pot.low + (pot.high - pot.low) * (position / pot.range_rad)
+
+
+def mean(codes: list[int]) -> int:
+    """Return the reading that conversions of one channel make: their mean, a tie up.
+
+    Where one of them is at a rail it is the last: between both ends of a track, across the dead
+    band, lies an angle that the shaft has never had.
+    """
+    n = len(codes)
+    if n == 1 or any(map(at_rail, codes)):
+        return codes[-1]
+    return (sum(codes) + n // 2) // n
+
+
+def at_rail(code: int) -> bool:
+    """Return whether a reading is in the lowest or highest 1/1024 of the range."""
+    return not RAIL_CODES <= code < (1 << CODE_BITS) - RAIL_CODES
 
 
 def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Generator) -> int:

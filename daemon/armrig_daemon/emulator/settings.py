@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
+from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
 
 from armrig_daemon.tables import convert
 
@@ -34,6 +35,9 @@ RANGES: dict[str, tuple[float, float]] = {
     "alpha_high_v": (3, 5),
     "driver_gain": (0.5, 1.5),
     "driver_offset_v": (-1, 1),
+    "queue": (2 * SETPOINTS_PER_FRAME, QUEUE_CAPACITY),
+    "supply_v": (2.7, 5.5),
+    "brown_out_s": (0, 86_400),
 }
 CHOICES: dict[str, tuple[int, ...]] = {
     "pwm_bits": (0, 8, 9, 10, 11, 12, 13, 14, 15, 16),
@@ -100,6 +104,12 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Terminal volts for one volt of the duty."""
     driver_offset_v: float = 0.0
     """Terminal voltage that comes on top of it where the duty is not 0; within 0 to 5 V."""
+    queue: int = QUEUE_CAPACITY
+    """Setpoints that it holds in scheduled mode; an Uno has room for 256."""
+    supply_v: float = 5.0
+    """Its supply, in V; below 4 V it does not drive the motor."""
+    brown_out_s: float = 0.0
+    """Time after which its supply is 3.5 V, in s; 0 is never."""
     arm_removed: bool = False
     """The rotating part is taken off."""
     coulomb_nm: float = 0.0

@@ -13,8 +13,8 @@ class Timer:
     """t_0: trigger of theta_1's conversion in sample 0."""
     period_ns: int
     """Ts."""
-    conversion_ns: int
-    """alpha is triggered this long before theta_1."""
+    lead_ns: int
+    """The first conversion is triggered this long before theta_1's last."""
     hold_ns: int
     """u is latched this long after theta_1's trigger."""
     k_stop: int
@@ -29,7 +29,7 @@ class Timer:
 
     @property
     def due_ns(self) -> int:
-        """When alpha's conversion for sample k is due, or the end of the run."""
+        """When the first conversion for sample k is due, or the end of the run."""
         tick_ns = self.first_ns + self.k * self.period_ns
         # The end takes the place of a latch, so that the last input is held for its whole Ts.
-        return tick_ns + self.hold_ns if self.ends else tick_ns - self.conversion_ns
+        return tick_ns + self.hold_ns if self.ends else tick_ns - self.lead_ns

@@ -29,7 +29,7 @@ def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
     """Take a configuration, or say why not."""
     code = Code.WRONG_STATE
     if fw.state is State.IDLE or fw.state is State.READY:
-        code = check_config(m, ts_min_us=fw.hardware.ts_min_us)
+        code = check_config(m, ts_min_us=fw.hardware.ts_min_us, skew_us=fw.hardware.skew_us)
     events: list[Message] = []
     if code is Code.OK:
         if fw.state is State.IDLE:
@@ -44,7 +44,7 @@ def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
 
 def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
     """Bind the device to the host that knows this boot, this configuration and its nonce."""
-    if fw.state is not State.READY:
+    if fw.state is not State.READY or fw.cal is not None:
         code = Code.WRONG_STATE
     elif m.boot_id != fw.boot_id:
         code = Code.WRONG_BOOT
@@ -54,7 +54,7 @@ def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
         code = Code.WRONG_NONCE
     else:
         if fw.config is not None and fw.config.mode == Mode.SCHEDULED:
-            fw.queue = SetpointQueue(fw.config)
+            fw.queue = SetpointQueue(fw.config, fw.hardware.queue)
         return _transition(fw, now_ns, m, State.ARMED)
     return [fw.answer(TYPES[Arm], m.seq, code)]
 
@@ -81,7 +81,7 @@ def _timer(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Timer:
     return Timer(
         first_ns=fw.clock.device_ns(now_ns) + period_ns,
         period_ns=period_ns,
-        conversion_ns=fw.hardware.conversion_ns,
+        lead_ns=(fw.conversions - 1) * fw.hardware.conversion_ns,
         hold_ns=fw.hardware.hold_ns,
         k_stop=k_stop,
     )

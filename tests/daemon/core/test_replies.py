@@ -177,6 +177,7 @@ def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
     [
         (int(Cause.WATCHDOG), 0, "WATCHDOG, it heard nothing from this host in time"),
         (int(Cause.RANGE), 123, "RANGE, a voltage was outside its limits (code 123)"),
+        (int(Cause.VCC_LOW), 3900, "VCC_LOW, its supply is too low (3900 mV)"),
         (int(Cause.REQUEST), 0, "REQUEST"),
         (250, 0, "250"),
     ],

@@ -116,7 +116,7 @@ def test_hello_tells_what_the_device_is() -> None:
     """Capabilities, skew, hold and resolutions are those of the settings."""
     reply = Host(EmulatorSettings(baud=BAUD)).hello()
 
-    can = Capability.EXCHANGE | Capability.SCHEDULED | Capability.ENABLE_LINE
+    can = Capability.EXCHANGE | Capability.SCHEDULED | Capability.CAL | Capability.ENABLE_LINE
     assert reply.capabilities == can
     assert reply.queue == 512
     assert (reply.version, reply.schema) == (VERSION, SCHEMA_HASH)
@@ -261,8 +261,6 @@ def test_config_in_the_wrong_state_changes_nothing(state: State) -> None:
         ({"underrun": 2}, Code.BAD_VALUE),
         ({"oversampling": 0}, Code.BAD_VALUE),
         ({"mode": Mode.SCHEDULED, "ts_us": 207}, Code.BAD_VALUE),
-        ({"mode": Mode.SCHEDULED, "oversampling": 2}, Code.UNSUPPORTED),
-        ({"oversampling": 2}, Code.UNSUPPORTED),
     ],
 )
 def test_a_bad_configuration_is_refused_as_a_whole(fields: dict[str, int], code: Code) -> None:
@@ -378,15 +376,6 @@ def test_start_with_an_end_is_refused_in_exchange_mode() -> None:
 
     assert codes(host.ask(Start, k_stop=10)) == [Code.BAD_VALUE]
     assert host.device.state is State.ARMED
-
-
-@pytest.mark.parametrize("state", STATES)
-def test_what_the_device_cannot_do_it_refuses(state: State) -> None:
-    """ACK(UNSUPPORTED), as its capabilities say."""
-    host = Host().reach(state)
-
-    assert codes(host.ask(Cal, channel=0, zero=0, n=1)) == [Code.UNSUPPORTED]
-    assert host.device.state is state
 
 
 def test_a_type_that_a_host_does_not_send_is_unknown() -> None:

@@ -300,7 +300,7 @@ def test_on_a_wire_that_takes_no_time_an_answer_is_visible_at_once() -> None:
 def _firmware() -> Firmware:
     return Firmware(
         board=Board(QUIET, 0, np.random.default_rng(0)),
-        hardware=Hardware(conversion_ns=1, hold_ns=1, adc_bits=10, pwm_bits=10),
+        hardware=Hardware(conversion_ns=1, hold_ns=1, adc_bits=10, pwm_bits=10, queue=512),
         rng=np.random.default_rng(0),
         clock=Clock(0),
         boot_id=1,

@@ -56,6 +56,7 @@ from emulated_host import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 TS_NS = 500 * US
 SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500, "watchdog_ms": 250}
@@ -92,13 +93,14 @@ def fed(host: Host, dt_ns: int) -> list[Message]:
 # ------------------------------------------------------------------ the mode and its frame
 
 
-def test_hello_tells_of_the_mode_and_the_queue() -> None:
-    """SCHEDULED and 512; CONFIG of the mode is accepted."""
-    host = Host()
+@pytest.mark.parametrize("queue", [512, 256])
+def test_hello_tells_of_the_mode_and_the_queue(queue: int) -> None:
+    """SCHEDULED and what it holds; CONFIG of the mode is accepted."""
+    host = Host(replace(QUIET, queue=queue))
     reply = host.hello()
 
     assert reply.capabilities & 0x0002
-    assert reply.queue == 512
+    assert reply.queue == queue
     accepted = host.configure(**SCHEDULED)
     assert (accepted.code, accepted.mode) == (Code.OK, Mode.SCHEDULED)
 
@@ -278,22 +280,41 @@ def test_the_first_frame_that_brought_a_setpoint_is_its_u_seq() -> None:
     assert [m.u_seq for m in got] == [first, first, first + 1, 0]
 
 
-def test_what_is_beyond_the_capacity_is_dropped() -> None:
-    """512 it holds; the rest of the frame can be sent again when there is room."""
-    host = in_state(State.ARMED)
-    for k0 in range(0, 504, 24):
+@pytest.mark.parametrize("queue", [512, 256])
+def test_what_is_beyond_the_capacity_is_dropped(queue: int) -> None:
+    """What HELLO_R says it holds; the rest of the frame can be sent again when there is room."""
+    host = in_state(State.ARMED, replace(QUIET, queue=queue))
+    last = queue // 24 * 24
+    for k0 in range(0, last, 24):
         host.supply(k0, NOISE[k0 : k0 + 24])
     host.wait(20 * MS)
 
-    assert queue_after(host, (504, NOISE[504:528])) == 512
-    assert queue_after(host, (504, NOISE[504:528])) == 512
-    assert queue_after(host, (512, NOISE[512:528])) == 512
+    assert queue_after(host, (last, NOISE[last : last + 24])) == queue
+    assert queue_after(host, (last, NOISE[last : last + 24])) == queue
+    assert queue_after(host, (queue, NOISE[queue : queue + 16])) == queue
     host.put(Start, k_stop=0)
     got = samples(host.wait(60 * MS))
-    assert [m.queued for m in got[:3]] == [511, 510, 509]
-    host.supply(504, NOISE[504:528])
-    got = samples(fed(host, 300 * MS))
-    assert [m.u_k for m in got if m.k < 528] == NOISE[got[0].k : 528]
+    assert [m.queued for m in got[:3]] == [queue - 1, queue - 2, queue - 3]
+    host.supply(last, NOISE[last : last + 24])
+    got = samples(fed(host, queue * TS_NS + 44 * MS))
+    assert [m.u_k for m in got if m.k < last + 24] == NOISE[got[0].k : last + 24]
+
+
+def test_a_frame_more_than_an_eighth_of_the_queue_finds_no_room() -> None:
+    """Until the last entry of one of them was latched; what it brings is dropped whole."""
+    host = in_state(State.ARMED, replace(QUIET, queue=256))
+    for k in range(0, 64, 2):
+        host.supply(k, [k, k + 1])
+    host.wait(30 * MS)
+
+    assert queue_after(host, (64, [64])) == 64
+    assert queue_after(host, (62, [62, 63])) == 64  # what agrees brings nothing
+    host.put(Start, k_stop=0)
+    got = samples(host.wait(2 * MS))
+    assert [m.queued for m in got] == [63, 62, 61]
+    host.supply(64, [64, 65])
+    got = samples(host.wait(1 * MS))
+    assert [m.queued for m in got] == [60, 59 + 2]
 
 
 def test_the_queue_is_empty_at_arm() -> None:
@@ -634,6 +655,18 @@ def test_a_sample_under_way_when_the_run_ends_tells_of_its_end() -> None:
         assert sample.queued == 0
         assert sample.u_km1 == (u_km1 if at_ns > HOLD_NS else 0)
         assert [c.volts for c in host.changes] == [0.0]
+
+
+def test_a_sample_of_the_run_takes_no_place_of_an_exchange_behind_it() -> None:
+    """Two EXCHANGEs wait while it is finished, and none is lost."""
+    host = in_state(State.ARMED, INSTANT)
+    until(host, host.put(Start, k_stop=0) + TS_NS + HOLD_NS)
+
+    host.put(Stop)
+    host.put(Exchange, k=7, u=0)
+    host.put(Exchange, k=8, u=0)
+
+    assert [m.k for m in samples(host.wait(5 * MS))] == [0, 7, 8]
 
 
 # ------------------------------------------------------------------ EXCHANGE beside it

@@ -1,0 +1,293 @@
+"""Oversampling and CAL against PROTOCOL.md, section 5, in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from armrig_daemon.emulator.cal import statistics
+from armrig_daemon.emulator.sensors import mean
+from armrig_protocol.messages import (
+    Ack,
+    Arm,
+    Cal,
+    CalReply,
+    Code,
+    Config,
+    Estop,
+    Event,
+    Exchange,
+    Flag,
+    Hello,
+    Keepalive,
+    Message,
+    Mode,
+    Ping,
+    Pong,
+    Sample,
+    Start,
+    State,
+    Stop,
+)
+from emulated_host import (
+    CONFIG,
+    CONVERSION_NS,
+    HOLD_NS,
+    MS,
+    QUIET,
+    SAMPLE_NS,
+    STATES,
+    US,
+    Host,
+    codes,
+    only,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+CAL_REPLY_NS = 260 * US  # 26 bytes at 1 Mbaud
+
+
+def reading(host: Host, theta_1: Iterable[int], alpha: Iterable[int]) -> list[tuple[str, int]]:
+    """Let the converter read these codes in turn; return what it will have read, and when."""
+    read: list[tuple[str, int]] = []
+    board = host.device.board
+    for name, values in (("theta_1", theta_1), ("alpha", alpha)):
+        turn = iter(values)
+
+        def take(t_ns: int, name: str = name, turn: Iterable[int] = turn) -> int:
+            read.append((name, t_ns))
+            return next(turn)  # type: ignore[call-overload, no-any-return]
+
+        setattr(board, name, take)
+    return read
+
+
+# ------------------------------------------------------------------ oversampling
+
+
+@pytest.mark.parametrize("m", [1, 2, 3, 8])
+def test_conversions_go_in_turn_and_theta_1_s_last_is_just_before_the_latch(m: int) -> None:
+    """t_us is the trigger of that one; the first was 2 m - 1 conversions before, at EXCHANGE."""
+    host = Host().reach(State.RUN, ts_us=5000, oversampling=m)
+    read = reading(host, range(1000, 1000 + m), range(2000, 2000 + m))
+    host.changes.clear()
+
+    t_ns = host.put(Exchange, k=1, u=30_000)
+    sample = only(Sample, host.wait(10 * MS))
+
+    held = [t_ns + i * CONVERSION_NS + HOLD_NS for i in range(2 * m)]
+    assert read == [(("alpha", "theta_1")[i % 2], held[i]) for i in range(2 * m)]
+    assert sample.t_us == (t_ns + (2 * m - 1) * CONVERSION_NS) // 1000
+    assert [c.t_ns for c in host.changes] == [held[-1]]
+    assert host.heard[-1].t_ns == t_ns + 2 * m * CONVERSION_NS + SAMPLE_NS
+    half_up = m // 2 if m % 2 == 0 else (m - 1) // 2
+    assert (sample.y0, sample.y1) == (1000 + half_up, 2000 + half_up)
+
+
+@pytest.mark.parametrize("m", [1, 3])
+def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
+    """Sample k at t_0 + k Ts whatever m; its first conversion is triggered before."""
+    host = Host().reach(State.ARMED, mode=Mode.SCHEDULED, ts_us=1000, oversampling=m)
+    t_0 = host.put(Start, k_stop=3) + 1000 * US
+    read = reading(host, [1000] * 3 * m, [2000] * 3 * m)
+
+    got = [one for one in host.wait(8 * MS) if isinstance(one, Sample)]
+
+    assert [one.t_us for one in got] == [t_0 // 1000 + k * 1000 for k in range(3)]
+    assert read[0] == ("alpha", t_0 - (2 * m - 1) * CONVERSION_NS + HOLD_NS)
+    assert not any(one.flags & Flag.TICK_LATE for one in got)
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("conversion_us", [104.0, 100.3])
+@pytest.mark.parametrize("m", [1, 2, 7, 255])
+def test_the_shortest_ts_grows_by_two_skews_with_each(
+    m: int, conversion_us: float, mode: Mode
+) -> None:
+    """BAD_VALUE below `ts_min_us` + 2 (m - 1) `skew_us`; at it no sample is late."""
+    host = Host(replace(QUIET, conversion_us=conversion_us))
+    hello = host.hello()
+    least = hello.ts_min_us + 2 * (m - 1) * hello.skew_us
+
+    assert host.configure(mode=mode, ts_us=least - 1, oversampling=m).code == Code.BAD_VALUE
+    assert host.configure(mode=mode, ts_us=least, oversampling=m).code == Code.OK
+    assert least >= 2 * m * conversion_us
+    if mode is Mode.SCHEDULED and m < 10:
+        host.reach(State.RUN, mode=mode, ts_us=least, oversampling=m)
+        got = [one for one in host.wait(20 * MS) if isinstance(one, Sample)]
+        assert len(got) > 5
+        assert not any(one.flags & Flag.TICK_LATE for one in got)
+
+
+def test_a_sample_has_the_oversampling_in_force_when_it_begins() -> None:
+    """CONFIG and STOP do not touch the one under way; without a configuration it is 1."""
+    host = Host().reach(State.READY, ts_us=5000, oversampling=4)
+    read = reading(host, [1000] * 20, [2000] * 20)
+    host.put(Exchange, k=1, u=0)
+    host.put(Config, **{**CONFIG, "ts_us": 5000, "oversampling": 2})
+    host.wait(3 * MS)
+    assert len(read) == 8
+
+    host.put(Exchange, k=2, u=0)
+    host.put(Stop)
+    host.wait(3 * MS)
+    assert len(read) == 12
+
+    host.ask(Exchange, k=3, u=0)
+    assert len(read) == 14
+
+
+def test_no_mean_is_made_across_the_dead_band() -> None:
+    """Where one of the codes is at a rail the reading is the last."""
+    assert mean([65_000, 64_900, 0, 700]) == 700
+    assert mean([64_900, 0, 0]) == 0
+    assert mean([65_472, 500]) == 500
+    assert mean([65_471, 500]) == 32_986
+    assert mean([64, 64]) == 64
+    assert mean([63, 100]) == 100
+
+
+@given(st.lists(st.integers(64, 65_471), min_size=1, max_size=255))
+def test_the_mean_is_the_nearest_code(read: list[int]) -> None:
+    """A tie goes up."""
+    assert 0 <= 2 * (mean(read) * len(read) - sum(read)) + len(read) - 1 < 2 * len(read)
+
+
+# ------------------------------------------------------------------ CAL
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize("state", [State.IDLE, State.READY])
+def test_cal_reads_one_channel_n_times(state: State, channel: int) -> None:
+    """One conversion after the other, whatever the oversampling; CAL_R when the last has ended."""
+    host = Host().reach(state, ts_us=5000, oversampling=4)
+    read = reading(host, [100, 200, 300, 401], [5, 6, 7, 8])
+
+    t_ns = host.put(Cal, channel=channel, zero=0, n=4)
+    reply = only(CalReply, host.wait(3 * MS))
+
+    name = ("theta_1", "alpha")[channel]
+    assert read == [(name, t_ns + i * CONVERSION_NS + HOLD_NS) for i in range(4)]
+    assert host.heard[-1].t_ns == t_ns + 4 * CONVERSION_NS + CAL_REPLY_NS
+    assert (reply.state, reply.channel, reply.zero, reply.n) == (state, channel, 0, 4)
+    assert (reply.least, reply.greatest) == ((100, 401), (5, 8))[channel]
+    mean_256 = (100 + 200 + 300 + 401) * 64, (5 + 6 + 7 + 8) * 64
+    assert reply.mean_256 == mean_256[channel]
+
+
+@given(st.lists(st.integers(0, 65_535), min_size=2, max_size=40))
+def test_cal_tells_mean_and_variance_in_256ths(read: list[int]) -> None:
+    """Rounded; the variance is over n - 1."""
+    found = statistics(read)
+
+    assert abs(found.mean_256 / 256 - np.mean(read)) <= 1 / 512 + 1e-6
+    variance = float(np.var(read, ddof=1))
+    assert abs(found.variance_256 - min(256 * variance, 2**32 - 1)) <= 0.51 + 1e-9 * variance
+
+
+def test_the_variance_is_bounded_and_that_of_one_reading_is_0() -> None:
+    """2^32 - 1 is the most that the field can say."""
+    assert statistics([0, 65_535]).variance_256 == 2**32 - 1
+    assert statistics([7]) == (7 * 256, 0, 7, 7)
+
+
+@pytest.mark.parametrize(
+    ("fields", "taken"),
+    [
+        ({"n": 0}, False),
+        ({"n": 1}, True),
+        ({"n": 1024}, True),
+        ({"n": 1025}, False),
+        ({"channel": 2}, False),
+        ({"zero": 1}, False),
+    ],
+)
+def test_a_cal_out_of_its_range_is_refused(fields: dict[str, int], taken: bool) -> None:
+    """BAD_VALUE."""
+    host = Host()
+
+    host.put(Cal, **{"channel": 0, "zero": 0, "n": 2, **fields})
+    came = host.wait(120 * MS)
+
+    assert codes(came) == ([] if taken else [Code.BAD_VALUE])
+    assert any(isinstance(m, CalReply) for m in came) is taken
+
+
+@pytest.mark.parametrize("state", [s for s in STATES if s not in (State.IDLE, State.READY)])
+def test_cal_is_taken_in_idle_and_ready_only(state: State) -> None:
+    """WRONG_STATE, and before BAD_VALUE."""
+    host = Host().reach(state)
+
+    assert codes(host.ask(Cal, channel=9, zero=0, n=1)) == [Code.WRONG_STATE]
+    assert host.device.state is state
+
+
+def test_while_a_sample_is_converted_cal_is_refused() -> None:
+    """WRONG_STATE, and the sample is not disturbed."""
+    host = Host()
+    host.put(Exchange, k=1, u=0)
+    host.put(Cal, channel=0, zero=0, n=1)
+
+    came = host.wait(3 * MS)
+
+    assert codes(came) == [Code.WRONG_STATE]
+    assert only(Sample, came).flags & Flag.TICK_LATE == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        (Exchange, {"k": 1, "u": 0}),
+        (Cal, {"channel": 1, "zero": 0, "n": 1}),
+        (Arm, {"boot_id": 0, "config_crc": 0, "nonce": 0}),
+    ],
+)
+def test_while_cal_is_under_way_the_converter_is_taken(
+    kind: type[Message], fields: dict[str, int]
+) -> None:
+    """EXCHANGE, CAL and ARM: WRONG_STATE, nothing changes, and CAL_R comes at its time."""
+    host = Host().reach(State.READY)
+    t_ns = host.put(Cal, channel=0, zero=0, n=100)
+    host.wait(2 * MS)
+
+    assert codes(host.ask(kind, **fields)) == [Code.WRONG_STATE]
+    assert host.device.state is State.READY
+
+    only(CalReply, host.wait(20 * MS))
+    assert host.heard[-1].t_ns == t_ns + 100 * CONVERSION_NS + CAL_REPLY_NS
+    if kind is Exchange:  # k was not taken, either
+        assert only(Sample, host.ask(Exchange, k=1, u=0)).k == 1
+
+
+def test_all_else_is_as_ever_during_cal_and_cal_goes_on() -> None:
+    """Into ESTOP, too: the motor is at 0 V there."""
+    host = Host()
+    host.put(Cal, channel=0, zero=0, n=300)
+    host.wait(2 * MS)
+
+    only(Pong, host.ask(Ping, host_ns=1))
+    assert host.ask(Keepalive) == []
+    host.hello()
+    assert host.configure().code == Code.OK
+    assert codes(host.ask(Stop)) == [Code.OK]
+    answers = host.ask(Estop)
+    assert [type(m) for m in answers] == [Ack, Event]
+
+    assert only(CalReply, host.wait(40 * MS)).state == State.ESTOP
+    assert not host.changes
+
+
+def test_cal_under_way_is_lost_by_a_reset() -> None:
+    """Nothing of it is left."""
+    host = Host()
+    host.put(Cal, channel=0, zero=0, n=300)
+    host.wait(2 * MS)
+
+    host.device.reset(host.now_ns)
+
+    assert not any(isinstance(m, CalReply) for m in host.wait(100 * MS))
+    only(Sample, host.ask(Exchange, k=1, u=0))
+    assert host.ask(Hello, version=2, schema=0)

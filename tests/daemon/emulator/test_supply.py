@@ -1,0 +1,115 @@
+"""The guard over the supply (PROTOCOL.md, section 7), in virtual time."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol.messages import (
+    Cause,
+    Event,
+    Exchange,
+    Flag,
+    Keepalive,
+    Message,
+    Sample,
+    Start,
+    State,
+    Status,
+)
+from emulated_host import MS, QUIET, STATES, US, Host, S, events, only
+from msgspec.structs import replace
+
+LOW = replace(QUIET, supply_v=3.999)
+SAGS = replace(QUIET, brown_out_s=0.33)  # BOOT ends at 5 ms: measured at 305 ms, and at 405 ms
+
+
+def alive(host: Host, until_ns: int) -> list[Message]:
+    """Return what comes until then, with a KEEPALIVE every 20 ms."""
+    came: list[Message] = []
+    while host.now_ns < until_ns:
+        host.put(Keepalive)
+        came += host.wait(min(20 * MS, until_ns - host.now_ns))
+    return came
+
+
+@pytest.mark.parametrize("state", [State.ARMED, State.RUN])
+def test_a_supply_that_falls_stops_the_motor_where_it_may_turn(state: State) -> None:
+    """At the measurement that finds it, every 100 ms: FAULT(VCC_LOW), with the mV as detail."""
+    host = Host(SAGS).reach(state)
+    if state is State.RUN:
+        host.ask(Exchange, k=1, u=60_000)
+
+    assert not events(alive(host, 404 * MS))
+    event = only(Event, alive(host, 410 * MS))
+
+    assert (event.was, event.state, event.cause) == (state, State.FAULT, Cause.VCC_LOW)
+    assert event.detail == 3500
+    assert event.t_us == 405_000
+    assert host.device.board.volts == 0.0
+
+
+@pytest.mark.parametrize("state", [s for s in STATES if s not in (State.ARMED, State.RUN)])
+def test_where_the_motor_is_off_a_low_supply_is_told_and_no_fault(state: State) -> None:
+    """The flag alone, from the first measurement on, which ends BOOT."""
+    host = Host(LOW)
+    assert only(Sample, host.ask(Exchange, k=0, u=0)).flags & Flag.VCC_LOW
+    host.reach(state)
+    if state is not State.FAULT:
+        sample = only(Sample, host.ask(Exchange, k=2, u=0))
+        assert sample.flags & Flag.VCC_LOW
+    assert host.device.cause is not Cause.VCC_LOW
+
+
+def test_4_v_are_enough() -> None:
+    """Below 4000 mV is low."""
+    host = Host(replace(QUIET, supply_v=4.0)).reach(State.RUN)
+
+    assert not events(alive(host, 300 * MS))
+    assert not only(Sample, host.ask(Exchange, k=1, u=0)).flags & Flag.VCC_LOW
+
+
+def test_a_low_supply_lets_nobody_drive_for_long() -> None:
+    """ARM and START are taken; the next measurement ends it."""
+    host = Host(LOW).reach(State.RUN)
+
+    assert (State.RUN, State.FAULT, Cause.VCC_LOW) in events(alive(host, 110 * MS))
+
+
+def test_a_measurement_waits_for_the_converter_and_no_sample_for_it() -> None:
+    """It comes as soon as no sample is converted."""
+    host = Host(SAGS).reach(State.RUN)
+    alive(host, 405 * MS - 300 * US)
+
+    host.put(Exchange, k=1, u=0)  # taken in 140 us before the measurement is due
+    came = host.wait(3 * MS)
+
+    sample, event = only(Sample, came), only(Event, came)
+    assert not sample.flags & (Flag.TICK_LATE | Flag.VCC_LOW)
+    assert event.t_us == sample.t_us + 104
+    assert event.t_us > 405_000
+
+
+def test_status_tells_the_supply_measured_last() -> None:
+    """In mV."""
+    assert only(Status, Host(SAGS).wait(1 * S)).vcc_mv == 3500
+    assert only(Status, Host().wait(1 * S)).vcc_mv == 5000
+
+
+def test_a_supply_that_comes_back_clears_the_flag_and_not_the_fault() -> None:
+    """What latched stays latched."""
+    host = Host(SAGS).reach(State.RUN)
+    alive(host, 410 * MS)
+    assert host.device.state is State.FAULT
+    host.device.board._browns_out = False
+    host.wait(200 * MS)
+
+    assert not only(Sample, host.ask(Exchange, k=1, u=0)).flags & Flag.VCC_LOW
+    assert host.device.state is State.FAULT
+    host.ask(Start, k_stop=0)
+    assert host.device.state is State.FAULT
+
+
+def test_the_settings_are_bounded() -> None:
+    """A supply that no board has is refused."""
+    with pytest.raises(ValueError, match="supply_v"):
+        EmulatorSettings(supply_v=9)
