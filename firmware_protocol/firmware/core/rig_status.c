@@ -7,18 +7,19 @@
 
 #define STATUS_US 1000000UL
 
-void rig_status_begin(void)
-{
-    const uint32_t now_us = board_now_us();
-    rig.status_us = now_us < STATUS_US ? STATUS_US : now_us;
-}
-
 // Adds the whole milliseconds that have passed since it was last called.
 static void count_uptime(uint32_t now_us)
 {
     const uint32_t ms = (now_us - rig.uptime_us) / 1000;
     rig.uptime_ms += ms;
     rig.uptime_us += ms * 1000;
+}
+
+void rig_status_begin(void)
+{
+    const uint32_t now_us = board_now_us();
+    rig.status_us = now_us < STATUS_US ? STATUS_US : now_us;
+    count_uptime(now_us);
 }
 
 // Returns the samples without a setpoint, which the interrupt counts.

@@ -19,6 +19,11 @@
 #define BOARD_TS_MIN_US 208
 #define BOARD_CAPABILITIES \
     (RIG_CAPABILITY_EXCHANGE | RIG_CAPABILITY_SCHEDULED | RIG_CAPABILITY_ENABLE_LINE)
-#define BOARD_RAM 4096
+#define BOARD_RAM 3500
+
+// Nothing interrupts it: the hardware calls in turn.
+#define BOARD_IRQ_INLINE
+static inline unsigned char board_irq_save(void) { return 0; }
+static inline void board_irq_restore(unsigned char before) { (void)before; }
 
 #endif

@@ -1,0 +1,41 @@
+// What tests look at, or set, in the core's state; a device has none of it.
+#include <string.h>
+
+#include "../../core/rig_state.h"
+#include "../../core/rig_motor.h" // rig_duty
+#include "pc_board.h"
+
+size_t pc_state_bytes(void) { return sizeof rig; }
+void pc_save(uint8_t *to) { memcpy(to, &rig, sizeof rig); }
+void pc_load(const uint8_t *from) { memcpy(&rig, from, sizeof rig); }
+
+uint8_t pc_state(void) { return rig.state; }
+uint8_t pc_cause(void) { return rig.cause; }
+uint32_t pc_fed_us(void) { return rig.fed_us; }
+uint16_t pc_watchdog_ms(void) { return rig.config.watchdog_ms; }
+uint32_t pc_ts_us(void) { return rig.config.ts_us; }
+uint16_t pc_u_rest(void) { return rig.config.u_rest; }
+uint16_t pc_u_seq(void) { return rig.motor.u_seq; }
+uint16_t pc_u_in_force(void) { return rig.queue.in_force.u; }
+
+// Returns the place of the EXCHANGE that came last.
+static const struct rig_asked *last_asked(void)
+{
+    return &rig.asked[(rig.asked_first + rig.asked_count - 1) % RIG_MOST_ASKED];
+}
+
+uint32_t pc_asked_k(void) { return last_asked()->k; }
+uint16_t pc_asked_seq(void) { return last_asked()->seq; }
+uint16_t pc_asked_u(void) { return rig.asked[rig.asked_first].u; }
+
+// Lets scheduled mode go on from sample `k`, as if so many had been taken.
+void pc_set_next(uint32_t k)
+{
+    rig.queue.next = rig.timed_k = k;
+}
+
+// Spoils the code that is to be latched next.
+void pc_spoil_next(uint16_t u)
+{
+    rig.queue.codes[rig.queue.first] = u;
+}

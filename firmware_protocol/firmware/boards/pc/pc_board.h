@@ -1,0 +1,33 @@
+// The board on a PC: time is given, and hardware is whoever sets the calls below.
+#ifndef PC_BOARD_H
+#define PC_BOARD_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+// What the core asks for, as in board.h.
+struct pc_hardware {
+    void (*motor_off)(void);
+    void (*motor_set)(uint16_t duty);
+    void (*convert_now)(void);
+    void (*timer_start)(uint32_t t0_us, uint32_t ts_us, uint32_t k_stop);
+    void (*timer_stop)(void);
+    bool (*send)(const uint8_t *bytes, uint8_t n);
+    uint32_t (*send_us)(void);
+    uint32_t (*token)(void);
+};
+
+// Plugs hardware in.
+void pc_plug(const struct pc_hardware *hardware);
+
+// Resets the processor: what follows is a boot with this id.
+void pc_reset(uint32_t boot_id, uint8_t reset_flags);
+
+// Sets the clock.
+void pc_set_time(uint32_t now_us);
+
+// Loses received bytes.
+void pc_lose(uint16_t bytes);
+
+#endif
