@@ -10,8 +10,7 @@
 #include <stdint.h>
 
 // `board_constants.h` defines, as integer constants:
-//   BOARD_QUEUE              setpoints held ahead; a power of two, at most RIG_QUEUE_CAPACITY
-//   BOARD_QUEUE_FRAMES       frames that these may have come in, at most 255 (3 B of RAM each)
+//   BOARD_QUEUE              setpoints held ahead; a power of two, 64 ... RIG_QUEUE_CAPACITY
 //   BOARD_ADC_BITS           of the converter
 //   BOARD_PWM_BITS           of the duty, 8 ... 15; 16: a duty of 65535 steps that is the code itself
 //   BOARD_SKEW_US            from alpha's trigger to theta_1's

@@ -34,11 +34,8 @@ uint8_t rig_length(uint8_t type)
     }
 }
 
-uint8_t rig_close(union rig_frame *frame)
+uint8_t rig_close(union rig_frame *frame, uint8_t length)
 {
-    const uint8_t length = rig_length(frame->message.header.type);
-    if (length == 0)
-        return 0;
     const uint32_t crc = rig_crc(frame->message.bytes, length - CRC_BYTES);
     memcpy(frame->message.bytes + length - CRC_BYTES, &crc, CRC_BYTES);
     rig_stuff(frame->wire, length + 1);

@@ -57,9 +57,8 @@ enum rig_opened {
 // Returns the decoded length of a type, header and CRC included; 0 where the schema has none such.
 uint8_t rig_length(uint8_t type);
 
-// Adds the CRC to the message, stuffs and ends it; returns its length on the wire, 0
-// where the schema has no such type.
-uint8_t rig_close(union rig_frame *frame);
+// Adds the CRC to the message of `length`, stuffs and ends it; returns its length on the wire.
+uint8_t rig_close(union rig_frame *frame, uint8_t length);
 
 // Unstuffs and checks the `n` bytes that came between two 00.
 enum rig_opened rig_open(union rig_frame *frame, uint8_t n);

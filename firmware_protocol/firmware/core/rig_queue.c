@@ -105,8 +105,8 @@ static bool publish(struct rig_queue *queue, const struct view *view, uint8_t n,
         in_time = false;
     } else if (n) {
         uint16_t frame = queue->first_frame + queue->frames;
-        if (frame >= BOARD_QUEUE_FRAMES)
-            frame -= BOARD_QUEUE_FRAMES;
+        if (frame >= RIG_QUEUE_FRAMES)
+            frame -= RIG_QUEUE_FRAMES;
         queue->frame_seqs[frame] = seq;
         queue->frame_codes[frame] = n;
         queue->frames++;
@@ -135,7 +135,7 @@ enum rig_put rig_queue_put(
                 return RIG_PUT_DISAGREES;
         }
         uint8_t n = 0;
-        if (view.frames < BOARD_QUEUE_FRAMES) {
+        if (view.frames < RIG_QUEUE_FRAMES) {
             for (; i < m->n && at < BOARD_QUEUE; i++, at++, n++)
                 queue->codes[(view.first + at) & MASK] = m->u[i];
         }
@@ -155,7 +155,7 @@ bool rig_queue_take(struct rig_queue *queue, const rig_config_t *config)
         queue->count--;
         if (--queue->frame_codes[queue->first_frame] == 0) {
             queue->frames--;
-            if (++queue->first_frame == BOARD_QUEUE_FRAMES)
+            if (++queue->first_frame == RIG_QUEUE_FRAMES)
                 queue->first_frame = 0;
         }
         queue->dry = 0;

@@ -10,8 +10,9 @@
 #include "board.h"
 
 _Static_assert((BOARD_QUEUE & (BOARD_QUEUE - 1)) == 0, "an index is masked");
-_Static_assert(BOARD_QUEUE >= RIG_SETPOINTS_PER_FRAME && BOARD_QUEUE <= RIG_QUEUE_CAPACITY, "queue");
-_Static_assert(BOARD_QUEUE_FRAMES >= 1 && BOARD_QUEUE_FRAMES <= BOARD_QUEUE, "frames");
+_Static_assert(BOARD_QUEUE >= 2 * RIG_SETPOINTS_PER_FRAME && BOARD_QUEUE <= RIG_QUEUE_CAPACITY, "queue");
+
+enum { RIG_QUEUE_FRAMES = BOARD_QUEUE / 8 }; // in which all that it holds may have come
 
 struct rig_setpoint {
     uint16_t u;
@@ -20,8 +21,8 @@ struct rig_setpoint {
 
 struct rig_queue {
     uint16_t codes[BOARD_QUEUE]; // written by main behind the last, read by both
-    uint16_t frame_seqs[BOARD_QUEUE_FRAMES]; // likewise
-    uint8_t frame_codes[BOARD_QUEUE_FRAMES]; // how many of its codes are left: likewise, then the interrupt's
+    uint16_t frame_seqs[RIG_QUEUE_FRAMES]; // likewise
+    uint8_t frame_codes[RIG_QUEUE_FRAMES]; // how many of its codes are left: likewise, then the interrupt's
     uint32_t next; // index of the next sample to be latched: the interrupt's
     uint16_t first, first_frame; // where its code and its frame are: the interrupt's
     uint16_t count, frames; // both add and take away, with interrupts off

@@ -13,7 +13,7 @@ union rig_message *rig_blank(void)
 void rig_send(uint8_t type)
 {
     rig.tx.message.header = (struct rig_header){.type = type, .state = rig.state, .seq = rig.tx_seq++};
-    if (!board_send(rig.tx.wire, rig_close(&rig.tx))) {
+    if (!board_send(rig.tx.wire, rig_close(&rig.tx, rig_length(type)))) {
         if (rig.counters.tx_dropped < UINT16_MAX)
             rig.counters.tx_dropped++;
         rig.new_flags |= RIG_FLAG_TX_DROP;

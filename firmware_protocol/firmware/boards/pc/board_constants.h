@@ -5,9 +5,6 @@
 #ifndef BOARD_QUEUE
 #define BOARD_QUEUE 512
 #endif
-#ifndef BOARD_QUEUE_FRAMES
-#define BOARD_QUEUE_FRAMES BOARD_QUEUE
-#endif
 #ifndef BOARD_ADC_BITS
 #define BOARD_ADC_BITS 10
 #endif
