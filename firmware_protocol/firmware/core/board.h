@@ -34,15 +34,17 @@ void board_motor_set(uint16_t duty);
 uint32_t board_now_us(void);
 
 // ------------------------------------------------------------- asked of a board: converter
-// Conversions are made in the order in which they were asked for or fell due; one that has to wait
-// begins when the one before it has ended.
+// A sample is 2 m conversions, alpha, theta_1, alpha, theta_1 ..., each triggered BOARD_SKEW_US after
+// the one before; m is what `rig_oversampling` says when the first is triggered. Samples are taken in
+// the order in which they were asked for or fell due; one that has to wait begins when the one
+// before it has ended.
 
-// Takes a sample as soon as the converter is free: alpha, then theta_1. At most two of these wait or
-// are under way at a time. From main, interrupts on.
+// Takes a sample as soon as the converter is free. At most two of these wait or are under way at a
+// time. From main, interrupts on.
 void board_convert_now(void);
 
-// Takes samples k = 0, 1, ... with theta_1's trigger at t0_us + k ts_us, without drift, and alpha's
-// BOARD_SKEW_US before it. `k_stop` not 0: sample k_stop is not taken; instead `rig_end` is called at
+// Takes samples k = 0, 1, ...; the last conversion of each, theta_1's, is triggered at t0_us + k ts_us,
+// without drift. `k_stop` not 0: sample k_stop is not taken; instead `rig_end` is called at
 // t0_us + k_stop ts_us + BOARD_HOLD_US, and the timer stops. From main, interrupts on; t0_us is one
 // Ts away.
 void board_timer_start(uint32_t t0_us, uint32_t ts_us, uint32_t k_stop);
@@ -50,6 +52,17 @@ void board_timer_start(uint32_t t0_us, uint32_t ts_us, uint32_t k_stop);
 // No further sample falls due; what has been triggered, or waits for the converter, is finished.
 // From main; also where no timer runs.
 void board_timer_stop(void);
+
+// Returns whether no sample is under way or waits. From main.
+bool board_converter_is_free(void);
+
+// Takes `n` conversions of one channel, 0 theta_1 or 1 alpha, BOARD_SKEW_US apart, from now on. The
+// converter is free, and no timer runs. From main.
+void board_convert_channel(uint8_t channel, uint16_t n);
+
+// Measures the supply when the converter is free and no sample has to wait for it, and calls
+// `rig_supply`; a board that cannot does nothing. From main.
+void board_measure_supply(void);
 
 // ------------------------------------------------------------- asked of a board: bytes out
 // Puts `n` bytes behind those that wait to leave, or none and returns false where they find no room.
@@ -65,7 +78,6 @@ uint32_t board_boot_id(void); // drawn at each boot, not 0; asked for once, by `
 uint32_t board_token(void); // drawn at each call, not 0
 uint32_t board_firmware_crc(void); // CRC-32 of the firmware's image
 uint8_t board_reset_flags(void); // of the processor as it gives them
-uint16_t board_vcc_mv(void); // the supply
 uint16_t board_isr_max_us(void); // longest interrupt since boot
 uint16_t board_stack_free(void); // least stack left since boot
 uint16_t board_rx_lost(void); // bytes lost in reception since the last call
@@ -98,14 +110,24 @@ enum {
     RIG_LATE = 2, // with either: its conversions had to wait for those of another
 };
 
-// theta_1 is being held: u acts now. From an interrupt at that instant.
+// Returns m of a sample whose first conversion is triggered now. From both contexts.
+uint8_t rig_oversampling(void);
+
+// A conversion has ended, of a sample or of board_convert_channel: channel 0 is theta_1, 1 alpha; the
+// code is left-justified to 16 bits. From an interrupt.
+void rig_reading(uint8_t channel, uint16_t code);
+
+// theta_1 is being held for its last conversion: u acts now. From an interrupt at that instant.
 void rig_latch(uint8_t what);
 
-// Both conversions have ended; after its rig_latch. From an interrupt, or with interrupts off.
-// t_us is theta_1's trigger; readings are left-justified to 16 bits.
-void rig_converted(uint8_t what, uint32_t t_us, uint16_t y1_alpha, uint16_t y0_theta_1);
+// All conversions of a sample have ended and were told; t_us is the trigger of the last. After its
+// rig_latch. From an interrupt.
+void rig_converted(uint8_t what, uint32_t t_us);
 
 // The last input was held for its whole Ts: the motor goes off. From an interrupt at that instant.
 void rig_end(void);
+
+// The supply was measured. From an interrupt, or at once from board_measure_supply.
+void rig_supply(uint16_t mv);
 
 #endif

@@ -9,10 +9,11 @@
 static bool is_allowed(const rig_config_t *m)
 {
     const bool has_enable = BOARD_CAPABILITIES & RIG_CAPABILITY_ENABLE_LINE;
-    return m->ts_us >= BOARD_TS_MIN_US && m->u_min <= m->u_max
+    const uint32_t ts_min_us = BOARD_TS_MIN_US + 2UL * BOARD_SKEW_US * (m->oversampling - 1);
+    return m->oversampling >= 1 && m->ts_us >= ts_min_us && m->u_min <= m->u_max
         && (m->u_rest == 0 || (has_enable && m->u_min <= m->u_rest && m->u_rest <= m->u_max))
         && m->watchdog_ms >= RIG_WATCHDOG_MIN_MS && m->watchdog_ms <= RIG_WATCHDOG_MAX_MS
-        && m->mode <= RIG_MODE_SCHEDULED && m->underrun <= RIG_UNDERRUN_HOLD && m->oversampling >= 1;
+        && m->mode <= RIG_MODE_SCHEDULED && m->underrun <= RIG_UNDERRUN_HOLD;
 }
 
 uint8_t rig_check_config(const rig_config_t *m)
@@ -20,7 +21,7 @@ uint8_t rig_check_config(const rig_config_t *m)
     if (!is_allowed(m))
         return RIG_CODE_BAD_VALUE;
     const bool has_timer = BOARD_CAPABILITIES & RIG_CAPABILITY_SCHEDULED;
-    if (m->oversampling != 1 || (m->mode == RIG_MODE_SCHEDULED && !has_timer))
+    if (m->mode == RIG_MODE_SCHEDULED && !has_timer)
         return RIG_CODE_UNSUPPORTED;
     return RIG_CODE_OK;
 }

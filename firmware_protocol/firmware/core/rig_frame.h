@@ -24,6 +24,7 @@ union rig_message {
     rig_exchange_t exchange;
     rig_setpoints_t setpoints;
     rig_ping_t ping;
+    rig_cal_t cal;
     rig_hello_r_t hello_r;
     rig_config_r_t config_r;
     rig_ack_t ack;
@@ -31,6 +32,7 @@ union rig_message {
     rig_status_t status;
     rig_sample_t sample;
     rig_pong_t pong;
+    rig_cal_r_t cal_r;
 };
 _Static_assert(sizeof(union rig_message) == RIG_MAX_DECODED, "message");
 

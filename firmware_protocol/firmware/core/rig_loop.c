@@ -1,12 +1,13 @@
 // What the board's endless loop calls: begin, bytes, poll.
 #include <string.h>
 
-#include "rig_motor.h" // rig_motor_cut
+#include "rig_cal.h" // rig_tell_cal
 #include "rig_requests.h" // rig_take
 #include "rig_sampling.h" // rig_tell_samples
 #include "rig_state.h" // rig
 #include "rig_states.h" // rig_enter
 #include "rig_status.h" // rig_tell_status
+#include "rig_supply.h" // rig_watch_supply
 #include "rig_transmission.h" // rig_send_break
 
 struct rig rig;
@@ -18,6 +19,7 @@ void rig_begin(void)
     rig.state = RIG_STATE_BOOT;
     rig.boot_id = rig.next_nonce = board_boot_id(); // so that no other boot has the same nonces
     rig_status_begin();
+    rig_supply_begin();
     rig_enter(RIG_STATE_IDLE, RIG_CAUSE_POWER_ON, 0);
     rig_send_break();
     rig_tell_transition();
@@ -72,6 +74,8 @@ void rig_poll(void)
         rig_count_lost(lost);
     rig_watch_run();
     rig_tell_samples();
+    rig_tell_cal();
+    rig_watch_supply();
     rig_tell_status();
     board_feed_watchdog();
 }

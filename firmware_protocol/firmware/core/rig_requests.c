@@ -2,6 +2,7 @@
 
 #include "rig_requests.h"
 
+#include "rig_cal.h" // rig_take_cal
 #include "rig_sampling.h" // rig_ask
 #include "rig_setpoints.h" // rig_take_setpoints
 #include "rig_state.h" // rig
@@ -38,7 +39,7 @@ static uint8_t fault_of(const rig_exchange_t *m)
 // Samples, and in RUN lets u act.
 static void take_exchange(const union rig_message *m)
 {
-    if (rig_is_timed()) {
+    if (rig_is_timed() || rig.cal.is_under_way) {
         rig_answer(&m->header, RIG_CODE_WRONG_STATE);
         return;
     }
@@ -141,6 +142,6 @@ void rig_take(const union rig_message *m)
     case RIG_TYPE_SETPOINTS: rig_take_setpoints(m); break;
     case RIG_TYPE_PING: take_ping(&m->ping); break;
     case RIG_TYPE_KEEPALIVE: break;
-    default: rig_answer(&m->header, RIG_CODE_UNSUPPORTED); break; // CAL
+    case RIG_TYPE_CAL: rig_take_cal(m); break;
     }
 }

@@ -3,6 +3,7 @@
 #include "rig_motor.h" // rig_motor_latch, rig_code
 #include "rig_state.h" // rig
 #include "rig_states.h" // rig_enter
+#include "rig_supply.h" // rig_supply_is_low
 #include "rig_transmission.h" // rig_send
 
 void rig_ask(const rig_exchange_t *m, bool drives)
@@ -30,7 +31,43 @@ void rig_latch(uint8_t what)
     }
 }
 
-void rig_converted(uint8_t what, uint32_t t_us, uint16_t y1_alpha, uint16_t y0_theta_1)
+uint8_t rig_oversampling(void)
+{
+    const uint8_t m = rig.config.oversampling;
+    return m ? m : 1; // 0 where no configuration is in force
+}
+
+void rig_reading(uint8_t channel, uint16_t code)
+{
+    if (rig.cal.is_under_way) {
+        rig_cal_add(code);
+        return;
+    }
+    struct rig_readings *readings = &rig.readings[channel];
+    readings->sum += code;
+    readings->last = code;
+    readings->n++;
+    readings->at_rail |= rig_at_rail(code);
+}
+
+// Returns the reading of a sample, and begins the next one. From an interrupt.
+static struct rig_mean gathered(struct rig_readings *readings)
+{
+    struct rig_mean mean = {.sum = readings->sum, .n = readings->n};
+    // Between both ends of a track, across the dead band, lies an angle that the shaft never had.
+    if (readings->at_rail)
+        mean = (struct rig_mean){.sum = readings->last, .n = 1};
+    *readings = (struct rig_readings){0};
+    return mean;
+}
+
+// Returns the mean of a reading, a tie up.
+static uint16_t mean_of(const struct rig_mean *mean)
+{
+    return mean->n == 1 ? (uint16_t)mean->sum : (uint16_t)((mean->sum + mean->n / 2) / mean->n);
+}
+
+void rig_converted(uint8_t what, uint32_t t_us)
 {
     uint32_t k;
     if (what & RIG_TIMED) {
@@ -40,7 +77,10 @@ void rig_converted(uint8_t what, uint32_t t_us, uint16_t y1_alpha, uint16_t y0_t
         rig.asked_first = (rig.asked_first + 1) % RIG_MOST_ASKED;
         rig.asked_count--;
     }
-    const uint16_t flags = (what & RIG_LATE ? RIG_FLAG_TICK_LATE : 0) | (rig.ran_dry ? RIG_FLAG_UNDERRUN : 0);
+    const struct rig_mean y0 = gathered(&rig.readings[0]), y1 = gathered(&rig.readings[1]);
+    uint16_t flags = rig.ran_dry ? RIG_FLAG_UNDERRUN : 0;
+    if (what & RIG_LATE)
+        flags |= RIG_FLAG_TICK_LATE;
     rig.ran_dry = false;
     if (rig.taken_count == RIG_MOST_TAKEN) { // main stands still: what is lost is a break in k
         rig.taken_lost++;
@@ -49,8 +89,7 @@ void rig_converted(uint8_t what, uint32_t t_us, uint16_t y1_alpha, uint16_t y0_t
     rig.taken[(rig.taken_first + rig.taken_count) % RIG_MOST_TAKEN] = (struct rig_taken){
         .k = k,
         .t_us = t_us,
-        .y0 = y0_theta_1,
-        .y1 = y1_alpha,
+        .y = {y0, y1},
         .duty = rig.motor.duty,
         .duty_before = rig.motor.duty_before,
         .u_seq = rig.motor.u_seq,
@@ -85,11 +124,12 @@ static uint16_t state_flags(void)
 }
 
 // Sends SAMPLE. The state and the code are those of now: outside RUN the motor has 0 V.
-static void tell_sample(const struct rig_taken *taken)
+static void tell_sample(const struct rig_taken *taken, uint16_t y0, uint16_t y1)
 {
     uint16_t flags = taken->flags | rig.new_flags | state_flags();
-    flags |= rig_at_rail(taken->y0) ? RIG_FLAG_ADC0_RAIL : 0;
-    flags |= rig_at_rail(taken->y1) ? RIG_FLAG_ADC1_RAIL : 0;
+    flags |= rig_at_rail(y0) ? RIG_FLAG_ADC0_RAIL : 0;
+    flags |= rig_at_rail(y1) ? RIG_FLAG_ADC1_RAIL : 0;
+    flags |= rig_supply_is_low() ? RIG_FLAG_VCC_LOW : 0;
     rig.new_flags = 0;
     if (flags & RIG_FLAG_TICK_LATE && rig.counters.late < UINT16_MAX)
         rig.counters.late++;
@@ -98,8 +138,8 @@ static void tell_sample(const struct rig_taken *taken)
     m->echo = rig.newest;
     m->k = taken->k;
     m->t_us = taken->t_us;
-    m->y0 = taken->y0;
-    m->y1 = taken->y1;
+    m->y0 = y0;
+    m->y1 = y1;
     if (rig.state == RIG_STATE_RUN) {
         m->u_k = rig_code(taken->duty);
         m->u_seq = taken->u_seq;
@@ -113,13 +153,13 @@ static void tell_sample(const struct rig_taken *taken)
 // Judges a sample in RUN by the guards, tells it, and then the fault.
 static void judge_and_tell(const struct rig_taken *taken)
 {
+    const uint16_t y0 = mean_of(&taken->y[0]), y1 = mean_of(&taken->y[1]);
     uint8_t cause = RIG_CAUSE_NONE;
     if (rig.state == RIG_STATE_RUN)
-        cause = rig_watch(
-            &rig.guards, taken->y0, taken->y1, rig.config.rail_ticks, rig.config.turns);
+        cause = rig_watch(&rig.guards, y0, y1, rig.config.rail_ticks, rig.config.turns);
     if (cause != RIG_CAUSE_NONE)
         rig_enter(RIG_STATE_FAULT, cause, 0);
-    tell_sample(taken);
+    tell_sample(taken, y0, y1);
     if (cause != RIG_CAUSE_NONE)
         rig_tell_transition();
 }

@@ -1,5 +1,5 @@
 // Samples: the latch of u, the guards, SAMPLE (PROTOCOL.md, sections 5 to 7).
-// `rig_latch`, `rig_converted` and `rig_end` are in board.h.
+// `rig_oversampling`, `rig_reading`, `rig_latch`, `rig_converted` and `rig_end` are in board.h.
 #ifndef RIG_SAMPLING_H
 #define RIG_SAMPLING_H
 

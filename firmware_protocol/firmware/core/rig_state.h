@@ -3,6 +3,7 @@
 #define RIG_STATE_H
 
 #include "board.h"
+#include "rig_cal.h"
 #include "rig_frame.h"
 #include "rig_guards.h"
 #include "rig_queue.h"
@@ -19,10 +20,24 @@ struct rig_asked {
     bool drives; // u is to be latched: it was asked for in this RUN
 };
 
+// What has been read of one channel for the sample under way.
+struct rig_readings {
+    uint32_t sum;
+    uint16_t last;
+    uint8_t n;
+    bool at_rail; // one of them
+};
+
+// A reading that is to be divided yet: an interrupt has no time for it.
+struct rig_mean {
+    uint32_t sum;
+    uint8_t n;
+};
+
 // A sample that was taken and not told yet.
 struct rig_taken {
     uint32_t k, t_us;
-    uint16_t y0, y1;
+    struct rig_mean y[2]; // theta_1, alpha
     uint16_t duty, duty_before; // after the latch, at the end of the conversions; before the latch
     uint16_t u_seq;
     uint16_t flags;
@@ -84,10 +99,17 @@ struct rig {
     struct rig_taken taken[RIG_MOST_TAKEN];
     uint8_t taken_first;
     volatile uint8_t taken_count;
+    struct rig_readings readings[2]; // theta_1, alpha: the interrupt's
+    struct rig_cal cal;
     uint8_t taken_lost; // for want of room, since main last looked
     uint32_t timed_k; // of the timer's next sample to be converted: the interrupt's while it runs
     bool ran_dry; // the sample under way had no setpoint: the interrupt's
     volatile bool ended; // the last input was held for its Ts: the interrupt sets it, main clears it
+
+    uint16_t supply_mv; // as measured last, 0 where it is not; the interrupt's
+    volatile bool is_measured; // the interrupt sets it, main clears it
+    bool is_measuring; // asked for and not measured yet; main's
+    uint32_t supply_us; // when it is to be asked for; main's
 
     struct rig_motor motor;
     struct rig_queue queue;

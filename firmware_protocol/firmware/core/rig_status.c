@@ -3,6 +3,7 @@
 #include "rig_status.h"
 
 #include "rig_state.h" // rig
+#include "rig_supply.h" // rig_supply_mv
 #include "rig_transmission.h" // rig_send
 
 #define STATUS_US 1000000UL
@@ -40,7 +41,7 @@ void rig_tell_status(void)
     count_uptime(now_us);
     rig_status_t *m = &rig_blank()->status;
     m->boot = (uint16_t)rig.boot_id;
-    m->vcc_mv = board_vcc_mv();
+    m->vcc_mv = rig_supply_mv();
     m->uptime_ms = rig.uptime_ms;
     m->frames = rig.counters.frames;
     m->spoilt = rig.counters.spoilt;

@@ -58,7 +58,7 @@ void rig_take_config(const rig_config_t *m)
 
 void rig_take_arm(const union rig_message *m)
 {
-    if (rig.state != RIG_STATE_READY) {
+    if (rig.state != RIG_STATE_READY || rig.cal.is_under_way) {
         rig_answer(&m->header, RIG_CODE_WRONG_STATE);
     } else if (m->arm.boot_id != rig.boot_id) {
         rig_answer(&m->header, RIG_CODE_WRONG_BOOT);

@@ -42,6 +42,9 @@ void board_timer_start(uint32_t t0_us, uint32_t ts_us, uint32_t k_stop)
 }
 
 void board_timer_stop(void) { hardware.timer_stop(); }
+bool board_converter_is_free(void) { return hardware.converter_is_free(); }
+void board_convert_channel(uint8_t channel, uint16_t n) { hardware.convert_channel(channel, n); }
+void board_measure_supply(void) { hardware.measure_supply(); }
 bool board_send(const uint8_t *bytes, uint8_t n) { return hardware.send(bytes, n); }
 uint32_t board_send_us(void) { return hardware.send_us(); }
 uint64_t board_uid(void) { return 0x726F74616C756D65; } // "emulator"
@@ -49,7 +52,6 @@ uint32_t board_boot_id(void) { return pc.boot_id; }
 uint32_t board_token(void) { return hardware.token(); }
 uint32_t board_firmware_crc(void) { return 0; }
 uint8_t board_reset_flags(void) { return pc.reset_flags; }
-uint16_t board_vcc_mv(void) { return 5000; }
 uint16_t board_isr_max_us(void) { return 0; }
 uint16_t board_stack_free(void) { return UINT16_MAX; }
 

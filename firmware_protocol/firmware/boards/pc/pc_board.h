@@ -13,6 +13,9 @@ struct pc_hardware {
     void (*convert_now)(void);
     void (*timer_start)(uint32_t t0_us, uint32_t ts_us, uint32_t k_stop);
     void (*timer_stop)(void);
+    bool (*converter_is_free)(void);
+    void (*convert_channel)(uint8_t channel, uint16_t n);
+    void (*measure_supply)(void);
     bool (*send)(const uint8_t *bytes, uint8_t n);
     uint32_t (*send_us)(void);
     uint32_t (*token)(void);
