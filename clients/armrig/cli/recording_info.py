@@ -98,6 +98,8 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     if verbose:
         yield "sha256", rec.sha256
     yield "run", f"{manifest.run_id} of rig {manifest.rig}, {manifest.started}"
+    if manifest.owner:
+        yield "owner", manifest.owner
     yield "experiment", f"{manifest.experiment}: {details}" if details else manifest.experiment
     yield "samples", _sample_count(rec)
     yield "outcome", _outcome(rec)

@@ -1148,6 +1148,17 @@ def test_info_of_a_recording_cut_off_at_once_says_what_is_not_known(
     assert "nan" not in of_cut + of_short
 
 
+def test_info_says_who_ran_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As he called himself and, where the daemon checked it, by his certificate."""
+    owner = "group 3\x1b[2J (certificate alice)"
+    path = written(tmp_path, recorded([sample(0)], manifest=manifest(owner=owner)))
+
+    assert main(["info", str(path)]) == 0
+
+    said = capsys.readouterr().out
+    assert re.search(r"^owner +group 3\\x1b\[2J \(certificate alice\)$", said, re.MULTILINE)
+
+
 def test_info_of_a_cut_file_does_not_call_the_run_cut_short(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
