@@ -54,3 +54,10 @@ def test_the_unit_is_exposed_to_little(unit: Path) -> None:
     found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", judged.stdout)
     assert found, judged.stdout
     assert float(found[1]) <= MOST_EXPOSED
+
+
+def test_the_unit_starts_nothing_that_a_small_system_has_not() -> None:
+    """Our program and the shell: an empty Debian has no kill, which is part of procps."""
+    started = re.findall(r"^Exec\w+=[-@:+!]*(\S+)", UNIT.read_text(encoding="utf-8"), re.MULTILINE)
+
+    assert set(started) == {"/opt/armrig/bin/armrigd", "/bin/sh"}

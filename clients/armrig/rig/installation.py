@@ -197,9 +197,8 @@ def _program() -> str:
     for needed in (program, Path(sys.base_prefix)):
         hidden = next((top for top in _UNSEEN if needed.is_relative_to(top)), "")
         if hidden:
-            msg = f"{needed}: the service sees nothing of {hidden}; "
-            msg += "install armrig into /opt/armrig with /usr/bin/python3, "
-            msg += "and run /opt/armrig/bin/armrig service install"
+            msg = f"{needed}: the service sees nothing of {hidden}; install armrig into "
+            msg += "/opt/armrig with /usr/bin/python3, and run its armrig service install"
             raise ValueError(msg)
     return str(program)
 

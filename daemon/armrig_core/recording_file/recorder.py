@@ -238,7 +238,8 @@ class Recording:
             self._give_up(worse)
         else:
             self._parts.append(self._part)
-            self.error = f"{self.kept}: {err}; the recording ends there, whole up to then"
+            self.error = f"{self.kept}: {err}; the recording ends there, whole up to then: "
+            self.error += "free the disk"
 
     def _flush(self) -> None:
         self._part.flush()

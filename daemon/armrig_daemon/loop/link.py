@@ -114,13 +114,17 @@ def _reason(port: str, err: Exception) -> tuple[type[LinkError], str]:
     if not Path(port).exists():
         return (
             NoPortError,
-            "it is not there; see that the rig is plugged in, and that this is its port",
+            "it is not there; plug the rig in, or give its port as [device] port",
         )
     text = str(err).lower()
     if not Path(port).is_char_device() or "inappropriate ioctl" in text:
         return LinkError, "it is no serial port; give that of the rig, such as /dev/ttyACM0"
     if "exclusively lock" in text or "busy" in text:
-        return TakenPortError, "it is taken by another program; end that one"
+        return (
+            TakenPortError,
+            "it is taken by another program, maybe another rig's daemon; end that one, or give "
+            "this rig a port of its own",
+        )
     if "permission" in text:
         return LinkError, "not permitted; add this user to the group of the port (dialout)"
     return LinkError, str(err).splitlines()[0]

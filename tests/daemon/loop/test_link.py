@@ -96,7 +96,9 @@ def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
     _, port = terminal
     link = Link(port, 115_200)
 
-    with pytest.raises(LinkError, match="taken by another program; end that one"):
+    with pytest.raises(
+        LinkError, match="taken by another program, maybe another rig's daemon; end that"
+    ):
         Link(port, 115_200)
 
     link.close()

@@ -57,7 +57,10 @@ def _check(path: Path, recorded: int, error: str) -> None:
     assert (loaded.outcome.outcome, loaded.outcome.samples) == (ENDED, recorded)
     (file,) = [c for c in verify(path).checks if c.about == "file"]
     assert file.result == "passed"
-    assert error == (f"{path}: No space left on device; the recording ends there, whole up to then")
+    assert error == (
+        f"{path}: No space left on device; the recording ends there, whole up to then: "
+        "free the disk"
+    )
 
 
 _ON_A_SMALL_DISK = """

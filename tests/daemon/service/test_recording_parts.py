@@ -228,7 +228,7 @@ def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
         )
 
     told = f"{recording.kept}: No space left on device; part 2 cannot be begun"
-    assert recording.error == f"{told}; the recording ends there, whole up to then"
+    assert recording.error == f"{told}; the recording ends there, whole up to then: free the disk"
     assert [p.name for p in tmp_path.iterdir()] == ["run.part-0001.mcap"]
     loaded = armrig.load(recording.kept)
     assert (loaded.truncated, loaded.samples.size, recording.synced) == (False, 60, 60)
