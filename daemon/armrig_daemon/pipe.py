@@ -39,6 +39,8 @@ class Log(Tagged, frozen=True, kw_only=True):
     t_host_ns: int
     level: str
     message: str
+    fields: dict[str, str] = {}
+    """What it is about, for programs: `rig`, `run`, `owner`, `command`, `cause`."""
 
 
 class Distribution(Tagged, frozen=True, kw_only=True):

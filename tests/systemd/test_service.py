@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
+from armrig_daemon.core.faults import Id
 from machine import Machine, wait_for
 from served_rig import Rig
 
@@ -82,6 +85,53 @@ def test_a_member_of_the_group_operates_the_rig_and_nobody_else(rig: Rig) -> Non
     name = f"/var/lib/armrig/recordings/{recording.name}"
     machine.run("armrig", "info", name, user="student")
     assert machine.run("armrig", "info", name, user="stranger", check=False).returncode == 1
+
+
+def _about(machine: Machine, **fields: str) -> list[dict[str, Any]]:
+    """Return the entries of the journal with these fields, the oldest first."""
+    machine.run("journalctl", "--sync")
+    wanted = [f"ARMRIG_{name.upper()}={value}" for name, value in fields.items()]
+    found = machine.run("journalctl", "--no-pager", "-o", "json", *wanted).stdout
+    return [json.loads(line) for line in found.splitlines()]
+
+
+def test_the_journal_can_be_asked_what_a_line_is_about(rig: Rig) -> None:
+    """Who armed, ran and stopped, in which run, and why it ended; of this unit, with priorities."""
+    machine = rig.machine
+    rig.drive()
+    rig.armrig("stop", "--owner", "the next")
+    wait_for(lambda: rig.phase() == "safe")
+    wait_for(lambda: _about(machine, cause="stopped by the next", command="stop"))
+
+    *_, run = _about(machine, rig="1", command="run", owner="group 3")
+    *_, stop = _about(machine, rig="1", command="stop")
+    wait_for(lambda: "recorded" in _about(machine, run=run["ARMRIG_RUN"])[-1]["MESSAGE"])
+    end = _about(machine, run=run["ARMRIG_RUN"])[-1]
+
+    assert run["MESSAGE"] == "run: by group 3"
+    assert stop["ARMRIG_OWNER"] == "the next"
+    assert end["ARMRIG_CAUSE"].startswith("stopped by the next")
+    assert {line["_SYSTEMD_UNIT"] for line in (run, stop, end)} == {rig.unit}
+    assert {line["PRIORITY"] for line in (run, stop, end)} == {"6"}
+    assert {line["SYSLOG_IDENTIFIER"] for line in (run, stop, end)} == {"armrigd"}
+
+
+def test_a_trip_is_in_the_journal_with_its_cause(rig: Rig) -> None:
+    """By the id that does not change from release to release."""
+    machine = rig.machine
+    rig.drive()
+
+    machine.systemctl("kill", "--signal=STOP", f"rig@{rig.id}")
+    try:
+        wait_for(lambda: rig.phase() == "fault")
+    finally:
+        machine.systemctl("kill", "--signal=CONT", f"rig@{rig.id}")
+
+    *_, trip = (x for x in _about(machine, rig="1") if x["MESSAGE"].startswith("stopped at 0 V"))
+    assert trip["ARMRIG_CAUSE"] in {*Id}  # another one where the machine stalls, too
+    assert trip["PRIORITY"] == "3"
+    assert trip["ARMRIG_OWNER"] == "group 3"
+    assert trip["ARMRIG_RUN"]
 
 
 def test_a_stop_in_a_run_ends_at_0_v_with_the_file_finished(rig: Rig, second: Rig) -> None:
@@ -251,7 +301,10 @@ def test_two_units_on_one_port_leave_the_first_in_its_run(rig: Rig) -> None:
 
     assert left == GIVEN_UP
     (error,) = (line for line in lines if line.startswith("3 "))
-    assert "/run/rig1/tty cannot be opened: it is taken by another program; end that" in error
+    assert (
+        "/run/rig1/tty cannot be opened: it is taken by another program, maybe another rig's"
+        in error
+    )
     assert _goes_on(rig), rig.status()
 
 
@@ -263,7 +316,7 @@ def test_a_port_that_is_not_there_is_waited_for(machine: Machine) -> None:
 
     told = [line["MESSAGE"] for line in machine.journal("armrigd@5.service")]
 
-    assert sum("/dev/armrig-none cannot be opened: it is not there; see" in t for t in told) == 1
+    assert sum("/dev/armrig-none cannot be opened: it is not there; plug" in t for t in told) == 1
     machine.systemctl("stop", "armrigd@5")
 
 
@@ -286,10 +339,35 @@ def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
         assert _is_at_rest(rig)
         assert _restarts(rig) == 0
         (error,) = _errors(rig, before)
-        assert "No space left on device; the recording ends there, whole up to then" in error
+        assert error.endswith(
+            "No space left on device; the recording ends there, whole up to then: free the disk"
+        )
     finally:
         machine.systemctl("stop", rig.unit)
         machine.run("umount", "/var/lib/armrig")
+
+
+def test_a_folder_that_cannot_be_written_is_told_at_the_start(rig: Rig) -> None:
+    """As root makes one: who gives it to the daemon is told how, before the first run."""
+    machine = rig.machine
+    folder = "/srv/recordings"
+    machine.run("mkdir", "-p", folder)
+    drop_in = Path("/etc/systemd/system/armrigd@1.service.d/folder.conf")
+    machine.write(drop_in, f"[Service]\nEnvironment=ARMRIG_RECORDING_DIRECTORY={folder}\n")
+    machine.systemctl("daemon-reload")
+    before = len(rig.said())
+    try:
+        machine.systemctl("restart", rig.unit)
+        told = [line for priority, line in rig.said()[before:] if priority == "4"]
+    finally:
+        machine.path(drop_in).unlink()
+        machine.systemctl("daemon-reload")
+        machine.systemctl("restart", rig.unit)
+
+    assert (
+        f"nothing can be recorded: {folder}: not writable; `install -d -o armrig {folder}` and "
+        "start the daemon anew, or set [recording] directory"
+    ) in told
 
 
 def test_what_is_installed_is_told(rig: Rig) -> None:

@@ -53,9 +53,9 @@ def send(state: State, now_ns: int, data: bytes) -> Step:
     return replace(state, seq=seq, any_ns=now_ns, beats=beats), [Send(data)]
 
 
-def log(now_ns: int, level: str, message: str) -> Action:
-    """Return a line for a person."""
-    return Emit(Log(t_host_ns=now_ns, level=level, message=message))
+def log(now_ns: int, level: str, message: str, **fields: str) -> Action:
+    """Return a line for a person, and what it is about."""
+    return Emit(Log(t_host_ns=now_ns, level=level, message=message, fields=fields))
 
 
 def answer(order: Order | None, body: dict[str, object]) -> list[Action]:

@@ -301,7 +301,7 @@ def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
     done = refuse(asked.order, fault.cause)
     if state.fault != fault:
         state = replace(state, phase=Phase.FAULT, fault=fault)
-        done.append(log(now_ns, "error", sentence(fault)))
+        done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
     return state, [*done, say_state(state, now_ns)]  # in any case: the device is known again
 
 

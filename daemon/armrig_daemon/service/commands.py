@@ -81,9 +81,15 @@ class Commands:
         runs: Runs,
         session: Session,
         loop: LoopChild,
-        say: Callable[[str, str], None],
+        say: Callable[..., None],
     ) -> None:
-        """Begin with nobody holding the rig; `say` takes the level and the text of a line."""
+        """Begin with nobody holding the rig.
+
+        Parameters
+        ----------
+        say : callable
+            Takes the level and the text of a line, and what it is about by keyword.
+        """
         self._config = config
         self._rig = rig
         self._runs = runs
@@ -149,7 +155,9 @@ class Commands:
             self._n = max(self._n, waiting.order.n)
         waiting.command.answer(waiting.body or answer.body)
         if not isinstance(waiting.order, SetVoltage):
-            self._say("info", f"{waiting.command.name}: by {waiting.who or _SOMEBODY}")
+            name, who = waiting.command.name, waiting.who or _SOMEBODY
+            cause = waiting.order.reason if isinstance(waiting.order, Halt) else ""
+            self._say("info", f"{name}: by {who}", command=name, owner=who, cause=cause)
 
     def refuse_overdue(self) -> None:
         """Refuse what the loop has not answered in time."""

@@ -85,6 +85,11 @@ class Runs:
         )
 
     @property
+    def run_id(self) -> str:
+        """Id of the run in hand, or nothing."""
+        return "" if self.is_idle or self.last is None else self.last.run_id
+
+    @property
     def is_idle(self) -> bool:
         """Whether no run is in hand."""
         return self._planned is None and self._recording is None and self._finishing is None

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import os
 import sys
+from collections.abc import Mapping
 from datetime import datetime, timedelta
 
+from armrig_core.endpoint import network_address
 from armrig_core.printable import printable
 
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import State
 from armrig_daemon.service.access import Network
-from armrig_daemon.service.systemd import journal_prefix
+from armrig_daemon.service.systemd import journal_entry, journal_prefix, send_to_journal
 
 _SOON = timedelta(days=30)
 
@@ -34,6 +37,27 @@ def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
     return f"{endpoint}: {str(err).splitlines()[0][:200]}; see that the directory can be written"
 
 
+def unreachable(endpoint: str, devices: str) -> str:
+    """Return why nobody can reach us at the endpoint of a network, or nothing.
+
+    Parameters
+    ----------
+    devices : str
+        What /proc/net/dev holds: two lines of headings, then one for each interface.
+    """
+    interfaces = {line.split(":")[0].strip() for line in devices.splitlines()[2:]}
+    host, _ = network_address(endpoint) or ("", 0)
+    with contextlib.suppress(ValueError):  # a name may lead anywhere
+        if ipaddress.ip_address(host).is_loopback:
+            return ""
+    if interfaces - {"lo"}:
+        return ""
+    return (
+        f"[access] listen = {endpoint!r}: there is no interface but the loopback: nobody can "
+        "connect; in a service PrivateNetwork=no is missing, see docs/access.md"
+    )
+
+
 def listening(network: Network, now: datetime) -> tuple[str, str]:
     """Return, with its level, who may come over a network, and until when."""
     who = f"{network.operators} may drive and {network.observers} may watch, by {network.known_by}"
@@ -52,6 +76,11 @@ def network_error(endpoint: str, err: Exception) -> str:
         return f"[access] listen = {endpoint!r}: another program listens there; take another port"
     if "os error 99" in str(err):  # EADDRNOTAVAIL
         return f"[access] listen = {endpoint!r}: this machine has no such address"
+    if "os error 97" in str(err):  # EAFNOSUPPORT
+        return (
+            f"[access] listen = {endpoint!r}: the sandbox lets no network in; open one by "
+            "`systemctl edit armrigd@ID`, as docs/access.md shows"
+        )
     if "os error 13" in str(err):  # EACCES
         return f"[access] listen = {endpoint!r}: not permitted; take a port from 1024 on"
     reason = str(err).splitlines()[0][:200]
@@ -74,12 +103,17 @@ def log_prefix(level: str) -> str | None:
     return journal_prefix(level, os.fstat(2), stream) if stream else None
 
 
-def print_line(level: str, message: str) -> None:
+def print_line(level: str, message: str, fields: Mapping[str, str] | None = None) -> None:
     """Say a line on standard error; that nobody reads it must not end the service.
 
-    To a terminal with who says it, to the journal, which knows that, with its priority.
+    To a terminal with who says it; to the journal, which knows that, with its priority and with
+    the fields that it is given, which a terminal is not shown.
     """
     with contextlib.suppress(OSError):
         prefix = log_prefix(level)
+        if prefix is not None and fields:
+            shown = {name: printable(value) for name, value in fields.items()}
+            if send_to_journal(journal_entry(level, printable(message), shown)):
+                return
         line = f"armrigd: {level}: {message}" if prefix is None else f"{prefix}{message}"
         print(printable(line), file=sys.stderr, flush=True)

@@ -58,6 +58,7 @@ from armrig_daemon.service.sentences import (
     print_line,
     served,
     state_sentence,
+    unreachable,
 )
 from armrig_daemon.service.systemd import Notifier
 from armrig_daemon.service.thinning import Thinning
@@ -146,8 +147,12 @@ class Service:
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
                 if network is not None:
                     self._say(*listening(network, datetime.now(UTC)))
+                    if told := unreachable(network.endpoint, Path("/proc/net/dev").read_text()):
+                        self._say("warning", told)
                 by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
                 self._say("info", served(config, by))
+                if objection := self._runs.no_room():  # now, and not at the first run
+                    self._say("warning", f"nothing can be recorded: {objection}")
                 self._left_over.start()
                 self._serve()
                 self._notifier.stopping()  # the writer may need its time; nobody feeds any more
@@ -269,13 +274,24 @@ class Service:
             self._rig.note_state(record)
             self._notifier.status(state_sentence(record, self._rig.line))
         if isinstance(record, Log) and record.level != "debug":
-            print_line(record.level, record.message)
+            print_line(record.level, record.message, self._about(record))
         message = outgoing(record, self._offset_ns)
         self._session.put(message.stream, message.data)
         return message
 
-    def _say(self, level: str, message: str) -> None:
-        self._handle([Log(t_host_ns=realtime.now_ns(), level=level, message=message)])
+    def _about(self, log: Log) -> dict[str, str]:
+        """Return what a line is about: the rig, who has it, the run in hand, and what it says."""
+        about = {
+            "rig": self._config.rig.id,
+            "run": self._runs.run_id,
+            "owner": self._rig.state.owner,
+        }
+        return about | log.fields
+
+    def _say(self, level: str, message: str, **fields: str) -> None:
+        """Say a line, and what it is about."""
+        now_ns = realtime.now_ns()
+        self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
 
     def _hear_of_stalls(self, fd: int) -> None:
         """Tell how long an emulator was held up, which tells of it once a second at most."""
@@ -301,8 +317,8 @@ class Service:
 
     def _say_finished(self, timeout: float = 0.0) -> None:
         level, text = self._runs.finished(timeout)
-        if text:
-            self._say(level, text)
+        if text and (last := self._runs.last):
+            self._say(level, text, run=last.run_id, cause=last.outcome)
 
     # -- the service itself ----------------------------------------------------------------
 

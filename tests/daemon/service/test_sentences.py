@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import os
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import pytest
 from armrig_daemon.pipe import State
-from armrig_daemon.service.sentences import print_line, state_sentence
-from armrig_daemon.service.systemd import journal_prefix
+from armrig_daemon.service import sentences
+from armrig_daemon.service.sentences import (
+    network_error,
+    print_line,
+    state_sentence,
+    unreachable,
+)
+from armrig_daemon.service.systemd import journal_entry, journal_prefix, send_to_journal
 
 
 def test_a_line_of_the_log_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -65,3 +75,115 @@ def test_a_state_is_one_line_for_systemctl(
     told = State(t_host_ns=0, phase=phase, reason=reason, owner=owner, ts_us=0, device={})
 
     assert state_sentence(msgspec.structs.replace(told, remedy="mend"), line) == sentence
+
+
+def _fields(entry: bytes) -> dict[str, str]:
+    """Return what stands in an entry, as the journal reads it."""
+    found = {}
+    while entry:
+        name, _, rest = entry.partition(b"\n")
+        (length,) = struct.unpack_from("<Q", rest)
+        found[name.decode()] = rest[8 : 8 + length].decode()
+        assert rest[8 + length : 9 + length] == b"\n"
+        entry = rest[9 + length :]
+    return found
+
+
+@pytest.fixture
+def journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[socket.socket, Path]]:
+    """Give a socket in the journal's place, which reads this process's standard error, too."""
+    stderr = os.fstat(2)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
+    path = tmp_path / "socket"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(str(path))
+        listening.settimeout(5)
+        monkeypatch.setattr(
+            sentences, "send_to_journal", lambda entry: send_to_journal(entry, str(path))
+        )
+        yield listening, path
+
+
+def test_the_journal_is_told_what_a_line_is_about(
+    capfd: pytest.CaptureFixture[str], journal: tuple[socket.socket, Path]
+) -> None:
+    """As fields of its own, those that are empty left out; standard error is silent then."""
+    about = {"rig": "1", "run": "", "owner": "group 3", "command": "stop"}
+
+    print_line("info", "stop: by group 3", about)
+
+    assert _fields(journal[0].recv(1 << 16)) == {
+        "PRIORITY": "6",
+        "SYSLOG_IDENTIFIER": "armrigd",
+        "MESSAGE": "stop: by group 3",
+        "ARMRIG_RIG": "1",
+        "ARMRIG_OWNER": "group 3",
+        "ARMRIG_COMMAND": "stop",
+    }
+    assert capfd.readouterr().err == ""
+
+
+def test_nobody_writes_a_field_of_his_own_into_the_journal(
+    journal: tuple[socket.socket, Path],
+) -> None:
+    """Whatever a client says of himself stays in its field; a terminal is not moved by it."""
+    print_line("info", "arm", {"owner": "me\nARMRIG_OWNER=alice\nPRIORITY\n\x1b[2J"})
+
+    fields = _fields(journal[0].recv(1 << 16))
+    assert fields["ARMRIG_OWNER"] == "me\\nARMRIG_OWNER=alice\\nPRIORITY\\n\\x1b[2J"
+    assert fields["PRIORITY"] == "6"
+
+
+def test_an_entry_keeps_what_has_lines_of_its_own() -> None:
+    """By its length: nothing in it ends it."""
+    assert _fields(journal_entry("error", "a\nMESSAGE=b\n", {}))["MESSAGE"] == "a\nMESSAGE=b\n"
+
+
+def test_a_journal_that_takes_nothing_is_not_waited_for(
+    capfd: pytest.CaptureFixture[str], journal: tuple[socket.socket, Path]
+) -> None:
+    """It is full, or gone: the line goes to standard error, with its priority."""
+    filled = 0
+    while send_to_journal(journal_entry("info", "more", {}), str(journal[1])):
+        filled += 1
+        assert filled < 100_000
+    print_line("warning", "full", {"rig": "1"})
+    journal[1].unlink()
+    print_line("warning", "gone", {"rig": "1"})
+
+    assert filled > 0
+    assert capfd.readouterr().err == "<4>full\n<4>gone\n"
+
+
+NOBODY_ELSE = "Inter-| Receive\n face |bytes\n    lo:       0 0 0\n"
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "devices", "is_told"),
+    [
+        ("tls/0.0.0.0:7447", NOBODY_ELSE, True),
+        ("tls/lab-1.example.edu:7447", NOBODY_ELSE, True),
+        ("tls/0.0.0.0:7447", NOBODY_ELSE + "  eth0:    1 0\n", False),
+        ("tls/127.0.0.1:7447", NOBODY_ELSE, False),
+        ("tcp/[::1]:7447", NOBODY_ELSE, False),
+    ],
+)
+def test_who_listens_where_nobody_comes_by_is_told(
+    endpoint: str, devices: str, *, is_told: bool
+) -> None:
+    """A sandbox with a network of its own: it has a loopback, which leads nowhere."""
+    assert bool(unreachable(endpoint, devices)) == is_told
+
+
+def test_a_sandbox_without_networks_is_told_with_what_opens_it() -> None:
+    """The kernel says that it has no such addresses."""
+    err = RuntimeError("Address family not supported by protocol (os error 97)")
+
+    said = network_error("tls/0.0.0.0:7447", err)
+
+    assert said == (
+        "[access] listen = 'tls/0.0.0.0:7447': the sandbox lets no network in; open one by "
+        "`systemctl edit armrigd@ID`, as docs/access.md shows"
+    )

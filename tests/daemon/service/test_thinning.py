@@ -8,8 +8,8 @@ from armrig_daemon.service.thinning import AGAIN_NS, MOST_KINDS, Thinning
 MS = 1_000_000
 
 
-def _log(ms: int, message: str, level: str = "warning") -> Log:
-    return Log(t_host_ns=ms * MS, level=level, message=message)
+def _log(ms: int, message: str, level: str = "warning", **fields: str) -> Log:
+    return Log(t_host_ns=ms * MS, level=level, message=message, fields=fields)
 
 
 def _missed(ms: int) -> Log:
@@ -85,3 +85,14 @@ def test_the_kinds_that_are_told_apart_have_a_bound() -> None:
     assert all(thinning.lets_through(_log(0, word)) for word in words)
     assert thinning.lets_through(_log(0, words[-1]))
     assert not thinning.lets_through(_log(0, words[0]))
+
+
+def test_two_who_command_are_both_named() -> None:
+    """Names that differ in a number only; the same one twice is held back as ever."""
+    thinning = Thinning()
+    said = [
+        thinning.lets_through(_log(0, f"stop: by {who}", "info", command="stop"))
+        for who in ("group 3", "group 4", "group 3")
+    ]
+
+    assert said == [True, True, False]
