@@ -19,6 +19,10 @@ from armrig_core.topics import STREAMS
 
 REPLY_LIMIT = 64 << 10
 """An answer ends with the message that reaches this length, in B."""
+ANSWER_LIMIT = 1 << 20
+"""Longest answer that is read, in B; no message of a daemon's is nearly as long."""
+NUMBER_LIMIT = 1 << 62
+"""Above the number of any message."""
 _HEAD = Struct("<16sQq")  # the daemon's life, number of the first message, clock offset in ns
 _MESSAGE = Struct("<BI")  # stream, as its place in STREAMS; length
 
@@ -26,7 +30,7 @@ _MESSAGE = Struct("<BI")  # stream, as its place in STREAMS; length
 class HistoryRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A question for the history, as JSON."""
 
-    first: Annotated[int, Meta(ge=0, lt=1 << 62)] = 0
+    first: Annotated[int, Meta(ge=0, lt=NUMBER_LIMIT)] = 0
     """Number of the first message wanted; 0 is the oldest that is kept."""
 
 
@@ -65,6 +69,9 @@ def decode_past(data: bytes) -> Past:
     HistoryError
         They are none.
     """
+    if len(data) > ANSWER_LIMIT:
+        msg = f"{len(data)} B are no history, which has at most {ANSWER_LIMIT}"
+        raise HistoryError(msg)
     try:
         life, first, offset_ns = _HEAD.unpack_from(data)
         at = _HEAD.size
@@ -80,4 +87,7 @@ def decode_past(data: bytes) -> Past:
     except error as err:
         msg = f"{len(data)} B are no history"
         raise HistoryError(msg) from err
+    if first + len(messages) > NUMBER_LIMIT:
+        msg = f"there is no message of number {first}"
+        raise HistoryError(msg)
     return Past(life, first, offset_ns, tuple(messages))

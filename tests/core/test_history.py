@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from armrig_core.history import HistoryError, decode_past, encode_past
+from armrig_core.history import (
+    ANSWER_LIMIT,
+    NUMBER_LIMIT,
+    HistoryError,
+    decode_past,
+    encode_past,
+)
 from armrig_core.topics import STREAMS
 from hypothesis import given
 from hypothesis import strategies as st
@@ -11,7 +17,7 @@ from hypothesis import strategies as st
 messages = st.lists(st.tuples(st.sampled_from(STREAMS), st.binary(max_size=200)), max_size=20)
 
 
-@given(st.binary(min_size=16, max_size=16), st.integers(0, 2**63), messages)
+@given(st.binary(min_size=16, max_size=16), st.integers(0, NUMBER_LIMIT - 20), messages)
 def test_an_answer_comes_back_as_it_was(
     life: bytes, first: int, given: list[tuple[str, bytes]]
 ) -> None:
@@ -39,9 +45,18 @@ def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
 
 
 @pytest.mark.parametrize(
-    "data", [b"", bytes(31), bytes(32) + b"\x06" + bytes(4), bytes(33), bytes(33) + b"\5\0\0\0ab"]
+    "data",
+    [
+        b"",
+        bytes(31),
+        bytes(32) + b"\x06" + bytes(4),
+        bytes(33),
+        bytes(33) + b"\5\0\0\0ab",
+        encode_past(bytes(16), NUMBER_LIMIT, 0, [("event", b"")]),
+        encode_past(bytes(16), 0, 0, [("event", bytes(ANSWER_LIMIT))]),
+    ],
 )
 def test_what_is_no_answer_is_refused(data: bytes) -> None:
-    """Too short, of an unknown stream, or cut within a message."""
+    """Too short, of an unknown stream, cut within a message, or beyond what a daemon sends."""
     with pytest.raises(HistoryError):
         decode_past(data)

@@ -23,7 +23,7 @@ from armrig.rig.remote_recording import CUT_OFF, STARTED_ANEW, RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import RigError, open_session
 from armrig_core import protobuf
-from armrig_core.history import encode_past
+from armrig_core.history import ANSWER_LIMIT, encode_past
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
@@ -197,28 +197,71 @@ def test_another_sampling_time_begins_a_file(where: str, tmp_path: Path) -> None
     assert (second.Ts, recorded_k(second)) == (0.002, list(range(10, 15)))
 
 
+def node(mode: str, where: str) -> zenoh.Session:
+    """Return a session that listens at an endpoint, or is a client of it."""
+    way = "connect" if mode == "client" else "listen"
+    config = {"mode": mode, way: {"endpoints": [where]}, "scouting": {}}
+    config["scouting"] = {"multicast": {"enabled": False}}
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+
+
 @pytest.mark.parametrize(
     "answer",
     [
         b"nonsense",
         encode_past(bytes(16), 0, 0, [("event", b"\xff\xff")]),
         encode_past(bytes(16), 0, 0, [("sample", b"\xff" * 87)]),
+        encode_past(bytes(16), 0, 0, [("event", bytes(ANSWER_LIMIT))]),
     ],
 )
 def test_what_answers_and_is_no_daemon_is_told_so(
     where: str, tmp_path: Path, answer: bytes
 ) -> None:
     """In a line."""
-    config = zenoh.Config.from_json5(
-        json.dumps({"mode": "peer", "listen": {"endpoints": [where]}, "scouting": {}})
-    )
-    config.insert_json5("scouting/multicast/enabled", "false")
-    with zenoh.open(config) as other:
+    with node("peer", where) as other:
         other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
         with open_session(where, rig="1") as session:
             recorder = Recorder(session, tmp_path / "a.mcap")
             with pytest.raises(RigError, match=r"no armrigd|no message of armrigd's"):
                 recorder.take()
+
+
+def test_an_answer_to_what_was_not_asked_is_none_of_a_daemon(where: str) -> None:
+    """The same messages again would be recorded twice."""
+    answer = encode_past(bytes(16), 0, 0, [("sample", sample(0))])
+    with node("peer", where) as other:
+        other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
+        with open_session(where, rig="1") as session:
+            source = RemoteSource(session, "1")
+            assert source.next_piece() is not None
+            with pytest.raises(RigError, match="from 1 on were asked for, and those from 0 on"):
+                source.next_piece()
+
+
+def test_of_two_that_answer_the_first_one_s_is_taken(where: str) -> None:
+    """A second daemon of that id, which a router joins, gets nothing into the file."""
+    answers = {life: History(life * 16) for life in (b"a", b"b")}
+    for history in answers.values():
+        history.add("sample", sample(0))
+
+    def answer(life: bytes) -> Callable[[zenoh.Query], None]:
+        return lambda query: query.reply(query.key_expr, answers[life].reply(0, 0))
+
+    with node("router", where), node("client", where) as one, node("client", where) as other:
+        one.declare_queryable("rig/1/history", answer(b"a"))
+        with open_session(where, rig="1") as session:
+            source = RemoteSource(session, "1")
+            while (piece := source.next_piece()) is None:
+                time.sleep(0.05)
+            other.declare_queryable("rig/1/history", answer(b"b"))
+            time.sleep(0.5)
+            answers[b"a"] = History(b"a" * 16)
+            answers[b"a"].add("sample", sample(0))
+            with pytest.raises(RigError, match="2 daemons answer"):
+                RemoteSource(session, "1").next_piece()
+            lives = {source._asked(0, piece.past.life).life for _ in range(20)}  # type: ignore[union-attr]
+
+    assert lives == {b"a" * 16}
 
 
 @pytest.fixture
@@ -283,6 +326,9 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
         (["-o", "there.mcap"], "there.mcap is there already; give another name"),
         (["-o", "none/a.mcap"], "No such file or directory"),
         (["--rig", "9"], "no reply from rig 9"),
+        (["--rig", "../x"], "rig id '../x': 1 to 40 of a-z, 0-9 and - are allowed"),
+        (["--seconds", "nan"], "--seconds nan: a number above 0 is needed"),
+        (["--seconds", "-1"], "--seconds -1: a number above 0 is needed"),
     ],
 )
 def test_what_cannot_be_recorded_is_told(
@@ -304,6 +350,61 @@ def test_what_cannot_be_recorded_is_told(
 
     assert told in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
+
+
+@pytest.mark.parametrize(("number", "code"), [(2, 0), (15, 128 + 15), (1, 128 + 1)])
+def test_a_signal_ends_it_with_a_whole_file(
+    where: str, tmp_path: Path, published: Callable[[], int], number: int, code: int
+) -> None:
+    """Up to what was published when it came, whatever the recorder was at."""
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
+    with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE) as process:
+        while not path.with_name("a.mcap.active").exists():
+            time.sleep(0.05)
+        came = published()
+        process.send_signal(number)
+        out = process.communicate(timeout=60)[0]
+
+    assert process.returncode == code
+    assert json.loads(out)["recordings"][0]["outcome"] == "complete"
+    ks = recorded_k(armrig.load(path))
+    assert ks == list(range(len(ks)))
+    assert len(ks) >= came
+
+
+def test_what_came_before_an_end_by_force_is_recovered(
+    where: str, tmp_path: Path, published: Callable[[], int]
+) -> None:
+    """Kill -9: a prefix without holes."""
+    path = tmp_path / "a.mcap"
+    command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
+    with subprocess.Popen(command) as process:
+        while published() < 2000 or not path.with_name("a.mcap.active").exists():
+            time.sleep(0.05)
+        time.sleep(0.5)
+        process.kill()
+
+    assert main(["recover", str(tmp_path)]) == 0
+    ks = recorded_k(armrig.load(path))
+    assert ks == list(range(len(ks)))
+    assert len(ks) > 1000
+
+
+def test_a_disk_that_is_full_ends_it_with_a_whole_prefix(where: str, tmp_path: Path) -> None:
+    """And says so; a limit of the file's size does what a full disk does."""
+    path = tmp_path / "a.mcap"
+    command = f"ulimit -f 600; exec {sys.executable} -m armrig record --from {where} -o {path}"
+    with Session(where, "1", lambda: None) as daemon:
+        publish(daemon, range(20_000))
+        done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=120)
+
+    active = path.with_name("a.mcap.active")
+    assert done.returncode == 1
+    assert f"{active}: File too large; what was flushed is kept there" in done.stderr
+    ks = recorded_k(armrig.load(active))
+    assert ks == list(range(len(ks)))
+    assert 1000 < len(ks) < 20_000
 
 
 def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:

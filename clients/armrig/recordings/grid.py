@@ -11,8 +11,11 @@ from armrig_core.manifest import Manifest, Outcome
 from armrig_core.recording_file.budget import SAMPLES_LIMIT
 from numpy.typing import NDArray
 
-# The grid has rows for missing samples: a file of two samples must not ask for 10^18 rows.
-_MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
+MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
+"""Samples that may be missing, and so many more for each that came.
+
+The grid has rows for them: a file of two samples must not ask for 10^18 rows.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +107,7 @@ def grid(
     end = max(min(end, between[1]), begin)
     taken = slice(*np.searchsorted(k, np.array([begin, end], np.uint64)).tolist())
     k = k[taken]
-    missing_limit = _MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
+    missing_limit = MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
     if end - begin - k.size > missing_limit or end - begin > SAMPLES_LIMIT:
         msg = f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
         msg += "many for a recording"

@@ -32,7 +32,7 @@ from armrig.recordings.daemon_reports import (
 from armrig.recordings.grid import Grid, grid
 from armrig.recordings.parts import joined
 from armrig.recordings.recording import Recording, RecordingError, Vector
-from armrig.recordings.recording_summary import TS_LIMIT_S
+from armrig.recordings.recording_summary import check_sampling_time
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
 EVERYTHING = (0, 1 << 63)
@@ -178,9 +178,10 @@ def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         msg = f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
         raise RecordingError(msg) from err
-    if not 0 < manifest.Ts < TS_LIMIT_S:
-        msg = f"{path}: its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
-        raise RecordingError(msg)
+    try:
+        check_sampling_time(manifest)
+    except DamageError as err:
+        raise RecordingError(f"{path}: {err}") from err
     return content, manifest, ended, attached
 
 

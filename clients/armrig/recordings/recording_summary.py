@@ -25,10 +25,12 @@ VALIDATION_OF = "validation_of"
 """Key of a run's details: the id of the run that it was recorded to validate."""
 KINDS = ("blackbox", "greybox", "step", "staircase", "bla")
 """What `armrig collect` records; a name that a person gave stands behind it."""
+REMOTE = "remote"
+"""What `armrig record` records: whatever the rig did."""
 TEXT_LIMIT = 4096
 """Longest text that a recording may say of itself, in characters; a name or a reason has fewer."""
-TS_LIMIT_S = 86_400.0
-"""No sampling time is as long, in s."""
+TS_LEAST_S, TS_LIMIT_S = 1e-6, 86_400.0
+"""No sampling time is shorter than the first, or as long as the second, in s."""
 
 _EXPERIMENT = re.compile(rf"({'|'.join(KINDS)})(-validation)?(?:-(.+))?")
 
@@ -160,9 +162,7 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
         if len(text) > TEXT_LIMIT:
             msg = f"its {name} has {len(text)} characters, at most {TEXT_LIMIT} are allowed"
             raise DamageError(msg)
-    if not 0 < manifest.Ts < TS_LIMIT_S:
-        msg = f"its manifest says Ts={manifest.Ts!r} s, which must be > 0 and below a day"
-        raise DamageError(msg)
+    check_sampling_time(manifest)
     return RecordingSummary(
         folder=path.parent,
         file=path.name,
@@ -173,6 +173,13 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
         part=manifest.part,
         **texts,
     )
+
+
+def check_sampling_time(manifest: Manifest) -> None:
+    """Raise DamageError where a recording says of a sampling time that none has."""
+    if not TS_LEAST_S <= manifest.Ts < TS_LIMIT_S:
+        msg = f"its manifest says Ts={manifest.Ts!r} s, which must be from 1 µs to below a day"
+        raise DamageError(msg)
 
 
 def shown_path(path: Path) -> str:

@@ -11,6 +11,8 @@ from armrig_core.telemetry import Sample
 
 MISSED = "the listener, or the way to it, did not keep up"
 """Reason of a gap that the daemon knows nothing of."""
+MOST_TOLD = 10_000
+"""Gaps told that are kept until the sample behind them comes; of more the oldest are forgotten."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
+import os
 import platform
 import secrets
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -13,24 +14,29 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from armrig_core import protobuf
-from armrig_core.manifest import Manifest
+from armrig_core.manifest import Manifest, check_whole_numbers
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.recorder import Recording
+from armrig_core.recording_file.recorder import CONTINUED, Recording, RecordingError
+from armrig_core.recording_file.unfinished import ACTIVE
 from armrig_core.telemetry import Sample
-from google.protobuf.message import DecodeError
 
-from armrig.rig.live_gaps import LiveGap, gaps_between
+from armrig.recordings.grid import MISSING_LIMIT
+from armrig.recordings.recording_summary import REMOTE
+from armrig.rig.live_gaps import MOST_TOLD, LiveGap, gaps_between
+from armrig.rig.remote_message import RemoteMessage, remote_message
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
-from armrig.rig.telemetry_stream import decoded
 
-EXPERIMENT = "remote"
-"""Kind of what is recorded from afar: whatever the rig did."""
 CUT_OFF = "the recorder was cut off for longer than the daemon keeps what it published"
 STARTED_ANEW = "the daemon was started anew, and counts anew"
+MOST_ROWS = 1 << 23
+"""Samples of a file, missing ones too: 2.3 hours at 1 kHz; one may be loaded with twice as many."""
 _FINISH_S = 60.0
-_MOST_WAITING = 100_000  # messages until a state says the sampling time; it comes once a second
+_FILES, _FILES_S = 60, 60.0  # so many files in such a time are no daemon's
+_MOST_WAITING, _OVERHEAD = 16 << 20, 200  # B until a state says Ts, which it does once a second
+_MOST_BEHIND, _LOOK_S = 16, 0.01  # pieces that the disk may be behind
 Tell = Callable[[str], None]
 
 
@@ -46,7 +52,11 @@ class RecordedFile:
 
 @dataclass(slots=True, kw_only=True)
 class RemoteRecording:
-    """Writes what comes; a new file begins where samples count anew or come at another rate."""
+    """Writes what comes into a file, or several.
+
+    A new one begins where samples count anew, come at another rate, or where with the next ones it
+    could not be loaded: too many are missing, or there are too many.
+    """
 
     path: Path
     """Of the first file; the second is NAME-2.mcap."""
@@ -56,17 +66,20 @@ class RemoteRecording:
     """Called with a line for a person."""
     done: list[RecordedFile] = field(default_factory=list)
     """Files that are complete."""
-    samples: int = 0
-    """Recorded so far, in all files."""
     _file: Recording | None = None
+    _first: Sample | None = None
     _last: Sample | None = None
-    _told: list[Any] = field(default_factory=list)
+    _missing: int = 0
+    _told: deque[Any] = field(default_factory=lambda: deque(maxlen=MOST_TOLD))
     _waiting: list[Outgoing] = field(default_factory=list)
+    _waiting_size: int = 0
     _state: Any = None
     _offset_ns: int = 0
+    _number: int = 0
+    _begun: deque[float] = field(default_factory=lambda: deque(maxlen=_FILES))
 
     def add(self, piece: Piece) -> None:
-        """Record what came.
+        """Record what came; wait for the disk where it is behind.
 
         Raises
         ------
@@ -81,23 +94,31 @@ class RemoteRecording:
         if piece.lost:
             self._warn(f"{CUT_OFF}: {piece.lost} messages are lost")
         for stream, data in piece.past.messages:
-            try:
-                self._take(stream, data)
-            except (ValueError, DecodeError) as err:
-                msg = f"{len(data)} B of the stream {stream!r} are no message of armrigd's ({err})"
-                raise RigError(msg) from err
-        if self._file is not None and self._waiting:
-            self._file.add(self._waiting)
-            self._waiting = []
-        if self._file is not None and self._file.error:
-            raise RigError(self._file.error)
-        if len(self._waiting) > _MOST_WAITING:
-            msg = f"rig {self.rig}: no state came with {_MOST_WAITING} messages, so its sampling "
-            raise RigError(msg + "time is not known; what answers there is no armrigd")
+            self._take(remote_message(stream, data, self._offset_ns))
+        self._hand_over()
 
     def finish(self, outcome: str) -> None:
         """Complete the file."""
         self._end(outcome)
+
+    def _hand_over(self) -> None:
+        file = self._file
+        if file is None:
+            if self._waiting_size > _MOST_WAITING:
+                msg = f"rig {self.rig}: no state came with {len(self._waiting)} messages, so its "
+                msg += "sampling time is not known; what answers there is no armrigd"
+                raise RigError(msg)
+            return
+        file.add(self._taken())
+        # What waits meanwhile is kept by the daemon; nothing is dropped, as it is by a full queue.
+        while file.behind > _MOST_BEHIND and not file.error:
+            time.sleep(_LOOK_S)
+        if file.error:
+            raise RigError(file.error)
+
+    def _taken(self) -> list[Outgoing]:
+        waiting, self._waiting, self._waiting_size = self._waiting, [], 0
+        return waiting
 
     def _warn(self, text: str) -> None:
         """Say something to the person, and in the file."""
@@ -107,52 +128,79 @@ class RemoteRecording:
             level=protobuf.LEVELS["warning"], message=text, name="armrig record"
         )
         message.timestamp.FromNanoseconds(now_ns)
-        self._write("event", now_ns - self._offset_ns, message.SerializeToString())
+        t_ns = max(now_ns - self._offset_ns, 0)
+        self._write(Outgoing("event", t_ns, t_ns, 0, message.SerializeToString()))
 
-    def _take(self, stream: str, data: bytes) -> None:
-        message = decoded(stream, data)
-        if stream == "sample":
-            self._take_sample(message, data)
+    def _take(self, message: RemoteMessage) -> None:
+        if message.stream == "gap":
+            # Written before the sample behind it: only then is it between two of the file's.
+            self._told.append(message.value)
             return
-        if stream == "state":
-            if self._state is not None and self._state.Ts_s != message.Ts_s:
-                self._end(f"the sampling time became {message.Ts_s:g} s")
-            self._state = message
-        if stream == "gap":
-            self._told.append(message)
-        self._write(stream, _host_ns(stream, message, self._offset_ns), data)
+        if message.stream == "sample":
+            self._go_on(message.value)
+        elif message.stream == "state":
+            if self._state is not None and self._state.Ts_s != message.value.Ts_s:
+                self._end(f"the sampling time became {message.value.Ts_s:g} s")
+            self._state = message.value
+        self._write(message.outgoing())
 
-    def _take_sample(self, sample: Sample, data: bytes) -> None:
-        last = self._last
-        if last is not None and sample.k <= last.k:
-            self._end(STARTED_ANEW)
-        elif last is not None:
-            for gap in gaps_between(last, sample, self._told):
-                if gap.published:
-                    self._write("gap", gap.t_to_ns, _gap(gap))
+    def _go_on(self, sample: Sample) -> None:
+        """Write what is missing before a sample, or begin a file with it."""
+        if self._first is not None and self._last is not None:
+            self._follow(self._first, self._last, sample)
+        self._first = self._first or sample
         if self._file is None and self._state is not None and self._state.Ts_s > 0:
-            self._begin(sample)
-        self._last, self._told = sample, []
-        self._write("sample", sample.t_host_ns, data, sample)
-        self.samples += 1
+            self._begin(self._first)
+        self._last = sample
+        self._told.clear()
 
-    def _write(self, stream: str, t_ns: int, data: bytes, sample: Sample | None = None) -> None:
-        due_ns, number = (sample.t_sched_ns, sample.k) if sample else (t_ns, 0)
-        self._waiting.append(Outgoing(stream, t_ns, due_ns, number, data))
+    def _follow(self, first: Sample, last: Sample, sample: Sample) -> None:
+        if sample.k <= last.k:
+            msg = f"rig {self.rig}: sample {sample.k} came behind sample {last.k}; what answers "
+            raise RigError(msg + "there is no armrigd")
+        self._missing += sample.k - last.k - 1
+        if self._missing > MISSING_LIMIT:
+            self._end(f"{sample.k - last.k - 1} samples are missing behind its last")
+        elif sample.k - first.k >= MOST_ROWS:
+            self._end(CONTINUED)
+        else:
+            for gap in gaps_between(last, sample, self._told):
+                self._write(Outgoing("gap", gap.t_to_ns, gap.t_to_ns, 0, _gap(gap)))
 
-    def _begin(self, sample: Sample) -> None:
-        number = len(self.done) + 1
-        path = self.path if number == 1 else self.path.with_stem(f"{self.path.stem}-{number}")
-        self._file = Recording(
-            path, self._manifest(), {}, t_first_ns=sample.t_host_ns, changed=lambda: None
-        )
+    def _write(self, message: Outgoing) -> None:
+        self._waiting.append(message)
+        self._waiting_size += len(message.data) + _OVERHEAD
+
+    def _begin(self, first: Sample) -> None:
+        now_s = time.monotonic()
+        if len(self._begun) == _FILES and now_s - self._begun[0] < _FILES_S:
+            msg = f"rig {self.rig}: {_FILES} files in a minute: its samples count anew, or change "
+            raise RigError(msg + "their rate, all the time; what answers there is no armrigd")
+        self._begun.append(now_s)
+        path = self._free_path()
+        try:
+            self._file = Recording(
+                path, self._manifest(), {}, t_first_ns=first.t_host_ns, changed=lambda: None
+            )
+        except RecordingError as err:
+            why = getattr(err.__cause__, "strerror", "") or err
+            raise RigError(f"{path}: {why}; give a place with room by -o") from err
+
+    def _free_path(self) -> Path:
+        """Return where the next file goes: nothing is there that it could replace."""
+        while True:
+            self._number += 1
+            end = f"-{self._number}" if self._number > 1 else ""
+            path = self.path.with_stem(f"{self.path.stem}{end}")
+            if not any(os.path.lexists(taken) for taken in (path, f"{path}{ACTIVE}")):
+                return path
 
     def _manifest(self) -> Manifest:
         uname = platform.uname()
-        return Manifest(
+        manifest = Manifest(
             rig=self.rig,
             run_id=secrets.token_hex(4),
-            experiment=EXPERIMENT,
+            experiment=REMOTE,
             details={"recorded_from": self.endpoint},
             Ts=self._state.Ts_s,
             samples=0,  # nobody asked for a number of them
@@ -160,14 +208,23 @@ class RemoteRecording:
             clock_offset_ns=self._offset_ns,
             armrig=version("armrig"),
             protocol="",
-            device=_device(self._state.device),
             host={"kernel": f"{uname.system} {uname.release} {uname.version}"},
         )
+        try:
+            device = msgspec.json.decode(self._state.device, type=dict[str, Any])
+            told = msgspec.structs.replace(manifest, device=device)
+            check_whole_numbers(told)
+            told.metadata()
+        except (ValueError, OverflowError, RecursionError):  # a DecodeError is a ValueError
+            return manifest  # what it says of itself fits into none
+        return told
 
     def _end(self, outcome: str) -> None:
         file, self._file = self._file, None
-        waiting, self._waiting = self._waiting, []
-        self._last, self._told = None, []
+        waiting = self._taken()
+        self._first = self._last = None
+        self._missing = 0
+        self._told.clear()
         if file is None:
             return
         file.add(waiting)
@@ -180,14 +237,6 @@ class RemoteRecording:
         )
 
 
-def _device(text: str) -> dict[str, Any]:
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
 def _gap(gap: LiveGap) -> bytes:
     message = protobuf.message_class(protobuf.GAP)(
         k_first=gap.k_first,
@@ -195,14 +244,6 @@ def _gap(gap: LiveGap) -> bytes:
         t_from_ns=gap.t_from_ns,
         t_to_ns=gap.t_to_ns,
         u_held_v=gap.u_held_v,
-        reason=CUT_OFF,
+        reason=CUT_OFF if gap.published else gap.reason,
     )
     return bytes(message.SerializeToString())
-
-
-def _host_ns(stream: str, message: Any, clock_offset_ns: int) -> int:
-    """Return when a message was published, on the host's monotonic clock."""
-    if stream == "event":
-        stamp = message.timestamp
-        return int(stamp.seconds) * 1_000_000_000 + int(stamp.nanos) - clock_offset_ns
-    return int(message.t_to_ns if stream == "gap" else message.t_host_ns)

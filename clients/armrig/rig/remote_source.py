@@ -17,6 +17,7 @@ from armrig_core.topics import history_key
 from armrig.rig.session import RigError
 
 _REPLY_S = 1.0
+_NO_DAEMON = "what answers there is no armrigd"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,28 +54,47 @@ class RemoteSource:
         RigError
             What answers is no daemon of this version.
         """
-        past = self._asked(self._next)
+        past = self._asked(self._next, self._life)
         if past is None:
             return None
-        is_new = past.life != self._life
+        is_new, began = past.life != self._life, bool(self._life)
         if is_new and self._next:
             # What was asked for is a number of another row; this one is taken from its beginning.
-            past = self._asked(0)
+            past = self._asked(0, past.life)
             if past is None:
                 return None
-        began = bool(self._life)
-        lost = past.first if is_new and began else past.first - self._next if began else 0
+        lost = past.first if is_new else past.first - self._next
+        if lost < 0:
+            msg = f"{self._key}: the messages from {self._next} on were asked for, and those from "
+            raise RigError(f"{msg}{past.first} on came; {_NO_DAEMON}")
         self._life, self._next = past.life, past.first + len(past.messages)
-        return Piece(past=past, is_new_life=is_new and began, lost=lost)
+        return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
-    def _asked(self, first: int) -> Past | None:
+    def _asked(self, first: int, life: bytes) -> Past | None:
+        """Return the answer of the daemon with this life, or of the only one there is."""
         question = msgspec.json.encode(HistoryRequest(first=first))
-        for reply in self._session.get(self._key, payload=question, timeout=_REPLY_S):
-            if reply.ok is None:
-                continue  # too many ask just now, or it came too late
+        others: dict[bytes, Past] = {}
+        refused = False
+        for reply in self._session.get(
+            self._key,
+            payload=question,
+            timeout=_REPLY_S,
+            # Else one of several answers would be chosen for us, now this one and now that one.
+            consolidation=zenoh.ConsolidationMode.NONE,
+        ):
+            if reply.ok is None:  # too many ask just now, or it came too late
+                refused = True
+                continue
             try:
-                return decode_past(reply.ok.payload.to_bytes())
+                past = decode_past(reply.ok.payload.to_bytes())
             except HistoryError as err:
-                msg = f"{self._key}: {err}; what answers there is no armrigd of this version"
+                msg = f"{self._key}: {err}; {_NO_DAEMON} of this version"
                 raise RigError(msg) from err
-        return None
+            if past.life == life:
+                return past
+            others[past.life] = past
+        if len(others) > 1:
+            msg = f"{self._key}: {len(others)} daemons answer, which is which cannot be told; end "
+            raise RigError(msg + "all but one, or give each rig an id of its own")
+        # One that answers where another has no time to may not be ours.
+        return None if refused else next(iter(others.values()), None)

@@ -157,6 +157,7 @@ def _config(way: _Way) -> zenoh.Config:
 
 
 def _settings(rig: str) -> ClientSettings:
+    check_rig_id(rig)
     try:
         return client_settings(installed(rig), os.environ)
     except ValueError as err:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
@@ -12,7 +13,7 @@ import zenoh
 from armrig_core import protobuf, telemetry, topics
 from google.protobuf.message import DecodeError
 
-from armrig.rig.live_gaps import gaps_between
+from armrig.rig.live_gaps import MOST_TOLD, gaps_between
 from armrig.rig.session import NoReplyError, RigError, open_session
 
 SILENCE_S = 1.0
@@ -65,16 +66,17 @@ def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
     rig, name = _stream_of(key)
     with arrivals(session, key) as messages_since, _gaps_told(session, rig, name) as gaps_since:
         before: telemetry.Sample | None = None
-        told: list[Any] = []
+        told: deque[Any] = deque(maxlen=MOST_TOLD)
         for messages in _until_gone(session, rig, messages_since):
             # A gap is published before the sample behind it: if that is here, so is the gap.
-            told += gaps_since()
+            told.extend(gaps_since())
             for message in messages:
                 if name == "sample":
                     if before is not None:
                         yield from gaps_between(before, message, told)
                     before = message
-                    told = [gap for gap in told if gap.k_first + gap.count > message.k]
+                    while told and told[0].k_first + told[0].count <= message.k:
+                        told.popleft()
                 yield message
 
 

@@ -20,6 +20,7 @@ from armrig_core.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_path
 from armrig_core.recording_file.recording_part import EndsHereError, Part, RemovedError
+from armrig_core.recording_file.unfinished import ACTIVE
 
 FLUSH_S = 0.1
 SYNC_S = 1.0
@@ -95,14 +96,14 @@ class Recording:
         self._queue: queue.SimpleQueue[list[Outgoing] | str] = queue.SimpleQueue()
         if limits is not None:
             manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
+        path = part_path(path, manifest.part)
         try:
-            self._part = Part(part_path(path, manifest.part), manifest, attachments, t_first_ns)
+            self._part = Part(path, manifest, attachments, t_first_ns)
         except OSError as err:
-            way_out = "free the disk, or set [recording] directory"
+            where, way_out = f"{path}{ACTIVE}", "free the disk, or set [recording] directory"
             if isinstance(err, FileExistsError):
-                way_out = "set [recording] directory to another"
-            active = Path(f"{part_path(path, manifest.part)}.active")
-            msg = f"{active}: {err.strerror}; {way_out}"
+                where, way_out = err.filename, "set [recording] directory to another"
+            msg = f"{where}: {err.strerror}; {way_out}"
             raise RecordingError(msg) from err
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
@@ -120,9 +121,14 @@ class Recording:
         """The file that is being written."""
         return self._part.active
 
+    @property
+    def behind(self) -> int:
+        """Batches that are not written yet."""
+        return self._queue.qsize()
+
     def add(self, batch: list[Outgoing]) -> None:
         """Hand over messages to be written."""
-        if self._queue.qsize() >= QUEUE:
+        if self.behind >= QUEUE:
             self.dropped += len(batch)
             return
         self._queue.put(batch)

@@ -47,8 +47,9 @@ class Part:
         Raises
         ------
         OSError
-            The file cannot be made; nothing is left of it.
+            The file cannot be made, or there is one of its name; nothing is left of it.
         """
+        _check_free(path)
         self.path = path
         self.active = path.with_name(path.name + ACTIVE)
         self.manifest = manifest
@@ -168,7 +169,8 @@ class Part:
         os.fsync(self._file.fileno())
 
     def name(self) -> None:
-        """Give the complete file its name, and close it."""
+        """Give the complete file its name, and close it; raises OSError where that is taken."""
+        _check_free(self.path)
         if sys.platform == "win32":  # it renames no open file
             self._file.close()
         self.active.replace(self.path)
@@ -261,6 +263,12 @@ class Part:
     def _cut(self) -> None:
         """End the file with its last flush: no reader meets half a record."""
         os.ftruncate(self._file.fileno(), self.size)
+
+
+def _check_free(path: Path) -> None:
+    """Refuse a name that is taken: its file would be lost."""
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 class _Pending:

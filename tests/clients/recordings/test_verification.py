@@ -106,6 +106,27 @@ def test_a_voltage_held_in_a_gap_is_in_the_envelope_too(tmp_path: Path) -> None:
     assert "6 V was held in a gap" in failed(found)["envelope"]
 
 
+@pytest.mark.parametrize(("experiment", "may"), [("remote", True), ("blackbox", False)])
+def test_only_who_recorded_from_afar_need_not_know_a_voltage(
+    tmp_path: Path, experiment: str, may: bool
+) -> None:
+    """The daemon knows what it held; and what is known is inside in any case."""
+    about = manifest(samples=N, experiment=experiment)
+    messages: list[Any] = run()
+    messages[100:110] = [gap(100, 10, float("nan"))]
+    messages[-10:] = [gap(N - 10, 9, 6.0), messages[-1]]
+    ended = Outcome(outcome="complete", samples=N - 19, missing=19)
+    outside = verify(written(tmp_path, recorded(messages, manifest=about, outcome=ended)))
+    messages[-2] = gap(N - 10, 9, 5.0)
+    inside = verify(written(tmp_path, recorded(messages, manifest=about, outcome=ended)))
+
+    assert ("6 V was held" in failed(outside)["envelope"]) == may
+    assert inside.passed == may
+    if may:
+        [text] = [c.text for c in inside.checks if c.about == "envelope"]
+        assert text.endswith("not known in 1 gap that the recorder missed")
+
+
 def test_another_voltage_than_the_experiments_is_told(tmp_path: Path) -> None:
     """By two steps of the wire's code, or one of the device's; and the first sample with it."""
     for field, off in (("u_cmd_v", 2 * 5 / 65535), ("u_applied_v", 5 / 1024)):

@@ -433,6 +433,31 @@ def test_a_recording_never_overwrites_another(tmp_path: Path) -> None:
     first.join(5)
 
 
+def test_a_recording_does_not_begin_under_a_name_that_is_taken(tmp_path: Path) -> None:
+    """Once complete it would replace the file that has it."""
+    (tmp_path / "run.mcap").write_bytes(b"precious")
+
+    with pytest.raises(RecordingError, match=r"run\.mcap: File exists"):
+        _recording(tmp_path / "run.mcap")
+
+    assert [p.name for p in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> None:
+    """The complete file keeps the name it has, and says so."""
+    recording = _recording(tmp_path / "run.mcap")
+    recording.add([_sample(k) for k in range(50)])
+    (tmp_path / "run.mcap").write_bytes(b"precious")
+
+    recording.finish("complete")
+    recording.join(5)
+
+    assert (tmp_path / "run.mcap").read_bytes() == b"precious"
+    assert recording.error.endswith("run.mcap.active: File exists; what was flushed is kept there")
+    with recording.active.open("rb") as file:
+        assert len(list(make_reader(file).iter_messages())) == 50
+
+
 def test_a_directory_that_cannot_take_it_is_said_before_the_run(tmp_path: Path) -> None:
     """Missing is made; too small is told."""
     assert check_directory(tmp_path / "new" / "er", 1000) == ""

@@ -1,0 +1,296 @@
+"""What a recorder makes of what comes: whole files that can be loaded, whoever answers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import armrig
+import pytest
+from armrig.recordings.grid import MISSING_LIMIT
+from armrig.recordings.verification import verify
+from armrig.rig import remote_recording
+from armrig.rig.live_gaps import MOST_TOLD
+from armrig.rig.remote_recording import CUT_OFF, RemoteRecording
+from armrig.rig.remote_source import Piece
+from armrig.rig.session import RigError
+from armrig_core import protobuf
+from armrig_core.history import Past
+from armrig_core.recording_file import recording_part
+from armrig_core.telemetry import Sample, encode_sample
+
+TS_NS = 10_000_000
+OFFSET_NS = 1_750_000_000_000_000_000
+Message = tuple[str, bytes]
+
+
+def message(stream: str, **fields: Any) -> Message:
+    """Return a message of a stream other than sample."""
+    made = protobuf.message_class(protobuf.OF_STREAM[stream])(**fields)
+    return stream, made.SerializeToString()
+
+
+def state(Ts: float = 0.01, device: str = '{"uid": "7"}') -> Message:
+    """Return a state."""
+    return message("state", t_host_ns=5_000_000_000, phase="safe", Ts_s=Ts, device=device)
+
+
+def sample(number: int, **changes: Any) -> Message:
+    """Return the sample of a number."""
+    due = 5_000_000_000 + number * TS_NS
+    made = Sample(number, due, due + 9, number * 10_000, 0.1, 0.0, 1.0, 1.0, 32768, 32768, 3)
+    return "sample", encode_sample(made._replace(**changes))
+
+
+def gap(k_first: int, count: int) -> Message:
+    """Return a gap that the daemon tells."""
+    t_ns = 5_000_000_000 + k_first * TS_NS
+    return message(
+        "gap",
+        k_first=k_first,
+        count=count,
+        t_from_ns=t_ns,
+        t_to_ns=t_ns + min(count, 10**9) * TS_NS,
+        u_held_v=2.5,
+        reason="link silent",
+    )
+
+
+def piece(
+    *messages: Message, lost: int = 0, anew: bool = False, offset_ns: int = OFFSET_NS
+) -> Piece:
+    """Return what came by one question."""
+    return Piece(past=Past(bytes(16), 0, offset_ns, messages), is_new_life=anew, lost=lost)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> RemoteRecording:
+    """Return a recorder to `monday.mcap`."""
+    told: list[str] = []
+    return RemoteRecording(
+        path=tmp_path / "monday.mcap", rig="1", endpoint="there", tell=told.append
+    )
+
+
+def files(recording: RemoteRecording) -> list[armrig.Recording]:
+    """Return what was recorded; each file can be loaded and is what it says."""
+    recording.finish("complete")
+    for file in recording.done:
+        found = verify(file.path)
+        assert found.passed, found
+    return [armrig.load(file.path) for file in recording.done]
+
+
+def ks(recording: armrig.Recording) -> list[int]:
+    """Return the indices of a file's samples."""
+    return [int(k) for k in recording.samples["k"]]
+
+
+def test_a_gap_belongs_to_the_file_that_has_a_sample_on_either_side(
+    recording: RemoteRecording,
+) -> None:
+    """One before the first sample, or behind the last, is none of the file's missing samples."""
+    recording.add(piece(state(), gap(0, 5), sample(5), sample(6), gap(7, 2)))
+    recording.add(piece(sample(9), gap(10, 3)))
+
+    [found] = files(recording)
+
+    assert ks(found) == [5, 6, 9]
+    assert [(g.k_first, g.count, g.reason) for g in found.gaps] == [(7, 2, "link silent")]
+
+
+def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording) -> None:
+    """As a night without the line: both files can be loaded, and the first says what is missing."""
+    behind = 6 + MISSING_LIMIT + 1
+    recording.add(piece(state(), sample(5)))
+    recording.add(piece(sample(behind), sample(behind + 1), lost=7))
+
+    first, second = files(recording)
+
+    assert (ks(first), ks(second)) == ([5], [behind, behind + 1])
+    assert first.outcome is not None
+    assert first.outcome.outcome == "200001 samples are missing behind its last"
+    assert second.path.name == "monday-2.mcap"
+
+
+def test_breaks_add_up(recording: RemoteRecording) -> None:
+    """No file lacks more than it may."""
+    half = MISSING_LIMIT // 2 + 2
+    recording.add(piece(state(), *(sample(i * half) for i in range(5))))
+
+    found = files(recording)
+
+    assert [len(ks(file)) for file in found] == [2, 2, 1]
+    assert all(gap.reason == CUT_OFF for file in found for gap in file.gaps)
+
+
+def test_a_file_ends_before_it_is_too_long_to_be_loaded(
+    recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next one goes on with the next sample."""
+    monkeypatch.setattr(remote_recording, "MOST_ROWS", 10)
+    recording.add(piece(state(), *(sample(k) for k in range(25))))
+
+    found = files(recording)
+
+    assert [ks(file) for file in found] == [[*range(10)], [*range(10, 20)], [*range(20, 25)]]
+    assert [file.outcome for file in recording.done] == ["continued", "continued", "complete"]
+
+
+def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecording) -> None:
+    """With the gaps between them."""
+    recording.add(piece(sample(0), gap(1, 1), sample(2)))
+    recording.add(piece(state(), sample(3)))
+
+    [found] = files(recording)
+
+    assert ks(found) == [0, 2, 3]
+    assert [(g.k_first, g.count) for g in found.gaps] == [(1, 1)]
+
+
+def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path: Path) -> None:
+    """Neither a whole one nor one that is unfinished: the next free number is taken."""
+    for name in ("monday-2.mcap", "monday-3.mcap.active"):
+        (tmp_path / name).write_bytes(b"precious")
+    recording.add(piece(state(), sample(0), state(0.02), sample(1)))
+    recording.finish("complete")
+
+    assert [file.path.name for file in recording.done] == ["monday.mcap", "monday-4.mcap"]
+    assert (tmp_path / "monday-2.mcap").read_bytes() == b"precious"
+    assert (tmp_path / "monday-3.mcap.active").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    "messages",
+    [
+        (state(float("nan")),),
+        (state(float("inf")),),
+        (state(5e-324),),
+        (state(-1.0),),
+        (state(), sample(0, k=1 << 62)),
+        (state(), sample(0, t_host_ns=-1)),
+        (state(), sample(0, t_sched_ns=-(2**63))),
+        (state(), sample(0, t_host_ns=2**63 - 1)),
+        (state(), message("gap", k_first=2**63, count=2**63)),
+        (message("timing", t_host_ns=-1),),
+        (("sample", b"\xff" * 87),),
+        (state(), sample(5), sample(5)),
+        (state(), sample(5), sample(4)),
+    ],
+)
+def test_what_no_daemon_sends_is_refused(
+    recording: RemoteRecording, messages: tuple[Message, ...]
+) -> None:
+    """In a line; what came before is whole."""
+    recording.add(piece(state(), sample(1), sample(2)))
+
+    with pytest.raises(RigError, match=r"no message of armrigd's|no armrigd"):
+        recording.add(piece(*messages))
+
+    [found] = files(recording)
+    assert ks(found)[:2] == [1, 2]
+
+
+@pytest.mark.parametrize("offset_ns", [-1, 1 << 62, -(2**63)])
+def test_a_clock_that_no_machine_has_is_refused(recording: RemoteRecording, offset_ns: int) -> None:
+    """A file's times would not fit."""
+    with pytest.raises(RigError, match="a clock offset"):
+        recording.add(piece(state(), sample(1), offset_ns=offset_ns))
+
+
+@pytest.mark.parametrize("seconds", [2**62, -(2**62), 0])
+def test_an_event_of_any_time_is_recorded(recording: RemoteRecording, seconds: int) -> None:
+    """The clock of the day may have been set."""
+    event = message("event", message="hello", timestamp={"seconds": seconds})
+    recording.add(piece(state(), sample(1), event, sample(2)))
+
+    [found] = files(recording)
+
+    assert [e.message for e in found.events] == ["hello"]
+
+
+@pytest.mark.parametrize(
+    "device",
+    ["[1]", "none", '{"a": "\\ud800"}', "[" * 5000, '{"a":' * 40 + "1" + "}" * 40, '{"a": 1e999}'],
+)
+def test_a_device_that_says_anything_is_recorded(recording: RemoteRecording, device: str) -> None:
+    """What fits into no manifest is left out of it."""
+    recording.add(piece(state(device=device), sample(1)))
+
+    [found] = files(recording)
+
+    assert ks(found) == [1]
+    assert found.manifest.device == {}
+
+
+def test_messages_without_a_sampling_time_do_not_pile_up(recording: RemoteRecording) -> None:
+    """16 MB of them are no daemon's; a second of a daemon's are far fewer."""
+    large = message("event", message="x" * 1_000_000)
+
+    for _ in range(16):
+        recording.add(piece(large))
+    with pytest.raises(RigError, match="its sampling time is not known"):
+        recording.add(piece(large))
+
+
+def test_a_rig_that_changes_its_rate_all_the_time_is_none(recording: RemoteRecording) -> None:
+    """Each would be a file."""
+    changing = [m for i in range(100) for m in (state(0.01 + i / 1000), sample(i))]
+
+    with pytest.raises(RigError, match="60 files in a minute"):
+        recording.add(piece(*changing))
+
+    assert len(recording.done) == 60
+
+
+def test_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
+    """The last ones are kept until a sample comes."""
+    recording.add(piece(state(), sample(0)))
+    recording.add(piece(*(gap(k, 1) for k in range(1, MOST_TOLD + 101))))
+    assert len(recording._told) == MOST_TOLD
+    recording.add(piece(sample(MOST_TOLD + 101)))
+
+    [found] = files(recording)
+
+    assert (found.gaps[0].count, found.gaps[0].reason) == (100, CUT_OFF)
+    assert found.missing == MOST_TOLD + 100
+
+
+def test_a_disk_that_is_behind_is_waited_for(
+    recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And no message is dropped: who waits does not ask, and the daemon keeps what it has."""
+    goes = threading.Event()
+    sync = recording_part.Part.sync
+
+    def slow(part: recording_part.Part) -> None:
+        goes.wait(30)
+        sync(part)
+
+    monkeypatch.setattr(recording_part.Part, "sync", slow)
+
+    def fill() -> None:
+        recording.add(piece(state()))
+        for k in range(40):
+            recording.add(piece(sample(k)))
+
+    filling = threading.Thread(target=fill)
+    filling.start()
+    time.sleep(0.5)
+    waits = filling.is_alive()
+    goes.set()
+    filling.join(30)
+
+    assert waits
+    [found] = files(recording)
+    assert ks(found) == list(range(40))
+
+
+def test_a_folder_that_is_gone_is_told(recording: RemoteRecording, tmp_path: Path) -> None:
+    """With the way out that this command has."""
+    recording.path = tmp_path / "gone" / "monday.mcap"
+
+    with pytest.raises(RigError, match=r"monday\.mcap: No such file or directory; .* by -o"):
+        recording.add(piece(state(), sample(1)))
