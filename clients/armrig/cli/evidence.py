@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -83,7 +85,7 @@ def export(
     with spinner("reading"):
         recording = load(file, calibration, start=start, stop=stop)
     warned(recording)
-    with spinner("writing"):
+    with spinner("writing"), _whole(out):
         if kind == "csv":
             write_csv(recording, out, raw=raw)
         elif kind == "mat":
@@ -94,6 +96,20 @@ def export(
         print_json({"file": str(out), "samples": recording.N, "recording": recording.sha256})
     else:
         echo(f"{out}: {recording.N} samples, {recording.missing} of them missing")
+
+
+@contextmanager
+def _whole(out: Path) -> Iterator[None]:
+    """Leave no file that ends early and looks like a whole one, whatever keeps it from its end."""
+    try:
+        yield
+    except BaseException as err:
+        if out.is_file():
+            with suppress(OSError):
+                out.unlink()
+        if isinstance(err, OSError) and not err.filename:  # of a write the system names no file
+            raise OSError(err.errno, err.strerror or str(err), str(out)) from err
+        raise
 
 
 def _kind(out: Path, asked: dict[str, bool]) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import (
     VALIDATION,
@@ -15,7 +17,7 @@ from armrig.cli.chosen_recording import (
     recording_folder,
     short_name,
 )
-from armrig.cli.next_step import say_next
+from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, echo, print_json, tell
 
 if TYPE_CHECKING:
@@ -24,22 +26,35 @@ if TYPE_CHECKING:
 
 Count = Annotated[int, typer.Option("--count", min=1, help="How many of the newest.")]
 All = Annotated[bool, typer.Option("--all", help="All of them.")]
+Folder = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="FOLDER",
+        help="Where they are.",
+        show_default="the folder of the recordings",
+    ),
+]
+Naming = Callable[["RecordingSummary"], str]
 _COUNT = 20
+_WIDEST = 60  # characters of a column
 _HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "validates")
 
 
-def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
+def ls(where: Folder = None, count: Count = _COUNT, every: All = False, json: Json = False) -> None:
     """List the recordings, newest first.
 
-    With the names that other commands take for files, such as @last.
+    With the names that other commands take for files, such as @last; of another folder than that
+    of the recordings the files themselves.
     """
     from armrig.recordings.catalogue import catalogue
     from armrig.recordings.recording_summary import facts_of, shown_path
 
-    folder = recording_folder()
+    folder = where or recording_folder()
     try:
         found = catalogue(folder)
     except (FileNotFoundError, NotADirectoryError):
+        if where is not None:
+            raise
         found = None
     whole = found.recordings if found else ()
     shown = whole if every else whole[:count]
@@ -55,40 +70,52 @@ def ls(count: Count = _COUNT, every: All = False, json: Json = False) -> None:
         )
         return
     answering = answering_among(whole)
+
+    def name_of(summary: RecordingSummary) -> str:
+        # A name such as @last is looked up in the folder of the recordings.
+        return str(summary.path) if where else short_name(summary, answering)
+
     if shown:
-        rows = [_row(s, answering) for s in shown]
+        rows = [_row(s, name_of, answering) for s in shown]
         # Most names say what a recording validates, and 80 columns are few.
         columns = len(_HEADINGS) if any(row[-1] for row in rows) else len(_HEADINGS) - 1
         echo(_table([row[:columns] for row in (_HEADINGS, *rows)]))
     tell(_the_rest(folder, found, len(shown)))
     if shown:
-        say_next("ls", file=short_name(shown[0], answering))
+        newest = shown[0]
+        say_next("ls", file=typed(newest.path) if where else short_name(newest, answering))
 
 
-def _row(summary: RecordingSummary, answering: Answering) -> tuple[str, ...]:
+def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tuple[str, ...]:
     why = re.split("[:(]", summary.outcome)[0].strip()
     how = "" if summary.outcome == "complete" else f"({why})"
-    return (
-        short_name(summary, answering),
-        summary.kind,
+    cells = (
+        name_of(summary),
+        _clipped(summary.kind),
         f"{summary.seconds:g} s",
         f"{summary.Ts:g} s",
         str(summary.missing),
         summary.started[5:16].replace("T", " "),
-        f"{_validated_by(summary, answering)} {how}".strip(),
+        f"{_validated_by(summary, name_of, answering)} {_clipped(how)}".strip(),
     )
+    return tuple(map(printable, cells))  # a name may have a line break in it
 
 
-def _validated_by(summary: RecordingSummary, answering: Answering) -> str:
+def _clipped(text: str) -> str:
+    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…"
+
+
+def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
     """Return which recording one validates, by its short name; "" where its own name says so."""
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []
-    return short_name(estimations[0], answering) if estimations else "not said"
+    return name_of(estimations[0]) if estimations else "not said"
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    # A name stays whole, to be typed; one longer than any of ours does not make all rows wide.
+    widths = [min(max(map(len, column)), _WIDEST) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows

@@ -174,7 +174,23 @@ def print_json(value: Any) -> None:
     """Print a value as a line of JSON."""
     import msgspec
 
-    typer.echo(json_printable(msgspec.json.encode(value).decode()))
+    try:
+        text = msgspec.json.encode(value)
+    except UnicodeEncodeError:  # the name of a file, whose bytes need be no text
+        text = msgspec.json.encode(_as_text(msgspec.to_builtins(value)))
+    typer.echo(json_printable(text.decode()))
+
+
+def _as_text(value: Any) -> Any:
+    """Return a value in which bytes that are no text are escaped."""
+    match value:
+        case str():
+            return value.encode("utf-8", "backslashreplace").decode()
+        case dict():
+            return {_as_text(key): _as_text(item) for key, item in value.items()}
+        case list():
+            return [_as_text(item) for item in value]
+    return value
 
 
 def print_table(*rows: tuple[str, str]) -> None:

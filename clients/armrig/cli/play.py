@@ -53,7 +53,7 @@ def play(
 
     from armrig.recordings.published import published
     from armrig.rig.play import play as played
-    from armrig.rig.play import staged
+    from armrig.rig.play import rest, staged
     from armrig.rig.session import own_endpoint
 
     if not 0 < speed < inf:
@@ -74,6 +74,7 @@ def play(
                 count += 1
             if not loop:
                 break
+            rest(run, speed=speed)
     if json:
         print_json({"rig": rig, "published": count})
         return

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 _GAPS = 3  # lines of them without --verbose
+_MOST_TOLD = 1000  # characters
 
 
 def info(
@@ -99,8 +100,11 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
         yield "sha256", rec.sha256
     yield "run", f"{manifest.run_id} of rig {manifest.rig}, {manifest.started}"
     if manifest.owner:
-        yield "owner", manifest.owner
-    yield "experiment", f"{manifest.experiment}: {details}" if details else manifest.experiment
+        yield "owner", _clipped(manifest.owner)
+    yield (
+        "experiment",
+        _clipped(f"{manifest.experiment}: {details}" if details else manifest.experiment),
+    )
     yield "samples", _sample_count(rec)
     yield "outcome", _outcome(rec)
     if rec.recovered is not None:
@@ -123,6 +127,11 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
         yield "damage", rec.damage
     for finding in verdict.findings if verbose else ():
         yield finding.about, finding.text
+
+
+def _clipped(text: str) -> str:
+    """Return a text that anybody may have written, as long as one of ours may be."""
+    return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]}…; --json shows all of it"
 
 
 def _sample_count(rec: Recording) -> str:

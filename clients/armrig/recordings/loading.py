@@ -85,7 +85,7 @@ def load(
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
         msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap")'
         raise TypeError(msg)
-    if str(given[0] if given else "").startswith("@"):
+    if str(given[0] if given else "").startswith("@") and not Path(given[0]).exists():
         msg = f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"
         raise RecordingError(msg)
     paths = [part for one in given for part in part_paths(Path(one))]

@@ -35,8 +35,11 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     Shaded is where a sample is missing or shows no angle; outliers are ringed.
     """
     rec = found.recording
+    if not rec.N:
+        msg = f"{rec.path}: it has no samples, so there is nothing to draw; record again"
+        raise ValueError(msg)
     every = rows(ax, 4)
-    ax = every[0]
+    ax, first, last = every[0], float(rec.t[0]), float(rec.t[-1])
     rate = np.diff(rec.theta_1, prepend=np.nan) / rec.Ts
     ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
     signals = (
@@ -49,11 +52,11 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
         panel.plot(rec.t, y, color=BLUE, lw=0.7)
         panel.set_ylabel(label)
         for gap in stretches(~valid):
-            begin, end = (gap.start - 0.5) * rec.Ts, (gap.stop - 0.5) * rec.Ts
+            begin, end = (first + (k - 0.5) * rec.Ts for k in (gap.start, gap.stop))
             panel.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
         _ring(panel, found, name, y)
     every[-1].set_xlabel("$t$ [s]")
-    finish(*every, xlim=(0.0, float(rec.t[-1]) or 1.0))
+    finish(*every, xlim=(first, last if last > first else first + 1.0))
     return sign(ax, rec.sha256)
 
 

@@ -22,6 +22,7 @@ ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
 """Length that the record of a sample of constant layout says."""
 
 _PENDING_LIMIT = 1 << 19  # bytes of rows kept before they are turned into samples
+_K_LIMIT = np.uint64(1 << 62)
 _MARGIN = 1.1  # of room, beyond what the rest of the file should need
 _LEAST_GROWTH, _MOST_GROWTH = 1.5, 64  # times as much room, once there is none
 
@@ -140,11 +141,12 @@ class SampleRows:
         rising[0] = self.last_k < int(k[0])
         rising[1:] = k[1:] > k[:-1]
         good = k.size if rising.all() else int(rising.argmin())
+        good = min(good, int(np.searchsorted(k[:good], _K_LIMIT)))
         if good:
             self.last_k = int(k[good - 1])
             self.size += good
         if good < k.size:
-            msg = f"sample {k[good]} follows sample {self.last_k}: k must rise"
+            msg = f"sample {k[good]} follows sample {self.last_k}: k must rise, and end before 2^62"
             raise DamageError(msg)
 
 

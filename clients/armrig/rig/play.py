@@ -105,6 +105,11 @@ def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Publi
         yield message
 
 
+def rest(run: PublishedRun, *, speed: float) -> None:
+    """Wait until the run may begin again: its last sample has its time, too."""
+    _sleep_until(time.monotonic() + run.manifest.Ts / speed)
+
+
 def _sleep_until(due_s: float) -> None:
     while (left_s := due_s - time.monotonic()) > 0:
         time.sleep(min(left_s, _LONGEST_S))

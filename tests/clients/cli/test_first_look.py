@@ -6,10 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import armrig
 import pytest
 from armrig.cli import main
 from armrig.excitation import step, telegraph
-from made_recordings import manifest, of_the_arm, recorded, turning, written
+from armrig.recordings.overview import overview
+from made_recordings import gap, manifest, of_the_arm, recorded, turning, written
 
 PNG = b"\x89PNG"
 
@@ -99,6 +101,30 @@ def test_plot_draws_a_recording_and_says_what_is_wrong(
     rows = dict(line.split("  ", 1) for line in text.splitlines())
     assert rows["missing"].strip() == "5 of 1200 samples"
     assert rows["outliers, alpha"].strip() == "none"
+
+
+def test_plot_of_no_samples_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As of a run that was stopped at once."""
+    path = written(tmp_path, recorded([]))
+
+    assert main(["plot", str(path), "-o", str(tmp_path / "x.png")]) == 1
+
+    assert "no samples, so there is nothing to draw" in capsys.readouterr().err
+
+
+def test_a_part_of_a_recording_is_drawn_at_its_times(tmp_path: Path) -> None:
+    """From its first sample to its last, and what is missing where it is missing."""
+    samples = turning([30_000 + 100 * k for k in range(200)])
+    messages = [*samples[:150], gap(150, 10, 2.5), *samples[160:]]
+    about = manifest(k_first=0, samples=200)
+    rec = armrig.load(written(tmp_path, recorded(messages, manifest=about)), start=1.0)
+
+    figure = overview(rec).plot()
+
+    assert figure.axes[0].get_xlim() == pytest.approx((1.0, 1.99))
+    [shade] = [p for p in figure.axes[1].patches if p.get_alpha() == 0.5]
+    box = shade.get_window_extent().transformed(figure.axes[1].transData.inverted())
+    assert (box.x0, box.x1) == pytest.approx((1.495, 1.595))
 
 
 def test_plot_finds_an_outlier_where_it_is(

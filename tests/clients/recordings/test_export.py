@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -53,6 +55,25 @@ def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording)
         assert pytest.approx(TS) == found.Ts
         np.testing.assert_array_equal(found.y, rec.theta_1)
         np.testing.assert_array_equal(found.u, rec.u)
+
+
+@pytest.mark.parametrize("kind", ["csv", "mat", "parquet"])
+def test_an_export_that_does_not_come_to_its_end_leaves_nothing(
+    rec: Recording, kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half a file would look like a whole one."""
+    out = rec.path.with_name(f"out.{kind}")
+
+    def full(recording: Recording, path: Path, **_: Any) -> None:
+        path.write_bytes(b"k,t,u")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(f"armrig.recordings.export.write_{kind}", full)
+
+    assert main(["export", str(rec.path), str(out)]) == 1
+
+    assert f"{out}: No space left on device" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def _octave(program: str) -> list[str]:

@@ -521,6 +521,24 @@ def test_k_that_does_not_rise_ends_the_reading(tmp_path: Path) -> None:
     assert "k must rise" in rec.damage
 
 
+@pytest.mark.parametrize("k", [1 << 62, (1 << 64) - 1])
+def test_an_index_beyond_any_ends_the_reading(tmp_path: Path, k: int) -> None:
+    """Nobody counts so far, and not every program has such numbers."""
+    beyond = sample(3)._replace(k=k)
+
+    rec = load(written(tmp_path, recorded([sample(0), sample(1), beyond])))
+
+    assert rec.N == 2
+    assert "end before 2^62" in rec.damage
+
+
+@pytest.mark.parametrize("Ts", [5e-324, 0.9e-6, 86_400.0, -1.0])
+def test_a_sampling_time_that_none_has_is_told(tmp_path: Path, Ts: float) -> None:
+    """It would make numbers of times that no program has."""
+    with pytest.raises(RecordingError, match="from 1 µs to below a day"):
+        load(written(tmp_path, recorded([sample(0)], manifest=manifest(Ts=Ts))))
+
+
 def test_a_recording_without_samples_says_so_when_asked_for_data(tmp_path: Path) -> None:
     """It can be looked at, not identified from."""
     rec = load(written(tmp_path, recorded([])))

@@ -230,6 +230,27 @@ def test_the_command_plays_to_the_end(
     assert last == {"rig": "played-1", "published": 10}
 
 
+def test_a_run_begins_again_when_its_last_sample_is_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of a single sample is not published as fast as the machine can."""
+    one = published(written(tmp_path, recorded([sample(0)])))
+    slept: list[float] = []
+    now = 0.0
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        slept.append(seconds)
+        now += seconds
+
+    monkeypatch.setattr(playing.time, "monotonic", lambda: now)
+    monkeypatch.setattr(playing.time, "sleep", sleep)
+
+    playing.rest(one, speed=0.5)
+
+    assert sum(slept) == pytest.approx(0.02)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
     """Without a trace, and the socket can be listened at again."""

@@ -1,0 +1,110 @@
+"""What `armrig ls` shows of any folder, whatever lies there and is written there."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from made_recordings import manifest, recorded, sample, written
+
+
+def recording(**changes: object) -> bytes:
+    """Return a recording."""
+    return recorded([sample(k) for k in range(3)], manifest=manifest(**changes))
+
+
+def test_a_folder_that_is_named_is_listed_by_its_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As one synced from another machine: @NAME is looked up in one's own folder alone."""
+    synced = tmp_path / "from the lab"
+    synced.mkdir()
+    path = written(synced, recording(experiment="blackbox-monday"))
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "own"))
+
+    assert main(["ls", str(synced)]) == 0
+    told = capsys.readouterr()
+    assert main(["ls", str(synced), "--json"]) == 0
+
+    assert told.out.splitlines()[1].startswith(f"{path}  blackbox")
+    assert told.err.splitlines() == [
+        f"armrig: in {synced}",
+        f"next: armrig info '{path}'",
+    ]
+    found = json.loads(capsys.readouterr().out)
+    assert (found["folder"], found["recordings"][0]["recording"]) == (str(synced), str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "why"), [("none", "No such file or directory"), ("file", "Not a directory")]
+)
+def test_what_is_no_folder_is_told(
+    tmp_path: Path, name: str, why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of one's own folder it only means that nothing was recorded yet."""
+    (tmp_path / "file").touch()
+
+    assert main(["ls", str(tmp_path / name)]) == 1
+
+    assert f"{tmp_path / name}: {why}" in capsys.readouterr().err
+
+
+def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever its name and its experiment are, and no row makes the others wide."""
+    for name in ("a\nb.mcap", f"{'x' * 200}.mcap", "plain.mcap"):
+        written(tmp_path, recording(experiment="y" * 3000), name)
+
+    assert main(["ls", str(tmp_path)]) == 0
+
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert any(line.startswith(rf"{tmp_path}/a\nb.mcap ") for line in lines)
+    [plain] = [line for line in lines if "plain" in line]
+    assert len(plain) < 200
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names are text there")
+@pytest.mark.parametrize("command", ["verify", "info", "ls"])
+def test_a_name_that_is_no_text_is_told_to_programs(
+    tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its bytes escaped."""
+    path = os.fsdecode(bytes(tmp_path) + b"/a\xff.mcap")
+    Path(path).write_bytes(recording())
+
+    assert main([command, str(tmp_path) if command == "ls" else path, "--json"]) in (0, 1)
+
+    found = json.loads(capsys.readouterr().out)
+    if command == "verify":
+        assert found["recording"] == f"{tmp_path}/a\\udcff.mcap"
+
+
+def test_info_shows_no_more_of_a_text_than_a_person_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A program gets all of it."""
+    path = written(tmp_path, recording(details={"why": "z" * 5000}))
+
+    assert main(["info", str(path)]) == 0
+    shown = capsys.readouterr().out
+    assert main(["info", str(path), "--json"]) == 0
+
+    assert max(map(len, shown.splitlines())) < 1100
+    assert "zzz…; --json shows all of it" in shown
+    assert "z" * 5000 in capsys.readouterr().out
+
+
+def test_a_recording_whose_name_begins_as_a_name_of_ours_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By its path."""
+    written(tmp_path, recording(), "@last.mcap")
+    monkeypatch.chdir(tmp_path)
+
+    assert main(["info", "./@last.mcap"]) == 0
+
+    assert "@last.mcap" in capsys.readouterr().out
