@@ -2,12 +2,33 @@
 #include <string.h>
 
 #include "../../core/rig_state.h"
-#include "../../core/rig_motor.h" // rig_duty
+#include "../../core/rig_sampling.h" // rig_tell_samples
 #include "pc_board.h"
 
 size_t pc_state_bytes(void) { return sizeof rig; }
 void pc_save(uint8_t *to) { memcpy(to, &rig, sizeof rig); }
 void pc_load(const uint8_t *from) { memcpy(&rig, from, sizeof rig); }
+
+// Gives bytes to the core as they came.
+void pc_receive(const uint8_t *bytes, uint16_t n)
+{
+    for (; n; n--)
+        rig_receive(*bytes++);
+}
+
+// Ends a sample, and lets main tell it at once.
+void pc_converted(uint8_t what, uint32_t t_us)
+{
+    rig_converted(what, t_us);
+    rig_tell_samples();
+}
+
+// Ends the run, and lets main tell it at once.
+void pc_end(void)
+{
+    rig_end();
+    rig_tell_samples();
+}
 
 uint8_t pc_state(void) { return rig.state; }
 uint8_t pc_cause(void) { return rig.cause; }
@@ -32,6 +53,14 @@ uint16_t pc_asked_u(void) { return rig.asked[rig.asked_first].u; }
 void pc_set_next(uint32_t k)
 {
     rig.queue.next = rig.timed_k = k;
+}
+
+uint32_t pc_next(void) { return rig.queue.next; }
+
+// Makes this the boot of another id.
+void pc_set_boot_id(uint32_t boot_id)
+{
+    rig.boot_id = rig.next_nonce = boot_id;
 }
 
 // Spoils the code that is to be latched next.
