@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: GPL-3.0-or-later
+// What the parts of the harness have in common: one ATmega328P, and the pipe to the host.
+#ifndef FIL_H
+#define FIL_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <sim_avr.h>
+
+typedef avr_cycle_count_t cycles_t; // of 62.5 ns, since the processor was first switched on
+
+#define FIL_HZ 16000000U
+#define FIL_PWM_PERIOD 1024U // cycles; the duty is judged over each
+#define FIL_BITS_PER_BYTE 10U // 8N1
+
+// What the harness tells the host; the fields of each stand in README.md.
+enum { TOLD_CONVERSION = 'a', TOLD_VOLTS = 'v', TOLD_BYTE = 't', TOLD_VIOLATION = 'x', TOLD_DONE = 'd', TOLD_DATA = 'e' };
+
+// Violations, each counted by the host as a failure.
+enum {
+    PIN_HIGH_WITHOUT_ENABLE = 1, // the PWM pin is high while the driver's enable line is low
+    RX_OVERRUN = 2, // a byte was lost in the receiver: two waited and a third was complete
+    TX_OVERRUN = 3, // the firmware wrote into a full transmit buffer
+    CPU_STOPPED = 4, // the processor left its code, or sleeps with interrupts off
+};
+
+// Figures of one boot, as the host gets them.
+typedef struct __attribute__((packed)) {
+    uint64_t last_high; // cycle at which the PWM pin was last high
+    uint64_t interrupts_off_max; // longest time with interrupts off since the first sei, in cycles
+    uint64_t interrupts_off_pc; // where it began
+    uint64_t idle; // cycles asleep
+    uint64_t boots; // resets seen, the first included
+    uint64_t edges; // of the PWM pin
+} fil_figures_t;
+
+extern fil_figures_t figures;
+
+// pipe.c: messages to the host wait in a buffer until the host must answer or is to go on.
+void tell(uint8_t kind, cycles_t cycle, uint32_t value);
+void tell_data(const void *data, uint32_t n);
+uint16_t ask_conversion(cycles_t cycle, uint8_t channel);
+void flush_told(void);
+int hear(void *data, unsigned n); // 0 at end of file
+
+// uart.c
+void uart_attach(avr_t *avr, uint32_t baud);
+void uart_reset(avr_t *avr); // both directions forget what is under way
+void uart_resume(avr_t *avr); // the line goes on once the processor runs
+void uart_host_sends(avr_t *avr, cycles_t not_before, const uint8_t *data, unsigned n);
+extern int uart_frame_ended; // a 00 has left since this was last cleared
+
+// pwm.c
+void pwm_attach(avr_t *avr);
+void pwm_reset(avr_t *avr);
+
+// adc.c
+void adc_attach(avr_t *avr);
+void adc_supply(avr_t *avr, uint16_t millivolts);
+
+// flags.c: what simavr 1.6 does wrong with the interrupt flags of timer 0
+void flags_attach(avr_t *avr);
+avr_int_vector_t *vector_of(avr_t *avr, uint8_t number);
+
+#endif
