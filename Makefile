@@ -49,6 +49,14 @@ simulate: .venv/dev
 fuzz: .venv/dev
 	PYTHONPATH=tests $(BIN)/python -m fuzz
 
+# The Uno's firmware, of Debian's gcc-avr and avr-libc. The same sources give the same bytes.
+firmware:
+	$(MAKE) -C firmware_protocol/firmware/boards/uno
+
+# What runs that very binary in simavr; Debian's libsimavr-dev. It is GPL, and in no wheel.
+fil:
+	$(MAKE) -C firmware_protocol/fil
+
 format: .venv/dev
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format

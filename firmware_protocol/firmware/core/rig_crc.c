@@ -10,7 +10,12 @@ static const RIG_FLASH uint32_t OF_NIBBLE[16] = {
 
 uint32_t rig_crc(const uint8_t *bytes, uint8_t n)
 {
-    uint32_t crc = 0xFFFFFFFF;
+    return rig_crc_further(0, bytes, n);
+}
+
+uint32_t rig_crc_further(uint32_t crc, const uint8_t *bytes, uint8_t n)
+{
+    crc = ~crc;
     for (; n; n--, bytes++) {
         crc = crc >> 4 ^ OF_NIBBLE[((uint8_t)crc ^ *bytes) & 0xF];
         crc = crc >> 4 ^ OF_NIBBLE[((uint8_t)crc ^ *bytes >> 4) & 0xF];

@@ -1,0 +1,35 @@
+// An Arduino Uno: ATmega328P, 16 MHz, 5 V (core/board.h says what each number is).
+#ifndef BOARD_CONSTANTS_H
+#define BOARD_CONSTANTS_H
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <stdint.h>
+
+#define BOARD_QUEUE 256 // of 2 B each; 256 ms at 1 kHz, as long as the longest watchdog
+#define BOARD_ADC_BITS 10
+#define BOARD_PWM_BITS 10
+#define BOARD_SKEW_US 128 // a turn of timer 0: see converter.c
+#define BOARD_HOLD_US 16 // data sheet, table 24-1: two clocks of 125 kHz after the timer's trigger
+#define BOARD_TS_MIN_US 400 // see converter.c
+#define BOARD_CAPABILITIES \
+    (RIG_CAPABILITY_EXCHANGE | RIG_CAPABILITY_SCHEDULED | RIG_CAPABILITY_CAL \
+        | RIG_CAPABILITY_ENABLE_LINE)
+#define BOARD_RAM 1100
+
+// Interrupts off, and as they were before. Writing SREG and cli are no barriers to the compiler.
+#define BOARD_IRQ_INLINE
+static inline uint8_t board_irq_save(void)
+{
+    const uint8_t before = SREG;
+    __asm__ volatile("cli" ::: "memory");
+    return before;
+}
+
+static inline void board_irq_restore(uint8_t before)
+{
+    __asm__ volatile("" ::: "memory");
+    SREG = before;
+}
+
+#endif

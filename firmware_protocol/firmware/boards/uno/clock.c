@@ -1,0 +1,35 @@
+#include "clock.h"
+
+#include "board.h"
+#include "converter.h" // converter_turn
+
+static volatile uint32_t turns; // the interrupt writes it
+
+ISR(TIMER0_OVF_vect)
+{
+    turns++;
+    converter_turn();
+}
+
+void clock_begin(void)
+{
+    TCCR0A = 0;
+    TCCR0B = _BV(CS01); // 16 MHz / 8
+    TIMSK0 = _BV(TOIE0);
+}
+
+uint32_t board_now_us(void)
+{
+    const uint8_t before = board_irq_save();
+    const uint8_t count = TCNT0;
+    uint32_t whole = turns;
+    if (TIFR0 & _BV(TOV0) && count < 128) // a turn that the interrupt could not count yet
+        whole++;
+    board_irq_restore(before);
+    return whole << 7 | count >> 1;
+}
+
+uint8_t clock_turns(void)
+{
+    return *(volatile uint8_t *)&turns;
+}

@@ -1,0 +1,369 @@
+// Conversions are triggered by timer 0 itself, at its compare A, one a turn of 128 us, so that no
+// late interrupt makes them late. When the last of a sample is held, 16 us after its trigger,
+// compare B's interrupt latches u.
+//
+// The converter runs at 125 kHz: 13.5 clocks, 108 us a conversion. Full resolution asks for 200 kHz
+// at most (data sheet, 24.4), and 250 kHz would gain little: the line alone takes 360 us for a
+// SAMPLE at 1 Mbaud, and a sample takes the converter for 128 + 108 us.
+//
+// The long handlers, of the latch and of a conversion's end, let other interrupts in: the line's
+// are due every 20 us. What is next among the converter's own is 20 us or more away.
+#include "converter.h"
+
+#include "board.h"
+#include "clock.h"
+#include "pins.h"
+#include "supply.h"
+
+#define SUPPLY_AS_REFERENCE _BV(REFS0)
+#define QUIET (_BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0)) // 16 MHz / 128
+#define ON (QUIET | _BV(ADIE))
+#define TRIGGERED (ON | _BV(ADATE))
+
+enum {
+    COUNTS_PER_US = 2, // of timer 0
+    HOLD_COUNTS = BOARD_HOLD_US * COUNTS_PER_US,
+    LEAD_COUNTS = 32, // 16 us: longer than it takes to set a trigger with interrupts off
+    LEAD_US = LEAD_COUNTS / COUNTS_PER_US,
+    OVERDUE_US = 50000,
+};
+
+static volatile enum {
+    IDLE, // nothing is set
+    SETTING, // something is being set, by who has made it this
+    SET, // the first trigger is to come, after `turns_to_go` turns
+    CONVERTS, // a conversion is under way
+    READ, // it was read, and the next trigger is to come
+    DISCARDS, // that came before the multiplexer was turned: what is converted is of no use
+    LAST, // the last conversion is under way
+    ENDING, // the end of the run is to come, after `turns_to_go` turns
+} phase;
+static volatile uint16_t turns_to_go;
+static uint16_t triggers; // to come
+static uint8_t what; // of the sample that is set or under way
+static bool of_sample; // else of one channel
+static bool unread; // the conversion before the one that is of no use
+static uint8_t channel; // of what is to be triggered, or under way
+static uint32_t trigger_us; // the last one's, or the end
+
+static volatile uint8_t asked; // samples that wait
+
+static volatile bool timed; // the timer takes samples
+static uint32_t timed_us, ts_us; // when the next one is triggered, and how long after the last
+static uint32_t left; // how many there are still to be, where the run has an end
+static bool has_end;
+
+static volatile bool news; // a sample was taken, or the run has ended
+static volatile uint8_t longest; // of our interrupts, in counts
+
+void converter_turn_to(uint8_t to)
+{
+    ADMUX = SUPPLY_AS_REFERENCE | to;
+}
+
+void converter_convert(void)
+{
+    ADCSRA = ON | _BV(ADSC);
+}
+
+// Lets compare A be at `at_us`, after `turns_to_go` turns, and enter a phase; false where it is too
+// late for that, or so far away that the turns cannot be counted.
+static bool set_compare(uint32_t at_us, uint8_t next_phase)
+{
+    OCR0A = (uint8_t)(at_us * COUNTS_PER_US) - 1; // the flag comes with the count behind it
+    const uint8_t before = board_irq_save();
+    uint32_t now_us;
+    do { // a compare until now is none of those
+        TIFR0 = _BV(OCF0A);
+        now_us = board_now_us();
+    } while (TIFR0 & _BV(OCF0A));
+    const bool in_time = (int32_t)(at_us - now_us) >= LEAD_US;
+    if (in_time) {
+        turns_to_go = ((at_us - now_us - 1) << 1) >> 8; // / TURN_US
+        if (!turns_to_go && next_phase == SET)
+            ADCSRA = TRIGGERED;
+        phase = next_phase;
+        TIMSK0 |= _BV(OCIE0A);
+    }
+    board_irq_restore(before);
+    return in_time;
+}
+
+// Sets the first trigger as soon as can be; returns when the first of them is.
+static uint32_t set_now(void)
+{
+    const uint8_t before = board_irq_save();
+    OCR0A = TCNT0 + (LEAD_COUNTS - 1);
+    TIFR0 = _BV(OCF0A);
+    ADCSRA = TRIGGERED;
+    turns_to_go = 0;
+    phase = SET;
+    TIMSK0 |= _BV(OCIE0A);
+    const uint32_t now_us = board_now_us();
+    const uint8_t to_go = OCR0A + 1 - (uint8_t)(now_us * COUNTS_PER_US); // counts; the half one, too
+    board_irq_restore(before);
+    return now_us + to_go / COUNTS_PER_US;
+}
+
+// Sets the sample of `what`, the last conversion of which is to be at `at_us` if the timer takes it.
+static void set_sample(uint32_t at_us)
+{
+    of_sample = true;
+    triggers = 2 * (uint16_t)rig_oversampling();
+    channel = ALPHA_CHANNEL;
+    converter_turn_to(channel);
+    const uint32_t takes_us = (uint32_t)(triggers - 1) * BOARD_SKEW_US;
+    trigger_us = at_us;
+    if (what == RIG_TIMED && set_compare(at_us - takes_us, SET))
+        return;
+    if (what == RIG_TIMED)
+        what |= RIG_LATE;
+    trigger_us = set_now() + takes_us;
+}
+
+// Sets what is to be done next. From who has made the phase SETTING; interrupts may be on.
+static void set_next(bool waited)
+{
+    if (asked) {
+        what = waited ? RIG_ASKED | RIG_LATE : RIG_ASKED;
+        set_sample(0);
+    } else if (timed && has_end && !left) {
+        trigger_us = timed_us + BOARD_HOLD_US;
+        if (!set_compare(trigger_us, ENDING))
+            set_compare(board_now_us() + TURN_US, ENDING);
+    } else if (timed) {
+        what = RIG_TIMED;
+        set_sample(timed_us);
+    } else {
+        phase = IDLE;
+    }
+}
+
+// Returns whether the caller is to set what is next: nobody does, and the converter is free.
+static bool claims(void)
+{
+    const bool free = phase == IDLE && (asked || timed) && supply_yields();
+    if (free)
+        phase = SETTING;
+    return free;
+}
+
+static void note_length(uint8_t began)
+{
+    const uint8_t took = TCNT0 - began;
+    if (took > longest)
+        longest = took;
+}
+
+// The last conversion was triggered just now: u is to be latched when it is held.
+static void begin_last(void)
+{
+    ADCSRA = ON;
+    TIMSK0 &= (uint8_t)~_BV(OCIE0A);
+    phase = LAST;
+    if (!of_sample)
+        return;
+    OCR0B = OCR0A + HOLD_COUNTS;
+    TIFR0 = _BV(OCF0B);
+    if ((uint8_t)(TCNT0 - OCR0A) < HOLD_COUNTS)
+        TIMSK0 |= _BV(OCIE0B);
+    else // so late that compare B has gone by
+        rig_latch(what);
+}
+
+static void end_run(void)
+{
+    TIMSK0 &= (uint8_t)~_BV(OCIE0A);
+    timed = false;
+    phase = IDLE;
+    news = true;
+    rig_end();
+}
+
+ISR(TIMER0_COMPA_vect)
+{
+    const uint8_t now = phase;
+    if (turns_to_go) {
+        if (--turns_to_go == 0 && now == SET)
+            ADCSRA = TRIGGERED; // from the next one on
+    } else if (now == SET || now == READ) {
+        if (--triggers == 0)
+            begin_last();
+        else
+            phase = CONVERTS;
+    } else if (now == ENDING) {
+        end_run();
+    } else { // triggered too soon: this one is not counted
+        if (now == CONVERTS)
+            unread = true;
+        phase = DISCARDS;
+        trigger_us += TURN_US;
+        what |= RIG_LATE;
+    }
+}
+
+ISR(TIMER0_COMPB_vect)
+{
+    const uint8_t began = TCNT0;
+    TIMSK0 &= (uint8_t)~_BV(OCIE0B);
+    sei();
+    rig_latch(what);
+    cli();
+    note_length(began);
+}
+
+// Takes a reading, and turns the multiplexer before the next trigger comes.
+static void end_conversion(uint16_t reading)
+{
+    const uint8_t of = channel;
+    if (of_sample) {
+        channel ^= THETA_1_CHANNEL ^ ALPHA_CHANNEL;
+        converter_turn_to(channel);
+    }
+    unread = false;
+    if (phase == CONVERTS)
+        phase = TIFR0 & _BV(OCF0A) ? DISCARDS : READ;
+    if (phase == DISCARDS && !(ADCSRA & _BV(ADSC)))
+        phase = READ;
+    sei();
+    rig_reading(of == ALPHA_CHANNEL, reading);
+    cli();
+}
+
+static void end_last(uint16_t reading)
+{
+    phase = SETTING;
+    if (!of_sample) {
+        // Nothing to be told but the reading.
+    } else if (what & RIG_TIMED) {
+        timed_us += ts_us;
+        left--;
+    } else {
+        asked--;
+    }
+    supply_offer();
+    sei();
+    rig_reading(channel == ALPHA_CHANNEL, reading);
+    if (of_sample)
+        rig_converted(what, trigger_us);
+    news = true;
+    set_next(true);
+    cli();
+}
+
+ISR(ADC_vect)
+{
+    const uint8_t began = TCNT0;
+    const uint16_t reading = ADC, code = reading << (16 - BOARD_ADC_BITS);
+    if (phase == CONVERTS || (phase == DISCARDS && unread))
+        end_conversion(code);
+    else if (phase == DISCARDS)
+        phase = ADCSRA & _BV(ADSC) ? DISCARDS : READ;
+    else if (phase == LAST)
+        end_last(code);
+    else if (supply_end(reading) && claims())
+        set_next(true);
+    note_length(began);
+}
+
+void converter_turn(void)
+{
+    uint8_t free_turns = 0;
+    if (phase == IDLE)
+        free_turns = UINT8_MAX;
+    else if (phase == SET || phase == ENDING)
+        free_turns = turns_to_go < UINT8_MAX ? turns_to_go : UINT8_MAX;
+    supply_turn(free_turns);
+}
+
+bool converter_has_news(void)
+{
+    const bool had = news;
+    news = false;
+    return had;
+}
+
+void board_convert_now(void)
+{
+    const uint8_t before = board_irq_save();
+    asked++;
+    const bool mine = claims();
+    board_irq_restore(before);
+    if (mine)
+        set_next(false);
+}
+
+bool board_converter_is_free(void)
+{
+    return phase == IDLE && supply_is_at_rest();
+}
+
+void board_convert_channel(uint8_t of, uint16_t n)
+{
+    phase = SETTING; // nobody else would: it is free, and nothing waits
+    of_sample = false;
+    triggers = n;
+    channel = of ? ALPHA_CHANNEL : THETA_1_CHANNEL;
+    converter_turn_to(channel);
+    trigger_us = set_now() + (uint32_t)(n - 1) * BOARD_SKEW_US;
+}
+
+void board_timer_start(uint32_t t0_us, uint32_t period_us, uint32_t k_stop)
+{
+    timed_us = t0_us; // no timer runs that could read them
+    ts_us = period_us;
+    left = k_stop;
+    has_end = k_stop != 0;
+    const uint8_t before = board_irq_save();
+    timed = true;
+    const bool mine = claims();
+    board_irq_restore(before);
+    if (mine)
+        set_next(false);
+}
+
+void board_timer_stop(void)
+{
+    const uint8_t before = board_irq_save();
+    const bool runs = turns_to_go == 0 && TIFR0 & _BV(OCF0A); // its trigger has come
+    const bool mine = phase == ENDING || (phase == SET && of_sample && what & RIG_TIMED && !runs);
+    timed = false;
+    if (mine) {
+        TIMSK0 &= (uint8_t)~_BV(OCIE0A);
+        ADCSRA = ON;
+        phase = SETTING;
+    }
+    board_irq_restore(before);
+    if (mine)
+        set_next(true);
+}
+
+void converter_begin(void)
+{
+    ADCSRB = _BV(ADTS1) | _BV(ADTS0); // the trigger is compare A of timer 0
+    DIDR0 = 0x3F; // the digital inputs of A0 to A5 off
+    ADCSRA = ON;
+}
+
+uint16_t converter_read(uint8_t of)
+{
+    converter_turn_to(of);
+    ADCSRA = QUIET | _BV(ADSC);
+    while (ADCSRA & _BV(ADSC))
+        ;
+    return ADC;
+}
+
+bool converter_is_alive(void)
+{
+    const uint8_t before = board_irq_save();
+    const bool alive = phase == IDLE || (int32_t)(board_now_us() - trigger_us) < OVERDUE_US;
+    board_irq_restore(before);
+    return alive;
+}
+
+uint16_t board_isr_max_us(void)
+{
+    // And what comes before and behind: the registers saved, and the jump.
+    return longest / COUNTS_PER_US + 4;
+}

@@ -1,0 +1,119 @@
+// An ATmega328P has no random source and no serial number that its data sheet knows. What it has is
+// an EEPROM and the noise of its converter.
+//
+// The boots are counted in the EEPROM, in a ring of 64 places, each written at every 64th boot, so
+// that its 100 000 writes last for 6.4 million boots. A place is a count and its check. One that a
+// power failure has torn fails its check, and the boot is counted once more: nobody was told of it.
+//
+// The low half of boot_id is a permutation of the low half of the count: 65536 boots in a row have
+// each their own in every SAMPLE. The high half is mixed with noise. The uid is drawn from noise,
+// once, and kept.
+#include "identity.h"
+
+#include <avr/eeprom.h>
+#include <stddef.h>
+
+#include "board.h"
+#include "converter.h"
+#include "pins.h"
+#include "rig_crc.h"
+
+struct count {
+    uint32_t boots;
+    uint32_t check; // CRC-32 of boots
+};
+
+struct uid {
+    uint64_t number;
+    uint32_t check;
+};
+
+enum { PLACES = 64, NOISY_READINGS = 32 };
+
+static struct count EEMEM counts[PLACES];
+static struct uid EEMEM uids[2]; // the second where the first was torn
+static uint32_t boots, noise;
+static uint64_t uid;
+
+// Mixes `more` into a state of 32 bits (the finaliser of MurmurHash3, a bijection of the state).
+static uint32_t mixed(uint32_t state, uint32_t more)
+{
+    state ^= more;
+    state = (state ^ state >> 16) * 0x85EBCA6BUL;
+    state = (state ^ state >> 13) * 0xC2B2AE35UL;
+    return state ^ state >> 16;
+}
+
+// An open pin and the potentiometers: what their lowest bits are nobody knows.
+static void gather_noise(void)
+{
+    static const uint8_t channels[] = {OPEN_CHANNEL, THETA_1_CHANNEL, ALPHA_CHANNEL, OPEN_CHANNEL};
+    for (uint8_t i = 0; i < NOISY_READINGS; i++)
+        noise = mixed(noise, (uint32_t)converter_read(channels[i % sizeof channels]) << 8 | TCNT1L);
+}
+
+// Finds the newest count and writes the one after it into the next place; false where that fails.
+static bool count_boot(void)
+{
+    struct count count = {0};
+    uint8_t place = 0;
+    boots = 0;
+    for (uint8_t i = 0; i < PLACES; i++) {
+        eeprom_read_block(&count, &counts[i], sizeof count);
+        if (count.check == rig_crc((const uint8_t *)&count.boots, sizeof count.boots) && count.boots > boots) {
+            boots = count.boots;
+            place = (i + 1) % PLACES;
+        }
+    }
+    boots++;
+    const struct count next = {boots, rig_crc((const uint8_t *)&boots, sizeof boots)};
+    eeprom_update_block(&next, &counts[place], sizeof next);
+    eeprom_read_block(&count, &counts[place], sizeof count);
+    return count.boots == boots && count.check == next.check;
+}
+
+static bool read_uid(uint8_t place)
+{
+    struct uid found;
+    eeprom_read_block(&found, &uids[place], sizeof found);
+    uid = found.number;
+    return uid != 0 && found.check == rig_crc((const uint8_t *)&found.number, sizeof found.number);
+}
+
+static void draw_uid(void)
+{
+    uid = (uint64_t)mixed(noise, 1) << 32 | mixed(noise, 2) | 1;
+    const struct uid drawn = {uid, rig_crc((const uint8_t *)&uid, sizeof uid)};
+    eeprom_update_block(&drawn, &uids[1], sizeof drawn);
+    eeprom_update_block(&drawn, &uids[0], sizeof drawn);
+}
+
+void identity_begin(void)
+{
+    gather_noise();
+    if (!read_uid(0) && !read_uid(1))
+        draw_uid();
+    if (!count_boot())
+        boots = noise; // an EEPROM that is worn out
+}
+
+uint64_t board_uid(void)
+{
+    return uid;
+}
+
+uint32_t board_boot_id(void)
+{
+    const uint16_t low = boots * 0x9E37U + (uint16_t)uid; // odd, and so a permutation
+    const uint32_t high = mixed(noise ^ (uint32_t)uid, boots);
+    const uint32_t boot_id = (high & 0xFFFF0000UL) | low;
+    return boot_id ? boot_id : 1;
+}
+
+uint32_t board_token(void)
+{
+    do
+        noise = mixed(noise, board_now_us()) + 1;
+    while (!noise);
+    return noise;
+}

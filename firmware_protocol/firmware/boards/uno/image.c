@@ -1,0 +1,23 @@
+// The CRC-32 of the program in flash, by which HELLO_R says what firmware this is.
+#include <avr/pgmspace.h>
+#include <stdint.h>
+
+#include "board.h"
+#include "rig_crc.h"
+
+extern const uint8_t __data_load_end[]; // of the linker: where the program ends in flash
+
+uint32_t board_firmware_crc(void)
+{
+    static uint32_t crc; // once a boot: it takes a while
+    if (crc)
+        return crc;
+    uint8_t piece[64];
+    const uint8_t *const end = __data_load_end;
+    for (const uint8_t *at = 0; at < end; at += sizeof piece) {
+        const uint8_t n = end - at < (int16_t)sizeof piece ? end - at : (int16_t)sizeof piece;
+        memcpy_P(piece, at, n);
+        crc = rig_crc_further(crc, piece, n);
+    }
+    return crc;
+}

@@ -1,0 +1,89 @@
+#include "uart.h"
+
+#include "board.h"
+
+#ifndef BAUD
+#define BAUD 500000
+#endif
+_Static_assert(F_CPU % (8L * BAUD) == 0, "this speed cannot be had exactly");
+
+enum {
+    RX_RING = 128, // longer than what comes while main makes a SAMPLE; a power of two
+    TX_RING = 256, // seven SAMPLEs; as an index wraps
+    BYTE_US = 10000000L / BAUD,
+};
+
+static volatile uint8_t rx[RX_RING], rx_head, rx_tail; // the interrupt writes rx_head, main rx_tail
+static volatile uint8_t rx_lost;
+static volatile uint8_t tx[TX_RING], tx_head, tx_tail; // main writes tx_head, the interrupt tx_tail
+static uint32_t tx_free_us; // when the line will be free
+
+ISR(USART_RX_vect)
+{
+    const uint8_t status = UCSR0A, byte = UDR0, next = (rx_head + 1) % RX_RING;
+    if (status & _BV(DOR0)) // data sheet: between this byte and the one before it some were lost
+        rx_lost++;
+    if (status & _BV(FE0))
+        return;
+    if (next == rx_tail) {
+        rx_lost++;
+        return;
+    }
+    rx[rx_head] = byte;
+    rx_head = next;
+}
+
+ISR(USART_UDRE_vect)
+{
+    UDR0 = tx[tx_tail];
+    if (++tx_tail == tx_head)
+        UCSR0B &= (uint8_t)~_BV(UDRIE0);
+}
+
+void uart_begin(void)
+{
+    UCSR0A = _BV(U2X0); // before UBRR0: some models take the speed when that is written
+    UBRR0 = F_CPU / 8 / BAUD - 1;
+    UCSR0C = _BV(UCSZ01) | _BV(UCSZ00); // 8N1
+    UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
+}
+
+int16_t uart_next(void)
+{
+    if (rx_tail == rx_head)
+        return -1;
+    const uint8_t byte = rx[rx_tail];
+    rx_tail = (rx_tail + 1) % RX_RING;
+    return byte;
+}
+
+bool board_send(const uint8_t *bytes, uint8_t n)
+{
+    const uint8_t used = tx_head - tx_tail;
+    if (n >= TX_RING - used)
+        return false;
+    tx_free_us = board_send_us() + n * (uint32_t)BYTE_US;
+    uint8_t head = tx_head;
+    while (n--)
+        tx[head++] = *bytes++;
+    tx_head = head;
+    const uint8_t before = board_irq_save();
+    UCSR0B |= _BV(UDRIE0);
+    board_irq_restore(before);
+    return true;
+}
+
+uint32_t board_send_us(void)
+{
+    const uint32_t now_us = board_now_us();
+    return (int32_t)(tx_free_us - now_us) > 0 ? tx_free_us : now_us;
+}
+
+uint16_t board_rx_lost(void)
+{
+    const uint8_t before = board_irq_save();
+    const uint8_t lost = rx_lost;
+    rx_lost = 0;
+    board_irq_restore(before);
+    return lost;
+}
