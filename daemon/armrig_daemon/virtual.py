@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import Protocol
 
 from armrig_daemon.core.state import Event, LinkUp, Ordered, Received, Rules
+from armrig_daemon.emulator.board import Board
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop.loop import Loop
@@ -19,6 +21,27 @@ Lateness = Callable[[], int]
 """How much later than the deadline the host wakes, in ns."""
 Line = Callable[[bytes], bytes]
 """What a line makes of the bytes that go in."""
+
+
+class VirtualDevice(Protocol):
+    """A device to which time is given: the emulated one, or the firmware's binary."""
+
+    @property
+    def board(self) -> Board:
+        """The pins and the arm."""
+
+    def receive(self, now_ns: int, data: bytes) -> None:
+        """Put bytes on the wire to it."""
+
+    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Let time pass; return frames, each with its last byte's departure."""
+
+    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
+        """Let time pass up to a limit, or less where something happens; return the time, too."""
+
+
+SwitchOn = Callable[[EmulatorSettings, int], VirtualDevice]
+"""Makes a device that is switched on at a time, in ns."""
 
 
 def sound(data: bytes) -> bytes:
@@ -33,11 +56,15 @@ class VirtualPorts:
     collections = 0
 
     def __init__(
-        self, settings: EmulatorSettings, lateness: Lateness = lambda: 0, switched_on_ns: int = 0
+        self,
+        settings: EmulatorSettings,
+        lateness: Lateness = lambda: 0,
+        switched_on_ns: int = 0,
+        switch_on: SwitchOn = Device,
     ) -> None:
         """Switch the device on, at time 0 or before it, and plug it in at time 0."""
         self.now = 0
-        self.device = Device(settings, switched_on_ns)
+        self.device = switch_on(settings, switched_on_ns)
         self.to_device: Line = sound
         self.from_device: Line = sound
         self._lateness = lateness
@@ -60,9 +87,13 @@ class VirtualPorts:
             ready = self._ready()
             if ready or self.now >= until_ns:
                 return ready
-            device_ns = self._line[0][0] if self._line else self.device.next_ns()
             order_ns = self._inbox[0][0] if self._inbox else until_ns
-            self._advance(max(self.now, min(until_ns, device_ns, order_ns)))
+            limit_ns = max(self.now, min(until_ns, order_ns))
+            if self._line:
+                self._advance(min(limit_ns, self._line[0][0]))
+            else:
+                self.now, frames = self.device.advance_until(limit_ns)
+                self._line.extend(frames)
 
     def write(self, data: bytes) -> Event | None:
         """Put bytes on the line."""
@@ -109,9 +140,10 @@ class VirtualRig:
         settings: EmulatorSettings,
         lateness: Lateness = lambda: 0,
         switched_on_ns: int = 0,
+        switch_on: SwitchOn = Device,
     ) -> None:
         """Switch everything on at time 0, or the device before it."""
-        self.ports = VirtualPorts(settings, lateness, switched_on_ns)
+        self.ports = VirtualPorts(settings, lateness, switched_on_ns, switch_on)
         self.loop = Loop(rules, self.ports)
         self.records: list[bytes | Record] = []
 

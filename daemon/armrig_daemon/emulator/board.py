@@ -142,6 +142,15 @@ class Board:
         low = self._browns_out and now_ns >= self._brown_out_ns
         return BROWN_OUT_MV if low else self._supply_mv
 
+    def drive(self, now_ns: int, share: float, state: State, cause: Cause) -> None:
+        """Give the motor the share of the full voltage that was measured at a real pin.
+
+        It is known after the period in which it began, when the arm may have moved on: the voltage
+        then changes where the arm is.
+        """
+        terminal_v = driven(FULL_SCALE_V * share, *self._driver)
+        self._apply(max(now_ns, self._now_ns), terminal_v, state, cause)
+
     def theta_1(self, now_ns: int) -> int:
         """Return the reading of theta_1."""
         return self._read(self._theta_1, self.motion(now_ns)[0])

@@ -133,6 +133,11 @@ class Device:
             self._step(self._next_ns)
         return self._tx.pop_sent()
 
+    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
+        """Let time pass up to a limit or to what is due next; return the time, and as `advance`."""
+        now_ns = min(limit_ns, self._next_ns)
+        return now_ns, self.advance(now_ns)
+
     def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Do what is due until `now_ns` or the next frame, whatever is first; return as `advance`.
 

@@ -1,0 +1,201 @@
+"""The harness that runs the firmware's binary (firmware_protocol/fil), and the pipe to it.
+
+Virtual time, in cycles of the processor: nothing on the board happens but by an order of ours.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator
+from enum import IntEnum
+from pathlib import Path
+from struct import Struct
+from typing import IO, Final, NamedTuple
+
+CYCLES_PER_US: Final = 16
+_ORDER = Struct("<cQI")
+_RECORD = Struct("<BQI")
+_READING = Struct("<H")
+_FIGURES = Struct("<6Q")
+
+
+class HarnessError(RuntimeError):
+    """The harness cannot be run, or has ended; says why."""
+
+
+class Violation(IntEnum):
+    """What must not happen on the board (fil.h)."""
+
+    PIN_HIGH_WITHOUT_ENABLE = 1
+    """The PWM pin is high while the driver's enable line is low."""
+    RX_OVERRUN = 2
+    """A byte was lost in the receiver of two bytes."""
+    TX_OVERRUN = 3
+    """A byte was written into a full transmit buffer."""
+    CPU_STOPPED = 4
+    """The processor left its program, or sleeps with interrupts off."""
+
+
+class Duty(NamedTuple):
+    """What the PWM pin was measured to do in a period, and does until told otherwise."""
+
+    cycle: int
+    high: int
+    """Cycles of 1024."""
+    enabled: bool
+
+
+class Left(NamedTuple):
+    """A byte has left to the host."""
+
+    cycle: int
+    byte: int
+
+
+class Violated(NamedTuple):
+    """Something happened that must not."""
+
+    cycle: int
+    what: Violation
+
+
+class Figures(NamedTuple):
+    """What the harness has counted."""
+
+    last_high: int
+    """Cycle at which the PWM pin was last high."""
+    interrupts_off_max: int
+    """Longest time with interrupts off, in cycles."""
+    interrupts_off_pc: int
+    """Where in the program it began."""
+    idle: int
+    """Cycles asleep."""
+    boots: int
+    edges: int
+    """Of the PWM pin."""
+
+
+Record = Duty | Left | Violated
+
+
+class Harness:
+    """One simulated Uno, switched on and at its cycle 0."""
+
+    def __init__(
+        self,
+        program: Path,
+        image: Path,
+        convert: Callable[[int, int], int],
+        *,
+        baud: int,
+        trace: Path | None = None,
+    ) -> None:
+        """Start it.
+
+        Parameters
+        ----------
+        convert : callable
+            Is asked for the ten bits of a conversion, given the cycle of its hold and its channel.
+        baud : int
+            Speed of the host's line.
+        trace : Path, optional
+            VCD file for the two pins.
+        """
+        arguments = [str(program), "--baud", str(baud)]
+        if trace is not None:
+            arguments += ["--vcd", str(trace)]
+        try:
+            self._process = subprocess.Popen(
+                [*arguments, str(image)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,  # Ctrl-C is for us, who end it
+            )
+        except OSError as err:
+            msg = f"{program}: {err.strerror}"
+            raise HarnessError(msg) from err
+        self._convert = convert
+        self.cycle = 0
+
+    def advance(self, cycle: int, *, until_frame: bool = False) -> list[Record]:
+        """Run to a cycle, or to the end of a frame to the host; return what happened."""
+        self._order(b"A", cycle, until_frame)
+        return list(self._records())
+
+    def send(self, cycle: int, data: bytes) -> None:
+        """Put bytes on the line to the device, not before `cycle`."""
+        self._order(b"I", cycle, len(data), data)
+
+    def reset(self, deaf_cycles: int = 0) -> None:
+        """Reset it by its pin; with a boot loader it is deaf at first, and forgets the cause."""
+        self._order(b"R", 0, deaf_cycles)
+
+    def supply(self, millivolts: int) -> None:
+        """Let the supply be this."""
+        self._order(b"V", 0, millivolts)
+
+    def read_eeprom(self, start: int, n: int) -> bytes:
+        """Return n bytes of the EEPROM."""
+        self._order(b"E", start, n)
+        return self._data()
+
+    def write_eeprom(self, start: int, data: bytes) -> None:
+        """Change bytes of the EEPROM."""
+        self._order(b"W", start, len(data), data)
+
+    def figures(self) -> Figures:
+        """Return what it has counted so far."""
+        self._order(b"F", 0, 0)
+        return Figures._make(_FIGURES.unpack(self._data()))
+
+    def close(self) -> None:
+        """End it."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._process.wait()
+
+    @property
+    def _in(self) -> IO[bytes]:
+        if self._process.stdin is None:
+            msg = "the harness has no input"
+            raise HarnessError(msg)
+        return self._process.stdin
+
+    def _order(self, order: bytes, cycle: int, n: int, data: bytes = b"") -> None:
+        try:
+            self._in.write(_ORDER.pack(order, cycle, n) + data)
+            self._in.flush()
+        except BrokenPipeError as err:
+            msg = f"the harness ended with exit code {self._process.wait()}"
+            raise HarnessError(msg) from err
+
+    def _read(self, n: int) -> bytes:
+        pipe = self._process.stdout
+        data = pipe.read(n) if pipe is not None else b""
+        if len(data) < n:
+            msg = f"the harness ended with exit code {self._process.wait()}"
+            raise HarnessError(msg)
+        return data
+
+    def _data(self) -> bytes:
+        _, _, n = _RECORD.unpack(self._read(_RECORD.size))
+        return self._read(n)
+
+    def _records(self) -> Iterator[Record]:
+        """Yield what it tells until it has come to its end; answer what it asks."""
+        while True:
+            kind, cycle, value = _RECORD.unpack(self._read(_RECORD.size))
+            match chr(kind):
+                case "a":
+                    self._in.write(_READING.pack(self._convert(cycle, value)))
+                    self._in.flush()
+                case "t":
+                    yield Left(cycle, value)
+                case "v":
+                    yield Duty(cycle, value & 0xFFFF, bool(value >> 16))
+                case "x":
+                    yield Violated(cycle, Violation(value))
+                case "d":
+                    self.cycle = cycle
+                    return

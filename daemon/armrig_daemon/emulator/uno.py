@@ -1,0 +1,166 @@
+"""The firmware's binary on a simulated Uno, with the arm on its pins.
+
+It is driven as `device` is: time is given, in integer nanoseconds, and never goes back. Beside the
+bytes it has only what a real board has, its pins: the voltage is measured at the PWM pin.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from armrig_protocol import decoder
+from armrig_protocol.frame import Spoilt, Unknown
+from armrig_protocol.messages import Cause, Event, State
+from msgspec.structs import replace
+
+from armrig_daemon.emulator.board import Board, Witness
+from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty, Harness, Left, Violated
+from armrig_daemon.emulator.sensors import CODE_BITS
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uart import wire_ns
+
+ADC_BITS: Final = 10
+PERIOD: Final = 1024
+"""Cycles of a period of the PWM."""
+THETA_1, ALPHA = 0, 1
+OPTIBOOT_NS: Final = 1_000_000_000
+"""How long a boot loader hears nothing of what is for the program."""
+Stuck = Callable[[int, int], int | None]
+"""Reading of a converter that is stuck, given the time and the channel; None where it is not."""
+
+
+class Uno:
+    """A board with its firmware, and an arm that moves."""
+
+    def __init__(
+        self,
+        program: Path,
+        image: Path,
+        settings: EmulatorSettings,
+        now_ns: int = 0,
+        *,
+        witness: Witness | None = None,
+        boot_loader: bool = False,
+        trace: Path | None = None,
+    ) -> None:
+        """Switch it on.
+
+        Parameters
+        ----------
+        program, image : Path
+            The harness, and the firmware as Intel HEX.
+        settings : EmulatorSettings
+            The arm, its sensors and the speed of the line; the board's own are the binary's.
+        boot_loader : bool, default False
+            A reset by the port ends in Optiboot, which is deaf for a second and clears MCUSR.
+        trace : Path, optional
+            VCD file for the two pins.
+        """
+        noise, self._rng = (
+            np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
+        )
+        self.board = Board(replace(settings, adc_bits=ADC_BITS), now_ns, noise, witness)
+        self._baud = settings.baud
+        self._origin_ns = now_ns
+        self._line_free_ns = now_ns
+        self._deaf = OPTIBOOT_NS * CYCLES_PER_US // 1000 if boot_loader else 0
+        self._frame = bytearray()
+        self._frames: deque[tuple[int, bytes]] = deque()
+        self.harness = Harness(program, image, self._reading, baud=settings.baud, trace=trace)
+        self.state = State.BOOT
+        """As the newest frame tells."""
+        self.cause = Cause.POWER_ON
+        """As the newest EVENT tells."""
+        self.violations: list[Violated] = []
+        self.duties: list[Duty] = []
+        """What was measured at the pin since it was switched on, changes only."""
+        self.stuck: Stuck = lambda t_ns, channel: None
+
+    def close(self) -> None:
+        """Switch it off."""
+        self.harness.close()
+
+    def ns(self, cycle: int) -> int:
+        """Return when a cycle ends, in given time."""
+        return self._origin_ns - (-cycle * 1000 // CYCLES_PER_US)
+
+    def cycle(self, now_ns: int) -> int:
+        """Return the last cycle that has begun at a given time."""
+        return (now_ns - self._origin_ns) * CYCLES_PER_US // 1000
+
+    def reset(self, now_ns: int) -> None:
+        """Reset the processor, as opening the port of an Uno does; what is on the wires is lost."""
+        self.advance(now_ns)
+        self._frame.clear()
+        self._line_free_ns = now_ns
+        self.harness.reset(self._deaf)
+        self.state, self.cause = State.BOOT, Cause.POWER_ON
+
+    def receive(self, now_ns: int, data: bytes) -> None:
+        """Put bytes on the wire to the device; they arrive one after the other from `now_ns` on."""
+        self._line_free_ns = max(self._line_free_ns, now_ns) + wire_ns(len(data), self._baud)
+        self.harness.send(self.cycle(now_ns), data)
+
+    def rx_backlog_ns(self, now_ns: int) -> int:
+        """Return how long the bytes given so far still occupy the wire to the device."""
+        return max(0, self._line_free_ns - now_ns)
+
+    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Let time pass; return frames, each with its last byte's departure."""
+        self._run(now_ns, until_frame=False)
+        frames = list(self._frames)
+        self._frames.clear()
+        return frames
+
+    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
+        """Let time pass up to `limit_ns` or to a frame; return the time that it is then, and it."""
+        self._run(limit_ns, until_frame=True)
+        frames = list(self._frames)
+        self._frames.clear()
+        return (min(limit_ns, frames[-1][0]) if frames else limit_ns), frames
+
+    def _run(self, now_ns: int, *, until_frame: bool) -> None:
+        target = self.cycle(now_ns)
+        if target <= self.harness.cycle:
+            return
+        for record in self.harness.advance(target, until_frame=until_frame):
+            match record:
+                case Left(cycle, byte):
+                    self._frame.append(byte)
+                    if not byte:
+                        self._take_frame(self.ns(cycle))
+                case Duty():
+                    self._apply(record)
+                case Violated():
+                    self.violations.append(record)
+
+    def _take_frame(self, t_ns: int) -> None:
+        wire = bytes(self._frame)
+        self._frame.clear()
+        self._frames.append((t_ns, wire))
+        for message in decoder.feed(b"", wire)[1]:
+            if isinstance(message, Spoilt | Unknown):
+                continue
+            self.state = State(message.state)
+            if isinstance(message, Event):
+                self.cause = Cause(message.cause)
+
+    def _apply(self, duty: Duty) -> None:
+        """Give the motor what was measured; a period is over when it is known."""
+        self.duties.append(duty)
+        self.board.drive(self.ns(duty.cycle), duty.high / PERIOD, self.state, self.cause)
+
+    def _reading(self, cycle: int, channel: int) -> int:
+        t_ns = self.ns(cycle)
+        reading = self.stuck(t_ns, channel)
+        if reading is not None:
+            return reading
+        if channel == THETA_1:
+            return self.board.theta_1(t_ns) >> (CODE_BITS - ADC_BITS)
+        if channel == ALPHA:
+            return self.board.alpha(t_ns) >> (CODE_BITS - ADC_BITS)
+        return int(self._rng.integers(1 << ADC_BITS))  # an open pin: noise
