@@ -1,14 +1,12 @@
 #include "clock.h"
 
 #include "board.h"
-#include "converter.h" // converter_turn
 
 static volatile uint32_t turns; // the interrupt writes it
 
 ISR(TIMER0_OVF_vect)
 {
     turns++;
-    converter_turn();
 }
 
 void clock_begin(void)

@@ -186,6 +186,8 @@ ISR(TIMER0_COMPA_vect)
     if (turns_to_go) {
         if (--turns_to_go == 0 && now == SET)
             ADCSRA = TRIGGERED; // from the next one on
+        else
+            supply_turn(turns_to_go < UINT8_MAX ? turns_to_go : UINT8_MAX);
     } else if (now == SET || now == READ) {
         if (--triggers == 0)
             begin_last();
@@ -268,12 +270,10 @@ ISR(ADC_vect)
 
 void converter_turn(void)
 {
-    uint8_t free_turns = 0;
+    const uint8_t before = board_irq_save();
     if (phase == IDLE)
-        free_turns = UINT8_MAX;
-    else if (phase == SET || phase == ENDING)
-        free_turns = turns_to_go < UINT8_MAX ? turns_to_go : UINT8_MAX;
-    supply_turn(free_turns);
+        supply_turn(UINT8_MAX);
+    board_irq_restore(before);
 }
 
 bool converter_has_news(void)

@@ -10,7 +10,7 @@ void converter_begin(void);
 // Converts one channel and waits for it. At boot.
 uint16_t converter_read(uint8_t channel);
 
-// Once a turn of the clock, from its interrupt.
+// Once a turn of the clock, or less often. From main.
 void converter_turn(void);
 
 // Returns whether a sample was taken, or a run has ended, since it was last asked. From main.

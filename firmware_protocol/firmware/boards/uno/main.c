@@ -58,14 +58,17 @@ static void wait(void)
     sleep_disable();
 }
 
-// Once in each turn of the clock, and when there is news; more often it would cost bytes.
+// Every second turn of the clock, and when there is news; more often would cost bytes.
 static bool is_time_to_poll(void)
 {
     static uint8_t last;
     const uint8_t turn = clock_turns();
-    const bool is_new = turn != last;
-    last = turn;
-    return converter_has_news() || is_new;
+    const bool is_time = (uint8_t)(turn - last) >= 2;
+    if (is_time) {
+        last = turn;
+        converter_turn();
+    }
+    return converter_has_news() || is_time;
 }
 
 int main(void)

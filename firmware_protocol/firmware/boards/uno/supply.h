@@ -8,7 +8,8 @@
 // A sample has ended: now is when to begin, so that none waits for it. From an interrupt.
 void supply_offer(void);
 
-// Once a turn; `free_turns` is how many the converter is not needed for. From an interrupt.
+// Once a turn or less often; `free_turns` is for how many more the converter is not needed.
+// Interrupts are off.
 void supply_turn(uint8_t free_turns);
 
 // The converter is needed for a sample; false where it is busy with the supply until `supply_end`.
