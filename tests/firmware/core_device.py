@@ -350,4 +350,3 @@ class CoreDevice(Device):
             return
         self._fw.receive(t_ns, piece)
         self._converter.wake()
-

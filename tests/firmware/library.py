@@ -36,7 +36,10 @@ _RETURNS = {
     "pc_next": U32,
     "rig_crc": U32,
     "rig_unstuff": BOOL,
-    "rig_open": ctypes.c_int,
+    "rig_duty": U16,
+    "rig_code": U16,
+    "pc_frames": U32,
+    "pc_spoilt": U32,
 }
 _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "pc_reset": (U32, U8),
@@ -51,6 +54,12 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "pc_converted": (U8, U32),
     "rig_supply": (U16,),
     "rig_crc": (ctypes.c_char_p, U8),
+    "rig_stuff": (ctypes.c_char_p, U8),
+    "rig_unstuff": (ctypes.c_char_p, U8),
+    "rig_duty": (U16,),
+    "rig_code": (U16,),
+    "pc_open": (ctypes.c_char_p, U8, ctypes.c_char_p),
+    "pc_close": (ctypes.c_char_p, U8, ctypes.c_char_p),
 }
 
 
@@ -129,7 +138,7 @@ class Library:
         def call(*given: Any) -> Any:
             try:
                 return getattr(self.user, name)(*given)
-            except BaseException as err:  # noqa: BLE001 - it goes on in `raise_error`
+            except BaseException as err:
                 self.error = self.error or err
                 return 0
 

@@ -30,6 +30,30 @@ void pc_end(void)
     rig_tell_samples();
 }
 
+// Opens what came between two 00; `text` gets what was stuffed.
+int pc_open(const uint8_t *stuffed, uint8_t n, uint8_t *text)
+{
+    union rig_frame frame = {0};
+    memcpy(frame.wire, stuffed, n <= RIG_LONGEST_STUFFED ? n : RIG_LONGEST_STUFFED);
+    const int opened = rig_open(&frame, n);
+    memcpy(text, frame.message.bytes, RIG_MAX_DECODED);
+    return opened;
+}
+
+// Closes a message of `length`; returns how many bytes `wire` has got.
+uint8_t pc_close(const uint8_t *text, uint8_t length, uint8_t *wire)
+{
+    union rig_frame frame = {0};
+    memcpy(frame.message.bytes, text, length);
+    const uint8_t n = rig_close(&frame, length);
+    memcpy(wire, frame.wire, n);
+    return n;
+}
+
+uint32_t pc_frames(void) { return rig.counters.frames; }
+uint32_t pc_spoilt(void) { return rig.counters.spoilt; }
+uint16_t pc_rx_lost(void) { return rig.counters.rx_lost; }
+
 uint8_t pc_state(void) { return rig.state; }
 uint8_t pc_cause(void) { return rig.cause; }
 uint32_t pc_fed_us(void) { return rig.fed_us; }

@@ -1,0 +1,174 @@
+"""The C core's frames: the golden vectors, and the Python codec on any bytes."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+from typing import Any
+
+import pytest
+from armrig_daemon.emulator.board import duty, reported
+from armrig_daemon.emulator.firmware import Hardware
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol import cobs, decoder, frame
+from armrig_protocol.crc import CHECK, crc32
+from armrig_protocol.decoder import LONGEST
+from armrig_protocol.frame import Spoilt, Unknown
+from armrig_protocol.messages import MAX_DECODED
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware import library
+from firmware.core_device import CoreDevice
+from firmware.library import FIRMWARE
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+VECTORS = json.loads((FIRMWARE.parent / "vectors" / "frames.json").read_text())
+OPENED = ["sound", "unknown", "cobs", "length", "crc"]
+NO_ZERO = st.binary(max_size=80).map(lambda b: b.replace(b"\0", b"\1"))
+
+
+def hardware(pwm_bits: int = 10) -> Hardware:
+    """Return a board of `pwm_bits`."""
+    return Hardware(conversion_ns=104_000, hold_ns=12_000, adc_bits=10, pwm_bits=pwm_bits, queue=64)
+
+
+def core() -> Any:
+    """Return the functions of the core."""
+    return library.library(hardware()).c
+
+
+def opened(stuffed: bytes) -> tuple[str, bytes]:
+    """Return what the core makes of the bytes between two 00, and the text in them."""
+    text = ctypes.create_string_buffer(MAX_DECODED)
+    kind = OPENED[core().pc_open(stuffed, min(len(stuffed), LONGEST + 1), text)]
+    return kind, text.raw[: len(stuffed) - 1]
+
+
+def closed(text: bytes) -> bytes:
+    """Return a message, given without CRC, as the core sends it."""
+    wire = ctypes.create_string_buffer(MAX_DECODED + 2)
+    n = core().pc_close(text + bytes(4), len(text) + 4, wire)
+    return wire.raw[:n]
+
+
+def kind_of(received: decoder.Received) -> str:
+    """Return what the core calls it."""
+    if isinstance(received, Spoilt):
+        return received.reason
+    return "unknown" if isinstance(received, Unknown) else "sound"
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=[v["doc"] for v in VECTORS])
+def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
+    """Each frame is taken for what it is, and a sound one is closed to the bytes it came in."""
+    wire = bytes.fromhex(vector["wire"])
+    expected = [
+        {"Spoilt": e.get("reason"), "Unknown": "unknown"}.get(e["event"], "sound")
+        for e in vector["events"]
+    ]
+
+    stuffed = [piece for piece in wire.split(b"\0")[:-1] if piece]
+
+    assert [opened(piece)[0] for piece in stuffed] == expected
+    for piece in stuffed:
+        kind, text = opened(piece)
+        if kind == "sound":
+            assert closed(text[:-4]) == piece + b"\0"
+
+
+def test_the_check_value_of_the_crc() -> None:
+    """That of the catalogue of CRC algorithms."""
+    assert core().rig_crc(b"123456789", 9) == CHECK
+
+
+@given(st.binary(max_size=255))
+def test_the_crc_is_that_of_zlib(text: bytes) -> None:
+    """For any bytes."""
+    assert core().rig_crc(text, len(text)) == crc32(text)
+
+
+@given(st.binary(max_size=cobs.LONGEST))
+def test_stuffing_is_that_of_python(text: bytes) -> None:
+    """In place; and undone it gives the text again."""
+    place = ctypes.create_string_buffer(b"\xaa" + text, len(text) + 1)
+
+    core().rig_stuff(place, len(text) + 1)
+    assert place.raw == cobs.stuff(text)
+
+    assert core().rig_unstuff(place, len(text) + 1)
+    assert place.raw[1:] == text
+
+
+@given(NO_ZERO)
+def test_unstuffing_is_that_of_python(stuffed: bytes) -> None:
+    """Any bytes without 00; a code that points behind the end is no frame."""
+    place = ctypes.create_string_buffer(stuffed, max(1, len(stuffed)))
+
+    sound = core().rig_unstuff(place, len(stuffed))
+
+    text = cobs.unstuff(stuffed)
+    assert sound == (text is not None)
+    if text:
+        assert place.raw[1:] == text
+
+
+@given(NO_ZERO.filter(bool))
+def test_any_bytes_are_taken_for_what_python_takes_them(stuffed: bytes) -> None:
+    """Also where they are too long or too short."""
+    _, (received,) = decoder.feed(b"", stuffed + b"\0")
+
+    assert opened(stuffed)[0] == kind_of(received)
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=80),
+            st.sampled_from([bytes.fromhex(v["wire"]) for v in VECTORS]),
+            st.binary(min_size=4, max_size=70).map(
+                lambda t: cobs.stuff(t + crc32(t).to_bytes(4, "little")) + b"\0"
+            ),
+        ),
+        max_size=8,
+    ),
+    st.randoms(use_true_random=False),
+)
+def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any) -> None:
+    """As many sound and as many spoilt ones as Python's decoder has, cut anywhere."""
+    stream = b"".join(parts) + b"\0"
+    _, received = decoder.feed(b"", stream)
+    spoilt = sum(isinstance(item, Spoilt) for item in received)
+    device = CoreDevice(EmulatorSettings(boot_ms=0.0, queue=64), 0)
+    device.advance(0)
+
+    at = 0
+    while at < len(stream):
+        n = rng.randint(1, 40)
+        device._fw.receive(0, stream[at : at + n])
+        device._fw.pending.clear()
+        at += n
+
+    c = device._fw._library.use(device._fw)
+    assert c.pc_spoilt() == spoilt
+    lost = c.pc_rx_lost() // frame.wire_length(frame.MESSAGES[0x10])
+    assert c.pc_frames() + lost == len(received) - spoilt
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 15])
+def test_duty_and_code_are_those_of_python(bits: int) -> None:
+    """For each code; a division is a sum there."""
+    c = library.library(hardware(bits)).c
+
+    for u in range(65536):
+        steps = duty(u, bits)
+        assert c.rig_duty(u) == steps
+        assert c.rig_code(steps) == reported(u, bits)
+
+
+def test_a_duty_of_16_bits_is_the_code() -> None:
+    """Such a board does not quantise."""
+    c = library.library(hardware(16)).c
+
+    assert all(c.rig_duty(u) == c.rig_code(u) == u for u in (0, 1, 32767, 32768, 65535))
