@@ -41,9 +41,10 @@ bench: .venv/dev
 
 # SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story. With
 # STALLS=tolerated or suffered the emulator is stalled besides, and its clock stops or does not.
+# With CORE=1 the device's firmware is the C core.
 SEEDS ?= 1000
 simulate: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS))
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS)) $(if $(CORE),--core)
 
 # 10^8 bytes of frames, 10^6 commands, 10^6 files read, 10^5 recovered, 64 KiB cut at every byte, 1 MiB at 10^4 places: an hour.
 fuzz: .venv/dev

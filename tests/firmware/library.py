@@ -1,4 +1,4 @@
-"""The C core as a library: built once per process for each set of constants, and called by ctypes."""
+"""The C core as a library: built once per process for each set of constants; called by ctypes."""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ from time import perf_counter, process_time
 from simulator.checks import COMMANDER_GONE, LINK_GONE
 from simulator.options import END_NS, KINDS, MS, draw
 from simulator.rig import Outcome, simulate
+from simulator.watched import build
 
 LEAST_DRIVING = 0.4
 """Share of the sampling times at which a motor must have been off rest, else nothing was tried."""
@@ -148,6 +149,7 @@ def run(
     *,
     only: Sequence[str] = KINDS,
     stalls: bool | None = None,
+    c_core: bool = False,
     workers: int | None = None,
     enough: Callable[[Campaign], bool] = lambda _: False,
 ) -> Campaign:
@@ -159,6 +161,8 @@ def run(
         Faults that are drawn from.
     stalls : bool, optional
         The emulator is stalled besides, and tolerates it or does not.
+    c_core : bool
+        The device's firmware is the C core.
     workers : int, optional
         Processes; one for each core unless given; 0 runs all in this one.
     enough : callable
@@ -166,7 +170,9 @@ def run(
     """
     campaign = Campaign()
     began = perf_counter()
-    one = partial(_one, only, stalls)
+    one = partial(_one, only, stalls, c_core)
+    if c_core:
+        build()  # before the fork: each process would build its own
     if workers == 0:
         results = map(one, seeds)
         _gather(campaign, results, enough)
@@ -190,9 +196,11 @@ def _gather(
             return
 
 
-def _one(only: Sequence[str], stalls: bool | None, seed: int) -> tuple[Outcome, float]:
+def _one(
+    only: Sequence[str], stalls: bool | None, c_core: bool, seed: int
+) -> tuple[Outcome, float]:
     began = process_time()
     gc.disable()  # values without cycles: the collector would only look
-    outcome = simulate(draw(seed, only=only, stalls=stalls))
+    outcome = simulate(draw(seed, only=only, stalls=stalls, c_core=c_core))
     gc.enable()
     return outcome, process_time() - began

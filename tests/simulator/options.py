@@ -108,6 +108,8 @@ class Options:
     """Of the process that emulates the device; from a size of 0.5 on of the whole machine."""
     tolerates_stalls: bool = False
     """The device's clock stops meanwhile."""
+    c_core: bool = False
+    """The device's firmware is the C core, not the Python one; all else is as without it."""
 
     def lines(self) -> list[str]:
         """Return all of it, one option a line."""
@@ -119,7 +121,9 @@ class Options:
         return shown
 
 
-def draw(seed: int, *, only: Sequence[str] = KINDS, stalls: bool | None = None) -> Options:
+def draw(
+    seed: int, *, only: Sequence[str] = KINDS, stalls: bool | None = None, c_core: bool = False
+) -> Options:
     """Return the schedule of a seed.
 
     Parameters
@@ -129,6 +133,8 @@ def draw(seed: int, *, only: Sequence[str] = KINDS, stalls: bool | None = None) 
     stalls : bool, optional
         The emulator is stalled besides, by 20 to 500 ms, and tolerates it or does not; no other
         option hangs on it. Left out, it is not.
+    c_core : bool
+        The device's firmware is the C core; no other option hangs on it.
     """
     rng = Random(seed)
     ts_us = rng.choice([5_000] * 7 + [2_000, 10_000, 20_000])
@@ -166,6 +172,7 @@ def draw(seed: int, *, only: Sequence[str] = KINDS, stalls: bool | None = None) 
         episodes=tuple(kept),
         stalls=() if stalls is None else _stalls(Random(seed ^ 0x57A11)),
         tolerates_stalls=bool(stalls),
+        c_core=c_core,
     )
 
 

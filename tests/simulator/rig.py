@@ -37,7 +37,7 @@ from simulator.line import Line
 from simulator.options import CLEAR_NS, END_NS, MS, SECOND, Episode, Options
 from simulator.telling import FullPipe, Silent, Teller, read
 from simulator.violation import Violation
-from simulator.watched import Watched
+from simulator.watched import Watched, WatchedCore
 
 NEVER = 1 << 62
 _DRIVING, _RUN = (Phase.ACTIVE, Phase.ARMED), DeviceState.RUN
@@ -118,7 +118,8 @@ class Rig:
         self._rng = rng
         self._to_device = Line("to_device", options.episodes, Random(rng.random()), self.faults)
         self._from_device = Line("from_device", options.episodes, Random(rng.random()), self.faults)
-        self.device = Watched(_settings(options), self.checks, options.clock_start_us)
+        watched = WatchedCore if options.c_core else Watched
+        self.device = watched(_settings(options), self.checks, options.clock_start_us)
         self._readings()
         self._n = 0
         self._world: list[tuple[int, int, Callable[[Any], None], Any]] = []

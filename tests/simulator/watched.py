@@ -8,19 +8,21 @@ from __future__ import annotations
 
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.clock import Clock
-from armrig_daemon.emulator.device import Device
-from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN
+from armrig_daemon.emulator.device import HOLD_NS, Device
+from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, Hardware
 from armrig_daemon.emulator.host_time import STALL_NS, HostTime
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_protocol.messages import Cause, State
+from armrig_protocol.messages import QUEUE_CAPACITY, Cause, State
+from firmware.core_device import CoreDevice
+from firmware.library import library
 
 from simulator.checks import Checks
 
 _BOOT, _RUN = State.BOOT, State.RUN
 
 
-class Watched(Device):
-    """A device whose every act is judged by `Checks`."""
+class Watching:
+    """What makes of a device one whose every act is judged by `Checks`."""
 
     def __init__(self, settings: EmulatorSettings, checks: Checks, clock_start_us: int) -> None:
         """Switch it on at time 0, its clock showing `clock_start_us`."""
@@ -140,3 +142,25 @@ class Watched(Device):
         self._really_latch(now_ns, code, cause)
         if code:
             checks.latch_done(now_ns, code, k, self._board.code, scheduled=scheduled)
+
+
+def build() -> None:
+    """Build the C core for all boards that are drawn."""
+    for pwm_bits in (8, 10, 16):
+        library(
+            Hardware(
+                conversion_ns=104_000,
+                hold_ns=HOLD_NS,
+                adc_bits=10,
+                pwm_bits=pwm_bits,
+                queue=QUEUE_CAPACITY,
+            )
+        )
+
+
+class Watched(Watching, Device):
+    """A device with the Python firmware."""
+
+
+class WatchedCore(Watching, CoreDevice):
+    """A device with the C core: what is judged are its calls of the board layer."""

@@ -107,7 +107,7 @@ static void convert_channel(uint8_t channel, uint16_t n)
 
 static void measure_supply(void)
 {
-    rig_supply(happens(1) ? 3900 : 5000);
+    rig_supply(happens(8) ? 3900 : 5000);
 }
 
 // What leaves is sound.

@@ -1,0 +1,45 @@
+"""The simulator of faults over the C core: S1 ... S6 judged at its calls of the board layer."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import pytest
+from simulator import campaign
+from simulator.options import draw
+from simulator.rig import simulate
+
+from firmware import library
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+# `make simulate CORE=1 SEEDS=10000` tries 10 000.
+SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "100"))
+
+
+def test_every_invariant_holds_under_faults() -> None:
+    """With the C core, too."""
+    done = campaign.run(range(SEEDS), c_core=True)
+
+    assert not done.violations, [
+        f"make simulate CORE=1 SEED={v[0]}: {v[1:]}" for v in done.violations
+    ]
+    assert not done.emptiness()
+    assert not done.lateness()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_schedule_comes_to_the_same_as_with_the_python_firmware(seed: int) -> None:
+    """The same bytes on the line at the same times, the same latches, the same times to 0 V."""
+    options = draw(seed)
+
+    assert simulate(replace(options, c_core=True)) == simulate(options)
+
+
+@pytest.mark.parametrize("tolerates", [True, False])
+def test_every_invariant_holds_while_the_emulator_is_stalled(tolerates: bool) -> None:
+    """Of the board's process, or of the whole machine."""
+    done = campaign.run(range(SEEDS // 10), stalls=tolerates, c_core=True)
+
+    assert not done.violations

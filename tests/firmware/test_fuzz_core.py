@@ -1,0 +1,41 @@
+"""Random and mutated bytes into the core, under the address and undefined-behaviour sanitizers."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+
+import pytest
+
+from firmware import library
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+
+def fuzz(n_bytes: int, seed: int, *constants: str) -> dict[str, int]:
+    """Return what came about; `boards/pc/fuzz.c` says what is required."""
+    program = library.build("fuzz", *constants)
+    done = subprocess.run(
+        [program, str(n_bytes), str(seed)], capture_output=True, text=True, check=False, timeout=600
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return {
+        name: int(n) for name, n in re.findall(r"([a-z][a-z0-9 ]*?) (\d+)(?:, |\n)", done.stdout)
+    }
+
+
+@pytest.mark.parametrize("constants", [(), ("BOARD_QUEUE=64",), ("BOARD_PWM_BITS=16",)])
+def test_no_bytes_do_harm(constants: tuple[str, ...]) -> None:
+    """No report, no voltage outside RUN, none outside the limits; and all states were reached."""
+    found = fuzz(3_000_000, 1, *constants)
+
+    assert found["bytes"] >= 3_000_000
+    assert all(found[f"state {n}"] > 100 for n in range(2, 8)), found
+    assert all(found[f"fault {n}"] for n in (4, 5, 6, 7, 8, 10)), found
+    assert found["latches"] > 10_000
+    assert found["cals"] > 10
+
+
+def test_another_seed_sends_other_bytes() -> None:
+    """And the same seed the same."""
+    assert fuzz(100_000, 1) == fuzz(100_000, 1) != fuzz(100_000, 2)
