@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import msgspec
 import typer
@@ -19,7 +19,11 @@ from armrig_core.printable import printable
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
-from armrig_daemon.config import MEND, Config, ConfigError, Device
+from armrig_daemon.config import MEND, Config, ConfigError
+from armrig_daemon.config import Device as DeviceSettings
+
+if TYPE_CHECKING:
+    from armrig_daemon.emulator.uno import Uno
 
 # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
 _FOR_EMULATED: dict[str, dict[str, Any]] = {
@@ -35,6 +39,13 @@ _Rig = Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.
 _System = Annotated[
     bool,
     typer.Option("--system", help="As a service: the machine's files, and /etc/armrig/RIG.toml."),
+]
+
+_Firmware = Annotated[
+    bool, typer.Option("--firmware", help="Run the Uno's firmware, in simavr (`make fil`).")
+]
+_Hex = Annotated[
+    Path | None, typer.Option("--hex", help="Firmware to run in place of that of the checkout.")
 ]
 
 app = typer.Typer(
@@ -161,10 +172,14 @@ def emulate(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all noise and of the boot ids.")] = None,
     baud: Annotated[int | None, typer.Option(help="Speed of the emulated wire.")] = None,
+    firmware: _Firmware = False,
+    image: _Hex = None,
     settings: Annotated[str | None, typer.Option(hidden=True)] = None,
     stalls_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Emulate a rig behind a pseudo-terminal until SIGTERM or Ctrl-C."""
+    from armrig_daemon.emulator.device import Device
+    from armrig_daemon.emulator.harness import HarnessError
     from armrig_daemon.emulator.line import PortError
     from armrig_daemon.emulator.pty import emulate as run_emulator
     from armrig_daemon.emulator.settings import EmulatorSettings, load
@@ -182,8 +197,11 @@ def emulate(
         chosen = msgspec.structs.replace(chosen, **given)
         started = "" if settings is not None else _started(port, chosen.baud)
         tell = _say_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
-        code = run_emulator(port, chosen, trace=trace, started=started, held_up=tell)
-    except (ValueError, PortError) as err:
+        switch_on = _firmware(image) if firmware or image else Device
+        code = run_emulator(
+            port, chosen, switch_on=switch_on, trace=trace, started=started, held_up=tell
+        )
+    except (ValueError, PortError, HarnessError) as err:
         _refuse(str(err), MEND)
     raise typer.Exit(code)
 
@@ -207,6 +225,8 @@ def virtual(
     directory: Annotated[Path, typer.Option(help="Where the recordings go.")],
     config: _ConfigFile = None,
     seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of noise, names and times.")] = 1,
+    firmware: _Firmware = False,
+    image: _Hex = None,
 ) -> None:
     """Play runs on an emulated rig in virtual time, and record them.
 
@@ -215,6 +235,8 @@ def virtual(
 
     The same seed, runs and configuration give the same bytes.
     """
+    from armrig_daemon.emulator.device import Device
+    from armrig_daemon.emulator.harness import HarnessError
     from armrig_daemon.service.virtual_service import (
         VirtualRunError,
         VirtualService,
@@ -223,16 +245,25 @@ def virtual(
 
     try:
         loaded = _configuration(config, None, None, _FOR_EMULATED, system=False)()
-        service = VirtualService(loaded, directory.absolute(), seed=seed)
+        switch_on = _firmware(image) if firmware or image else Device
+        service = VirtualService(loaded, directory.absolute(), seed=seed, switch_on=switch_on)
         for request in requests_of(sys.stdin.buffer.read()):
             typer.echo(service.record(request))
-    except (ValueError, VirtualRunError, OSError) as err:
+    except (ValueError, VirtualRunError, HarnessError, OSError) as err:
         _refuse(str(err))
+
+
+def _firmware(image: Path | None) -> Callable[..., Uno]:
+    """Return what switches on a simulated Uno with its firmware."""
+    from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
+    from armrig_daemon.emulator.uno import Uno
+
+    return partial(Uno, harness_program(os.environ), firmware_image(image))
 
 
 def _started(port: Path, baud: int) -> str:
     """Return what a person is told of an emulated rig."""
-    speed = "" if baud == Device().baud else f"ARMRIG_DEVICE_BAUD={baud} "
+    speed = "" if baud == DeviceSettings().baud else f"ARMRIG_DEVICE_BAUD={baud} "
     return (
         f"armrigd: an emulated rig behind {port}, {baud} baud, 0 to {U_MAX_V:g} V; "
         f"drive it with `{speed}armrigd run --port {port}`, end it with Ctrl-C"

@@ -16,11 +16,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from time import monotonic_ns
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from armrig_core.waiting import Waiter
+from armrig_protocol.messages import Cause, State
 
-from armrig_daemon.emulator.board import Change
+from armrig_daemon.emulator.board import Board, Change, Witness
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.host_time import HostTime
 from armrig_daemon.emulator.line import READ_BYTES, Line, PortError
@@ -34,10 +35,46 @@ _TELL_NS = 1_000_000_000
 """How often it is told at most that the machine stalls, in ns."""
 
 
+class PtyDevice(Protocol):
+    """A device to which time is given: the emulated one, or the firmware's binary."""
+
+    @property
+    def board(self) -> Board:
+        """The pins and the arm."""
+
+    @property
+    def state(self) -> State:
+        """State of the firmware."""
+
+    @property
+    def cause(self) -> Cause:
+        """Cause of the last transition."""
+
+    def reset(self, now_ns: int) -> None:
+        """Reset the processor."""
+
+    def receive(self, now_ns: int, data: bytes) -> None:
+        """Put bytes on the wire to it."""
+
+    def rx_backlog_ns(self, now_ns: int) -> int:
+        """Return how long the bytes given so far still occupy that wire."""
+
+    def visible_ns(self) -> int:
+        """Return a time before which nobody has to look."""
+
+    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Let time pass; return frames, each with its last byte's departure."""
+
+
+SwitchOn = Callable[[EmulatorSettings, int, Witness], PtyDevice]
+"""Makes a device that is switched on at a time, in ns."""
+
+
 def emulate(
     port: Path,
     settings: EmulatorSettings,
     *,
+    switch_on: SwitchOn = Device,
     trace: Path | None = None,
     started: str = "",
     held_up: Callable[[int], None] = lambda ns: None,
@@ -48,6 +85,8 @@ def emulate(
     ----------
     port : Path
         A symbolic link to be made to the pseudo-terminal, and removed at the end.
+    switch_on : callable, optional
+        Makes the device; the emulated one unless told otherwise.
     trace : Path, optional
         File for the witness: one line `t_monotonic_ns,volts,state,cause` for each change of the
         terminal voltage, the first for the start.
@@ -79,7 +118,7 @@ def emulate(
         _be_punctual(stack)
         now_ns = monotonic_ns()
         time = HostTime(now_ns, tolerates_stalls=settings.tolerates_stalls)
-        device = Device(settings, now_ns, witness)
+        device = switch_on(settings, now_ns, witness)
         witness(Change(now_ns, device.board.volts, device.state, device.cause))
         # Last, so that who finds the link finds the device awake.
         with _naming(port):
@@ -96,7 +135,7 @@ def emulate(
 
 def _run(
     line: Line,
-    device: Device,
+    device: PtyDevice,
     time: HostTime,
     settings: EmulatorSettings,
     wake: int,

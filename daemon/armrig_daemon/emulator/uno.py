@@ -29,6 +29,9 @@ PERIOD: Final = 1024
 THETA_1, ALPHA = 0, 1
 OPTIBOOT_NS: Final = 1_000_000_000
 """How long a boot loader hears nothing of what is for the program."""
+LIVELY_NS: Final = 20_000_000
+"""So long after a byte another one is looked for often."""
+OFTEN_NS, SELDOM_NS = 250_000, 2_000_000
 Stuck = Callable[[int, int], int | None]
 """Reading of a converter that is stuck, given the time and the channel; None where it is not."""
 
@@ -42,8 +45,8 @@ class Uno:
         image: Path,
         settings: EmulatorSettings,
         now_ns: int = 0,
-        *,
         witness: Witness | None = None,
+        *,
         boot_loader: bool = False,
         trace: Path | None = None,
     ) -> None:
@@ -66,7 +69,7 @@ class Uno:
         self.board = Board(replace(settings, adc_bits=ADC_BITS), now_ns, noise, witness)
         self._baud = settings.baud
         self._origin_ns = now_ns
-        self._line_free_ns = now_ns
+        self._line_free_ns = self._byte_ns = now_ns
         self._deaf = OPTIBOOT_NS * CYCLES_PER_US // 1000 if boot_loader else 0
         self._frame = bytearray()
         self._frames: deque[tuple[int, bytes]] = deque()
@@ -103,11 +106,17 @@ class Uno:
     def receive(self, now_ns: int, data: bytes) -> None:
         """Put bytes on the wire to the device; they arrive one after the other from `now_ns` on."""
         self._line_free_ns = max(self._line_free_ns, now_ns) + wire_ns(len(data), self._baud)
+        self._byte_ns = self._line_free_ns
         self.harness.send(self.cycle(now_ns), data)
 
     def rx_backlog_ns(self, now_ns: int) -> int:
         """Return how long the bytes given so far still occupy the wire to the device."""
         return max(0, self._line_free_ns - now_ns)
+
+    def visible_ns(self) -> int:
+        """Return when to look again: nobody can know when the program will send."""
+        now_ns = self.ns(self.harness.cycle)
+        return now_ns + (OFTEN_NS if now_ns - self._byte_ns < LIVELY_NS else SELDOM_NS)
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
         """Let time pass; return frames, each with its last byte's departure."""
@@ -142,6 +151,7 @@ class Uno:
         wire = bytes(self._frame)
         self._frame.clear()
         self._frames.append((t_ns, wire))
+        self._byte_ns = t_ns
         for message in decoder.feed(b"", wire)[1]:
             if isinstance(message, Spoilt | Unknown):
                 continue

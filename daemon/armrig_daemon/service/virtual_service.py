@@ -19,6 +19,7 @@ from armrig_core.telemetry import decode_sample
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config, Recording
+from armrig_daemon.emulator.device import Device
 from armrig_daemon.pipe import (
     Acquire,
     Answer,
@@ -37,7 +38,7 @@ from armrig_daemon.service.circumstances import Circumstances
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.thinning import Thinning
-from armrig_daemon.virtual import VirtualRig
+from armrig_daemon.virtual import SwitchOn, VirtualRig
 
 LEASE = "0" * 32
 """Of the one who is there; nobody could hold the rig in the place of another."""
@@ -56,7 +57,9 @@ class VirtualRunError(RuntimeError):
 class VirtualService:
     """One emulated rig and the recordings of its runs."""
 
-    def __init__(self, config: Config, directory: Path, *, seed: int) -> None:
+    def __init__(
+        self, config: Config, directory: Path, *, seed: int, switch_on: SwitchOn = Device
+    ) -> None:
         """Switch the rig on; `seed` is the device's and that of the runs' names and times."""
         emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
         # Where it is recorded, and behind which port, is the host's: the same rig is the same file.
@@ -64,7 +67,7 @@ class VirtualService:
         self._config = replace(config, device=device, emulator=emulator, recording=Recording())
         self._began = BEGINNING + timedelta(seconds=seed % _SEEDS)
         self._offset_ns = int(self._began.timestamp()) * 1_000_000_000
-        self._rig = VirtualRig(self._config.rules(), emulator)
+        self._rig = VirtualRig(self._config.rules(), emulator, switch_on=switch_on)
         circumstances = Circumstances(
             run_id=lambda codes: _name(seed, codes),
             now=lambda: self._began + timedelta(microseconds=self._rig.ports.now // 1000),
