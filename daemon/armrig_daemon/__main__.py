@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -218,6 +220,65 @@ def show_config(
     if not example:
         _refuse("config: --example is needed: `armrigd config --example > armrig.toml`")
     typer.echo(example_text())
+
+
+@app.command()
+def conformance(
+    device: Annotated[str, typer.Option(help="Serial port of the device.")],
+    baud: Annotated[int, typer.Option(help="Speed of the line, in bit/s.")] = Device().baud,
+    motor_unplugged: Annotated[
+        bool, typer.Option("--motor-unplugged", help="Do not ask: the motor is unplugged.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Try a device on every rule of PROTOCOL.md, the motor unplugged; it takes a minute.
+
+    Exit code 0 only where no rule is broken. The device is left at 0 V.
+    """
+    from armrig_daemon.conformance import told
+    from armrig_daemon.conformance.host import Broken, Host
+    from armrig_daemon.conformance.rule import Result
+    from armrig_daemon.conformance.serial_line import SerialLine
+    from armrig_daemon.conformance.suite import run as try_rules
+    from armrig_daemon.loop.link import LinkError
+
+    _agree_that_the_motor_is_unplugged(motor_unplugged)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
+
+    def tell(result: Result) -> None:
+        if not json:
+            typer.echo(told.line_of(result, columns))
+
+    try:
+        with closing(SerialLine(device, baud)) as line:
+            host = Host(line)
+            results = try_rules(host, tell)
+    except LinkError as err:
+        _refuse(f"conformance: {err}")
+    except Broken as err:
+        _refuse(f"conformance: {device} at {baud} baud: {err}; see that it is the device's port")
+    except KeyboardInterrupt:
+        _refuse("conformance: interrupted; the device was told to stop", 130)
+    broken = told.json_of(host.facts, results)
+    typer.echo(msgspec.json.encode(broken).decode() if json else told.sum_of(results))
+    raise typer.Exit(1 if broken["broken"] else 0)
+
+
+def _agree_that_the_motor_is_unplugged(is_said: bool) -> None:
+    """Go on only where somebody says so: the rules drive the pin up to 5 V."""
+    if is_said:
+        return
+    typer.echo("This drives the motor's pin, up to 5 V: the motor must be unplugged.", err=True)
+    if not sys.stdin.isatty():
+        _refuse("conformance: nobody is there to say that it is: --motor-unplugged says it")
+    if not typer.confirm("Is it unplugged?", err=True):
+        _refuse("conformance: unplug it first; nothing was sent")
+
+
+def _interrupt(number: int, _: object) -> NoReturn:
+    raise KeyboardInterrupt
 
 
 @app.command()

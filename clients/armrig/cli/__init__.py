@@ -97,6 +97,7 @@ for _command, _example in (
     (host.demo, "--directory demo"),
     (host.bench, ""),
     (host.doctor, ""),
+    (host.conformance, "--device /dev/ttyACM0"),
     (service.app, "service"),
     (pki.app, "pki"),
 ):

@@ -1,0 +1,1 @@
+"""Whether a device does what PROTOCOL.md says: its rules as a list, tried over a line."""

@@ -1,0 +1,137 @@
+"""Section 1: bytes, and what is dropped."""
+
+from __future__ import annotations
+
+from armrig_protocol import cobs, frame
+from armrig_protocol.crc import crc32
+from armrig_protocol.messages import TYPES, Hello, Keepalive, Message, Ping, Pong, Status
+
+from armrig_daemon.conformance.host import Broken, Host
+from armrig_daemon.conformance.rule import expect, rule
+
+_STATUS_MS = 3_000
+UNKNOWN_TYPE = 0x7E
+
+
+def framed(text: bytes, *, wrong: int = 0) -> bytes:
+    """Return a frame of any text; `wrong` spoils its CRC."""
+    return cobs.stuff(text + (crc32(text) ^ wrong).to_bytes(4, "little")) + b"\0"
+
+
+def header(number: int, seq: int) -> bytes:
+    """Return the header of a host's frame."""
+    return bytes((number, 0)) + (seq & 0xFFFF).to_bytes(2, "little")
+
+
+def spoilt_frames(host: Host) -> list[bytes]:
+    """Return four that are dropped: wrong CRC, wrong lengths, what does not unstuff."""
+    keepalive = header(TYPES[Keepalive], host.seq + 1)
+    sound = frame.encode(Ping(0, (host.seq + 1) & 0xFFFF, 7))
+    return [
+        framed(header(TYPES[Ping], host.seq + 1) + bytes(8), wrong=1),
+        framed(keepalive + b"\1"),
+        framed(header(TYPES[Ping], host.seq + 1) + bytes(7)),
+        b"\x7f" + sound[1:],
+    ]
+
+
+@rule(
+    1, "A frame with a wrong CRC, a wrong length or wrong stuffing is dropped, and never answered"
+)
+def _spoilt(host: Host) -> None:
+    for data in spoilt_frames(host):
+        host.write(data)
+        came = host.fence()
+        expect(not came, came)
+
+
+@rule(1, "A piece longer than any frame is dropped, and the frame behind it is not")
+def _too_long(host: Host) -> None:
+    host.write(bytes(range(1, 256)) + b"\0")
+    came = host.fence()
+    expect(not came, came)
+
+
+@rule(1, "Empty frames mean nothing, and are not counted", silent=True)
+def _empty(host: Host) -> None:
+    before = next_status(host)
+    host.write(bytes(40))
+    came = host.fence()
+    expect(not came, came)
+    more = next_status(host).spoilt - before.spoilt
+    expect(more == 0, f"{more} counted as spoilt")
+
+
+@rule(1, "A frame may come in any pieces")
+def _cut(host: Host) -> None:
+    host.seq = (host.seq + 1) & 0xFFFF
+    came: list[Message] = []
+    for byte in frame.encode(Ping(0, host.seq, 2**63)):
+        host.write(bytes((byte,)))
+        came += host.listen(1)
+    came += host.fence()
+    answered = [m for m in came if isinstance(m, Pong) and m.host_ns == 2**63]
+    expect(len(answered) == len(came) == 1, came)
+
+
+@rule(1, "A lost 00 costs two frames, and not the third")
+def _lost_end(host: Host) -> None:
+    first = frame.encode(Ping(0, (host.seq + 1) & 0xFFFF, 1))
+    second = frame.encode(Ping(0, (host.seq + 2) & 0xFFFF, 2))
+    host.write(first[:-1] + second)
+    came = host.fence()
+    expect(not came, came)
+
+
+@rule(1, "STATUS counts what was received, spoilt and without effect", silent=True)
+def _counted(host: Host) -> None:
+    before = next_status(host)
+    spoilt = spoilt_frames(host)
+    for data in spoilt:
+        host.write(data)
+    host.write(framed(header(UNKNOWN_TYPE, host.seq + 1)))
+    host.fence()
+    after = next_status(host)
+    frames, refused = after.frames - before.frames, after.refused - before.refused
+    grew = (frames, after.spoilt - before.spoilt, refused)
+    expect(grew == (2, len(spoilt), 1), f"frames, spoilt, refused grew by {grew}")
+
+
+@rule(1, "The device's frames are sound, and their seq counts them")
+def _sender(host: Host) -> None:
+    expect(host.spoilt == 0, f"{host.spoilt} of the device's frames were spoilt")
+    expect(host.breaks == 0, f"{host.breaks} breaks in the device's seq")
+
+
+@rule(1, "Each type has one length: HELLO without its last byte is none")
+def _stale_hello_length(host: Host) -> None:
+    host.write(framed(header(TYPES[Hello], host.seq + 1) + bytes(5)))
+    came = host.fence()
+    expect(not came, came)
+
+
+def next_status(host: Host) -> Status:
+    """Return the next STATUS, which comes once a second; the host keeps still."""
+    host.status = None
+    for _ in range(_STATUS_MS // 20):
+        host.listen(20)
+        status: Status | None = host.status  # listening has set it
+        if status is not None:
+            return status
+    msg = f"no STATUS in {_STATUS_MS / 1000:g} s"
+    raise Broken(msg)
+
+
+RULES = (
+    _spoilt,
+    _stale_hello_length,
+    _too_long,
+    _cut,
+    _lost_end,
+)
+COUNTED = (
+    _empty,
+    _counted,
+)
+LAST = (_sender,)
+"""Over all frames of a session, and so tried at its end."""

@@ -1,0 +1,164 @@
+"""Section 4: configuration; and what HELLO_R says."""
+
+from __future__ import annotations
+
+from armrig_protocol.frame import config_crc
+from armrig_protocol.messages import (
+    FULL_SCALE_MV,
+    QUEUE_CAPACITY,
+    SCHEMA_HASH,
+    SETPOINTS_PER_FRAME,
+    VERSION,
+    WATCHDOG_MAX_MS,
+    WATCHDOG_MIN_MS,
+    Capability,
+    Code,
+    Config,
+    Mode,
+    State,
+    Stop,
+)
+
+from armrig_daemon.conformance.host import CONFIG, Host
+from armrig_daemon.conformance.rule import NotTried, expect, rule
+
+
+def ts_min_us(host: Host, m: int) -> int:
+    """Return the shortest Ts with oversampling m."""
+    return host.known.ts_min_us + 2 * (m - 1) * host.known.skew_us
+
+
+@rule(3, "HELLO_R says who is there: version, schema, full scale, and figures that can be")
+def _hello(host: Host) -> None:
+    it = host.known
+    expect(
+        (it.version, it.schema) == (VERSION, SCHEMA_HASH), f"version {it.version}, {it.schema:x}"
+    )
+    expect(it.full_scale_mv == FULL_SCALE_MV, f"full scale {it.full_scale_mv} mV")
+    expect(it.boot_id != 0, "boot_id 0")
+    expect(bool(it.capabilities & Capability.EXCHANGE), f"capabilities {it.capabilities:x}")
+    expect(0 < it.hold_us < it.skew_us, f"hold_us {it.hold_us}, skew_us {it.skew_us}")
+    # Each was rounded up by itself.
+    expect(it.ts_min_us >= 2 * it.skew_us - 2, f"ts_min_us {it.ts_min_us}, skew_us {it.skew_us}")
+    expect(8 <= it.adc_bits <= 16 and 1 <= it.pwm_bits <= 16, f"{it.adc_bits}, {it.pwm_bits} bits")
+    if it.capabilities & Capability.SCHEDULED:
+        fits = 2 * SETPOINTS_PER_FRAME <= it.queue <= QUEUE_CAPACITY
+        expect(fits, f"a queue of {it.queue}")
+
+
+@rule(4, "CONFIG_R carries what was accepted, and the CRC-32 of it")
+def _accepted(host: Host) -> None:
+    given = {
+        **CONFIG,
+        "ts_us": 123_456,
+        "u_min": 1_000,
+        "u_max": 40_000,
+        "slew": 30_000,
+        "watchdog_ms": 77,
+        "underrun": 1,
+        "hold": 9,
+        "rail_ticks": 300,
+        "turns": 555,
+    }
+    reply = host.configure(**given)
+    told = {name: getattr(reply, name) for name in given}
+    expect(reply.code == Code.OK and told == given, f"{told}")
+    crc = config_crc(Config(0, 0, **given))
+    expect(reply.config_crc == crc, f"config_crc {reply.config_crc:08x}, not {crc:08x}")
+
+
+@rule(4, "What cannot be is BAD_VALUE as a whole, and what was in force stays")
+def _refused(host: Host) -> None:
+    shortest = host.known.ts_min_us
+    in_force = host.configure(u_max=12_345)
+    bad: tuple[dict[str, int], ...] = (
+        {"ts_us": 0},
+        {"ts_us": shortest - 1},
+        {"u_min": 5, "u_max": 4},
+        {"u_min": 10, "u_rest": 9},
+        {"u_max": 10, "u_rest": 11},
+        {"watchdog_ms": WATCHDOG_MIN_MS - 1},
+        {"watchdog_ms": WATCHDOG_MAX_MS + 1},
+        {"watchdog_ms": 0},
+        {"mode": 2},
+        {"underrun": 2},
+        {"oversampling": 0},
+    )
+    for fields in bad:
+        reply = host.configure(**fields)
+        expect(reply.code == Code.BAD_VALUE, f"{fields}: {Code(reply.code).name}")
+        expect(reply[4:] == in_force[4:], f"{fields}: another configuration in force")
+        expect(host.state == State.READY, f"{fields}: state {host.state}")
+
+
+@rule(
+    4, "What just can be is accepted: the shortest Ts, both ends of the watchdog, no range at all"
+)
+def _limits(host: Host) -> None:
+    good: tuple[dict[str, int], ...] = (
+        {"ts_us": host.known.ts_min_us},
+        {"watchdog_ms": WATCHDOG_MIN_MS},
+        {"watchdog_ms": WATCHDOG_MAX_MS},
+        {"u_min": 7, "u_max": 7},
+        {"ts_us": 0xFFFF_FFFF},
+    )
+    for fields in good:
+        reply = host.configure(**fields)
+        expect(reply.code == Code.OK, f"{fields}: {Code(reply.code).name}")
+
+
+@rule(4, "u_rest other than 0 is for a device with an enable line, else BAD_VALUE")
+def _rest(host: Host) -> None:
+    reply = host.configure(u_rest=100)
+    has_line = host.known.capabilities & Capability.ENABLE_LINE
+    expect(reply.code == (Code.OK if has_line else Code.BAD_VALUE), [reply])
+
+
+@rule(4, "Each CONFIG accepted draws a nonce: not 0, not one of before, also for the same again")
+def _nonce(host: Host) -> None:
+    seen: set[int] = set()
+    for _ in range(5):
+        for _ in range(2):
+            nonce = host.configure().nonce
+            expect(nonce != 0 and nonce not in seen, f"nonce {nonce} behind {sorted(seen)}")
+            seen.add(nonce)
+            refused = host.configure(oversampling=0)
+            expect(refused.nonce == nonce, f"nonce {refused.nonce} behind a refusal")
+        host.ask(Stop)
+    expect(host.configure(oversampling=0).nonce == 0, "a nonce in IDLE")
+
+
+@rule(4, "Oversampling: at least `ts_min_us` + 2 (m - 1) `skew_us`; or UNSUPPORTED")
+def _unsupported(host: Host) -> None:
+    none = host.configure(oversampling=2, ts_us=100_000).code
+    for m in (2, 3, 8):
+        least = ts_min_us(host, m)
+        reply = host.configure(oversampling=m, ts_us=least)
+        if none == Code.UNSUPPORTED:
+            expect(reply.code == Code.UNSUPPORTED, f"m={m}: {Code(reply.code).name}")
+        elif reply.code != Code.UNSUPPORTED:
+            expect(reply.code == Code.OK, f"m={m}, Ts {least} us: {Code(reply.code).name}")
+        reply = host.configure(oversampling=m, ts_us=least - 1)
+        expect(reply.code == Code.BAD_VALUE, f"m={m}, 1 us less: {Code(reply.code).name}")
+    if none == Code.UNSUPPORTED:
+        msg = "the device offers no oversampling"
+        raise NotTried(msg)
+
+
+@rule(4, "Scheduled mode is accepted where it is offered, else UNSUPPORTED")
+def _mode(host: Host) -> None:
+    reply = host.configure(mode=Mode.SCHEDULED)
+    offered = host.known.capabilities & Capability.SCHEDULED
+    expect(reply.code == (Code.OK if offered else Code.UNSUPPORTED), [reply])
+
+
+RULES = (
+    _accepted,
+    _refused,
+    _limits,
+    _rest,
+    _nonce,
+    _unsupported,
+    _mode,
+)
+WHO = (_hello,)

@@ -1,0 +1,206 @@
+"""Section 7: what a device guards by itself."""
+
+from __future__ import annotations
+
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    VERSION,
+    Cause,
+    Event,
+    Flag,
+    Hello,
+    HelloReply,
+    Keepalive,
+    Message,
+    Sample,
+    State,
+)
+
+from armrig_daemon.conformance.byte_rules import (
+    UNKNOWN_TYPE,
+    framed,
+    header,
+    next_status,
+    spoilt_frames,
+)
+from armrig_daemon.conformance.exchange_rules import elapsed
+from armrig_daemon.conformance.host import BOOT_MS, Broken, Host, only
+from armrig_daemon.conformance.rule import NotTried, expect, rule
+
+_EARLY_MS, _LATE_MS = 0.1, 1.0
+"""How early and how late the watchdog may be, by the device's clock."""
+_RAIL_CODES = 64
+_LOW_MV = 4_000
+
+
+def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") -> list[Message]:
+    """Wait for FAULT(WATCHDOG) at its time; return what came before it."""
+    came: list[Message] = []
+    for _ in range(40 + watchdog_ms // 2):
+        if meanwhile:
+            host.write(meanwhile)
+        came += host.listen(8 if meanwhile else 50)
+        if any(isinstance(m, Event) for m in came):
+            break
+    else:
+        msg = f"no FAULT(WATCHDOG) in the silence of {watchdog_ms} ms and more"
+        raise Broken(msg)
+    event = only(Event, came)
+    expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
+    ms = elapsed(fed_us, event.t_us) / 1000
+    in_time = watchdog_ms - _EARLY_MS <= ms <= watchdog_ms + _LATE_MS
+    expect(in_time, f"{ms:.2f} ms behind the last frame, not {watchdog_ms}")
+    sample = host.sample(0)
+    told = bool(sample.flags & Flag.WATCHDOG)
+    expect(sample.u_k == 0 and told, [sample])
+    return came
+
+
+@rule(
+    7,
+    "In ARMED and RUN a host's silence of `watchdog_ms` is FAULT(WATCHDOG), at most 1 ms later",
+    silent=True,
+)
+def _watchdog(host: Host) -> None:
+    for state in (State.ARMED, State.RUN):
+        for watchdog_ms in (20, 100, 250):
+            host.to_idle()
+            host.reach(state, watchdog_ms=watchdog_ms)
+            _bites(host, watchdog_ms, host.rx_us)
+
+
+@rule(7, "No HELLO, no spoilt, no stale and no unknown frame feeds the watchdog", silent=True)
+def _unfed(host: Host) -> None:
+    for what in ("HELLO", "spoilt", "stale", "unknown"):
+        host.to_idle()
+        host.reach(State.RUN, watchdog_ms=60)
+        fed_us, newest = host.rx_us, host.seq
+        ahead = (newest + 1) & 0xFFFF
+        data = {
+            "HELLO": b"",
+            "spoilt": spoilt_frames(host)[0],
+            "stale": framed(header(0x13, newest)),
+            "unknown": framed(header(UNKNOWN_TYPE, ahead)),
+        }[what]
+        if data:
+            _bites(host, 60, fed_us, data)
+        else:
+            _hellos(host, fed_us)
+
+
+def _hellos(host: Host, fed_us: int) -> None:
+    """Ask who is there, again and again, until the watchdog bites."""
+    came: list[Message] = []
+    for _ in range(60):
+        host.put(Hello, version=VERSION, schema=SCHEMA_HASH)
+        came += host.listen(8)
+        if any(isinstance(m, Event) for m in came):
+            break
+    event = only(Event, came)
+    expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
+    ms = elapsed(fed_us, event.t_us) / 1000
+    expect(60 - _EARLY_MS <= ms <= 60 + _LATE_MS, f"{ms:.2f} ms behind the last frame, not 60")
+    expect(any(isinstance(m, HelloReply) for m in came), "no HELLO_R")
+
+
+@rule(7, "KEEPALIVE feeds the watchdog, and so does any other frame taken in")
+def _fed(host: Host) -> None:
+    host.reach(State.RUN, watchdog_ms=250)
+    came = host.alive(500)
+    expect(not came and host.state == State.RUN, came)
+    for _ in range(8):
+        came = [*host.listen(40), *host.ask(Keepalive)]
+        expect(not came and host.state == State.RUN, came)
+
+
+@rule(7, "In IDLE and READY, at 0 V, there is no watchdog", silent=True)
+def _idle(host: Host) -> None:
+    for state in (State.IDLE, State.READY):
+        host.to_idle()
+        host.reach(state, watchdog_ms=20)
+        came = [*host.listen(100), *host.fence()]
+        expect(not came and host.state == state, came)
+
+
+@rule(
+    7,
+    "A host that goes away leaves the motor at 0 V, whether opening the port resets or not",
+    silent=True,
+)
+def _left_alone(host: Host) -> None:
+    host.reach(State.RUN, watchdog_ms=100)
+    host.sample(20_000)
+    before = host.known.boot_id
+    host.reopen(400)
+    after = host.hello(BOOT_MS)
+    host.fence()
+    wanted = State.FAULT if after.boot_id == before else State.IDLE
+    expect(after.state == wanted, f"state {after.state}, not {wanted.name}")
+    expect(host.sample(20_000).u_k == 0, "a code that is not 0")
+
+
+@rule(7, "`rail_ticks` samples in a row at a rail are FAULT(ADC_RAIL), behind the last of them")
+def _rails(host: Host) -> None:
+    host.reach(State.RUN, rail_ticks=4)
+    for tick in range(1, 9):
+        sample = host.sample(0)
+        rails = [not _RAIL_CODES <= y < 65_536 - _RAIL_CODES for y in (sample.y0, sample.y1)]
+        flags = bool(sample.flags & Flag.ADC0_RAIL), bool(sample.flags & Flag.ADC1_RAIL)
+        expect(list(flags) == rails, f"y0 {sample.y0}, y1 {sample.y1}, flags 0x{sample.flags:04x}")
+        came = host.fence()
+        if not any(rails):
+            continue
+        tripped = [m for m in came if isinstance(m, Event)]
+        expect(bool(tripped) == (tick == 4), came)
+        if tripped:
+            expect(tripped[0].cause == Cause.ADC_RAIL and sample.state == State.FAULT, came)
+            return
+    msg = "no potentiometer is at a rail: turn theta_1 into its dead band, or unplug one"
+    raise NotTried(msg)
+
+
+@rule(7, "With `rail_ticks` and `turns` 0 no reading is a fault")
+def _no_guard(host: Host) -> None:
+    host.reach(State.RUN)
+    for _ in range(30):
+        expect(host.sample(0).state == State.RUN, f"state {host.state}")
+
+
+@rule(7, "With a motor that stands still there is no FAULT(REV_LIMIT), and REV_LIMIT is no flag")
+def _still(host: Host) -> None:
+    host.reach(State.RUN, turns=50)
+    for _ in range(30):
+        sample = host.sample(0)
+        told = sample.flags & Flag.REV_LIMIT
+        expect(sample.state == State.RUN and not told, [sample])
+
+
+@rule(
+    7,
+    "STATUS tells the supply once a second, and VCC_LOW is set where it is below 4000 mV",
+    silent=True,
+)
+def _supply(host: Host) -> None:
+    first = next_status(host)
+    second = next_status(host)
+    apart = second.uptime_ms - first.uptime_ms
+    expect(990 <= apart <= 1_010, f"{apart} ms between two STATUS")
+    low = 0 < second.vcc_mv < _LOW_MV
+    sample: Sample = host.sample()
+    expect(bool(sample.flags & Flag.VCC_LOW) == low, f"{second.vcc_mv} mV, [{sample.flags:04x}]")
+    expect(second.stack_free >= 128, f"{second.stack_free} B of stack left")
+
+
+RULES = (
+    _fed,
+    _rails,
+    _no_guard,
+    _still,
+)
+SILENT = (
+    _watchdog,
+    _unfed,
+    _idle,
+    _left_alone,
+    _supply,
+)

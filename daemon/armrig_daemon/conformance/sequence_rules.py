@@ -1,0 +1,148 @@
+"""Section 2: seq, echo, boot."""
+
+from __future__ import annotations
+
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    TYPES,
+    VERSION,
+    Ack,
+    Code,
+    Estop,
+    Event,
+    Hello,
+    HelloReply,
+    Keepalive,
+    Message,
+    Sample,
+    State,
+    Stop,
+)
+
+from armrig_daemon.conformance.byte_rules import UNKNOWN_TYPE, framed, header, next_status
+from armrig_daemon.conformance.host import BOOT_MS, Host, only
+from armrig_daemon.conformance.rule import NotTried, codes, expect, kinds, rule
+
+_HELLO = {"version": VERSION, "schema": SCHEMA_HASH}
+_U16 = 0xFFFF
+
+
+@rule(2, "A frame whose seq is not 1 ... 32767 ahead of the newest is ACK(STALE)")
+def _stale(host: Host) -> None:
+    for behind in (0, 1, 32_767, 32_768):
+        came = _at(host, behind)
+        expect(codes(came) == [Code.STALE], came)
+
+
+def _at(host: Host, behind: int) -> list[Message]:
+    """Return the answers to a KEEPALIVE whose seq lies behind the newest, which stays as it is."""
+    newest = host.seq
+    host.put(Keepalive, seq=(newest - behind) & _U16)
+    host.seq = newest
+    return host.fence()
+
+
+@rule(2, "A seq 32767 ahead is newer, and the numbers wrap at 2^16")
+def _ahead(host: Host) -> None:
+    for _ in range(3):
+        came = host.ask(Keepalive, seq=(host.seq + 32_767) & _U16)
+        expect(not came, came)
+
+
+@rule(2, "A frame of unknown type is ACK(UNKNOWN_TYPE), and not taken in")
+def _unknown(host: Host) -> None:
+    for number in (UNKNOWN_TYPE, TYPES[Ack]):
+        seq = (host.seq + 1) & _U16
+        body = bytes(4) if number == TYPES[Ack] else b""
+        host.write(framed(header(number, seq) + body))
+        came = host.ask(Keepalive)  # of the same seq: it is still free
+        expect(codes(came) == [Code.UNKNOWN_TYPE], came)
+        ack = only(Ack, came)
+        expect((ack.of_type, ack.of_seq) == (number, seq), f"ACK of {ack.of_type}, {ack.of_seq}")
+
+
+@rule(2, "Outside ARMED and RUN, HELLO is always taken in, and its seq is the newest then")
+def _hello(host: Host) -> None:
+    for state in (State.IDLE, State.READY, State.ESTOP):
+        host.to_idle()
+        host.reach(state)
+        came = host.ask(Hello, seq=(host.seq - 1_000) & _U16, **_HELLO)
+        expect(kinds(came) == [HelloReply], came)
+
+
+@rule(2, "In ARMED and RUN an old HELLO is ACK(STALE)")
+def _hello_armed(host: Host) -> None:
+    for state in (State.ARMED, State.RUN):
+        host.to_idle()
+        host.reach(state)
+        newest = host.seq
+        host.put(Hello, seq=(newest - 5) & _U16, **_HELLO)
+        host.seq = newest
+        came = host.fence()
+        expect(codes(came) == [Code.STALE] and len(came) == 1, came)
+
+
+@rule(2, "STOP takes effect whatever its seq, and moves the newest only forward")
+def _stop_always(host: Host) -> None:
+    for kind, state in ((Stop, State.IDLE), (Estop, State.ESTOP)):
+        host.to_idle()
+        host.reach(State.RUN)
+        newest = host.seq
+        host.put(kind, seq=(newest - 5) & _U16)
+        host.seq = newest
+        came = host.fence()
+        expect(codes(came) == [Code.OK] and host.state == state, came)
+        came = _at(host, 3)
+        expect(codes(came) == [Code.STALE], came)
+
+
+@rule(2, "`echo` in SAMPLE is the seq of the newest frame taken in")
+def _echo(host: Host) -> None:
+    for ahead in (1, 300, 32_767):
+        host.seq = (host.seq + ahead - 1) & _U16
+        sample = host.sample()
+        expect(sample.echo == host.seq, f"echo {sample.echo} of frame {host.seq}")
+
+
+@rule(2, "The low half of boot_id is in every SAMPLE, EVENT and STATUS", silent=True)
+def _boot(host: Host) -> None:
+    low = host.known.boot_id & _U16
+    sample = host.sample()
+    expect(sample.boot == low, f"SAMPLE of boot {sample.boot:04x}, not {low:04x}")
+    event = only(Event, host.ask(Estop))
+    expect(event.boot == low, f"EVENT of boot {event.boot:04x}, not {low:04x}")
+    status = next_status(host)
+    expect(status.boot == low, f"STATUS of boot {status.boot:04x}, not {low:04x}")
+
+
+@rule(
+    2, "Where opening the port resets the device, that is a new boot_id, told, in IDLE", silent=True
+)
+def _reset(host: Host) -> None:
+    before = host.known.boot_id
+    host.reach(State.READY)
+    host.reopen()
+    after = host.hello(BOOT_MS)
+    came = host.fence()
+    if after.boot_id == before:
+        expect(host.state == State.READY, f"state {host.state} in the same boot, not READY")
+        msg = "opening the port does not reset this device"
+        raise NotTried(msg)
+    expect(after.state == State.IDLE, f"state {after.state} behind a boot")
+    expect(host.configure(ts_us=0).config_crc == 0, "a configuration from before the boot")
+    expect(not any(isinstance(m, Sample) for m in came), came)
+
+
+RULES = (
+    _stale,
+    _ahead,
+    _unknown,
+    _hello,
+    _hello_armed,
+    _stop_always,
+    _echo,
+)
+SLOW = (
+    _boot,
+    _reset,
+)

@@ -1,0 +1,283 @@
+"""Section 3: states, and what leads from one to the next."""
+
+from __future__ import annotations
+
+from functools import partial
+from re import sub
+from typing import Any
+
+from armrig_protocol.messages import (
+    Ack,
+    Arm,
+    Cal,
+    Capability,
+    Cause,
+    ClearFault,
+    Code,
+    Config,
+    ConfigReply,
+    Estop,
+    Event,
+    Flag,
+    HelloReply,
+    Keepalive,
+    Message,
+    Mode,
+    Pong,
+    Sample,
+    Setpoints,
+    Start,
+    State,
+    Stop,
+)
+
+from armrig_daemon.conformance.host import CONFIG, Host, only
+from armrig_daemon.conformance.rule import Rule, codes, expect, kinds, rule
+
+STATES = (State.IDLE, State.READY, State.ARMED, State.RUN, State.FAULT, State.ESTOP)
+_FIELDS: dict[type[Message], dict[str, Any]] = {
+    ClearFault: {"token": 1},
+    Config: dict(CONFIG),
+    Cal: {"channel": 0, "zero": 0, "n": 1},
+    Setpoints: {"k0": 0, "n": 1, "zero": 0, "u": (0,) * 24},
+}
+_NOT_TAKEN: dict[State, tuple[type[Message], ...]] = {
+    State.IDLE: (Arm, Start, ClearFault, Setpoints),
+    State.READY: (Start, ClearFault, Setpoints),
+    State.ARMED: (Config, Arm, ClearFault, Setpoints, Cal),
+    State.RUN: (Config, Arm, Start, ClearFault, Setpoints, Cal),
+    State.FAULT: (Config, Arm, Start, Stop, Setpoints, Cal),
+    State.ESTOP: (Config, Arm, Start, Stop, Setpoints, Cal),
+}
+_OFFERED = {Setpoints: Capability.SCHEDULED, Cal: Capability.CAL}
+
+
+def _refuses(state: State, host: Host) -> None:
+    host.reach(state)
+    for kind in _NOT_TAKEN[state]:
+        came = host.ask(kind, **_FIELDS.get(kind, {}))
+        needed = _OFFERED.get(kind)
+        offered = needed is None or host.known.capabilities & needed
+        code = Code.WRONG_STATE if offered else Code.UNSUPPORTED
+        answers = [m.code for m in came if isinstance(m, Ack | ConfigReply)]
+        expect(answers == [code] and len(came) == 1, came)
+        expect(host.state == state, f"state {host.state} behind {kind.__name__}")
+
+
+def _wire_name(kind: type[Message]) -> str:
+    """Return a type's name on the wire: CLEAR_FAULT for ClearFault."""
+    return sub(r"(?<=[a-z])([A-Z])", r"_\1", kind.__name__).upper()
+
+
+REFUSALS = tuple(
+    Rule(
+        section=3,
+        sentence=f"In {state.name} a request that it does not take is WRONG_STATE: "
+        + ", ".join(map(_wire_name, kinds_)),
+        check=partial(_refuses, state),
+    )
+    for state, kinds_ in _NOT_TAKEN.items()
+)
+
+
+@rule(3, "HELLO, EXCHANGE, PING and KEEPALIVE are taken in any state but BOOT")
+def _everywhere(host: Host) -> None:
+    for state in STATES:
+        host.to_idle()
+        host.reach(state)
+        host.hello()
+        came = host.ask(Keepalive)
+        expect(not [m for m in came if not isinstance(m, HelloReply)], came)
+        taken = host.exchange(0)
+        expect(isinstance(taken, Sample) and taken.state == state, [taken])
+        expect(host.pong is not None and host.pong.state == state, [host.pong])
+
+
+@rule(3, "CONFIG leads to READY, ARM to ARMED, START to RUN: the answer first, then the EVENT")
+def _way(host: Host) -> None:
+    steps: tuple[tuple[type[Message], type[Message], State], ...] = (
+        (Config, ConfigReply, State.READY),
+        (Arm, Ack, State.ARMED),
+        (Start, Ack, State.RUN),
+        (Stop, Ack, State.IDLE),
+    )
+    was = State.IDLE
+    for kind, answer, state in steps:
+        came = host.ask(kind, **(CONFIG if kind is Config else {}))
+        expect(kinds(came) == [answer, Event], came)
+        event = only(Event, came)
+        told = (event.was, event.state, event.cause)
+        expect(told == (was, state, Cause.REQUEST), came)
+        expect(all(m.state == state for m in came) and host.state == state, came)
+        expect(came[0].code == Code.OK, came)  # type: ignore[union-attr]
+        was = state
+
+
+@rule(3, "STOP leads from READY, ARMED and RUN to IDLE, where no configuration is in force")
+def _stop(host: Host) -> None:
+    for state in (State.READY, State.ARMED, State.RUN):
+        host.to_idle()
+        host.reach(state)
+        came = host.ask(Stop)
+        expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
+        left = host.configure(ts_us=0)
+        expect((left.config_crc, left.nonce, left.ts_us) == (0, 0, 0), [left])
+    came = host.ask(Stop)
+    expect(codes(came) == [Code.OK] and len(came) == 1, came)
+
+
+@rule(3, "ARM carries boot_id, config_crc and nonce of now: else WRONG_BOOT, _CONFIG, _NONCE")
+def _arm(host: Host) -> None:
+    host.reach(State.READY)
+    boot_id, crc, nonce = host.known.boot_id, host.config_crc, host.nonce
+    for fields, code in (
+        ({"boot_id": boot_id ^ 1}, Code.WRONG_BOOT),
+        ({"boot_id": 0}, Code.WRONG_BOOT),
+        ({"config_crc": crc ^ 0x8000_0000}, Code.WRONG_CONFIG),
+        ({"nonce": nonce ^ 1}, Code.WRONG_NONCE),
+        ({"nonce": 0}, Code.WRONG_NONCE),
+    ):
+        came = host.ask(Arm, **fields)
+        expect(codes(came) == [code] and len(came) == 1, came)
+        expect(host.state == State.READY, f"state {host.state} behind a wrong ARM")
+
+
+@rule(3, "START carries the nonce of the configuration, and in exchange mode k_stop 0")
+def _start(host: Host) -> None:
+    host.reach(State.ARMED)
+    for fields, code in (
+        ({"nonce": host.nonce ^ 1}, Code.WRONG_NONCE),
+        ({"k_stop": 10}, Code.BAD_VALUE),
+    ):
+        came = host.ask(Start, **fields)
+        expect(codes(came) == [code] and host.state == State.ARMED, came)
+
+
+@rule(3, "The bytes of an arming do not arm again: each CONFIG has a nonce of its own")
+def _old_arming(host: Host) -> None:
+    host.reach(State.ARMED)
+    old = host.nonce
+    host.ask(Stop)
+    host.configure()
+    came = host.ask(Arm, nonce=old)
+    expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.READY, came)
+    host.ask(Arm)
+    came = host.ask(Start, nonce=old)
+    expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.ARMED, came)
+
+
+@rule(3, "ESTOP leads from any state to ESTOP, with a token, not 0, in EVENT and HELLO_R")
+def _estop(host: Host) -> None:
+    for state in STATES[:-1]:
+        host.to_idle()
+        host.reach(state)
+        before = host.hello().token
+        event = only(Event, host.ask(Estop))
+        expect(
+            (event.was, event.state, event.cause) == (state, State.ESTOP, Cause.REQUEST), [event]
+        )
+        expect(event.token not in (0, before), f"token {event.token} behind {before}")
+        expect(host.hello().token == event.token, f"token {host.known.token} in HELLO_R")
+
+
+@rule(3, "ESTOP in ESTOP is OK, and changes nothing")
+def _estop_again(host: Host) -> None:
+    token = only(Event, host.ask(Estop)).token
+    came = host.ask(Estop)
+    expect(codes(came) == [Code.OK] and len(came) == 1, came)
+    expect(host.hello().token == token, "another token")
+
+
+@rule(3, "Only CLEAR_FAULT with the token leaves FAULT and ESTOP, to IDLE; another is WRONG_TOKEN")
+def _clear(host: Host) -> None:
+    for state in (State.FAULT, State.ESTOP):
+        host.to_idle()
+        host.reach(state)
+        token = host.hello().token
+        for wrong in (0, token ^ 1, token ^ 0x8000_0000):
+            came = host.ask(ClearFault, token=wrong)
+            expect(codes(came) == [Code.WRONG_TOKEN] and host.state == state, came)
+        came = host.ask(ClearFault, token=token)
+        expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
+        expect(host.hello().token == 0, f"token {host.known.token} in IDLE")
+
+
+@rule(
+    3, "In every state but RUN the code is 0, whatever EXCHANGE carries; the flags tell the state"
+)
+def _zero_volts(host: Host) -> None:
+    of_state = {
+        State.ARMED: Flag.ARMED,
+        State.RUN: Flag.ARMED | Flag.RUN,
+        State.FAULT: Flag.RANGE,
+        State.ESTOP: Flag.ESTOP,
+    }
+    told = Flag.ARMED | Flag.RUN | Flag.ESTOP | Flag.RANGE | Flag.WATCHDOG | Flag.SLEW
+    for state in STATES:
+        host.to_idle()
+        host.reach(state)
+        for _ in range(2):
+            sample = host.sample(40_000)
+            expect(state is State.RUN or sample.u_k == 0, [sample])
+            expect(sample.flags & told == of_state.get(state, 0), [sample])
+        if state is State.RUN:
+            expect(sample.u_k != 0, [sample])
+            host.ask(Stop)
+            sample = host.sample(40_000)
+            expect((sample.u_k, sample.u_km1, sample.u_seq) == (0, 0, 0), [sample])
+
+
+@rule(3, "RUN begins with u_rest latched; other than 0 it needs an enable line")
+def _rest(host: Host) -> None:
+    u_rest = 20_000 if host.known.capabilities & Capability.ENABLE_LINE else 0
+    host.reach(State.RUN, u_rest=u_rest)
+    sample = host.sample(u_rest)
+    expect(sample.u_km1 == sample.u_k and (sample.u_km1 > 0) == (u_rest > 0), [sample])
+
+
+@rule(3, "An EVENT tells when its transition was made, between the two PONGs around it")
+def _event_time(host: Host) -> None:
+    host.fence()
+    before = host.rx_us
+    event = only(Event, host.ask(Estop))
+    span = (host.rx_us - before) & 0xFFFF_FFFF
+    expect((event.t_us - before) & 0xFFFF_FFFF <= span, f"t_us {event.t_us} between {before} and")
+
+
+@rule(3, "PONG carries host_ns back, and its two times are in order")
+def _pong(host: Host) -> None:
+    pong, last = None, host.rx_us
+    for _ in range(20):
+        host.fence()
+        pong = host.pong
+        expect(pong is not None and (pong.tx_us - pong.rx_us) & 0xFFFF_FFFF < 1 << 31, [pong])
+        expect((host.rx_us - last) & 0xFFFF_FFFF < 1 << 31, [pong])
+        last = host.rx_us
+    expect(isinstance(pong, Pong) and pong.host_ns > 0, [pong])
+
+
+@rule(3, "SETPOINTS in ARMED of exchange mode is WRONG_STATE")
+def _setpoints_mode(host: Host) -> None:
+    host.reach(State.ARMED, mode=Mode.EXCHANGE)
+    came = host.ask(Setpoints, **_FIELDS[Setpoints])
+    offered = host.known.capabilities & Capability.SCHEDULED
+    expect(codes(came) == [Code.WRONG_STATE if offered else Code.UNSUPPORTED], came)
+
+
+RULES = (
+    _way,
+    _stop,
+    _everywhere,
+    *REFUSALS,
+    _arm,
+    _start,
+    _old_arming,
+    _estop,
+    _estop_again,
+    _clear,
+    _zero_volts,
+    _rest,
+    _event_time,
+    _pong,
+    _setpoints_mode,
+)

@@ -1,0 +1,97 @@
+"""The suite: every rule of PROTOCOL.md that can be tried over a line, and the way to try them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from armrig_protocol.messages import Estop, State, Stop
+
+from armrig_daemon.conformance import (
+    byte_rules,
+    configuration_rules,
+    exchange_rules,
+    guard_rules,
+    scheduled_rules,
+    sequence_rules,
+    state_rules,
+)
+from armrig_daemon.conformance.host import BOOT_MS, STALL_MS, Broken, Host
+from armrig_daemon.conformance.rule import NotTried, Result, Rule
+
+RULES: tuple[Rule, ...] = (
+    *configuration_rules.WHO,
+    *byte_rules.RULES,
+    *byte_rules.COUNTED,
+    *sequence_rules.RULES,
+    *sequence_rules.SLOW,
+    *state_rules.RULES,
+    *configuration_rules.RULES,
+    *exchange_rules.RULES,
+    *exchange_rules.READINGS,
+    *scheduled_rules.RULES,
+    *scheduled_rules.SILENT,
+    *guard_rules.RULES,
+    *guard_rules.SILENT,
+    *byte_rules.LAST,
+)
+_TRIES = 6
+PASS, FAIL, NOT_TRIED = "pass", "FAIL", "not tried"
+
+
+def run(host: Host, tell: Callable[[Result], None], wanted: Sequence[Rule] = RULES) -> list[Result]:
+    """Try each rule and return what became of it; the device ends at 0 V, whatever happens.
+
+    Parameters
+    ----------
+    tell : callable
+        Is told of each result at once.
+    wanted : sequence of Rule
+        The rules to be tried, in order.
+
+    Raises
+    ------
+    Broken
+        The device does not answer HELLO.
+    """
+    results: list[Result] = []
+    try:
+        host.hello(BOOT_MS)
+        for rule in wanted:
+            results.append(_tried(host, rule))
+            tell(results[-1])
+    finally:
+        leave(host)
+    return results
+
+
+def _tried(host: Host, rule: Rule) -> Result:
+    """Try a rule; again where the host was held up, for then it says nothing of the device."""
+    came, outcome = "", FAIL
+    for _ in range(_TRIES):
+        try:
+            host.to_idle()
+            host.silence_ms = 0.0
+            rule.check(host)
+        except Broken as err:
+            came = str(err)
+            host.note_silence()
+            if rule.silent or host.silence_ms > STALL_MS:
+                continue
+        except NotTried as err:
+            outcome, came = NOT_TRIED, str(err)
+        else:
+            outcome, came = PASS, ""
+        break
+    return Result(rule.section, rule.sentence, outcome, came)
+
+
+def leave(host: Host) -> None:
+    """Leave the device at 0 V: STOP, and ESTOP where that is not confirmed."""
+    for kind in (Stop, Estop):
+        with suppress(Broken, OSError):  # a port that is gone: the device's watchdog is next
+            for _ in range(3):
+                host.put(kind)
+            host.fence()
+            if host.state not in (State.ARMED, State.RUN):
+                return
