@@ -18,7 +18,6 @@ from armrig_daemon.emulator import (
     reception,
     requests,
     sampling,
-    sensors,
     setpoints,
     timer,
     transitions,
@@ -226,7 +225,7 @@ def _config_stays(patch: Patch) -> None:
     patch.setattr(Firmware, "enter", keeping)
 
 
-def _zero_config_crc(patch: Patch) -> None:
+def _wrong_config_crc(patch: Patch) -> None:
     _answers(patch, lambda m: m._replace(config_crc=1) if isinstance(m, ConfigReply) else m)
 
 
@@ -357,7 +356,7 @@ def _answers_spoilt(patch: Patch) -> None:
     patch.setattr(device, "handle", answering)
 
 
-def _wrong_capability(patch: Patch) -> None:
+def _fewer_readings(patch: Patch) -> None:
     patch.setattr(cal, "MOST_READINGS", 512)
 
 
@@ -430,7 +429,7 @@ def _no_stack(patch: Patch) -> None:
     _answers(patch, lambda m: m._replace(stack_free=90) if isinstance(m, Status) else m)
 
 
-def _survives_boot(patch: Patch) -> None:
+def _event_of_another_boot(patch: Patch) -> None:
     _answers(
         patch,
         lambda m: m._replace(boot=0) if isinstance(m, Event) else m,
@@ -473,10 +472,6 @@ def _pong_time(patch: Patch) -> None:
     )
 
 
-def _mean_across_the_band(patch: Patch) -> None:
-    patch.setattr(sensors, "at_rail", lambda code: False)
-
-
 def _k_not_reset(patch: Patch) -> None:
     def kept(old: Any) -> Any:
         def handler(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
@@ -494,11 +489,11 @@ def _half_the_setpoint_frames(patch: Patch) -> None:
     patch.setattr(queue, "LEAST_A_FRAME", 16)
 
 
-def _n_25(patch: Patch) -> None:
+def _n_of_25(patch: Patch) -> None:
     patch.setattr(setpoints, "SETPOINTS_PER_FRAME", 300)
 
 
-def _short_hold(patch: Patch) -> None:
+def _starts_at_once(patch: Patch) -> None:
     make = transitions._timer
 
     def short(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Any:
@@ -532,23 +527,23 @@ SPOILT: dict[str, SpoiltDevice] = {
     "ARMED has a code": SpoiltDevice(_drives_when_armed, "every state but RUN"),
     "the EVENT comes before its answer": SpoiltDevice(_event_before_answer, "the answer first"),
     "the configuration outlives STOP": SpoiltDevice(_config_stays, "STOP leads from"),
-    "config_crc is not that of CONFIG": SpoiltDevice(_zero_config_crc, "CRC-32 of it"),
+    "config_crc is not that of CONFIG": SpoiltDevice(_wrong_config_crc, "CRC-32 of it"),
     "the echo is one behind": SpoiltDevice(_stale_echo, "`echo`"),
     "t_us is not the trigger": SpoiltDevice(_t_us_of_the_answer, "theta_1's trigger"),
     "u_k is not what the duty gives": SpoiltDevice(_raw_code, "duty stands for"),
     "the timer drifts": SpoiltDevice(_drifts, "to 1 us"),
     "one sample is 5 us late": SpoiltDevice(_one_late, "to 1 us"),
-    "START samples at once": SpoiltDevice(_short_hold, "one Ts behind START"),
+    "START samples at once": SpoiltDevice(_starts_at_once, "one Ts behind START"),
     "each u is one sample late": SpoiltDevice(_one_sample_late, "every u at its k"),
     "HOLD does not hold": SpoiltDevice(_hold_is_zero, "dry queue"),
     "what disagrees is taken": SpoiltDevice(_overwrites, "disagrees"),
     "the queue is one too small": SpoiltDevice(_smaller_queue, "what HELLO_R says"),
     "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "gone with it"),
     "too few frames in the queue": SpoiltDevice(_half_the_setpoint_frames, "`queue`/8"),
-    "n of 25 is taken": SpoiltDevice(_n_25, "n of 0 or above 24"),
+    "n of 25 is taken": SpoiltDevice(_n_of_25, "n of 0 or above 24"),
     "queued setpoints feed": SpoiltDevice(_setpoints_feed, "do not feed"),
     "padding is looked at": SpoiltDevice(_padding_counts, "padding"),
-    "CAL has less readings": SpoiltDevice(_wrong_capability, "n readings of one channel"),
+    "CAL has less readings": SpoiltDevice(_fewer_readings, "n readings of one channel"),
     "one reading has a variance": SpoiltDevice(_variance_over_n, "n readings of one channel"),
     "EXCHANGE is not answered in CAL": SpoiltDevice(_exchange_during_cal, "During CAL"),
     "oversampling is accepted, and not done": SpoiltDevice(_m_means_nothing, "(2 m - 1)"),
@@ -560,7 +555,7 @@ SPOILT: dict[str, SpoiltDevice] = {
     "VCC_LOW with a good supply": SpoiltDevice(_vcc_flag, "VCC_LOW"),
     "STATUS is slow": SpoiltDevice(_slow_status, "once a second"),
     "no stack left": SpoiltDevice(_no_stack, "once a second"),
-    "EVENT has another boot": SpoiltDevice(_survives_boot, "low half of boot_id"),
+    "EVENT has another boot": SpoiltDevice(_event_of_another_boot, "low half of boot_id"),
     "the device skips a seq": SpoiltDevice(_skips_a_seq, "seq counts them"),
     "an old STOP is stale": SpoiltDevice(_stop_must_be_new, "whatever its seq"),
     "STOP is OK in FAULT": SpoiltDevice(_stop_in_fault, "In FAULT a request"),

@@ -5,19 +5,20 @@ from __future__ import annotations
 import pytest
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import Result
-from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, run
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, RULES, run
+from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import State
-from emulated_line import EmulatedLine
 from spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
+from virtual_line import VirtualLine
 
 UNO = {"queue": 256}
 
 
-def tried(line: EmulatedLine) -> list[Result]:
+def tried(device: Device, *, resets: bool = True) -> list[Result]:
     """Return what becomes of all rules."""
     told: list[Result] = []
-    results = run(Host(line), told.append)
+    results = run(Host(VirtualLine(device, resets=resets)), told.append)
     assert results == told
     return results
 
@@ -32,15 +33,15 @@ def test_the_emulated_device_does_what_the_protocol_says(
     settings: dict[str, float], resets: bool
 ) -> None:
     """Whether the opening of its port resets it or not; and it is left at 0 V."""
-    line = EmulatedLine(EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings}), resets=resets)  # type: ignore[arg-type]
+    device = Device(EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings}), 0)  # type: ignore[arg-type]
 
-    results = tried(line)
+    results = tried(device, resets=resets)
 
     assert [r for r in results if r.outcome == FAIL] == []
     not_tried = [r.sentence.split()[0] for r in results if r.outcome == NOT_TRIED]
     assert not_tried == ["Where"] * (not resets) + ["`rail_ticks`"] * (settings is not AT_A_RAIL)
     assert len(results) == len(RULES)
-    assert line.device.state is State.IDLE
+    assert device.state is State.IDLE
 
 
 @pytest.mark.parametrize("how", SPOILT)
@@ -48,17 +49,16 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
     """By the rule that it breaks."""
     spoilt = SPOILT[how]
     spoilt.spoil(monkeypatch)
-    line = EmulatedLine(EmulatorSettings(boot_ms=5.0, **AT_A_RAIL))
+    device = Device(EmulatorSettings(boot_ms=5.0, **AT_A_RAIL), 0)
 
-    broken = [r for r in tried(line) if r.outcome == FAIL]
+    broken = [r for r in tried(device) if r.outcome == FAIL]
 
     assert [r for r in broken if spoilt.found_by in r.sentence], broken
     assert all(r.came for r in broken)
-    assert line.device.board.volts == 0.0
+    assert device.board.volts == 0.0
 
 
 def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
     """So that a person finds it in PROTOCOL.md."""
     assert {rule.section for rule in RULES} == {1, 2, 3, 4, 5, 6, 7}
     assert len({rule.sentence for rule in RULES}) == len(RULES)
-    assert PASS != FAIL

@@ -1,0 +1,28 @@
+"""The C core does what PROTOCOL.md says, rule by rule, as a board in a laboratory is asked to."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
+from armrig_daemon.emulator.settings import EmulatorSettings
+from spoilt_devices import AT_A_RAIL
+from virtual_line import VirtualLine
+
+from firmware import library
+from firmware.core_device import CoreDevice
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+
+@pytest.mark.parametrize("settings", [{}, {"queue": 256}, {"baud": 1_000_000}], ids=str)
+@pytest.mark.parametrize("resets", [True, False])
+def test_the_c_core_does_what_the_protocol_says(settings: dict[str, int], resets: bool) -> None:
+    """Each rule is tried, and holds, whether the opening of the port resets it or not."""
+    device = CoreDevice(EmulatorSettings(boot_ms=5.0, **AT_A_RAIL, **settings), 0)
+
+    results = run(Host(VirtualLine(device, resets=resets)), lambda result: None)
+
+    assert [r for r in results if r.outcome == FAIL] == []
+    assert [r.outcome for r in results].count(NOT_TRIED) == (not resets)
+    assert device.board.volts == 0.0
