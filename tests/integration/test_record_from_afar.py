@@ -327,6 +327,7 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
         (["-o", "none/a.mcap"], "No such file or directory"),
         (["--rig", "9"], "no reply from rig 9"),
         (["--rig", "../x"], "rig id '../x': 1 to 40 of a-z, 0-9 and - are allowed"),
+        (["--rig", "played-1"], "what begins with played- is a recording that `armrig play` plays"),
         (["--seconds", "nan"], "--seconds nan: a number above 0 is needed"),
         (["--seconds", "-1"], "--seconds -1: a number above 0 is needed"),
     ],
@@ -361,6 +362,7 @@ def test_a_signal_ends_it_with_a_whole_file(
     command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
     with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE) as process:
         while not path.with_name("a.mcap.active").exists():
+            assert process.poll() is None
             time.sleep(0.05)
         came = published()
         process.send_signal(number)
@@ -381,6 +383,7 @@ def test_what_came_before_an_end_by_force_is_recovered(
     command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
     with subprocess.Popen(command) as process:
         while published() < 2000 or not path.with_name("a.mcap.active").exists():
+            assert process.poll() is None
             time.sleep(0.05)
         time.sleep(0.5)
         process.kill()

@@ -36,6 +36,7 @@ Folder = Annotated[
 ]
 Naming = Callable[["RecordingSummary"], str]
 _COUNT = 20
+_NAMED = 3
 _WIDEST = 60  # characters of a column
 _HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "validates")
 
@@ -95,7 +96,7 @@ def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tu
         f"{summary.seconds:g} s",
         f"{summary.Ts:g} s",
         str(summary.missing),
-        summary.started[5:16].replace("T", " "),
+        summary.started[:16].replace("T", " "),
         f"{_validated_by(summary, name_of, answering)} {_clipped(how)}".strip(),
     )
     return tuple(map(printable, cells))  # a name may have a line break in it
@@ -124,13 +125,18 @@ def _table(rows: list[tuple[str, ...]]) -> str:
 
 def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
     """Return what is not in the table: the older ones, and what is not whole."""
+    from armrig.recordings.recording_summary import shown_path
+
     if found is None or not (found.recordings or found.left_out or found.unfinished):
         return f"there are no recordings in {folder}; make one with `armrig collect`"
     told = [f"in {folder}"]
     if older := len(found) - shown:
         told.append(f"{older} older ones: --all")
-    if damaged := len(found.left_out):
-        told.append(f"{damaged} that are not whole: `armrig info FILE` says why")
+    if found.left_out:
+        named = [shown_path(Path(left.path.name)) for left in found.left_out[:_NAMED]]
+        more = len(found.left_out) - len(named)
+        told.append(f"not whole: {', '.join(named)}" + (f" and {more} more" if more else ""))
+        told[-1] += "; `armrig info FILE` says why"
     if unfinished := len(found.unfinished):
         told.append(f"{unfinished} being written, or left by a daemon that died: `armrig recover`")
     return "; ".join(told)

@@ -60,10 +60,13 @@ def record(
     started anew, another sampling time, or a break of more than 200 000 samples begins a file of
     its own.
     """
+    from armrig_core.topics import check_own_id
+
     from armrig.rig.remote_recording import RemoteRecording
     from armrig.rig.remote_source import RemoteSource
     from armrig.rig.session import configured_endpoint, no_reply, open_session
 
+    check_own_id(rig)
     if seconds is not None and not seconds > 0:
         msg = f"--seconds {seconds:g}: a number above 0 is needed"
         raise ValueError(msg)

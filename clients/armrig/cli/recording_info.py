@@ -53,7 +53,8 @@ def info(
         print_json(_recording_facts(recording))
     else:
         print_table(*_recording_rows(recording, verbose=verbose))
-        say_next("info", file=typed(file))
+        if recording.N:
+            say_next("info", file=typed(file))
 
 
 def _recording_facts(rec: Recording) -> dict[str, Any]:

@@ -102,7 +102,9 @@ def load(
     recording = _assembled(name, found, calibration or found.calibration)
     if found.between != EVERYTHING and not recording.N:
         msg = f"{name}: nothing of it lies from {start or 0:g} s"
-        raise RecordingError(msg + (f" to {stop:g} s" if stop is not None else " on"))
+        msg += f" to {stop:g} s" if stop is not None else " on"
+        asked_s = found.manifest.samples * found.manifest.Ts
+        raise RecordingError(f"{msg}; its run has {asked_s:g} s" if asked_s > 0 else msg)
     return recording
 
 

@@ -116,11 +116,14 @@ def check_file(r: Recording) -> Check:
 
 def check_samples(r: Recording) -> Check:
     """Check that k has no break but those that gap records tell."""
-    told = np.zeros(r.N, np.bool_)
+    if not r.N:
+        return _not_checked("samples", "no sample was due")
+    # One more where a gap begins, one less where it ends: all of them may lie over each other.
+    change = np.zeros(r.N + 1, np.int64)
     for gap in r.gaps:
-        begin = max(gap.k_first - r.k_first, 0)
-        told[begin : max(gap.k_first + gap.count - r.k_first, 0)] = True
-    untold = ~r.present & ~told
+        for k, step in ((gap.k_first, 1), (gap.k_first + gap.count, -1)):
+            change[min(max(k - r.k_first, 0), r.N)] += step
+    untold = ~r.present & (np.cumsum(change[:-1]) == 0)
     if untold.any():
         k = r.k_first + int(untold.argmax())
         count = int(np.count_nonzero(untold))
@@ -152,7 +155,9 @@ def check_envelope(r: Recording) -> Check:
                 text += f", at k={r.samples['k'][i]}"
             return _failed("envelope", text)
     u = volts["applied"]
-    seen = f"{u.min():.4g} to {u.max():.4g} V applied" if u.size else "no sample"
+    if not u.size:
+        return _not_checked("envelope", "no sample")
+    seen = f"{u.min():.4g} to {u.max():.4g} V applied"
     unknown = int(np.count_nonzero(~known))
     what = f"; not known in {plural(unknown, 'gap')} that the recorder missed" if unknown else ""
     return _passed("envelope", f"{seen}, inside 0 to {U_MAX_V:g} V{what}")
@@ -164,6 +169,8 @@ def check_input(r: Recording, u: Vector) -> Check:
     if u.size != r.manifest.samples or (at.size and (at[0] < 0 or at[-1] >= u.size)):
         text = f"{u.size} voltages are attached, the run has {r.manifest.samples} samples"
         return _failed("input", text)
+    if not at.size:
+        return _not_checked("input", "no sample")
     # A device with n bits applies the nearest of its 2^n steps.
     bits = r.manifest.device.get("pwm_bits")
     step = U_MAX_V / (1 << bits) if isinstance(bits, int) and 0 < bits <= 16 else _CODE_V
@@ -191,7 +198,7 @@ def check_timing(r: Recording) -> Check:
             return _failed("timing", f"the {name}'s time does not go forward at k={k}")
     s = sampling_statistics(r)
     if not s.jitter.n:
-        return Check(about="timing", result="not checked", text="too few samples")
+        return _not_checked("timing", "too few samples")
     text = ", ".join(
         f"{name} {p.p50:.3g}, {p.p99:.3g}, {p.p999:.3g}, {p.max:.3g}"
         for name, p in (("jitter", s.jitter), ("lateness", s.lateness))
@@ -202,7 +209,7 @@ def check_timing(r: Recording) -> Check:
 def check_clock(r: Recording) -> Check:
     """Check that the device's clock ran as the comparisons of the clocks say."""
     if r.samples.size < 2:
-        return Check(about="clock", result="not checked", text="too few samples")
+        return _not_checked("clock", "too few samples")
     # Over all of the run, in ns; what one stamp is off by counts for little.
     host = int(r.samples["t_sched_ns"][-1]) - int(r.samples["t_sched_ns"][0])
     device = 1000 * (int(r.samples["t_device_us"][-1]) - int(r.samples["t_device_us"][0]))
@@ -232,7 +239,7 @@ def check_clock(r: Recording) -> Check:
 def _check_attached_input(r: Recording) -> Check:
     path, content = beginning(r.path)
     if content.input is None:
-        return Check(about="input", result="not checked", text="no input is attached")
+        return _not_checked("input", "no input is attached")
     try:
         u = recorded_input(path, content.input, r.manifest.samples)
     except DamageError as err:
@@ -246,7 +253,7 @@ def _check_configuration(r: Recording) -> Check:
     text = content.attachments.get(CONFIG)
     if text is None or not r.manifest.config_sha256:
         why = "no configuration is attached, or its hash is not told"
-        return Check(about="configuration", result="not checked", text=why)
+        return _not_checked("configuration", why)
     if hashlib.sha256(text).hexdigest() != r.manifest.config_sha256:
         return _failed("configuration", "its hash is not the one in the manifest")
     try:
@@ -278,8 +285,21 @@ def _failed(about: str, text: str) -> Check:
     return Check(about=about, result="failed", text=text)
 
 
+def _not_checked(about: str, text: str) -> Check:
+    return Check(about=about, result="not checked", text=text)
+
+
+def _verdict(found: Verification) -> str:
+    failed = [check.about for check in found.checks if check.result == "failed"]
+    if failed:
+        return f"failed: {', '.join(failed)}"
+    left = [check.about for check in found.checks if check.result == "not checked"]
+    return "passed" + (f"; not checked: {', '.join(left)}" if left else "")
+
+
 def rows(found: Verification) -> Iterator[tuple[str, str]]:
     """Give what was checked, for a person: names and values."""
+    yield "verdict", _verdict(found)
     yield "recording", str(found.path)
     yield "sha256", found.sha256
     for check in found.checks:

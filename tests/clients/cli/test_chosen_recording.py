@@ -243,7 +243,7 @@ def test_ls_lists_the_newest_first(folder: Path, capsys: pytest.CaptureFixture[s
     assert lines[0].split() == ["recording", "kind", "length", "Ts", "missing", "started"]
     names = ["@0000000d/validation", "@0000000d", "@monday/validation", "@monday", "@0000000a"]
     assert [line.split()[0] for line in lines[1:]] == names
-    assert lines[3].endswith("blackbox  0.1 s   0.01 s  2        11-20 13:20")
+    assert lines[3].endswith("blackbox  0.1 s   0.01 s  2        2026-11-20 13:20")
     assert max(map(len, lines)) <= 80
     assert "1 being written, or left by a daemon that died" in err
 
@@ -260,7 +260,7 @@ def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[
     assert len(few.out.splitlines()) == 3
     assert "older ones: --all" in few.err
     assert len(every.out.splitlines()) == 6
-    assert "1 that are not whole" in every.err
+    assert "not whole: cut.mcap; `armrig info FILE` says why" in every.err
 
 
 def test_ls_of_all_reads_each_recording_once(

@@ -83,6 +83,16 @@ def test_a_name_that_is_no_text_is_told_to_programs(
         assert found["recording"] == f"{tmp_path}/a\\udcff.mcap"
 
 
+def test_what_is_not_whole_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Three of them, and how many more there are."""
+    for i in range(5):
+        written(tmp_path, recording()[:5000], f"{i}.mcap")
+
+    assert main(["ls", str(tmp_path)]) == 0
+
+    assert "and 2 more; `armrig info FILE` says why" in " ".join(capsys.readouterr().err.split())
+
+
 def test_info_shows_no_more_of_a_text_than_a_person_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

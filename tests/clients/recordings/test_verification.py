@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.recordings.loading import load
-from armrig.recordings.verification import Verification, check_input, verify
+from armrig.recordings.verification import Verification, check_input, rows, verify
 from armrig_core import protobuf
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import Sample
@@ -84,6 +84,30 @@ def test_missing_samples_must_be_told(tmp_path: Path) -> None:
     assert failed(found) == {
         "samples": "10 samples are missing without a gap record, from k=100 on"
     }
+
+
+def test_gaps_told_may_lie_over_each_other(tmp_path: Path) -> None:
+    """And reach beyond the run: a sample is told of where any of them has it, and there alone."""
+    messages: list[Any] = run()
+    del messages[100:110], messages[:5]
+    told = [gap(0, 5, 1.0), gap(103, 7, 1.0), gap(100, 5, 1.0), gap(101, 2, 1.0)]
+    beyond = gap(N, 1, 1.0)
+    beyond.count = 2**64 - 1 - N
+
+    whole = verified(tmp_path, [*told, *messages, beyond], came=N - 15, missing=15)
+    assert "samples" not in failed(whole)
+    short = verified(tmp_path, [told[0], *told[2:], *messages], came=N - 15, missing=15)
+    assert failed(short)["samples"] == ("5 samples are missing without a gap record, from k=105 on")
+
+
+def test_nothing_is_said_of_samples_that_there_are_not(tmp_path: Path) -> None:
+    """As of a run that was stopped at once, or of a file cut off before its first."""
+    about = manifest(k_first=0, samples=N)
+    ended = Outcome(outcome="stopped", samples=0, missing=0)
+    found = verify(written(tmp_path, recorded([], manifest=about, outcome=ended, u=U.tolist())))
+
+    assert [c.about for c in found.checks if c.result == "passed"] == ["file"]
+    assert dict(rows(found))["verdict"].startswith("passed; not checked: samples, envelope, input")
 
 
 @pytest.mark.parametrize("field", ["u_cmd_v", "u_applied_v"])
