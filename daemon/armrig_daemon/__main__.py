@@ -225,7 +225,7 @@ def show_config(
 @app.command()
 def conformance(
     device: Annotated[str, typer.Option(help="Serial port of the device.")],
-    baud: Annotated[int, typer.Option(help="Speed of the line, in bit/s.")] = Device().baud,
+    baud: Annotated[int, typer.Option(help="Speed of the line, in bit/s.")] = DeviceSettings().baud,
     motor_unplugged: Annotated[
         bool, typer.Option("--motor-unplugged", help="Do not ask: the motor is unplugged.")
     ] = False,
