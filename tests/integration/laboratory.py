@@ -9,6 +9,12 @@ from unittest.mock import patch
 
 from armrig.rig import pki
 from armrig.rig.client import Rig
+from armrig_core.credential import read_credential
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
+from cryptography.x509.oid import NameOID
 from processes import Bench
 
 HOSTS = ["localhost", "127.0.0.1", "10.77.0.1"]
@@ -45,10 +51,37 @@ def certificates(folder: Path) -> Path:
         expired = pki._issue(made, "alice", "operators", [], -1, force=True).path
         expired.rename(made / "expired.pem")
     pki._issue(made, "alice", "operators", [], 365, force=True)
+    _signed_by_bob(made)
     other = folder / "forged"
     pki.make_authority(other)
     pki.issue_to_person(other, "alice", "operators").path.rename(made / "forged.pem")
     return made
+
+
+def _signed_by_bob(made: Path) -> None:
+    """Make a certificate of alice's that bob's own signs, as if he were an authority.
+
+    Beside it his own with hers behind: whoever looks at the last one takes him for her.
+    """
+    bob, alice = (read_credential(made / f"{name}.pem", "client") for name in ("bob", "alice"))
+    issuer = x509.load_pem_x509_certificate(bob.certificate)
+    signer = load_pem_private_key(bob.key, None)
+    assert isinstance(signer, ec.EllipticCurvePrivateKey)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "alice")])
+    forged = (
+        x509.CertificateBuilder(issuer.subject, name, signer.public_key(), 1)
+        .not_valid_before(issuer.not_valid_before_utc)
+        .not_valid_after(issuer.not_valid_after_utc)
+        .sign(signer, hashes.SHA256())
+        .public_bytes(Encoding.PEM)
+    )
+    for path, chain in (
+        ("signed-by-bob", (bob.key, forged, bob.certificate, bob.authority)),
+        ("bob-before-alice", (bob.key, bob.certificate, alice.certificate, bob.authority)),
+    ):
+        written = made / f"{path}.pem"
+        written.write_bytes(b"".join(chain))
+        written.chmod(0o600)
 
 
 def expire_rig(made: Path) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import shutil
 import socket
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import armrig
 import pytest
@@ -16,8 +19,10 @@ from armrig.cli import main
 from armrig.rig import pki
 from armrig.rig.client import RefusedError, Rig, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
-from armrig_core.credential import read_credential
+from armrig_core.credential import Credential, read_credential
 from armrig_daemon.config import MEND
+from armrig_daemon.service.network_guard import MANY
+from armrig_daemon.service.open_files import MOST
 from driving import samples, whole_run
 from laboratory import (
     PASSWORD,
@@ -272,7 +277,10 @@ def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
 
 def _connected(lab: Laboratory, who: str, zid: str) -> zenoh.Session:
     """Return the session of somebody who says that he is another."""
-    tls = read_credential(lab.made / f"{who}.pem", "client").tls("connect")
+    return _opened(lab, read_credential(lab.made / f"{who}.pem", "client").tls("connect"), zid)
+
+
+def _opened(lab: Laboratory, tls: dict[str, Any], zid: str) -> zenoh.Session:
     config = {
         "mode": "client",
         "id": zid,
@@ -340,3 +348,49 @@ def test_what_is_too_long_is_dropped_before_anybody_reads_it(lab: Laboratory) ->
 
         assert _is_answered(alice, status)
         assert _most_resident_mib(daemon) - before < 48
+
+
+def _chained(lab: Laboratory, name: str) -> dict[str, Any]:
+    """Return zenoh's settings with a chain as it is: our own client would refuse it."""
+    key, *chain = re.findall(
+        rb"-----BEGIN .*?-----END [A-Z ]+-----\n",
+        (lab.made / f"{name}.pem").read_bytes(),
+        re.DOTALL,
+    )
+    now = datetime.now(UTC)
+    shown = b"".join(chain[:-1])
+    return Credential(name=name, expires=now, key=key, certificate=shown, authority=chain[-1]).tls(
+        "connect"
+    )
+
+
+def test_an_observer_cannot_make_an_operator_of_himself(lab: Laboratory) -> None:
+    """By a certificate that his own signs he opens no link; with hers behind his own he is he."""
+    with pytest.raises(zenoh.ZError):
+        _opened(lab, _chained(lab, "signed-by-bob"), "b0b")
+
+    with _opened(lab, _chained(lab, "bob-before-alice"), "b0b") as bob:
+        assert _is_answered(bob, "rig/1/cmd/status/bob")
+        assert not _is_answered(bob, "rig/1/cmd/stop/alice")
+
+
+def test_who_holds_connections_that_he_does_not_use_is_cut_off(lab: Laboratory) -> None:
+    """The Unix socket is served all the while, and the network again when he is gone."""
+    daemon = lab.bench.processes[-1]
+    limits = Path(f"/proc/{daemon.popen.pid}/limits").read_text()
+    soft, hard = map(int, re.findall(r"Max open files +(\d+) +(\d+)", limits)[0])
+    assert soft >= min(MOST, hard)
+    address = "localhost", int(lab.endpoint.rsplit(":", 1)[1])
+
+    with contextlib.ExitStack() as held, lab.bench.rig() as here:
+        for _ in range(MANY):
+            connection = held.enter_context(socket.create_connection(address, 5))
+            connection.sendall(bytes.fromhex("1603010200010001fc0303"))  # begins to shake hands
+        wait_for(lambda: "the network is shut" in daemon.said)
+        here.stop()
+        with lab.bench.rig() as another:
+            assert another.status().phase == "safe"
+
+    wait_for(lambda: "the network is open again" in daemon.said)
+    with lab.rig("alice") as rig:
+        assert rig.status().phase == "safe"

@@ -34,6 +34,10 @@ URGENT = (Stop.name, Renew.name)
 """Commands with a thread of zenoh's for themselves: none of the others stands before them."""
 _SCHEMA, _HISTORY = "schema", "history"
 _COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
+MOST_LINKS = 250
+"""Over a network, at a time."""
+_ACCEPT_MS = 3000  # how long somebody may take to say who he is; zenoh has 10 s for each step
+_HANDSHAKE = f"#tls_handshake_timeout_ms={_ACCEPT_MS}"
 _LONGEST_QUESTION = 64  # B, for a history
 
 
@@ -42,7 +46,9 @@ def session_config(endpoint: str, network: Network | None = None) -> zenoh.Confi
     if network is None:
         config = owned_session(endpoint, most_received=access_control.MOST_LOCAL_BYTES)
     else:
-        config = owned_session(endpoint, most_received=access_control.MOST_IN_A_MESSAGE)
+        where = f"{endpoint}{_HANDSHAKE}" if endpoint.startswith("tls/") else endpoint
+        config = owned_session(where, most_received=access_control.MOST_IN_A_MESSAGE)
+        config["transport"]["unicast"] = {"accept_timeout": _ACCEPT_MS, "max_sessions": MOST_LINKS}
         config["access_control"] = network.access_control
         config["low_pass_filter"] = network.low_pass_filter
         config["transport"]["link"] |= network.transport.get("link", {})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import secrets
+import threading
 from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import Self
@@ -73,14 +74,14 @@ class Session:
         }
         self._wake = wake
         self._history = History(secrets.token_bytes(16))
+        self._rig, self._network = rig, network
         self._listeners = [Listener(endpoint, rig, self._admit, self._past)]
         if network is not None:
             try:
-                remote = Listener(network.endpoint, rig, self._admit, self._past, network)
-            except zenoh.ZError as err:
+                self.open_network()
+            except NetworkError:
                 self._listeners[0].close()
-                raise NetworkError(str(err)) from err
-            self._listeners.append(remote)
+                raise
 
     def __enter__(self) -> Self:
         """Return itself, open."""
@@ -90,6 +91,29 @@ class Session:
         """Close."""
         for listener in self._listeners:
             listener.close()
+
+    def open_network(self) -> None:
+        """Listen at the endpoint of the network, too.
+
+        Raises
+        ------
+        NetworkError
+            It cannot be.
+        """
+        if self._network is None:
+            return
+        where = self._network.endpoint
+        try:
+            remote = Listener(where, self._rig, self._admit, self._past, self._network)
+        except zenoh.ZError as err:
+            raise NetworkError(str(err)) from err
+        self._listeners.append(remote)
+
+    def shut_network(self) -> None:
+        """End all links of the network, and listen there no more; nobody waits until it is done."""
+        for listener in self._listeners[1:]:
+            threading.Thread(target=listener.close, name="closing", daemon=True).start()
+        del self._listeners[1:]
 
     def put(self, stream: str, data: bytes) -> None:
         """Publish; dropped by zenoh where a subscriber does not keep up, and kept for a while."""

@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import zenoh
@@ -43,10 +44,11 @@ from armrig_daemon.pipe import (
     Timing,
     Trace,
 )
-from armrig_daemon.service import child, pressure
+from armrig_daemon.service import child, open_files, pressure
 from armrig_daemon.service.access import AccessError, network_of
 from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.left_over import LeftOver
+from armrig_daemon.service.network_guard import NetworkGuard
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import NetworkError, Session
 from armrig_daemon.service.rig_view import RigView
@@ -140,6 +142,7 @@ class Service:
             # The loop has its priority; whatever starts from here on must not take it.
             has_left = realtime.leave_fifo()
             sys.setswitchinterval(_SWITCH_S)
+            open_files.raise_limit()
             with Session(self._endpoint, config.rig.id, self._wake, network) as session:
                 self._connect(loop, session)
                 if not has_left:
@@ -182,6 +185,10 @@ class Service:
     def _connect(self, loop: child.LoopChild, session: Session) -> None:
         """Stand between a loop and a session."""
         self._loop, self._session = loop, session
+        self._guard: NetworkGuard | None = None
+        if listen := self._config.access.listen:
+            open_anew = partial(_open_network, session, listen)
+            self._guard = NetworkGuard(open_files.count, session.shut_network, open_anew)
         self._commands = Commands(self._config, self._rig, self._runs, session, loop, self._say)
 
     def _serve(self) -> None:
@@ -350,7 +357,7 @@ class Service:
         Another process reads it, not this one, which has given up the priority that a loop needs.
         """
         owner = self._rig.state.owner
-        if owner or not self._runs.is_idle or self._commands.is_waiting:
+        if self._is_busy:
             who = f"{owner} has the rig" if owner else "a run or a command is in hand"
             self._say("warning", f"configuration not read anew: {who}; reload when it is free")
             return
@@ -371,11 +378,21 @@ class Service:
     def _each_second(self) -> None:
         self._loop.order(Alive())
         self._commands.refuse_overdue()
+        if self._guard is not None:
+            told = self._guard.look(time.monotonic(), is_busy=self._is_busy)
+            if told is not None:
+                self._say(*told)
         if self._runs.is_idle:
             self._left_over.go_on()
         self._runs.add(self._published(self._thinning.due(realtime.now_ns())))
         if self._rig.is_known:
             self._publish(replace(self._rig.state, t_host_ns=realtime.now_ns()))
+
+    @property
+    def _is_busy(self) -> bool:
+        """Whether somebody has the rig, or will in a moment."""
+        idle = self._runs.is_idle and not self._commands.is_waiting
+        return bool(self._rig.state.owner) or not idle
 
     def _wake(self) -> None:
         if self._is_woken:
@@ -386,6 +403,15 @@ class Service:
 
     def _anchor_clock(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+
+def _open_network(session: Session, endpoint: str) -> str:
+    """Have a session listen at the network again; return why that cannot be, or nothing."""
+    try:
+        session.open_network()
+    except NetworkError as err:
+        return network_error(endpoint, err)
+    return ""
 
 
 def _decoded(data: bytes) -> Sample:
