@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,6 +14,8 @@ from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 
 SYSTEM = Path("/etc/armrig/armrig.toml")
 VARIABLE = "ARMRIG_RECORDING_DIRECTORY"
+OF_SERVICE = Path("/var/lib/armrig/recordings")
+"""Where the service of this machine records, by StateDirectory= of its unit."""
 
 
 def installed(rig: str = "", *, system: bool = False) -> list[Path]:
@@ -71,6 +74,25 @@ def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Pa
     for path in paths:
         given = _named_in(path, given)
     return directory_of(environ.get(VARIABLE, given))
+
+
+def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
+    """Return the directory in which a client looks for recordings.
+
+    That of `recording_directory`. Where none is configured, and no daemon of this user has ever
+    recorded, the one of this machine's service, if this user may read it: who is in its group has
+    recorded there without saying where.
+
+    Raises
+    ------
+    ValueError
+        As `recording_directory`.
+    """
+    own = recording_directory(paths, environ)
+    is_unused = own == directory_of("") and not own.exists()
+    if is_unused and os.access(OF_SERVICE, os.R_OK | os.X_OK):
+        return OF_SERVICE
+    return own
 
 
 def _named_in(path: Path, otherwise: str) -> str:

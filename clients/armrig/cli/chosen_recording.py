@@ -30,11 +30,11 @@ _NAMES = "@last or @NAME"
 
 
 def recording_folder() -> Path:
-    """Return the folder that a daemon of this user records into, as it is configured."""
-    from armrig_core.recording_directory import installed, recording_directory
+    """Return the folder that a daemon of this user records into, or that of the service here."""
+    from armrig_core.recording_directory import directory_to_look_in, installed
 
     try:
-        return recording_directory(installed(), os.environ)
+        return directory_to_look_in(installed(), os.environ)
     except ValueError as err:  # of a parser of options it would become a sentence of typer's
         raise NoSuchRecordingError(str(err)) from err
 

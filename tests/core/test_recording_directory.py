@@ -1,0 +1,45 @@
+"""Where a client looks for recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig_core import recording_directory
+from armrig_core.recording_directory import VARIABLE, directory_of, directory_to_look_in
+
+
+@pytest.fixture
+def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give the folder of a service on a machine whose user has none of his own yet."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "own"))
+    folder = tmp_path / "service"
+    monkeypatch.setattr(recording_directory, "OF_SERVICE", folder)
+    folder.mkdir()
+    return folder
+
+
+def test_who_has_recorded_with_the_service_finds_it_there(service: Path) -> None:
+    """Without being told where."""
+    assert directory_to_look_in([], {}) == service
+
+
+def test_one_s_own_recordings_come_first(service: Path) -> None:
+    """As one's own daemon does."""
+    directory_of("").mkdir(parents=True)
+
+    assert directory_to_look_in([], {}) == directory_of("")
+
+
+def test_a_folder_that_is_configured_is_the_one(service: Path, tmp_path: Path) -> None:
+    """Whether it is there or not: another would be a surprise."""
+    away = tmp_path / "away"
+
+    assert directory_to_look_in([], {VARIABLE: str(away)}) == away
+
+
+def test_without_a_service_it_is_one_s_own(service: Path) -> None:
+    """Where nothing is yet."""
+    service.rmdir()
+
+    assert directory_to_look_in([], {}) == directory_of("")
