@@ -1,79 +1,142 @@
-"""Does recording hold the loop up? Its lateness at 1 kHz with a recording and without, in turn.
+"""Does recording hold the loop up? Its lateness at 1 kHz, of runs that are recorded and of others.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/recording_pauses.py [--seconds 8]`: a run is
-played, which is recorded, then a voltage is held by hand, which is not, and so on. Lateness is of
-each sample, from when it was due until the host asked for it.
+`PYTHONPATH=tests/integration python tests/benchmarks/recording_pauses.py [--pairs 40]`: short runs
+of the same input, alternately recorded and not (`recording_daemon.py`), two and two as ABBA, so
+that a load that comes and goes meets both alike. Lateness is of each sample, from when it was due
+until the host asked for it. Each pair of neighbours gives a difference, and the median of these its
+95 % interval by their order (no distribution is assumed): an effect smaller than the interval is
+not excluded, one beyond it is.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from collections.abc import Callable
+from math import comb
 from pathlib import Path
 
 import numpy as np
 from armrig.rig.client import Rig
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
-from processes import Bench
+from numpy.typing import NDArray
+from processes import Bench, wait_for
+from recording_daemon import UNRECORDED
 
-_RENEWED_S = 0.03
-_BETWEEN = 500  # samples: a longer break is the one between two rounds
+RECORDED = "recorded"
+_LATE_US = (20.0, 100.0, 1000.0)
+Window = dict[str, float]
+"""Figures of one run, by their names."""
 
 
 def main() -> None:
-    """Print the lateness of both."""
+    """Print the figures of both, and their differences."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=8.0)  # 10 000 samples are kept
-    parser.add_argument("--rounds", type=int, default=4)
+    parser.add_argument("--seconds", type=float, default=2.0, help="Of a run; up to 8.")
+    parser.add_argument("--pairs", type=int, default=40)
     asked = parser.parse_args()
-    heard: dict[str, list[Sample]] = {"recorded": [], "not recorded": []}
+    late: dict[str, list[NDArray[np.float64]]] = {RECORDED: [], UNRECORDED: []}
+    ended = {RECORDED: 0, UNRECORDED: 0}
+    found: dict[str, list[Window]] = {RECORDED: [], UNRECORDED: []}
     with tempfile.TemporaryDirectory(prefix="armrig-pauses-") as folder:
         bench = Bench(Path(folder))
         try:
-            bench.configure(watchdog_ms=250)
-            bench.emulate()
-            bench.serve()
-            with bench.rig() as rig:
-                for _ in range(asked.rounds):
-                    heard["recorded"] += _heard(rig, lambda: _play(rig, asked.seconds))
-                    heard["not recorded"] += _heard(rig, lambda: _hold(rig, asked.seconds))
+            with _served(bench) as rig:
+                for i in range(asked.pairs):
+                    order = (RECORDED, UNRECORDED) if i % 2 else (UNRECORDED, RECORDED)
+                    pair = {kind: _heard(rig, asked.seconds, kind) for kind in order}
+                    for kind, samples in pair.items():
+                        ended[kind] += not samples
+                    for kind, samples in pair.items() if all(pair.values()) else ():
+                        window, late_us = _window(samples)
+                        found[kind].append(window)
+                        late[kind].append(late_us)
+            size = sum(path.stat().st_size for path in bench.recordings.iterdir())
         finally:
             bench.end()
-    for name, samples in heard.items():
-        late_us = np.array([s.t_host_ns - s.t_sched_ns for s in samples]) / 1e3
-        steps = np.diff([s.k for s in samples])
-        skipped = int((steps[(steps > 0) & (steps < _BETWEEN)] - 1).sum())
-        p50, p99, p999, most = np.percentile(late_us, [50, 99, 99.9, 100])
+    print(f"load {os.getloadavg()[0]:.1f}, {size / 1e6:.1f} MB recorded")
+    for kind, windows in late.items():
+        every = np.concatenate(windows)
+        p50, p99, p999, most = np.percentile(every, [50, 99, 99.9, 100])
         print(
-            f"{name}: {len(samples)} samples, {skipped} skipped; lateness p50 {p50:.1f}, ", end=""
+            f"{kind}: {len(windows)} runs, {every.size} samples, lateness p50 {p50:.1f}, "
+            f"p99 {p99:.1f}, p99.9 {p999:.1f}, max {most:.0f} us; ended early: {ended[kind]} more"
         )
-        print(f"p99 {p99:.1f}, p99.9 {p999:.1f}, max {most:.0f} us")
+    print(f"recorded less unrecorded, {len(found[RECORDED])} pairs: median (95 % interval); and")
+    print("the median of the unrecorded")
+    for name in found[RECORDED][0]:
+        on, off = (np.array([w[name] for w in found[kind]]) for kind in (RECORDED, UNRECORDED))
+        low, middle, high = _median_interval(on - off)
+        print(f"  {name}: {middle:+.3g} ({low:+.3g} to {high:+.3g}), {np.median(off):.3g}")
 
 
-def _heard(rig: Rig, action: Callable[[], None]) -> list[Sample]:
-    """Return each sample with the motor driven while something is done."""
-    rig.arm("benchmark", Ts=0.001)
+def _served(bench: Bench) -> Rig:
+    """Start the emulated rig and the daemon that can leave a run unrecorded."""
+    bench.configure(watchdog_ms=250, more="tolerates_stalls = true")
+    bench.emulate()
+    env = {"PYTHONPATH": str(Path(__file__).parent)}
+    daemon = bench.start("recording_daemon", "run", "--config", str(bench.config), env=env)
+    wait_for(lambda: bench.phase() == "safe" or daemon.popen.poll() is not None)
+    if daemon.popen.poll() is not None:
+        raise SystemExit(daemon.said)
+    return bench.rig()
+
+
+def _heard(rig: Rig, seconds: float, kind: str) -> list[Sample]:
+    """Return each sample of a run; none where the load of the machine ended it."""
+    u = np.full(round(seconds * 1000), 2.0)
     with rig.arrivals("sample") as heard:
-        action()
+        try:
+            rig.arm("benchmark", Ts=0.001)
+            rig.run(u, pacing="exchange", experiment=kind)
+        except RuntimeError:
+            _patiently(rig.reset)
+            return []
         samples: list[Sample] = heard()
-    rig.stop()
-    while rig.status().phase != "safe":
-        time.sleep(0.05)
     return [s for s in samples if s.flags & Flag.RUN]
 
 
-def _play(rig: Rig, seconds: float) -> None:
-    rig.run(np.full(round(seconds * 1000), 2.0), pacing="exchange", experiment="benchmark")
+def _patiently(action: Callable[[], object]) -> None:
+    """Do something that a busy machine may make the daemon refuse for a while."""
+    until = time.monotonic() + 10
+    while True:
+        try:
+            action()
+        except RuntimeError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.2)
+        else:
+            return
 
 
-def _hold(rig: Rig, seconds: float) -> None:
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        rig.set(2.0)
-        time.sleep(_RENEWED_S)
+def _window(samples: list[Sample]) -> tuple[Window, NDArray[np.float64]]:
+    """Return the figures of one run, and the lateness of its samples in µs."""
+    late_us = np.array([s.t_host_ns - s.t_sched_ns for s in samples]) / 1e3
+    p50, p99, most = np.percentile(late_us, [50, 99, 100])
+    window = {"p50 [us]": p50, "p99 [us]": p99, "max [us]": most}
+    window["mean [us]"] = float(late_us.mean())
+    for limit in _LATE_US:
+        window[f"later than {limit:g} us [%]"] = 100 * float(np.mean(late_us > limit))
+    window["skipped [%]"] = 100 * (1 - len(samples) / (samples[-1].k - samples[0].k + 1))
+    return window, late_us
+
+
+def _median_interval(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the median of independent values between the ends of its 95 % interval.
+
+    Between the values of ranks r and n + 1 - r it lies unless fewer than r of n fall on one of its
+    sides, each with probability 1/2.
+    """
+    n, ordered = values.size, np.sort(values)
+    r, below = 0, 0.0
+    while (below := below + comb(n, r) / 2**n) <= 0.025:
+        r += 1
+    r = max(r, 1)
+    return float(ordered[r - 1]), float(np.median(values)), float(ordered[n - r])
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import subprocess
 import sys
@@ -434,3 +435,26 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
     assert len(rows) > there.samples.size
     assert all(rows[int(row["k"])] == bytes(row) for row in there.samples)
     assert all(here.missing == sum(gap.count for gap in here.gaps) for here in files)
+
+
+def test_a_recording_that_is_played_at_a_daemon_s_place_reaches_no_motor(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is refused there, and the daemon goes on: for who holds the rig and for who comes anew."""
+    bench.configure()
+    bench.emulate()
+    bench.serve()
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    with bench.rig() as rig:
+        rig.arm("a test", Ts=0.01)
+        run = rig.run(np.full(30, 4.0))
+        rig.arm("a test", Ts=0.01)
+        rig.set(0.0)
+
+        assert main(["play", str(run), "--listen", endpoint]) == 1
+        assert "cannot be listened at" in capsys.readouterr().err
+
+        with bench.rig() as other:
+            heard = list(itertools.islice(other.stream("sample"), 50))
+        rig.stop()
+    assert {s.u_applied_v for s in heard if isinstance(s, Sample)} == {0.0}
