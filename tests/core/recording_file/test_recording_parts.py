@@ -19,10 +19,8 @@ from armrig_core.recording_file.recorder import PartLimits, Recording, Recording
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
-from armrig_daemon.service.runs import part_limits
 from failing_disk import Disk
 from mcap.reader import make_reader
 
@@ -303,21 +301,3 @@ def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recove
     ]
     assert (joined.missing, joined.truncated) == (3, False)
     assert joined.recovered is not None
-
-
-@pytest.mark.parametrize(
-    ("config", "samples", "Ts", "limits"),
-    [
-        (RecordingConfig(), 3_600_000, 0.001, None),
-        (RecordingConfig(), 3_600_001, 0.001, PartLimits(3_600_000, 720_000_200)),
-        (RecordingConfig(part_minutes=0), 4_000_000, 1.0, None),
-        (RecordingConfig(part_minutes=0, part_mb=100), 500_001, 1.0, PartLimits(500_001, 10**8)),
-        (RecordingConfig(part_minutes=0, part_mb=0), 4_000_000, 0.001, None),
-        (RecordingConfig(part_minutes=1, part_mb=0), 601, 0.1, PartLimits(600, 601 * 200)),
-    ],
-)
-def test_a_run_that_one_file_may_hold_is_in_one_file(
-    config: RecordingConfig, samples: int, Ts: float, limits: PartLimits | None
-) -> None:
-    """By the configured limits: an hour at 1 kHz by default."""
-    assert part_limits(config, samples, Ts) == limits

@@ -34,7 +34,7 @@ from mcap.writer import Writer
 NAME = "1-test-20261120T040000-0000abcd.mcap"
 LEFT = f"{NAME}.active"
 N = 60
-DATA_OF_RELEASES = Path(__file__).parents[1] / "data"
+DATA_OF_RELEASES = Path(__file__).parents[2] / "data"
 RECOVERY = Recovery(armrig="0.2.0", now=lambda: "2026-11-20T06:00:00.000+01:00")
 
 
@@ -97,7 +97,8 @@ def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
             outcome=CUT_OFF, samples=len(before[0]), missing=before[1]
         )
         checks = {check.about: check.result for check in verify(done.path).checks}
-        assert (checks["file"], checks["samples"]) == ("passed", "passed")
+        assert checks["file"] == "passed"
+        assert checks["samples"] == ("passed" if recording.N else "not checked")
         done.path.unlink()
 
 

@@ -17,7 +17,6 @@ from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import Gap
-from armrig_daemon.service.directory import check_directory
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -456,15 +455,6 @@ def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> Non
     assert recording.error.endswith("run.mcap.active: File exists; what was flushed is kept there")
     with recording.active.open("rb") as file:
         assert len(list(make_reader(file).iter_messages())) == 50
-
-
-def test_a_directory_that_cannot_take_it_is_said_before_the_run(tmp_path: Path) -> None:
-    """Missing is made; too small is told."""
-    assert check_directory(tmp_path / "new" / "er", 1000) == ""
-    assert "MB free" in check_directory(tmp_path, 10**18)
-    file = tmp_path / "file"
-    file.touch()
-    assert "set [recording] directory" in check_directory(file / "below", 1)
 
 
 def test_every_stream_has_its_schema() -> None:
