@@ -7,60 +7,95 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
+from ctypes import c_bool, c_char_p, c_int64, c_size_t, c_uint8, c_uint16, c_uint32
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from armrig_daemon.emulator.firmware import Hardware
 
 FIRMWARE = Path(__file__).parents[2] / "firmware_protocol" / "firmware"
-PC = FIRMWARE / "boards" / "pc"
-U8, U16, U32, BOOL = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_bool
-_CALLS: tuple[tuple[str, Any, tuple[Any, ...]], ...] = (
-    ("motor_off", None, ()),
-    ("motor_set", None, (U16,)),
-    ("convert_now", None, ()),
-    ("timer_start", None, (U32, U32, U32)),
-    ("timer_stop", None, ()),
-    ("converter_is_free", BOOL, ()),
-    ("convert_channel", None, (U8, U16)),
-    ("measure_supply_now", None, ()),
-    ("send", BOOL, (ctypes.POINTER(U8), U8)),
-    ("send_us", U32, ()),
-    ("token", U32, ()),
+SENT_BYTES = 1 << 14
+_BYTES = ctypes.POINTER(c_uint8)
+_WORLD: tuple[tuple[str, Any, tuple[Any, ...]], ...] = (
+    ("read", c_uint16, (c_int64, c_uint8)),
+    ("drive", None, (c_int64, c_uint16, c_uint16)),
+    ("release", None, (c_int64,)),
+    ("supply", c_uint16, (c_int64,)),
+    ("token", c_uint32, ()),
+    ("arrives", None, (c_int64, _BYTES, c_uint32)),
+    ("changed", None, (c_int64, c_uint8)),
 )
-_RETURNS = {
-    "pc_state_bytes": ctypes.c_size_t,
-    "pc_fed_us": U32,
-    "pc_asked_k": U32,
-    "pc_next": U32,
-    "rig_crc": U32,
-    "rig_unstuff": BOOL,
-    "rig_duty": U16,
-    "rig_code": U16,
-    "pc_frames": U32,
-    "pc_spoilt": U32,
+_FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "pc_bytes": (c_size_t, ()),
+    "pc_move": (c_size_t, (c_char_p, c_bool)),
+    "pc_device_begin": (None, (ctypes.c_void_p,)),
+    "pc_device_receive": (None, (c_int64, c_char_p, c_uint32)),
+    "pc_device_advance": (c_uint32, (c_int64, c_bool)),
+    "pc_device_busy_ns": (c_int64, ()),
+    "pc_state": (c_uint8, ()),
+    "pc_cause": (c_uint8, ()),
+    "pc_u_seq": (c_uint16, ()),
+    "pc_next": (c_uint32, ()),
+    "pc_set_next": (None, (c_uint32,)),
+    "pc_set_boot_id": (None, (c_uint32,)),
+    "pc_spoil_next": (None, (c_uint16,)),
+    "pc_lose": (None, (c_uint16,)),
+    "pc_receive": (None, (c_char_p, c_uint16)),
+    "pc_open": (ctypes.c_int, (c_char_p, c_uint8, c_char_p)),
+    "pc_close": (c_uint8, (c_char_p, c_uint8, c_char_p)),
+    "pc_frames": (c_uint32, ()),
+    "pc_spoilt": (c_uint32, ()),
+    "pc_rx_lost": (c_uint16, ()),
+    "rig_crc": (c_uint32, (c_char_p, c_uint8)),
+    "rig_stuff": (None, (c_char_p, c_uint8)),
+    "rig_unstuff": (c_bool, (c_char_p, c_uint8)),
+    "rig_duty": (c_uint16, (c_uint16,)),
+    "rig_code": (c_uint16, (c_uint16,)),
 }
-_ARGUMENTS: dict[str, tuple[Any, ...]] = {
-    "pc_reset": (U32, U8),
-    "pc_set_time": (U32,),
-    "pc_set_next": (U32,),
-    "pc_set_boot_id": (U32,),
-    "pc_spoil_next": (U16,),
-    "pc_lose": (U16,),
-    "pc_receive": (ctypes.c_char_p, U16),
-    "rig_reading": (U8, U16),
-    "rig_latch": (U8,),
-    "pc_converted": (U8, U32),
-    "rig_supply": (U16,),
-    "rig_crc": (ctypes.c_char_p, U8),
-    "rig_stuff": (ctypes.c_char_p, U8),
-    "rig_unstuff": (ctypes.c_char_p, U8),
-    "rig_duty": (U16,),
-    "rig_code": (U16,),
-    "pc_open": (ctypes.c_char_p, U8, ctypes.c_char_p),
-    "pc_close": (ctypes.c_char_p, U8, ctypes.c_char_p),
-}
+
+
+class Timer(ctypes.Structure):
+    """The timer of scheduled mode, as `emulator.timer.Timer`."""
+
+    _fields_ = [
+        (name, c_int64) for name in ("first_ns", "period_ns", "lead_ns", "hold_ns", "k_stop", "k")
+    ]
+
+
+class CoreState(ctypes.Structure):
+    """The beginning of `struct pc_device`."""
+
+    _fields_ = [
+        ("next_ns", c_int64),
+        ("reset_ns", c_int64),
+        ("second_ns", c_int64),
+        ("timer", Timer),
+        ("pending_k", c_uint32),
+        ("pending_count", c_uint32),
+        ("pending_seq", c_uint16),
+        ("is_timed", c_uint8),
+        ("is_watched", c_uint8),
+        ("is_booting", c_uint8),
+        ("has_failed", c_uint8),
+    ]
+
+
+class Setup(ctypes.Structure):
+    """`struct pc_setup`."""
+
+    _fields_ = [
+        ("now_ns", c_int64),
+        ("reset_ns", c_int64),
+        ("second_ns", c_int64),
+        ("boot_ns", c_int64),
+        ("conversion_ns", c_int64),
+        ("hold_ns", c_int64),
+        ("baud", c_uint32),
+        ("boot_id", c_uint32),
+        ("reset_flags", c_uint8),
+        ("is_watched", c_uint8),
+    ]
 
 
 def missing() -> str:
@@ -75,12 +110,12 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 
 
 @cache
-def build(target: str, *constants: str, firmware: Path = FIRMWARE) -> Path:
+def build(target: str, *constants: str) -> Path:
     """Return what `make` in boards/pc builds as `target`, with constants like "BOARD_QUEUE=256"."""
-    out = Path(_folder().name, str(abs(hash((target, constants, firmware)))))
-    out.mkdir(exist_ok=True)
+    out = Path(_folder().name, "-".join([target, *constants]))
+    out.mkdir()
     flags = " ".join(f"-D{one}" for one in constants)
-    command = ["make", "-C", str(firmware / "boards" / "pc"), f"OUT={out}", f"CONSTANTS={flags}"]
+    command = ["make", "-C", str(FIRMWARE / "boards" / "pc"), f"OUT={out}", f"CONSTANTS={flags}"]
     done = subprocess.run(
         [*command, f"{out}/{target}"], capture_output=True, text=True, check=False
     )
@@ -90,56 +125,49 @@ def build(target: str, *constants: str, firmware: Path = FIRMWARE) -> Path:
     return out / target
 
 
-class User(Protocol):
-    """Who answers the calls of the board layer."""
-
-    image: ctypes.Array[ctypes.c_char] | None
-    """The core's state while another's is in the library."""
-
-
 class Library:
     """One build of the core. It has one state, which is swapped where several devices use it."""
 
     def __init__(self, path: Path) -> None:
-        """Load it, and plug in calls that go to whoever uses it."""
-        self.c = ctypes.CDLL(str(path))
-        for name, kind in _RETURNS.items():
-            getattr(self.c, name).restype = kind
-        for name, kinds in _ARGUMENTS.items():
-            getattr(self.c, name).argtypes = kinds
-        self._bytes = self.c.pc_state_bytes()
-        self.user: Any = None
-        self.error: BaseException | None = None
-        kinds = [ctypes.CFUNCTYPE(result, *given) for _, result, given in _CALLS]
-        names = [name for name, _, _ in _CALLS]
-        fields = list(zip(names, kinds, strict=True))
-        table = type("Calls", (ctypes.Structure,), {"_fields_": fields})
-        self._calls = [kind(self._to_user(name)) for name, kind in fields]
-        self.c.pc_plug(ctypes.byref(table(*self._calls)))
+        """Load it, and connect it with whoever uses it."""
+        self._c = c = ctypes.CDLL(str(path))
+        for name, (kind, given) in _FUNCTIONS.items():
+            function = getattr(c, name)
+            function.restype, function.argtypes = kind, given
+        self.state = CoreState.in_dll(c, "pc_device")
+        self.sent = (ctypes.c_char * SENT_BYTES).in_dll(c, "pc_sent")
+        self._bytes = c.pc_bytes()
+        self._user: Any = None
+        self._error: BaseException | None = None
+        kinds = [(name, ctypes.CFUNCTYPE(kind, *given)) for name, kind, given in _WORLD]
+        world = type("World", (ctypes.Structure,), {"_fields_": kinds})
+        self._calls = [kind(self._to_user(name)) for name, kind in kinds]  # kept: C has them
+        c.pc_device_connect(ctypes.byref(world(*self._calls)))
 
-    def use(self, user: User) -> Any:
-        """Return the library with the state of `user` in it, to whom its calls go."""
-        if self.user is not user:
-            if self.user is not None:
-                self.user.image = ctypes.create_string_buffer(self._bytes)
-                self.c.pc_save(self.user.image)
+    def use(self, user: Any) -> Any:
+        """Return the functions, with the state of `user` in place, to whom calls go."""
+        if self._user is not user:
+            if self._user is not None:
+                self._user.image = ctypes.create_string_buffer(self._bytes)
+                self._c.pc_move(self._user.image, True)
             if user.image is not None:
-                self.c.pc_load(user.image)
-            self.user = user
-        return self.c
+                self._c.pc_move(user.image, False)
+            self._user = user
+        return self._c
 
     def raise_error(self) -> None:
-        """Raise what a call of the core has met: C knows no exceptions."""
-        error, self.error = self.error, None
+        """Raise what a call from C has met: C knows no exceptions."""
+        error, self._error = self._error, None
         if error is not None:
             raise error
 
     def _to_user(self, name: str) -> Callable[..., Any]:
         def call(*given: Any) -> Any:
             try:
-                return getattr(self.user, name)(*given)
+                return getattr(self._user, name)(*given)
             except BaseException as err:
-                self.error = self.error or err
+                self._error = self._error or err
+                self.state.has_failed = 1  # C returns as soon as it can
                 return 0
 
         return call

@@ -36,7 +36,7 @@ def hardware(pwm_bits: int = 10) -> Hardware:
 
 def core() -> Any:
     """Return the functions of the core."""
-    return library.library(hardware()).c
+    return library.library(hardware())._c
 
 
 def opened(stuffed: bytes) -> tuple[str, bytes]:
@@ -142,15 +142,15 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
     spoilt = sum(isinstance(item, Spoilt) for item in received)
     device = CoreDevice(EmulatorSettings(boot_ms=0.0, queue=64), 0)
     device.advance(0)
+    c = device.use()
 
     at = 0
     while at < len(stream):
         n = rng.randint(1, 40)
-        device._fw.receive(0, stream[at : at + n])
-        device._fw.pending.clear()
+        piece = stream[at : at + n]
+        c.pc_receive(piece, len(piece))
         at += n
 
-    c = device._fw._library.use(device._fw)
     assert c.pc_spoilt() == spoilt
     lost = c.pc_rx_lost() // frame.wire_length(frame.MESSAGES[0x10])
     assert c.pc_frames() + lost == len(received) - spoilt
@@ -159,7 +159,7 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
 @pytest.mark.parametrize("bits", [8, 10, 12, 15])
 def test_duty_and_code_are_those_of_python(bits: int) -> None:
     """For each code; a division is a sum there."""
-    c = library.library(hardware(bits)).c
+    c = library.library(hardware(bits))._c
 
     for u in range(65536):
         steps = duty(u, bits)
@@ -169,6 +169,6 @@ def test_duty_and_code_are_those_of_python(bits: int) -> None:
 
 def test_a_duty_of_16_bits_is_the_code() -> None:
     """Such a board does not quantise."""
-    c = library.library(hardware(16)).c
+    c = library.library(hardware(16))._c
 
     assert all(c.rig_duty(u) == c.rig_code(u) == u for u in (0, 1, 32767, 32768, 65535))

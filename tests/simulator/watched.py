@@ -6,17 +6,22 @@ time, and given its own. Of what it does `Checks` are told in given time.
 
 from __future__ import annotations
 
+from ctypes import string_at
+from itertools import product
+from typing import Any
+
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.clock import Clock
 from armrig_daemon.emulator.device import HOLD_NS, Device
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, Hardware
 from armrig_daemon.emulator.host_time import STALL_NS, HostTime
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_protocol.messages import QUEUE_CAPACITY, Cause, State
+from armrig_protocol.messages import Cause, State
 from firmware.core_device import CoreDevice
 from firmware.library import library
 
 from simulator.checks import Checks
+from simulator.frames import Frame
 
 _BOOT, _RUN = State.BOOT, State.RUN
 
@@ -146,14 +151,10 @@ class Watching:
 
 def build() -> None:
     """Build the C core for all boards that are drawn."""
-    for pwm_bits in (8, 10, 16):
+    for pwm_bits, queue in product((8, 10, 16), (256, 512)):
         library(
             Hardware(
-                conversion_ns=104_000,
-                hold_ns=HOLD_NS,
-                adc_bits=10,
-                pwm_bits=pwm_bits,
-                queue=QUEUE_CAPACITY,
+                conversion_ns=104_000, hold_ns=HOLD_NS, adc_bits=10, pwm_bits=pwm_bits, queue=queue
             )
         )
 
@@ -164,3 +165,15 @@ class Watched(Watching, Device):
 
 class WatchedCore(Watching, CoreDevice):
     """A device with the C core: what is judged are its calls of the board layer."""
+
+    is_watched = True
+    _frame: Frame | None = None
+
+    def arrives(self, t_ns: int, data: Any, n: int) -> None:
+        """Look at bytes that C is about to take in."""
+        bound = self._fw.state in MOTOR_MAY_TURN
+        self._frame = self.checks.arrives(t_ns, string_at(data, n), bound=bound)
+
+    def changed(self, t_ns: int, before: int) -> None:
+        """Look at what came of them."""
+        self.checks.changed(t_ns, before, self._fw.state, self._frame)

@@ -4,30 +4,30 @@
 #include "../../core/rig_state.h"
 #include "../../core/rig_sampling.h" // rig_tell_samples
 #include "pc_board.h"
+#include "pc_device.h"
 
-size_t pc_state_bytes(void) { return sizeof rig; }
-void pc_save(uint8_t *to) { memcpy(to, &rig, sizeof rig); }
-void pc_load(const uint8_t *from) { memcpy(&rig, from, sizeof rig); }
+// Copies a state of `n` bytes out, or in.
+static uint8_t *moved(uint8_t *image, void *state, size_t n, bool out)
+{
+    memcpy(out ? (void *)image : state, out ? state : (void *)image, n);
+    return image + n;
+}
+
+// Copies the whole device out, or in; returns its size.
+size_t pc_move(uint8_t *image, bool out)
+{
+    uint8_t *end = moved(image, &rig, sizeof rig, out);
+    end = moved(end, &pc_board, sizeof pc_board, out);
+    return (size_t)(moved(end, &pc_device, sizeof pc_device, out) - image);
+}
+
+size_t pc_bytes(void) { return sizeof rig + sizeof pc_board + sizeof pc_device; }
 
 // Gives bytes to the core as they came.
 void pc_receive(const uint8_t *bytes, uint16_t n)
 {
     for (; n; n--)
         rig_receive(*bytes++);
-}
-
-// Ends a sample, and lets main tell it at once.
-void pc_converted(uint8_t what, uint32_t t_us)
-{
-    rig_converted(what, t_us);
-    rig_tell_samples();
-}
-
-// Ends the run, and lets main tell it at once.
-void pc_end(void)
-{
-    rig_end();
-    rig_tell_samples();
 }
 
 // Opens what came between two 00; `text` gets what was stuffed.
@@ -56,22 +56,7 @@ uint16_t pc_rx_lost(void) { return rig.counters.rx_lost; }
 
 uint8_t pc_state(void) { return rig.state; }
 uint8_t pc_cause(void) { return rig.cause; }
-uint32_t pc_fed_us(void) { return rig.fed_us; }
-uint16_t pc_watchdog_ms(void) { return rig.config.watchdog_ms; }
-uint32_t pc_ts_us(void) { return rig.config.ts_us; }
-uint16_t pc_u_rest(void) { return rig.config.u_rest; }
 uint16_t pc_u_seq(void) { return rig.motor.u_seq; }
-uint16_t pc_u_in_force(void) { return rig.queue.in_force.u; }
-
-// Returns the place of the EXCHANGE that came last.
-static const struct rig_asked *last_asked(void)
-{
-    return &rig.asked[(rig.asked_first + rig.asked_count - 1) % RIG_MOST_ASKED];
-}
-
-uint32_t pc_asked_k(void) { return last_asked()->k; }
-uint16_t pc_asked_seq(void) { return last_asked()->seq; }
-uint16_t pc_asked_u(void) { return rig.asked[rig.asked_first].u; }
 
 // Lets scheduled mode go on from sample `k`, as if so many had been taken.
 void pc_set_next(uint32_t k)

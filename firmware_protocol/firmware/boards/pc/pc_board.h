@@ -27,6 +27,13 @@ void pc_plug(const struct pc_hardware *hardware);
 // Resets the processor: what follows is a boot with this id.
 void pc_reset(uint32_t boot_id, uint8_t reset_flags);
 
+// What the board itself remembers; tests swap it where there are several devices.
+extern struct pc_board {
+    uint32_t now_us, boot_id;
+    uint16_t lost;
+    uint8_t reset_flags;
+} pc_board;
+
 // Sets the clock.
 void pc_set_time(uint32_t now_us);
 
