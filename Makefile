@@ -32,9 +32,10 @@ coverage: .venv/dev
 
 # N generated bugs in the same modules, each of which a test must see. EDGES=1: in the daemon's edges,
 # where the tests start real processes; it goes on where it was left. SEED=… draws others.
-N ?= $(if $(EDGES),120,300)
+# CORE=1: in the device's core, in C.
+N ?= $(if $(EDGES),120,$(if $(CORE),60,300))
 mutants: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation$(if $(EDGES),.edges) --n $(N) $(if $(SEED),--seed $(SEED))
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation$(if $(EDGES),.edges)$(if $(CORE),.core) --n $(N) $(if $(SEED),--seed $(SEED))
 
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py

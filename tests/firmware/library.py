@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import shutil
 import subprocess
 import tempfile
@@ -14,7 +15,10 @@ from typing import Any
 
 from armrig_daemon.emulator.firmware import Hardware
 
-FIRMWARE = Path(__file__).parents[2] / "firmware_protocol" / "firmware"
+FIRMWARE = Path(
+    os.environ.get("ARMRIG_FIRMWARE")  # one with a bug in it: tests/mutation/core.py
+    or Path(__file__).parents[2] / "firmware_protocol" / "firmware"
+)
 SENT_BYTES = 1 << 14
 _BYTES = ctypes.POINTER(c_uint8)
 _WORLD: tuple[tuple[str, Any, tuple[Any, ...]], ...] = (
@@ -47,6 +51,10 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "pc_frames": (c_uint32, ()),
     "pc_spoilt": (c_uint32, ()),
     "pc_rx_lost": (c_uint16, ()),
+    "pc_tx_dropped": (c_uint16, ()),
+    "rig_converted": (None, (c_uint8, c_uint32)),
+    "rig_poll": (None, ()),
+    "rig_reading": (None, (c_uint8, c_uint16)),
     "rig_crc": (c_uint32, (c_char_p, c_uint8)),
     "rig_stuff": (None, (c_char_p, c_uint8)),
     "rig_unstuff": (c_bool, (c_char_p, c_uint8)),

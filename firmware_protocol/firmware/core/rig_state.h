@@ -71,7 +71,6 @@ struct rig {
     uint32_t boot_id, token;
     uint32_t nonce, next_nonce; // of the configuration in force, 0 where none is; of the next one
     uint32_t config_crc;
-    bool has_config;
     bool has_newest, has_k;
     uint16_t newest; // seq of the newest frame taken in
     uint32_t k; // of the last EXCHANGE

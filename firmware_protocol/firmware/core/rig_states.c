@@ -15,7 +15,6 @@ static void disown_asked(void)
 static void forget_config(void)
 {
     rig.config = (rig_config_t){0};
-    rig.has_config = false;
     rig.config_crc = rig.nonce = 0;
 }
 

@@ -21,7 +21,6 @@ static void accept(const rig_config_t *m)
 {
     rig.config = *m;
     rig.config_crc = rig_config_crc(m);
-    rig.has_config = true;
     rig.next_nonce = rig.next_nonce == UINT32_MAX ? 1 : rig.next_nonce + 1;
     rig.nonce = rig.next_nonce;
 }

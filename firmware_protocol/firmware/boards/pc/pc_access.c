@@ -52,6 +52,7 @@ uint8_t pc_close(const uint8_t *text, uint8_t length, uint8_t *wire)
 
 uint32_t pc_frames(void) { return rig.counters.frames; }
 uint32_t pc_spoilt(void) { return rig.counters.spoilt; }
+uint16_t pc_tx_dropped(void) { return rig.counters.tx_dropped; }
 uint16_t pc_rx_lost(void) { return rig.counters.rx_lost; }
 
 uint8_t pc_state(void) { return rig.state; }

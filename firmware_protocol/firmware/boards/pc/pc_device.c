@@ -425,6 +425,8 @@ static void step(int64_t t_ns)
         d->status_ns = after(t_ns, BILLION);
         rig_tell_status();
     }
+    if (rig.motor.broken)
+        rig_watch_run();
     settle(t_ns);
     plan_watchdog(t_ns);
     const int64_t dues[] = {d->due_ns, d->watchdog_ns, d->timer_ns, d->status_ns, d->booted_ns,

@@ -1,0 +1,105 @@
+"""What the core checks of itself, and what stands in its source alone."""
+
+from __future__ import annotations
+
+import re
+
+import emulated_host
+import pytest
+from armrig_protocol.messages import (
+    Cause,
+    Event,
+    Exchange,
+    Flag,
+    Mode,
+    Sample,
+    Start,
+    State,
+    Status,
+)
+from emulated_host import MS, US, Host, S, only
+
+from firmware import library
+from firmware.core_device import CoreDevice
+from firmware.library import FIRMWARE
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+
+@pytest.fixture
+def host(monkeypatch: pytest.MonkeyPatch) -> Host:
+    """Return a host with a device that has the C core."""
+    monkeypatch.setattr(emulated_host, "Device", CoreDevice)
+    return Host()
+
+
+def test_a_code_that_no_check_let_through_is_not_driven(host: Host) -> None:
+    """A queue that was spoilt in memory: 0 V, and FAULT(INTERNAL) as soon as main looks."""
+    host.reach(State.ARMED, mode=Mode.SCHEDULED, u_max=1000)
+    host.supply(0, [500] * 24)
+    host.wait(2 * MS)
+    host.ask(Start, k_stop=0)
+    assert host.device.board.code
+    host.device.use().pc_spoil_next(1001)
+
+    heard = host.wait(40 * MS)
+
+    (event,) = [m for m in heard if isinstance(m, Event)]
+    assert (event.state, event.cause) == (State.FAULT, Cause.INTERNAL)
+    assert host.device.board.volts == 0.0
+    assert max(change.volts for change in host.changes) < 5.0 * 1000 / 65535
+
+
+def test_only_one_function_drives_the_motor() -> None:
+    """board_motor_set is called in one place of the core; u and duty reach it nowhere else."""
+    sources = {path: path.read_text() for path in (FIRMWARE / "core").glob("*.c")}
+    calls = [path.name for path, text in sources.items() if "board_motor_set(" in text]
+
+    assert calls == ["rig_motor.c"]
+    assert "".join(sources.values()).count("board_motor_set(") == 1
+
+
+def test_every_transition_but_to_run_turns_the_motor_off_first() -> None:
+    """The first statement of the one function that writes the state."""
+    texts = {path.name: path.read_text() for path in (FIRMWARE / "core").glob("*.c")}
+    writes = [name for name, text in texts.items() for _ in re.finditer(r"rig\.state = ", text)]
+    body = texts["rig_states.c"].split("void rig_enter(")[1].split("{\n", 1)[1]
+    cut = texts["rig_motor.c"].split("void rig_motor_cut(void)")[1].split("{\n", 1)[1]
+
+    # BOOT is set at the beginning, by rig_begin, which turns the motor off before.
+    assert sorted(writes) == ["rig_loop.c", "rig_states.c"]
+    assert body.startswith("    if (state != RIG_STATE_RUN)\n        rig_motor_cut();\n")
+    assert cut.startswith("    board_motor_off();\n")
+
+
+def test_bytes_that_the_board_lost_are_counted_and_told_once(host: Host) -> None:
+    """In the next SAMPLE, and in STATUS."""
+    host.hello()
+    host.device.use().pc_lose(3)
+    host.device.use().rig_poll()
+
+    first = only(Sample, host.ask(Exchange, k=1, u=0))
+    second = only(Sample, host.ask(Exchange, k=2, u=0))
+    status = [m for m in host.wait(1 * S) if isinstance(m, Status)]
+
+    assert first.flags & Flag.RX_OVERFLOW
+    assert not second.flags & Flag.RX_OVERFLOW
+    assert status[0].rx_lost == 3
+
+
+def test_samples_that_main_has_no_time_for_are_counted(host: Host) -> None:
+    """Two wait; a third is a frame not sent, and a break in k."""
+    host.hello()
+    c = host.device.use()
+    for k in (1, 2):
+        host.put(Exchange, k=k, u=0)
+    host.wait(400 * US)  # both are taken in
+
+    for what in (0, 0, 1):  # their ends, and one of the timer, before main looks
+        c.rig_reading(0, 1 << 15)
+        c.rig_reading(1, 1 << 15)
+        c.rig_converted(what, 7)
+    assert c.pc_tx_dropped() == 0
+    c.rig_poll()
+
+    assert c.pc_tx_dropped() == 1

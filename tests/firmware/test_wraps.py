@@ -1,0 +1,126 @@
+"""Counters that come to their end: seq, k, t_us, and what STATUS counts."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.emulator.clock import Clock
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    VERSION,
+    Arm,
+    Config,
+    Exchange,
+    Hello,
+    Keepalive,
+    Mode,
+    Ping,
+    Pong,
+    Sample,
+    Setpoints,
+    Start,
+    State,
+)
+from emulated_host import CONFIG
+
+from firmware import library
+from firmware.both_devices import MS, US, BothDevices, S
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+INSTANT = EmulatorSettings(boot_ms=0.0, model_baud=False, queue=64)
+
+
+def in_run(*, after_ns: int = 1 * MS, **config: int) -> BothDevices:
+    """Return both devices in RUN; where it is scheduled, with the first setpoints."""
+    both = BothDevices(INSTANT)
+    both.wait(10 * MS)
+    both.put(Hello, version=VERSION, schema=SCHEMA_HASH)
+    both.put(Config, **{**CONFIG, **config})
+    both.wait(5 * MS)
+    both.put(Arm, boot_id=both.boot_id, config_crc=both.config_crc, nonce=both.nonce)
+    both.wait(1 * MS)
+    if config.get("mode"):
+        both.put(Setpoints, k0=0, n=24, zero=0, u=(1000,) * 24)
+    both.put(Start, k_stop=0, nonce=both.nonce)
+    both.wait(after_ns)
+    assert both.devices[1].state is State.RUN
+    return both
+
+
+def test_more_frames_than_seq_counts() -> None:
+    """70 000 frames of a host, and as many of the device: both wrap, and nothing is stale."""
+    both = in_run(watchdog_ms=250)
+
+    for _ in range(70_000 // 50):
+        for _ in range(50):
+            both.put(Keepalive)
+            both.put(Ping, host_ns=both.now_ns)
+        both.wait(10 * MS)
+
+    pongs = [m for m in both.heard if isinstance(m, Pong)]
+    assert len(pongs) == 70_000
+    assert [m.seq for m in pongs[1:]] != sorted(m.seq for m in pongs[1:])
+    assert both.devices[1].state is State.RUN
+
+
+def test_k_of_exchange_wraps() -> None:
+    """K goes on behind 2^32 - 1 with 0; what is half a circle ahead is not ahead."""
+    both = in_run()
+    half = 1 << 31
+
+    for k in (half - 1, half, 2**32 - 2, 2**32 - 1, 0, 1, 2**32 - 1, 1 + half, 2, half):
+        both.put(Exchange, k=k, u=k & 0xFF)
+        both.wait(1 * MS)
+
+    taken = [m.k for m in both.heard if isinstance(m, Sample)]
+    assert taken == [half - 1, half, 2**32 - 2, 2**32 - 1, 0, 1, 2, half]
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("ahead_us", [20_000, 25_500, 30_208])
+def test_the_device_clock_wraps(mode: Mode, ahead_us: int) -> None:
+    """Watchdog, timer, STATUS and the supply's measurements go on across 2^32 us."""
+    both = BothDevices(EmulatorSettings(boot_ms=1.0, queue=64, brown_out_s=1.5))
+    for device in both.devices:
+        device._fw.clock = Clock(-((1 << 32) - ahead_us) * US)
+    both.wait(10 * MS)
+    both.put(Hello, version=VERSION, schema=SCHEMA_HASH)
+    both.put(Config, **{**CONFIG, "mode": mode, "watchdog_ms": 20})
+    both.wait(3 * MS)
+    both.put(Arm, boot_id=both.boot_id, config_crc=both.config_crc, nonce=both.nonce)
+    both.wait(1 * MS)
+    both.put(Start, k_stop=0, nonce=both.nonce)
+    for k in range(30):
+        if mode == Mode.EXCHANGE:
+            both.put(Exchange, k=k, u=k)
+        else:
+            both.put(Setpoints, k0=k, n=1, zero=0, u=(k, *(0,) * 23))
+        both.wait(1 * MS)
+    assert both.devices[1].state is State.RUN
+
+    both.wait(3 * S)
+
+    assert both.devices[1].state is State.FAULT
+    times = [m.t_us for m in both.heard if isinstance(m, Sample)]
+    assert max(times) - min(times) > 1 << 31
+
+
+def test_a_run_longer_than_32_bits_of_its_index() -> None:
+    """The queue goes on across 2^32; what is 0 again is not the first sample of the run."""
+    both = in_run(after_ns=300 * US, mode=Mode.SCHEDULED, slew=2000, watchdog_ms=250)
+    last = 2**32 - 4  # as after 49.7 days
+    for device in both.devices:
+        fw = device._fw
+        fw.timer.first_ns -= last * fw.timer.period_ns
+        fw.timer.k = fw.queue.next = last
+    both.held = last + 24
+
+    both.wait(100 * US)
+    for _ in range(6):
+        # u_rest is 0: were index 0 the first again, 3000 would be too far from it.
+        both.put(Setpoints, k0=both.held % 2**32, n=8, zero=0, u=(*[3000] * 8, *[0] * 16))
+        both.held += 8
+        both.wait(8 * MS)
+
+    assert both.devices[1].state is State.RUN
