@@ -236,7 +236,8 @@ def conformance(
     Exit code 0 only where no rule is broken. The device is left at 0 V.
     """
     from armrig_daemon.conformance import told
-    from armrig_daemon.conformance.host import Broken, Host
+    from armrig_daemon.conformance.conversation import Broken
+    from armrig_daemon.conformance.host import Host
     from armrig_daemon.conformance.rule import Result
     from armrig_daemon.conformance.serial_line import SerialLine
     from armrig_daemon.conformance.suite import run as try_rules
@@ -253,7 +254,7 @@ def conformance(
 
     try:
         with closing(SerialLine(device, baud)) as line:
-            host = Host(line)
+            host = Host(line, baud)
             results = try_rules(host, tell)
     except LinkError as err:
         _refuse(f"conformance: {err}")

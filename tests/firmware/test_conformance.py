@@ -19,9 +19,10 @@ pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing(
 @pytest.mark.parametrize("resets", [True, False])
 def test_the_c_core_does_what_the_protocol_says(settings: dict[str, int], resets: bool) -> None:
     """Each rule is tried, and holds, whether the opening of the port resets it or not."""
-    device = CoreDevice(EmulatorSettings(boot_ms=5.0, **AT_A_RAIL, **settings), 0)
+    emulated = EmulatorSettings(boot_ms=5.0, **AT_A_RAIL, **settings)
+    device = CoreDevice(emulated, 0)
 
-    results = run(Host(VirtualLine(device, resets=resets)), lambda result: None)
+    results = run(Host(VirtualLine(device, resets=resets), emulated.baud), lambda result: None)
 
     assert [r for r in results if r.outcome == FAIL] == []
     assert [r.outcome for r in results].count(NOT_TRIED) == (not resets)

@@ -6,7 +6,8 @@ from armrig_protocol import cobs, frame
 from armrig_protocol.crc import crc32
 from armrig_protocol.messages import TYPES, Hello, Keepalive, Message, Ping, Pong, Status
 
-from armrig_daemon.conformance.host import Broken, Host
+from armrig_daemon.conformance.conversation import Broken
+from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import expect, rule
 
 _STATUS_MS = 3_000
@@ -128,8 +129,6 @@ RULES = (
     _too_long,
     _cut,
     _lost_end,
-)
-COUNTED = (
     _empty,
     _counted,
 )

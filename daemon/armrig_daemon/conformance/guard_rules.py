@@ -23,8 +23,9 @@ from armrig_daemon.conformance.byte_rules import (
     next_status,
     spoilt_frames,
 )
+from armrig_daemon.conformance.conversation import Broken, only
 from armrig_daemon.conformance.exchange_rules import elapsed
-from armrig_daemon.conformance.host import BOOT_MS, Broken, Host, only
+from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import NotTried, expect, rule
 
 _EARLY_MS, _LATE_MS = 0.1, 1.0
@@ -196,8 +197,6 @@ RULES = (
     _rails,
     _no_guard,
     _still,
-)
-SILENT = (
     _watchdog,
     _unfed,
     _idle,

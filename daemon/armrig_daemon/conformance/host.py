@@ -1,16 +1,10 @@
-"""The host that tries a device: it counts seq, asks, and waits for what a PING puts an end to.
-
-A device answers in order. So all that a request brings has come when the PONG of a PING behind it
-has: nothing here is judged by the host's clock, which only says when to give up.
-"""
+"""The host that tries a device: it leads it from state to state, and asks for samples."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable
+from typing import Any
 
-from armrig_protocol import decoder, frame
-from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
     SCHEMA_HASH,
     VERSION,
@@ -27,26 +21,20 @@ from armrig_protocol.messages import (
     Keepalive,
     Message,
     Mode,
-    Ping,
-    Pong,
     Sample,
     Start,
     State,
-    Status,
     Stop,
 )
 
+from armrig_daemon.conformance.conversation import PATIENCE_MS, Broken, Conversation, only
 from armrig_daemon.conformance.line import Line
 
-PATIENCE_MS = 2_000
-"""What an answer may take by the host's clock; no device takes a hundredth of it."""
 BOOT_MS = 8_000
 """What a boot may take, its boot loader included."""
 _HELLO_MS = 200
 ALIVE_MS = 40
 """How often the host says something while it waits."""
-STALL_MS = 80
-"""A silence of the host after which a rule that failed is tried again."""
 CONFIG: dict[str, int] = {
     "ts_us": 10_000,
     "u_min": 0,
@@ -61,159 +49,29 @@ CONFIG: dict[str, int] = {
     "rail_ticks": 0,
     "turns": 0,
 }
-M = TypeVar("M", bound=Message)
 
 
-class Broken(Exception):  # noqa: N818 - it is the device's error
-    """The device does otherwise; says what came."""
-
-
-class Host:
+class Host(Conversation):
     """One host at one end of a line."""
 
-    def __init__(self, line: Line) -> None:
-        """Begin with seq 0; nothing is sent."""
-        self.line = line
-        self.seq = 0
-        self.facts: HelloReply | None = None
-        """What the device said of itself last."""
-        self.pong: Pong | None = None
-        """Answer to the last PING."""
-        self.status: Status | None = None
-        """The last one."""
-        self.state = 0
-        """As the last frame of the device says."""
-        self.silence_ms = 0.0
-        """Longest time between two frames of ours."""
-        self.spoilt = 0
-        """Pieces of the device that were no frame."""
-        self.breaks = 0
-        """Frames of the device whose seq was not the last one's plus one."""
-        self.nonce = self.config_crc = 0
-        self._device_seq: int | None = None
-        self._sent_ns = line.now_ns()
-        self._pending = b""
-        self._fresh = True
-        self._heard: list[Message] = []
+    def __init__(self, line: Line, baud: int = 500_000) -> None:
+        """Begin with seq 0; nothing is sent. `baud` is the line's, in bit/s."""
+        super().__init__(line)
+        self.baud = baud
         self.k = 0
         """Of the last EXCHANGE."""
-        self._pings = 0
-
-    # ---------------------------------------------------------------- bytes and frames
-
-    def write(self, data: bytes) -> None:
-        """Put bytes on the line."""
-        self.note_silence()
-        self._sent_ns = self.line.now_ns()
-        self.line.send(data)
-
-    def note_silence(self) -> None:
-        """Take note of how long nothing was sent until now."""
-        silence_ms = (self.line.now_ns() - self._sent_ns) / 1e6
-        self.silence_ms = max(self.silence_ms, silence_ms)
 
     def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
-        """Send a frame and return its seq; the next one goes on from there.
+        """Send a frame and return its seq.
 
         ARM and START carry what the last CONFIG_R told, unless other values are given.
         """
-        self.seq = (self.seq + 1) & 0xFFFF if seq is None else seq
         if kind is Arm:
             known = {"boot_id": self.known.boot_id, "config_crc": self.config_crc}
             fields = {**known, "nonce": self.nonce, **fields}
         if kind is Start:
             fields = {"k_stop": 0, "nonce": self.nonce, **fields}
-        message: Any = kind  # each has fields of its own
-        self.write(frame.encode(message(0, self.seq, **fields)))
-        return self.seq
-
-    def put_together(self, messages: Sequence[Message]) -> None:
-        """Send several frames as one piece; each gets its seq here."""
-        data = b""
-        for message in messages:
-            self.seq = (self.seq + 1) & 0xFFFF
-            data += frame.encode(message._replace(seq=self.seq))
-        self.write(data)
-
-    def listen(self, ms: float) -> list[Message]:
-        """Return what comes within `ms`, but for STATUS."""
-        end_ns = self.line.now_ns() + round(ms * 1e6)
-        while (left_ms := (end_ns - self.line.now_ns()) / 1e6) > 0:
-            self._read(left_ms)
-        return self._taken()
-
-    def until(
-        self, found: Callable[[Message], bool], what: str, within_ms: float = PATIENCE_MS
-    ) -> list[Message]:
-        """Return what comes until one is `found`, that one the last, but for STATUS.
-
-        Raises
-        ------
-        Broken
-            It does not come.
-        """
-        end_ns = self.line.now_ns() + round(within_ms * 1e6)
-        looked = 0
-        while True:
-            for at in range(looked, len(self._heard)):
-                if found(self._heard[at]):
-                    came, self._heard = self._heard[: at + 1], self._heard[at + 1 :]
-                    return came
-            looked = len(self._heard)
-            left_ms = (end_ns - self.line.now_ns()) / 1e6
-            if left_ms <= 0:
-                names = ", ".join(type(m).__name__ for m in self._taken()[-5:])
-                msg = f"no {what}; what came: {names or 'nothing'}"
-                raise Broken(msg)
-            self._read(left_ms)
-
-    def fence(self) -> list[Message]:
-        """Return what came before the answer to a PING that is sent now."""
-        self._pings += 1
-        self.put(Ping, host_ns=self._pings)
-        came = self.until(
-            lambda m: isinstance(m, Pong) and m.host_ns == self._pings, "PONG of a PING"
-        )
-        return came[:-1]
-
-    def ask(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> list[Message]:
-        """Send a frame and return all that answers it; not for what takes conversions."""
-        self.put(kind, seq=seq, **fields)
-        return self.fence()
-
-    def _taken(self) -> list[Message]:
-        came, self._heard = self._heard, []
-        return came
-
-    def _read(self, within_ms: float) -> None:
-        self._pending, received = decoder.feed(self._pending, self.line.receive(within_ms))
-        for item in received:
-            if isinstance(item, Spoilt | Unknown):
-                self.spoilt += not self._fresh
-                continue
-            self._fresh = False
-            expected = self._device_seq is None or item.seq == (self._device_seq + 1) & 0xFFFF
-            booted = isinstance(item, Event) and item.was == State.BOOT
-            self.breaks += not (expected or booted)
-            self._device_seq, self.state = item.seq, item.state
-            if isinstance(item, Status):
-                self.status = item
-                continue
-            if isinstance(item, Pong):
-                self.pong = item
-            if isinstance(item, ConfigReply):
-                self.nonce, self.config_crc = item.nonce, item.config_crc
-            if isinstance(item, HelloReply):
-                self.facts = item
-            self._heard.append(item)
-
-    def reopen(self, after_ms: float = 0) -> None:
-        """Close the port, and open it again; what was under way is lost, no fault of a device."""
-        self.line.reopen(after_ms)
-        self._pending, self._device_seq, self._fresh = b"", None, True
-        self._heard.clear()
-
-    # ---------------------------------------------------------------- requests
+        return super().put(kind, seq=seq, **fields)
 
     @property
     def known(self) -> HelloReply:
@@ -308,18 +166,3 @@ class Host:
             if until is not None and any(map(until, came)):
                 break
         return came
-
-
-def only(kind: type[M], came: list[Message]) -> M:
-    """Return the one message of this kind.
-
-    Raises
-    ------
-    Broken
-        There is none, or more than one.
-    """
-    found = [m for m in came if isinstance(m, kind)]
-    if len(found) != 1:
-        msg = f"{len(found)} of {kind.__name__} among {len(came)} frames, not one"
-        raise Broken(msg)
-    return found[0]

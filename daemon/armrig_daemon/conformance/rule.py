@@ -18,7 +18,8 @@ from armrig_protocol.messages import (
     State,
 )
 
-from armrig_daemon.conformance.host import Broken, Host
+from armrig_daemon.conformance.conversation import Broken
+from armrig_daemon.conformance.host import Host
 
 
 class NotTried(Exception):  # noqa: N818 - it is no error

@@ -20,7 +20,8 @@ from armrig_protocol.messages import (
 )
 
 from armrig_daemon.conformance.byte_rules import UNKNOWN_TYPE, framed, header, next_status
-from armrig_daemon.conformance.host import BOOT_MS, Host, only
+from armrig_daemon.conformance.conversation import only
+from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import NotTried, codes, expect, kinds, rule
 
 _HELLO = {"version": VERSION, "schema": SCHEMA_HASH}
@@ -141,8 +142,6 @@ RULES = (
     _hello_armed,
     _stop_always,
     _echo,
-)
-SLOW = (
     _boot,
     _reset,
 )

@@ -31,7 +31,8 @@ from armrig_protocol.messages import (
     Stop,
 )
 
-from armrig_daemon.conformance.host import CONFIG, Host, only
+from armrig_daemon.conformance.conversation import only
+from armrig_daemon.conformance.host import CONFIG, Host
 from armrig_daemon.conformance.rule import Rule, codes, expect, kinds, rule
 
 STATES = (State.IDLE, State.READY, State.ARMED, State.RUN, State.FAULT, State.ESTOP)
@@ -126,82 +127,6 @@ def _stop(host: Host) -> None:
     expect(codes(came) == [Code.OK] and len(came) == 1, came)
 
 
-@rule(3, "ARM carries boot_id, config_crc and nonce of now: else WRONG_BOOT, _CONFIG, _NONCE")
-def _arm(host: Host) -> None:
-    host.reach(State.READY)
-    boot_id, crc, nonce = host.known.boot_id, host.config_crc, host.nonce
-    for fields, code in (
-        ({"boot_id": boot_id ^ 1}, Code.WRONG_BOOT),
-        ({"boot_id": 0}, Code.WRONG_BOOT),
-        ({"config_crc": crc ^ 0x8000_0000}, Code.WRONG_CONFIG),
-        ({"nonce": nonce ^ 1}, Code.WRONG_NONCE),
-        ({"nonce": 0}, Code.WRONG_NONCE),
-    ):
-        came = host.ask(Arm, **fields)
-        expect(codes(came) == [code] and len(came) == 1, came)
-        expect(host.state == State.READY, f"state {host.state} behind a wrong ARM")
-
-
-@rule(3, "START carries the nonce of the configuration, and in exchange mode k_stop 0")
-def _start(host: Host) -> None:
-    host.reach(State.ARMED)
-    for fields, code in (
-        ({"nonce": host.nonce ^ 1}, Code.WRONG_NONCE),
-        ({"k_stop": 10}, Code.BAD_VALUE),
-    ):
-        came = host.ask(Start, **fields)
-        expect(codes(came) == [code] and host.state == State.ARMED, came)
-
-
-@rule(3, "The bytes of an arming do not arm again: each CONFIG has a nonce of its own")
-def _old_arming(host: Host) -> None:
-    host.reach(State.ARMED)
-    old = host.nonce
-    host.ask(Stop)
-    host.configure()
-    came = host.ask(Arm, nonce=old)
-    expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.READY, came)
-    host.ask(Arm)
-    came = host.ask(Start, nonce=old)
-    expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.ARMED, came)
-
-
-@rule(3, "ESTOP leads from any state to ESTOP, with a token, not 0, in EVENT and HELLO_R")
-def _estop(host: Host) -> None:
-    for state in STATES[:-1]:
-        host.to_idle()
-        host.reach(state)
-        before = host.hello().token
-        event = only(Event, host.ask(Estop))
-        expect(
-            (event.was, event.state, event.cause) == (state, State.ESTOP, Cause.REQUEST), [event]
-        )
-        expect(event.token not in (0, before), f"token {event.token} behind {before}")
-        expect(host.hello().token == event.token, f"token {host.known.token} in HELLO_R")
-
-
-@rule(3, "ESTOP in ESTOP is OK, and changes nothing")
-def _estop_again(host: Host) -> None:
-    token = only(Event, host.ask(Estop)).token
-    came = host.ask(Estop)
-    expect(codes(came) == [Code.OK] and len(came) == 1, came)
-    expect(host.hello().token == token, "another token")
-
-
-@rule(3, "Only CLEAR_FAULT with the token leaves FAULT and ESTOP, to IDLE; another is WRONG_TOKEN")
-def _clear(host: Host) -> None:
-    for state in (State.FAULT, State.ESTOP):
-        host.to_idle()
-        host.reach(state)
-        token = host.hello().token
-        for wrong in (0, token ^ 1, token ^ 0x8000_0000):
-            came = host.ask(ClearFault, token=wrong)
-            expect(codes(came) == [Code.WRONG_TOKEN] and host.state == state, came)
-        came = host.ask(ClearFault, token=token)
-        expect(codes(came) == [Code.OK] and host.state == State.IDLE, came)
-        expect(host.hello().token == 0, f"token {host.known.token} in IDLE")
-
-
 @rule(
     3, "In every state but RUN the code is 0, whatever EXCHANGE carries; the flags tell the state"
 )
@@ -269,12 +194,6 @@ RULES = (
     _stop,
     _everywhere,
     *REFUSALS,
-    _arm,
-    _start,
-    _old_arming,
-    _estop,
-    _estop_again,
-    _clear,
     _zero_volts,
     _rest,
     _event_time,

@@ -8,34 +8,40 @@ from contextlib import suppress
 from armrig_protocol.messages import Estop, State, Stop
 
 from armrig_daemon.conformance import (
+    arming_rules,
     byte_rules,
     configuration_rules,
     exchange_rules,
     guard_rules,
+    load_rules,
+    reading_rules,
     scheduled_rules,
     sequence_rules,
+    setpoint_rules,
     state_rules,
 )
-from armrig_daemon.conformance.host import BOOT_MS, STALL_MS, Broken, Host
+from armrig_daemon.conformance.conversation import Broken
+from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import NotTried, Result, Rule
 
 RULES: tuple[Rule, ...] = (
     *configuration_rules.WHO,
     *byte_rules.RULES,
-    *byte_rules.COUNTED,
     *sequence_rules.RULES,
-    *sequence_rules.SLOW,
     *state_rules.RULES,
+    *arming_rules.RULES,
     *configuration_rules.RULES,
     *exchange_rules.RULES,
-    *exchange_rules.READINGS,
+    *reading_rules.RULES,
+    *setpoint_rules.RULES,
     *scheduled_rules.RULES,
-    *scheduled_rules.SILENT,
     *guard_rules.RULES,
-    *guard_rules.SILENT,
+    *load_rules.RULES,
     *byte_rules.LAST,
 )
 _TRIES = 6
+_STALL_MS = 80
+"""A silence of the host after which a rule that failed is tried again."""
 PASS, FAIL, NOT_TRIED = "pass", "FAIL", "not tried"
 
 
@@ -76,7 +82,7 @@ def _tried(host: Host, rule: Rule) -> Result:
         except Broken as err:
             came = str(err)
             host.note_silence()
-            if rule.silent or host.silence_ms > STALL_MS:
+            if rule.silent or host.silence_ms > _STALL_MS:
                 continue
         except NotTried as err:
             outcome, came = NOT_TRIED, str(err)

@@ -507,6 +507,33 @@ def _wrong_skew(patch: Patch) -> None:
     patch.setattr(Hardware, "skew_us", property(lambda self: 4_000))
 
 
+def _spoilt_stops(patch: Patch) -> None:
+    handle = requests.handle
+
+    def stopping(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+        made = handle(fw, now_ns, received)
+        if isinstance(received, Spoilt) and fw.state is State.READY:
+            fw.enter(now_ns, State.IDLE, Cause.NONE)
+        return made
+
+    patch.setattr(device, "handle", stopping)
+
+
+def _latches_after_the_run(patch: Patch) -> None:
+    latch = sampling.latch
+
+    def late(fw: Firmware, now_ns: int) -> None:
+        latch(fw, now_ns)
+        if not fw.pending[0].drives and fw.pending[0].u:
+            fw.board.code = fw.pending[0].u
+
+    patch.setattr(converter, "latch", late)
+
+
+def _small_ring(patch: Patch) -> None:
+    patch.setattr(transmission, "RING_BYTES", 60)
+
+
 SPOILT: dict[str, SpoiltDevice] = {
     "a CRC is not looked at": SpoiltDevice(_no_crc, "wrong CRC"),
     "what is spoilt is answered": SpoiltDevice(_answers_spoilt, "wrong CRC"),
@@ -561,5 +588,8 @@ SPOILT: dict[str, SpoiltDevice] = {
     "STOP is OK in FAULT": SpoiltDevice(_stop_in_fault, "In FAULT a request"),
     "PONG has a wrong time": SpoiltDevice(_pong_time, "in order"),
     "HELLO does not begin k anew": SpoiltDevice(_k_not_reset, "behind a HELLO it may be any"),
+    "noise stops it": SpoiltDevice(_spoilt_stops, "Bytes at random"),
+    "a waiting u is latched after the run": SpoiltDevice(_latches_after_the_run, "RUN ends before"),
+    "PONG finds no room behind SAMPLE": SpoiltDevice(_small_ring, "At 1 kHz"),
     "HELLO_R has a wrong skew": SpoiltDevice(_wrong_skew, "`skew_us` behind alpha's"),
 }

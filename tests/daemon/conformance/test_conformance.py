@@ -15,10 +15,13 @@ from virtual_line import VirtualLine
 UNO = {"queue": 256}
 
 
-def tried(device: Device, *, resets: bool = True) -> list[Result]:
-    """Return what becomes of all rules."""
+def tried(settings: EmulatorSettings, *, resets: bool = True) -> list[Result]:
+    """Return what becomes of all rules; the device is left at 0 V."""
+    device = Device(settings, 0)
     told: list[Result] = []
-    results = run(Host(VirtualLine(device, resets=resets)), told.append)
+    results = run(Host(VirtualLine(device, resets=resets), settings.baud), told.append)
+    assert device.state is not State.RUN
+    assert device.board.volts == 0.0
     assert results == told
     return results
 
@@ -33,15 +36,14 @@ def test_the_emulated_device_does_what_the_protocol_says(
     settings: dict[str, float], resets: bool
 ) -> None:
     """Whether the opening of its port resets it or not; and it is left at 0 V."""
-    device = Device(EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings}), 0)  # type: ignore[arg-type]
+    emulated = EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings})  # type: ignore[arg-type]
 
-    results = tried(device, resets=resets)
+    results = tried(emulated, resets=resets)
 
     assert [r for r in results if r.outcome == FAIL] == []
     not_tried = [r.sentence.split()[0] for r in results if r.outcome == NOT_TRIED]
     assert not_tried == ["Where"] * (not resets) + ["`rail_ticks`"] * (settings is not AT_A_RAIL)
     assert len(results) == len(RULES)
-    assert device.state is State.IDLE
 
 
 @pytest.mark.parametrize("how", SPOILT)
@@ -49,13 +51,11 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
     """By the rule that it breaks."""
     spoilt = SPOILT[how]
     spoilt.spoil(monkeypatch)
-    device = Device(EmulatorSettings(boot_ms=5.0, **AT_A_RAIL), 0)
 
-    broken = [r for r in tried(device) if r.outcome == FAIL]
+    broken = [r for r in tried(EmulatorSettings(boot_ms=5.0, **AT_A_RAIL)) if r.outcome == FAIL]
 
     assert [r for r in broken if spoilt.found_by in r.sentence], broken
     assert all(r.came for r in broken)
-    assert device.board.volts == 0.0
 
 
 def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
