@@ -117,7 +117,9 @@ def _boot(host: Host) -> None:
 
 
 @rule(
-    2, "Where opening the port resets the device, that is a new boot_id, told, in IDLE", silent=True
+    2,
+    "Where opening the port resets the device, that is IDLE, and a boot_id with another low half",
+    silent=True,
 )
 def _reset(host: Host) -> None:
     before = host.known.boot_id
@@ -130,6 +132,8 @@ def _reset(host: Host) -> None:
         msg = "opening the port does not reset this device"
         raise NotTried(msg)
     expect(after.state == State.IDLE, f"state {after.state} behind a boot")
+    halves = before & _U16, after.boot_id & _U16
+    expect(halves[0] != halves[1], f"boot_id {before:08x} and then {after.boot_id:08x}")
     expect(host.configure(ts_us=0).config_crc == 0, "a configuration from before the boot")
     expect(not any(isinstance(m, Sample) for m in came), came)
 

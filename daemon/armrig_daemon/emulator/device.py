@@ -14,7 +14,7 @@ from armrig_daemon.emulator import clock
 from armrig_daemon.emulator.board import Board, Witness
 from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.converter import Converter
-from armrig_daemon.emulator.firmware import NEVER, Firmware, Hardware
+from armrig_daemon.emulator.firmware import NEVER, U16, Firmware, Hardware
 from armrig_daemon.emulator.reception import Reception
 from armrig_daemon.emulator.requests import handle, makes_sample
 from armrig_daemon.emulator.sensors import CODE_BITS
@@ -155,7 +155,7 @@ class Device:
 
     def _begin(self, now_ns: int, mcusr: int) -> None:
         last = self._boot_id
-        while self._boot_id in (0, last):
+        while self._boot_id == 0 or not (self._boot_id ^ last) & U16:
             self._boot_id = int(self._rng.integers(1, U32, endpoint=True))
         self._fw = Firmware(
             board=self._board,

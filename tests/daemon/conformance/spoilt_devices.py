@@ -429,6 +429,17 @@ def _no_stack(patch: Patch) -> None:
     _answers(patch, lambda m: m._replace(stack_free=90) if isinstance(m, Status) else m)
 
 
+def _half_a_boot_id(patch: Patch) -> None:
+    reset = device.Device.reset
+
+    def same(self: device.Device, now_ns: int) -> None:
+        low = self._fw.boot_id & 0xFFFF
+        reset(self, now_ns)
+        self._fw.boot_id = self._fw.boot_id & 0xFFFF_0000 | low
+
+    patch.setattr(device.Device, "reset", same)
+
+
 def _event_of_another_boot(patch: Patch) -> None:
     _answers(
         patch,
@@ -582,6 +593,7 @@ SPOILT: dict[str, SpoiltDevice] = {
     "VCC_LOW with a good supply": SpoiltDevice(_vcc_flag, "VCC_LOW"),
     "STATUS is slow": SpoiltDevice(_slow_status, "once a second"),
     "no stack left": SpoiltDevice(_no_stack, "once a second"),
+    "only the high half of boot_id is drawn": SpoiltDevice(_half_a_boot_id, "another low half"),
     "EVENT has another boot": SpoiltDevice(_event_of_another_boot, "low half of boot_id"),
     "the device skips a seq": SpoiltDevice(_skips_a_seq, "seq counts them"),
     "an old STOP is stale": SpoiltDevice(_stop_must_be_new, "whatever its seq"),

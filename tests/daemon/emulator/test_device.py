@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from zlib import crc32
 
 import pytest
@@ -108,8 +109,20 @@ def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
     assert host.device.board.motion(host.now_ns)[2] == speed > 0
     host.wait(6 * MS)
     after = host.hello()
-    assert after.boot_id != before.boot_id
+    assert after.boot_id & 0xFFFF != before.boot_id & 0xFFFF
     assert (before.reset, after.reset) == (0x01, 0x02)
+
+
+def test_no_two_boots_in_a_row_have_the_same_low_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever is drawn: it is all that most frames carry of it."""
+    device = Device(QUIET, 0)
+    low = device._boot_id & 0xFFFF
+    drawn = iter([0, low, 0x7000_0000 | low, device._boot_id, 5 << 16 | (low ^ 1)])
+    monkeypatch.setattr(device, "_rng", SimpleNamespace(integers=lambda *_, **__: next(drawn)))
+
+    device.reset(1 * MS)
+
+    assert device._boot_id == 5 << 16 | (low ^ 1)
 
 
 def test_hello_tells_what_the_device_is() -> None:
