@@ -1,6 +1,7 @@
 // Conversions are triggered by timer 0 itself, at its compare A, one a turn of 128 us, so that no
 // late interrupt makes them late. When the last of a sample is held, 16 us after its trigger,
-// compare B's interrupt latches u.
+// compare B's interrupt gives u to the motor. To find u takes 30 us, so that it is made ready before,
+// while alpha is converted for the last time; what puts the motor off meanwhile makes that void.
 //
 // The converter runs at 125 kHz: 13.5 clocks, 108 us a conversion. Full resolution asks for 200 kHz
 // at most (data sheet, 24.4), and 250 kHz would gain little: the line alone takes 360 us for a
@@ -12,6 +13,7 @@
 
 #include "board.h"
 #include "clock.h"
+#include "motor.h"
 #include "pins.h"
 #include "supply.h"
 
@@ -22,7 +24,8 @@
 
 enum {
     COUNTS_PER_US = 2, // of timer 0
-    HOLD_COUNTS = BOARD_HOLD_US * COUNTS_PER_US,
+    HOLD_COUNTS = (BOARD_HOLD_US - 2) * COUNTS_PER_US, // its interrupt takes 3 us to set OCR1A
+    READY_COUNTS = 40 * COUNTS_PER_US, // from the last trigger but one; 88 us before the last
     LEAD_COUNTS = 32, // 16 us: longer than it takes to set a trigger with interrupts off
     LEAD_US = LEAD_COUNTS / COUNTS_PER_US,
     OVERDUE_US = 50000,
@@ -45,6 +48,7 @@ static bool of_sample; // else of one channel
 static bool unread; // the conversion before the one that is of no use
 static uint8_t channel; // of what is to be triggered, or under way
 static uint32_t trigger_us; // the last one's, or the end
+static bool is_ready; // u of the sample that is under way
 
 static volatile uint8_t asked; // samples that wait
 
@@ -155,20 +159,29 @@ static void note_length(uint8_t began)
         longest = took;
 }
 
-// The last conversion was triggered just now: u is to be latched when it is held.
+// Lets compare B come `counts` after compare A, in this turn or the next one.
+static void set_compare_b(uint8_t counts)
+{
+    OCR0B = OCR0A + counts;
+    TIFR0 = _BV(OCF0B);
+    TIMSK0 |= _BV(OCIE0B);
+}
+
+// The last conversion was triggered just now.
 static void begin_last(void)
 {
     ADCSRA = ON;
     TIMSK0 &= (uint8_t)~_BV(OCIE0A);
     phase = LAST;
-    if (!of_sample)
-        return;
-    OCR0B = OCR0A + HOLD_COUNTS;
-    TIFR0 = _BV(OCF0B);
-    if ((uint8_t)(TCNT0 - OCR0A) < HOLD_COUNTS)
-        TIMSK0 |= _BV(OCIE0B);
-    else // so late that compare B has gone by
-        rig_latch(what);
+}
+
+// The last trigger but one was just now, which every sample has: u is made ready.
+static void begin_last_but_one(void)
+{
+    phase = CONVERTS;
+    is_ready = false;
+    if (of_sample)
+        set_compare_b(READY_COUNTS);
 }
 
 static void end_run(void)
@@ -191,6 +204,8 @@ ISR(TIMER0_COMPA_vect)
     } else if (now == SET || now == READ) {
         if (--triggers == 0)
             begin_last();
+        else if (triggers == 1)
+            begin_last_but_one();
         else
             phase = CONVERTS;
     } else if (now == ENDING) {
@@ -207,10 +222,19 @@ ISR(TIMER0_COMPA_vect)
 ISR(TIMER0_COMPB_vect)
 {
     const uint8_t began = TCNT0;
-    TIMSK0 &= (uint8_t)~_BV(OCIE0B);
-    sei();
-    rig_latch(what);
-    cli();
+    if (!is_ready) {
+        TIMSK0 &= (uint8_t)~_BV(OCIE0B);
+        motor_stage(true);
+        sei();
+        rig_latch(what);
+        cli();
+        motor_stage(false);
+        is_ready = true;
+        set_compare_b(HOLD_COUNTS); // which is in the next turn
+    } else if (phase == LAST) { // else the last trigger has been put off by a turn
+        TIMSK0 &= (uint8_t)~_BV(OCIE0B);
+        motor_apply();
+    }
     note_length(began);
 }
 

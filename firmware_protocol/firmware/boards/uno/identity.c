@@ -20,7 +20,7 @@
 
 struct count {
     uint32_t boots;
-    uint32_t check; // CRC-32 of boots
+    uint32_t check; // of boots
 };
 
 struct uid {
@@ -34,6 +34,12 @@ static struct count EEMEM counts[PLACES];
 static struct uid EEMEM uids[2]; // the second where the first was torn
 static uint32_t boots, noise;
 static uint64_t uid;
+
+// Not the CRC itself: that of an erased EEPROM's FF FF FF FF is FF FF FF FF.
+static uint32_t check_of(const void *bytes, uint8_t n)
+{
+    return ~rig_crc(bytes, n);
+}
 
 // Mixes `more` into a state of 32 bits (the finaliser of MurmurHash3, a bijection of the state).
 static uint32_t mixed(uint32_t state, uint32_t more)
@@ -60,13 +66,13 @@ static bool count_boot(void)
     boots = 0;
     for (uint8_t i = 0; i < PLACES; i++) {
         eeprom_read_block(&count, &counts[i], sizeof count);
-        if (count.check == rig_crc((const uint8_t *)&count.boots, sizeof count.boots) && count.boots > boots) {
+        if (count.check == check_of(&count.boots, sizeof count.boots) && count.boots > boots) {
             boots = count.boots;
             place = (i + 1) % PLACES;
         }
     }
     boots++;
-    const struct count next = {boots, rig_crc((const uint8_t *)&boots, sizeof boots)};
+    const struct count next = {boots, check_of(&boots, sizeof boots)};
     eeprom_update_block(&next, &counts[place], sizeof next);
     eeprom_read_block(&count, &counts[place], sizeof count);
     return count.boots == boots && count.check == next.check;
@@ -77,13 +83,13 @@ static bool read_uid(uint8_t place)
     struct uid found;
     eeprom_read_block(&found, &uids[place], sizeof found);
     uid = found.number;
-    return uid != 0 && found.check == rig_crc((const uint8_t *)&found.number, sizeof found.number);
+    return uid != 0 && found.check == check_of(&found.number, sizeof found.number);
 }
 
 static void draw_uid(void)
 {
     uid = (uint64_t)mixed(noise, 1) << 32 | mixed(noise, 2) | 1;
-    const struct uid drawn = {uid, rig_crc((const uint8_t *)&uid, sizeof uid)};
+    const struct uid drawn = {uid, check_of(&uid, sizeof uid)};
     eeprom_update_block(&drawn, &uids[1], sizeof drawn);
     eeprom_update_block(&drawn, &uids[0], sizeof drawn);
 }

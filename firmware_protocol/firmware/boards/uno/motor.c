@@ -6,7 +6,8 @@
 #include "motor.h"
 #include "pins.h"
 
-#define CONNECTED _BV(COM1A1)
+#define DISCONNECTED (_BV(WGM11) | _BV(WGM10))
+#define CONNECTED (DISCONNECTED | _BV(COM1A1))
 
 // Before main, before even the variables have their values: whatever was before, 0 V.
 __attribute__((naked, used, section(".init3"))) void motor_off_at_reset(void)
@@ -23,27 +24,52 @@ void motor_begin(void)
 {
     board_motor_off();
     OCR1A = 0;
-    TCCR1A = _BV(WGM11) | _BV(WGM10);
     TCCR1B = _BV(WGM12) | _BV(CS10);
 }
 
-// Each is one write: the pin first, as it acts at once, and nothing is read, changed and written
-// back that an interrupt could change meanwhile.
+static bool stages; // what is set is to be applied later
+static volatile bool is_staged;
+static uint16_t staged;
+
+// Each pin is one write, as an interrupt could change what is read, changed and written back.
 void board_motor_off(void)
 {
-    TCCR1A = _BV(WGM11) | _BV(WGM10);
+    is_staged = false;
+    TCCR1A = DISCONNECTED;
     PORTB = 0;
     PORTD = 0;
 }
 
-void board_motor_set(uint16_t duty)
+static void apply(uint16_t duty)
 {
     PORTD = ENABLE_PIN;
     if (duty == 0) {
-        TCCR1A = _BV(WGM11) | _BV(WGM10);
+        TCCR1A = DISCONNECTED;
         PORTB = 0;
         return;
     }
     OCR1A = duty - 1; // taken over by the timer at the end of the period
-    TCCR1A = CONNECTED | _BV(WGM11) | _BV(WGM10);
+    TCCR1A = CONNECTED;
+}
+
+void board_motor_set(uint16_t duty)
+{
+    if (!stages) {
+        apply(duty);
+        return;
+    }
+    staged = duty;
+    is_staged = true;
+}
+
+void motor_stage(bool on)
+{
+    stages = on;
+}
+
+void motor_apply(void)
+{
+    if (is_staged)
+        apply(staged);
+    is_staged = false;
 }

@@ -1,0 +1,380 @@
+"""The Uno's binary, talked to frame by frame; every voltage is the one measured at its pin."""
+
+from __future__ import annotations
+
+import random
+import zlib
+from itertools import pairwise
+
+import pytest
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import (
+    Ack,
+    Cal,
+    CalReply,
+    Cause,
+    ClearFault,
+    Config,
+    ConfigReply,
+    Estop,
+    Event,
+    Exchange,
+    Hello,
+    HelloReply,
+    Keepalive,
+    Ping,
+    Pong,
+    Sample,
+    Setpoints,
+    Start,
+    State,
+    Status,
+    Stop,
+)
+
+from firmware.uno_host import (
+    BOOT_NS,
+    MS,
+    Host,
+    assert_low_outside_run,
+    high_from,
+    missing,
+    powered,
+)
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+HALF = 32768
+
+
+def test_the_pin_is_low_before_anything_is_said() -> None:
+    """S1: from the first cycle on, over boot and handshake."""
+    with powered() as host:
+        host.hello()
+
+        assert host.uno.harness.figures().last_high == 0
+        assert host.of(Event)[0].was == State.BOOT
+        assert {d.enabled for d in host.uno.duties} == {False}
+
+
+@pytest.mark.parametrize("watchdog_ms", [20, 100, 250])
+def test_silence_is_0_v_within_the_watchdog_and_a_millisecond(watchdog_ms: int) -> None:
+    """S3: nothing more comes, as after a kill -9 of the daemon."""
+    with powered() as host:
+        host.start(watchdog_ms=watchdog_ms)
+        fed_ns = host.drive(HALF, 5)
+
+        host.wait(watchdog_ms + 50)
+
+        low_ns = host.uno.ns(host.uno.harness.figures().last_high)
+        assert (watchdog_ms - 0.1) * MS <= low_ns - fed_ns <= (watchdog_ms + 1) * MS
+        assert host.last(Event).cause == Cause.WATCHDOG
+        assert_low_outside_run(host)
+
+
+@pytest.mark.parametrize("kind", [Stop, Estop])
+def test_a_stop_acts_within_a_millisecond_of_its_last_byte(kind: type) -> None:
+    """S6: and the pin is low for good."""
+    with powered() as host:
+        host.start()
+        host.drive(65535, 5)
+
+        arrived_ns = host.say(kind)
+        host.wait(100)
+
+        assert host.uno.ns(host.uno.harness.figures().last_high) <= arrived_ns + MS
+        assert_low_outside_run(host)
+
+
+@pytest.mark.parametrize("boot_loader", [False, True])
+def test_a_reset_in_run_is_0_v_at_once(boot_loader: bool) -> None:
+    """S1: as the port is opened; a boot loader is deaf for a second, and hides the cause."""
+    with powered(boot_loader=boot_loader) as host:
+        host.start()
+        before = host.hello()
+        host.drive(HALF, 5)
+
+        host.uno.reset(host.now)
+        reset_ns = host.now
+        host.put(encode(Hello(0, 77, 2, 0)))  # nobody hears it
+        host.wait(BOOT_NS / MS + (1000 if boot_loader else 0))
+        after = host.hello()
+
+        assert host.uno.ns(host.uno.harness.figures().last_high) <= reset_ns
+        assert after.state == State.IDLE
+        assert after.reset == (0 if boot_loader else 2)
+        assert after.boot_id != before.boot_id
+        assert after.uid == before.uid
+        assert host.uno.violations == []
+
+
+def test_a_port_that_opens_without_a_reset_is_safe_by_the_watchdog() -> None:
+    """S3: the next daemon finds FAULT, and has to clear it."""
+    with powered() as host:
+        host.start()
+        host.drive(HALF, 5)
+        host.wait(200)
+
+        hello = host.hello()
+        host.say(ClearFault, hello.token)
+        host.wait(5)
+
+        assert (hello.state, hello.cause) == (State.FAULT, Cause.WATCHDOG)
+        assert host.last(Event).state == State.IDLE
+        assert_low_outside_run(host)
+
+
+def test_zero_is_the_pin_disconnected_and_not_a_spike() -> None:
+    """A duty of 0 in RUN: not one edge in 100 periods."""
+    with powered() as host:
+        host.start()
+        host.drive(HALF, 5)
+        host.drive(0, 2, k=10)
+        edges = host.uno.harness.figures().edges
+
+        host.drive(0, 5, k=20)
+
+        assert host.uno.harness.figures().edges == edges
+        assert host.last(Sample).u_k == 0
+
+
+@pytest.mark.parametrize("u", [33, 64, 1000, HALF, 65472, 65535])
+def test_the_code_that_is_told_is_the_duty_at_the_pin(u: int) -> None:
+    """S5: to the cycle; full scale is always high."""
+    with powered() as host:
+        host.start()
+
+        host.drive(u, 5)
+
+        steps = (u * 2048 + 65535) // (2 * 65535)
+        assert host.uno.duties[-1].high == steps
+        assert host.last(Sample).u_k == (2 * steps * 65535 + 1024) >> 11
+
+
+def test_theta_1_is_held_where_hello_says() -> None:
+    """`hold_us` after `t_us`, alpha `skew_us` before it, by the cycles of the board."""
+    with powered() as host:
+        hello = host.hello()
+        holds: list[tuple[int, int]] = []
+        host.uno.stuck = lambda t_ns, channel: holds.append((t_ns, channel))
+        host.drive(0, 50)
+
+        samples = host.of(Sample)
+        alpha, theta_1 = holds[::2], holds[1::2]
+        assert {channel for _, channel in alpha} == {1}
+        assert {channel for _, channel in theta_1} == {0}
+        skews = [b - a for (a, _), (b, _) in zip(alpha, theta_1, strict=True)]
+        assert all(abs(skew - hello.skew_us * 1000) <= 1000 for skew in skews)
+        # The device's clock begins a little after ours: by the same for each sample.
+        begins = [
+            t - hello.hold_us * 1000 - s.t_us * 1000
+            for (t, _), s in zip(theta_1, samples, strict=True)
+        ]
+        assert max(begins) - min(begins) <= 1000
+
+
+def test_oversampling_is_the_mean_of_conversions_one_skew_apart() -> None:
+    """Sixteen of each channel, alternating; nothing of it is late."""
+    with powered() as host:
+        host.arm(ts_us=10_000, oversampling=16)
+        holds: list[tuple[int, int]] = []
+
+        def reading(t_ns: int, channel: int) -> int:
+            holds.append((t_ns, channel))
+            return 500 + len(holds) % 4 + 100 * channel
+
+        host.uno.stuck = reading
+        host.say(Exchange, 1, 0)
+        host.wait(10)
+
+        assert [channel for _, channel in holds] == [1, 0] * 16
+        gaps = [b - a for (a, _), (b, _) in pairwise(holds)]
+        assert all(abs(gap - 128_000) <= 1000 for gap in gaps)
+        sample = host.last(Sample)
+        codes = [500 + (i + 1) % 4 + 100 * (i % 2 == 0) for i in range(32)]
+        assert sample.y1 == round(sum(codes[::2]) / 16 * 64)
+        assert sample.y0 == round(sum(codes[1::2]) / 16 * 64)
+        assert not sample.flags & 0x0100
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_cal_tells_mean_and_spread_of_one_channel(channel: int) -> None:
+    """At 0 V, of what the converter read."""
+    with powered() as host:
+        host.hello()
+        codes = iter([500, 502, 504, 506] * 25)
+        host.uno.stuck = lambda _, asked: next(codes) if asked == channel else None
+        host.say(Cal, channel, 0, 100)
+        host.wait(50)
+
+        reply = host.last(CalReply)
+        assert (reply.channel, reply.n) == (channel, 100)
+        assert reply.mean_256 == 503 * 64 * 256
+        assert (reply.least, reply.greatest) == (500 * 64, 506 * 64)
+
+
+def test_a_low_supply_is_a_fault() -> None:
+    """By the bandgap: 3.9 V."""
+    with powered() as host:
+        host.start()
+        host.drive(HALF, 20)
+        host.uno.harness.supply(3900)
+
+        for k in range(100, 400):
+            host.drive(HALF, 1, k)
+
+        assert host.last(Event).cause == Cause.VCC_LOW
+        assert_low_outside_run(host)
+
+
+def test_no_two_boots_are_the_same() -> None:
+    """Forty resets: forty boot_ids with forty low halves, one uid."""
+    with powered() as host:
+        replies = []
+        for _ in range(40):
+            host.uno.reset(host.now)
+            host.wait(BOOT_NS / MS)
+            replies.append(host.hello())
+
+        assert len({r.boot_id & 0xFFFF for r in replies}) == 40
+        assert len({r.uid for r in replies}) == 1
+
+
+def test_boots_wear_each_place_of_the_eeprom_alike() -> None:
+    """Seventy boots: a count is written to 64 places in turn."""
+    with powered() as host:
+        for _ in range(69):
+            host.uno.reset(host.now)
+            host.wait(BOOT_NS / MS)
+
+        eeprom = host.uno.harness.read_eeprom(0, 1024)
+        found = [int.from_bytes(eeprom[i : i + 4], "little") for i in range(0, 1024, 4)]
+        assert {*range(7, 71)} <= {*found}
+
+
+def test_a_count_that_power_failure_has_torn_is_counted_again() -> None:
+    """Whichever byte of the newest place is not written yet: the next boot has its own boot_id."""
+    with powered() as host:
+        for _ in range(3):
+            host.uno.reset(host.now)
+            host.wait(BOOT_NS / MS)
+        eeprom = host.uno.harness.read_eeprom(0, 1024)
+        newest = eeprom.index((4).to_bytes(4, "little"))
+        told = {host.hello().boot_id & 0xFFFF}
+        for torn in range(8):
+            host.uno.harness.write_eeprom(newest, eeprom[newest : newest + 8])
+            host.uno.harness.write_eeprom(newest + 8, b"\xff" * 8)
+            # As a boot that counts 5 would leave it, were it cut off behind `torn` bytes.
+            whole = (5).to_bytes(4, "little") + _check((5).to_bytes(4, "little"))
+            host.uno.harness.write_eeprom(newest + 8, whole[:torn])
+            host.uno.reset(host.now)
+            host.wait(BOOT_NS / MS)
+            told_now = host.hello().boot_id & 0xFFFF
+
+            assert told_now not in told
+            assert host.uno.harness.read_eeprom(newest + 8, 8) == whole
+
+
+def test_a_hundred_thousand_fuzzed_bytes_do_nothing() -> None:
+    """Noise, cut and spoilt frames at full speed: no voltage, and the next HELLO is heard."""
+    rng = random.Random(5)
+    frames = [
+        encode(Exchange(0, 3, 1, HALF)),
+        encode(Config(0, 4, 2000, 0, 65535, 0, 0, 100, 0, 0, 0, 1, 0, 0)),
+        encode(Setpoints(0, 5, 0, 24, 0, (HALF,) * 24)),
+        encode(Keepalive(0, 6)),
+        encode(Start(0, 7, 0, 1)),
+    ]
+    with powered() as host:
+        sent = 0
+        while sent < 100_000:
+            data = bytearray(rng.choice(frames) if rng.random() < 0.7 else rng.randbytes(30))
+            for _ in range(rng.randrange(4)):
+                data[rng.randrange(len(data))] = rng.randrange(256)
+            data = data[: rng.randrange(1, len(data) + 1)] if rng.random() < 0.3 else data
+            host.put(bytes(data))
+            sent += len(data)
+            host.wait(len(data) * 0.02)
+        host.wait(50)
+
+        hello = host.hello()
+        assert hello.state in (State.IDLE, State.READY)
+        assert host.uno.harness.figures().last_high == 0
+        assert host.uno.harness.figures().boots == 1
+        assert host.uno.violations == []
+        host.wait(1100)
+        assert host.last(Status).stack_free >= 128
+
+
+def _check(data: bytes) -> bytes:
+    return (zlib.crc32(data) ^ 0xFFFFFFFF).to_bytes(4, "little")
+
+
+def _act(host: Host, rng: random.Random) -> None:
+    """Do one thing that a host, good or bad, might do."""
+    k = host.now // MS
+    match rng.randrange(12):
+        case 0:
+            host.say(Stop)
+        case 1:
+            host.say(Estop)
+        case 2 | 3:
+            host.say(ClearFault, host.hello().token)
+            host.start(u_max=rng.choice([65535, 40000]), watchdog_ms=20)
+            host.drive(rng.randrange(40000), rng.randrange(8), k)
+        case 4:
+            host.say(ClearFault, host.hello().token)
+            host.arm(mode=1, watchdog_ms=20, ts_us=rng.choice([400, 1000, 2000]))
+            host.say(Setpoints, 0, 24, 0, tuple(rng.randrange(65536) for _ in range(24)))
+            host.say(Start, rng.choice([0, 10, 30]), host.last(ConfigReply).nonce)
+        case 5:
+            host.say(ClearFault, host.hello().token)
+        case 6:
+            host.uno.reset(host.now)
+            host.wait(BOOT_NS / MS)
+        case 7:
+            host.put(rng.randbytes(rng.randrange(60)))
+        case 8:
+            host.say(Ping, k)
+        case _:
+            host.drive(rng.randrange(65536), rng.randrange(8), k)
+    host.wait(rng.random() * 30)
+
+
+@pytest.mark.parametrize("first", range(0, 200, 50))
+def test_in_every_state_but_run_the_pin_is_low(first: int) -> None:
+    """S1, S6: over 200 seeds of what hosts do, good and bad ones; no spike, no enable line."""
+    driven = 0
+    for seed in range(first, first + 50):
+        rng = random.Random(seed)
+        with powered(seed) as host:
+            for _ in range(10):
+                _act(host, rng)
+            host.wait(60)
+            host.hello()
+            assert_low_outside_run(host)
+            driven += bool(high_from(host.uno, 0, host.now))
+    assert driven > 10
+
+
+def test_the_clock_is_told_to_the_microsecond() -> None:
+    """PONG's two times lie between PING's arrival and its own departure."""
+    with powered() as host:
+        host.hello()
+        for i in range(20):
+            arrived_ns = host.say(Ping, i)
+            host.wait(7.3)
+            (left_ns, pong) = next(p for p in reversed(host.heard) if isinstance(p[1], Pong))
+            begun_ns = left_ns - 26 * 20_000
+            assert pong.host_ns == i
+            assert 0 <= pong.tx_us - pong.rx_us <= (begun_ns - arrived_ns) / 1000 + 1
+            assert (begun_ns - arrived_ns) / 1000 < pong.tx_us - pong.rx_us + 600
+
+
+def test_what_it_does_not_know_is_refused_by_name() -> None:
+    """A type of devices from a host: UNKNOWN_TYPE."""
+    with powered() as host:
+        host.hello()
+        host.say(HelloReply, *([0] * (len(HelloReply._fields) - 2)))
+        host.wait(10)
+
+        assert host.last(Ack).of_type == 0x81

@@ -1,0 +1,207 @@
+"""Scheduled and exchange runs on the Uno's binary, by the daemon's loop and core as they are."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import pairwise
+
+import pytest
+from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_daemon.config import Config, Device
+from armrig_daemon.core.state import Phase
+from armrig_daemon.emulator.board import duty
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uno import Uno
+from armrig_daemon.pipe import Acquire, Play, RunEnded, RunStarted
+from armrig_daemon.virtual import VirtualRig
+from armrig_protocol.messages import Flag, State
+from virtual_bench import LEASE, MS, Bench, codes
+
+from firmware.uno_host import PERIOD_NS, missing, switch_on
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+LATCH_NS = 16_000
+"""An interrupt may wait so long for another; what it sets acts in the next period."""
+
+
+class UnoBench(Bench):
+    """A loop in virtual time, with the firmware's binary at the other end of its line."""
+
+    def __init__(self, config: Config | None = None, seed: int = 1) -> None:
+        self.lateness_ns = 0
+        self._number = 0
+        rules = (config or Config()).rules()
+        settings = EmulatorSettings(seed=seed, baud=rules.baud)
+        lateness: Callable[[], int] = lambda: self.lateness_ns  # noqa: E731
+        VirtualRig.__init__(self, rules, settings, lateness, 0, switch_on)
+        self.holds: list[int] = []
+        self.uno.stuck = self._note_hold
+        self.run_for(500)
+
+    @property
+    def uno(self) -> Uno:
+        device = self.ports.device
+        assert isinstance(device, Uno)
+        return device
+
+    def _note_hold(self, t_ns: int, channel: int) -> None:
+        if channel == 0:
+            self.holds.append(t_ns)
+
+    def play(self, volts: list[float], ts_us: int, *, scheduled: bool = True) -> None:
+        """Arm and begin a run."""
+        assert not self.ask(Acquire, owner="a student", lease=LEASE, ts_us=ts_us).error
+        run = partial(Play, order=500, lease=LEASE, n=0, run_id="r", scheduled=scheduled)
+        self.order(run(codes=codes(*volts)))
+
+    def run(self, volts: list[float], ts_us: int, *, scheduled: bool = True) -> None:
+        """Play a run to its end."""
+        self.play(volts, ts_us, scheduled=scheduled)
+        self.run_for(len(volts) * ts_us / 1000 + 500)
+
+
+@pytest.fixture
+def switched_on() -> Iterator[Callable[..., UnoBench]]:
+    """Return what switches benches on; they are switched off at the end."""
+    benches: list[UnoBench] = []
+
+    def switch_on_bench(config: Config | None = None, seed: int = 1) -> UnoBench:
+        benches.append(UnoBench(config, seed))
+        return benches[-1]
+
+    yield switch_on_bench
+    for bench in benches:
+        bench.uno.close()
+
+
+@pytest.fixture
+def bench(switched_on: Callable[..., UnoBench]) -> UnoBench:
+    """Return a bench whose watchdog outlasts a stall of the host."""
+    return switched_on(Config(device=Device(watchdog_ms=250)))
+
+
+def telegraph(n: int, seed: int = 1) -> list[float]:
+    """Return n voltages that no two neighbouring indices share by habit."""
+    rng = random.Random(seed)
+    return [rng.choice([0.0, 0.5, 1.0, 2.5, 4.0, 5.0]) for _ in range(n)]
+
+
+def assert_complete(bench: UnoBench, volts: list[float]) -> None:
+    """Every sample has its own u, none is missing, and the pin is low afterwards."""
+    (started,) = bench.of(RunStarted)
+    samples = [s for s in bench.samples if 0 <= s.k - started.k_first < len(volts)]
+    assert [r.outcome for r in bench.of(RunEnded)] == ["complete"]
+    assert len(samples) == len(volts)
+    for s, v in zip(samples, volts, strict=True):
+        assert s.u_cmd_v == volts_of(code_of(v))
+        assert s.u_applied_v == volts_of(applied_code(code_of(v), 10))
+        assert not s.flags & (Flag.TICK_LATE | Flag.UNDERRUN | Flag.RX_OVERFLOW | Flag.TX_DROP)
+    assert bench.phase is Phase.SAFE
+    assert bench.volts == 0.0
+    assert bench.uno.violations == []
+
+
+def assert_on_the_pin(bench: UnoBench, volts: list[float], ts_us: int) -> None:
+    """Each u drives the pin from one period of the PWM after theta_1's hold to the next one."""
+    uno, duties = bench.uno, bench.uno.duties
+    (started,) = bench.of(RunStarted)
+    samples = [s for s in bench.samples if 0 <= s.k - started.k_first < len(volts)]
+    first = _index_of_hold(bench, samples[0].t_device_us)
+    holds = bench.holds[first : first + len(volts)]
+    at = 0
+    for hold_ns, v in zip(holds, volts, strict=True):
+        by_ns = hold_ns + PERIOD_NS + LATCH_NS
+        while at + 1 < len(duties) and uno.ns(duties[at + 1].cycle) <= by_ns:
+            at += 1
+        assert duties[at].high == duty(code_of(v), 10)
+        assert at + 1 == len(duties) or uno.ns(duties[at + 1].cycle) > hold_ns + (ts_us - 70) * 1000
+    for a, b in pairwise(holds):
+        assert abs(b - a - ts_us * 1000) <= 1000
+    offsets = [h - s.t_device_us * 1000 for h, s in zip(holds, samples, strict=True)]
+    assert max(offsets) - min(offsets) <= 1000
+
+
+def _index_of_hold(bench: UnoBench, t_us: int) -> int:
+    """Return which hold is that of the sample with this time.
+
+    The device's clock begins with its program, and both are known together where samples are rare.
+    """
+    alone_us = bench.samples[20].t_device_us
+    (behind_ns,) = (h - alone_us * 1000 for h in bench.holds if 0 <= h - alone_us * 1000 < 9 * MS)
+    due_ns = t_us * 1000 + behind_ns
+    return next(i for i, t in enumerate(bench.holds) if abs(t - due_ns) <= 1000)
+
+
+@pytest.mark.parametrize("ts_us", [1000, 2000])
+def test_every_u_is_at_its_k_and_on_the_pin(bench: UnoBench, ts_us: int) -> None:
+    """10 s at 1 kHz and at 500 Hz, with PING and STATUS beside it: no byte is lost."""
+    volts = telegraph(10_000_000 // ts_us)
+
+    bench.run(volts, ts_us)
+
+    assert_complete(bench, volts)
+    assert_on_the_pin(bench, volts, ts_us)
+    figures = bench.uno.harness.figures()
+    assert figures.boots == 1
+    assert figures.interrupts_off_max <= 16 * 16  # 16 us
+
+
+def test_the_same_run_gives_the_same_bytes(switched_on: Callable[..., UnoBench]) -> None:
+    """Three times, with the converter's noise: nothing of the machine that runs it is in them."""
+    told = []
+    for _ in range(3):
+        bench = switched_on(seed=7)
+        bench.run(telegraph(1000), 1000)
+        told.append((repr(bench.records), bench.uno.duties))
+
+    assert told[0] == told[1] == told[2]
+
+
+def test_the_host_paces_as_well(bench: UnoBench) -> None:
+    """Exchange mode at 200 Hz: every u at its k."""
+    volts = telegraph(1000)
+
+    bench.run(volts, 5000, scheduled=False)
+
+    assert_complete(bench, volts)
+
+
+def test_a_host_that_is_late_costs_the_timer_nothing(bench: UnoBench) -> None:
+    """8 ms late at each wake: the device keeps its period."""
+    bench.lateness_ns = 8 * MS
+    volts = telegraph(1000)
+
+    bench.run(volts, 2000)
+
+    assert_complete(bench, volts)
+    assert_on_the_pin(bench, volts, 2000)
+
+
+def test_a_host_that_dies_in_a_run_leaves_0_v(bench: UnoBench) -> None:
+    """S3: kill -9 with a second of setpoints queued; the pin is low in watchdog + 1 ms."""
+    bench.play(telegraph(5000), 2000)
+    bench.run_for(1000)
+    died_ns = bench.ports.now
+
+    bench.uno.advance(died_ns + 400 * MS)
+
+    assert bench.uno.ns(bench.uno.harness.figures().last_high) <= died_ns + 252 * MS
+    assert bench.uno.state is State.FAULT
+    assert bench.uno.violations == []
+
+
+def test_a_reset_in_a_run_is_seen_and_is_0_v(bench: UnoBench) -> None:
+    """S1, S6: a new boot_id ends the run; nothing arms again by itself."""
+    bench.play(telegraph(5000), 2000)
+    bench.run_for(1000)
+    reset_ns = bench.ports.now
+
+    bench.uno.reset(reset_ns)
+    bench.run_for(2000)
+
+    assert bench.uno.ns(bench.uno.harness.figures().last_high) <= reset_ns
+    assert bench.phase is not Phase.ACTIVE
+    assert bench.volts == 0.0
+    assert bench.of(RunEnded)[0].outcome != "complete"

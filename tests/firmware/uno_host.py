@@ -1,0 +1,184 @@
+"""The Uno's binary in simavr for tests: built once, and a host that talks to it by hand."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from armrig_daemon.emulator.harness import Duty
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uart import wire_ns
+from armrig_daemon.emulator.uno import Uno
+from armrig_protocol import decoder
+from armrig_protocol.frame import Spoilt, Unknown, encode
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    VERSION,
+    Arm,
+    Config,
+    ConfigReply,
+    Exchange,
+    Hello,
+    HelloReply,
+    Message,
+    Mode,
+    Start,
+    State,
+)
+
+ROOT = Path(__file__).parents[2]
+FIL = ROOT / "firmware_protocol" / "fil"
+HEX = ROOT / "firmware_protocol" / "firmware" / "armrig-uno.hex"
+MS = 1_000_000
+BOOT_NS = 250 * MS
+"""The Uno has booted, and been heard, after so long."""
+PERIOD_NS = 64_000
+"""Of the PWM."""
+
+
+def missing() -> str:
+    """Return what the tests in simavr lack here; empty where nothing."""
+    if shutil.which("cc") is None or shutil.which("make") is None:
+        return "no cc or no make: the harness is not built"
+    if not Path("/usr/include/simavr/sim_avr.h").exists():
+        return "no libsimavr-dev: the firmware is not run"
+    return ""
+
+
+@cache
+def harness() -> Path:
+    """Return the harness, built where its sources are newer."""
+    subprocess.run(["make", "-s", "-C", str(FIL)], check=True)
+    return FIL / "fil"
+
+
+def switch_on(settings: EmulatorSettings, now_ns: int, **kwargs: Any) -> Uno:
+    """Return a simulated Uno with the firmware of the checkout."""
+    return Uno(harness(), HEX, settings, now_ns, **kwargs)
+
+
+class Host:
+    """Whoever is at the other end of the Uno's line; says what it is told to."""
+
+    def __init__(self, uno: Uno) -> None:
+        self.uno = uno
+        self.now = 0
+        self.seq = 0
+        self.heard: list[tuple[int, Message]] = []
+        """What came, each with when its last byte had."""
+        self.spoilt = 0
+        self.starts: list[int] = []
+        """When each START had arrived."""
+        self._pending = b""
+
+    def wait(self, ms: float) -> None:
+        """Let time pass."""
+        self.now += round(ms * MS)
+        for t_ns, data in self.uno.advance(self.now):
+            self._pending, received = decoder.feed(self._pending, data)
+            for one in received:
+                if isinstance(one, Spoilt | Unknown):
+                    self.spoilt += 1
+                else:
+                    self.heard.append((t_ns, one))
+
+    def say(self, kind: type[Message], *fields: Any) -> int:
+        """Send a frame; return when it will have arrived."""
+        self.seq = (self.seq + 1) & 0xFFFF
+        return self.put(encode(kind(0, self.seq, *fields)), starts=kind is Start)
+
+    def put(self, data: bytes, *, starts: bool = False) -> int:
+        """Put bytes on the line; return when they will have arrived."""
+        self.uno.receive(self.now, data)
+        arrived_ns = self.now + self.uno.rx_backlog_ns(self.now)
+        if starts:
+            self.starts.append(arrived_ns)
+        return arrived_ns
+
+    def last(self, kind: type[Message]) -> Any:
+        """Return the newest message of a kind."""
+        return next(m for _, m in reversed(self.heard) if isinstance(m, kind))
+
+    def of(self, kind: type[Message]) -> list[Any]:
+        """Return all messages of a kind."""
+        return [m for _, m in self.heard if isinstance(m, kind)]
+
+    def hello(self) -> HelloReply:
+        """Shake hands, with a 00 first."""
+        self.put(b"\0")
+        self.say(Hello, VERSION, SCHEMA_HASH)
+        self.wait(5)
+        reply: HelloReply = self.last(HelloReply)
+        return reply
+
+    def arm(self, **config: int) -> None:
+        """Come as far as ARMED, in exchange mode unless told otherwise."""
+        hello = self.hello()
+        reply = self.configure(**config)
+        self.say(Arm, hello.boot_id, reply.config_crc, reply.nonce)
+        self.wait(4)
+
+    def configure(self, **config: int) -> ConfigReply:
+        """Send CONFIG and return its answer."""
+        fields = {
+            **{"ts_us": 2000, "u_min": 0, "u_max": 65535, "u_rest": 0, "slew": 0},
+            **{"watchdog_ms": 100, "mode": int(Mode.EXCHANGE), "underrun": 0, "hold": 0},
+            **{"oversampling": 1, "rail_ticks": 0, "turns": 0},
+        } | config
+        self.say(Config, *fields.values())
+        self.wait(5)
+        reply: ConfigReply = self.last(ConfigReply)
+        return reply
+
+    def start(self, k_stop: int = 0, **config: int) -> None:
+        """Come as far as RUN."""
+        self.arm(**config)
+        self.say(Start, k_stop, self.last(ConfigReply).nonce)
+        self.wait(4)
+
+    def drive(self, u: int, n: int, k: int = 1) -> int:
+        """Exchange n samples with u; return when the last frame had arrived."""
+        arrived_ns = 0
+        for i in range(n):
+            arrived_ns = self.say(Exchange, k + i, u)
+            self.wait(2)
+        return arrived_ns
+
+
+@contextmanager
+def powered(seed: int = 1, **kwargs: Any) -> Iterator[Host]:
+    """Switch an Uno on, wait until it has booted, and give its host; switch it off."""
+    uno = switch_on(EmulatorSettings(seed=seed), 0, **kwargs)
+    try:
+        host = Host(uno)
+        host.wait(BOOT_NS / MS)
+        yield host
+    finally:
+        uno.close()
+
+
+def high_from(uno: Uno, since_ns: int, until_ns: int) -> list[Duty]:
+    """Return what was high on the pin in an interval; a period counts where it begins in it."""
+    ends = [d.cycle for d in uno.duties[1:]] + [uno.harness.cycle]
+    return [
+        duty
+        for duty, end in zip(uno.duties, ends, strict=True)
+        if duty.high and uno.ns(end) > since_ns and uno.ns(duty.cycle) < until_ns
+    ]
+
+
+def assert_low_outside_run(host: Host) -> None:
+    """Whenever the device told another state than RUN, its pin was low, up to the next START."""
+    uno = host.uno
+    assert uno.violations == []
+    for t_ns, message in host.heard:
+        if message.state == State.RUN:
+            continue
+        left_ns = t_ns - wire_ns(len(encode(message)), 500_000)
+        until_ns = min((t for t in host.starts if t > left_ns), default=1 << 62)
+        assert high_from(uno, left_ns, until_ns) == [], message
