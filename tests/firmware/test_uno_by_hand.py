@@ -19,6 +19,7 @@ from armrig_protocol.messages import (
     Estop,
     Event,
     Exchange,
+    Flag,
     Hello,
     HelloReply,
     Keepalive,
@@ -194,6 +195,26 @@ def test_oversampling_is_the_mean_of_conversions_one_skew_apart() -> None:
         assert sample.y1 == round(sum(codes[::2]) / 16 * 64)
         assert sample.y0 == round(sum(codes[1::2]) / 16 * 64)
         assert not sample.flags & 0x0100
+
+
+@pytest.mark.parametrize("ts_us", [1000, 2000])
+def test_a_reading_is_of_its_own_channel_while_the_supply_is_measured(ts_us: int) -> None:
+    """Two seconds of the timer's samples; a supply that sinks meanwhile is told."""
+    with powered() as host:
+        host.arm(mode=1, ts_us=ts_us, watchdog_ms=250)
+        host.uno.stuck = lambda _, channel: 300 + 400 * channel
+        host.say(Start, 0, host.last(ConfigReply).nonce)
+        for i in range(20):
+            host.wait(100)
+            host.say(Ping, i)
+            host.uno.harness.supply(4600)
+        host.wait(10)
+
+        taken = [s for s in host.of(Sample) if s.flags & Flag.RUN]
+        assert len(taken) >= 1_990_000 // ts_us
+        assert {(s.y0, s.y1) for s in taken} == {(300 * 64, 700 * 64)}
+        assert not any(s.flags & Flag.TICK_LATE for s in taken)
+        assert host.last(Status).vcc_mv == pytest.approx(4600, abs=25)
 
 
 @pytest.mark.parametrize("channel", [0, 1])

@@ -1,14 +1,16 @@
 // Conversions are triggered by timer 0 itself, at its compare A, one a turn of 128 us, so that no
-// late interrupt makes them late. When the last of a sample is held, 16 us after its trigger,
-// compare B's interrupt gives u to the motor. To find u takes 30 us, so that it is made ready before,
-// while alpha is converted for the last time; what puts the motor off meanwhile makes that void.
+// late interrupt makes them late. Compare B's interrupt turns the multiplexer 40 us behind each, when
+// the converter has long held what it converts (data sheet, 24.5). And when the last of a sample is
+// held, 16 us after its trigger, it gives u to the motor. To find u takes 30 us, so that it is made
+// ready before, while alpha is converted for the last time; what puts the motor off meanwhile makes
+// that void.
 //
 // The converter runs at 125 kHz: 13.5 clocks, 108 us a conversion. Full resolution asks for 200 kHz
 // at most (data sheet, 24.4), and 250 kHz would gain little: the line alone takes 360 us for a
 // SAMPLE at 1 Mbaud, and a sample takes the converter for 128 + 108 us.
 //
 // The long handlers, of the latch and of a conversion's end, let other interrupts in: the line's
-// are due every 20 us. What is next among the converter's own is 20 us or more away.
+// are due every 20 us.
 #include "converter.h"
 
 #include "board.h"
@@ -25,7 +27,7 @@
 enum {
     COUNTS_PER_US = 2, // of timer 0
     HOLD_COUNTS = (BOARD_HOLD_US - 2) * COUNTS_PER_US, // its interrupt takes 3 us to set OCR1A
-    READY_COUNTS = 40 * COUNTS_PER_US, // from the last trigger but one; 88 us before the last
+    TURN_COUNTS = 40 * COUNTS_PER_US, // more than HOLD_COUNTS
     LEAD_COUNTS = 32, // 16 us: longer than it takes to set a trigger with interrupts off
     LEAD_US = LEAD_COUNTS / COUNTS_PER_US,
     OVERDUE_US = 50000,
@@ -36,19 +38,17 @@ static volatile enum {
     SETTING, // something is being set, by who has made it this
     SET, // the first trigger is to come, after `turns_to_go` turns
     CONVERTS, // a conversion is under way
-    READ, // it was read, and the next trigger is to come
-    DISCARDS, // that came before the multiplexer was turned: what is converted is of no use
-    LAST, // the last conversion is under way
     ENDING, // the end of the run is to come, after `turns_to_go` turns
 } phase;
 static volatile uint16_t turns_to_go;
-static uint16_t triggers; // to come
+static uint16_t triggers, readings; // to come
 static uint8_t what; // of the sample that is set or under way
 static bool of_sample; // else of one channel
-static bool unread; // the conversion before the one that is of no use
-static uint8_t channel; // of what is to be triggered, or under way
+static uint8_t channel; // of the next reading
+static bool is_turned; // the multiplexer, for the next trigger
+static bool is_ready; // u, to be set at the hold
+static bool is_broken; // a trigger came before the multiplexer was turned: no reading can be trusted
 static uint32_t trigger_us; // the last one's, or the end
-static bool is_ready; // u of the sample that is under way
 
 static volatile uint8_t asked; // samples that wait
 
@@ -109,14 +109,22 @@ static uint32_t set_now(void)
     return now_us + to_go / COUNTS_PER_US;
 }
 
+// Begins with one channel, or with alpha where they alternate.
+static void begin_with(uint8_t first, uint16_t n)
+{
+    triggers = readings = n;
+    channel = first;
+    is_turned = true;
+    converter_turn_to(first);
+}
+
 // Sets the sample of `what`, the last conversion of which is to be at `at_us` if the timer takes it.
 static void set_sample(uint32_t at_us)
 {
+    const uint16_t n = 2 * (uint16_t)rig_oversampling();
+    const uint32_t takes_us = (uint32_t)(n - 1) * BOARD_SKEW_US;
     of_sample = true;
-    triggers = 2 * (uint16_t)rig_oversampling();
-    channel = ALPHA_CHANNEL;
-    converter_turn_to(channel);
-    const uint32_t takes_us = (uint32_t)(triggers - 1) * BOARD_SKEW_US;
+    begin_with(ALPHA_CHANNEL, n);
     trigger_us = at_us;
     if (what == RIG_TIMED && set_compare(at_us - takes_us, SET))
         return;
@@ -167,21 +175,18 @@ static void set_compare_b(uint8_t counts)
     TIMSK0 |= _BV(OCIE0B);
 }
 
-// The last conversion was triggered just now.
-static void begin_last(void)
-{
-    ADCSRA = ON;
-    TIMSK0 &= (uint8_t)~_BV(OCIE0A);
-    phase = LAST;
-}
-
-// The last trigger but one was just now, which every sample has: u is made ready.
-static void begin_last_but_one(void)
+// A conversion was triggered just now.
+static void count_trigger(void)
 {
     phase = CONVERTS;
-    is_ready = false;
-    if (of_sample)
-        set_compare_b(READY_COUNTS);
+    is_broken |= !is_turned;
+    if (--triggers == 0) {
+        ADCSRA = ON;
+        TIMSK0 &= (uint8_t)~_BV(OCIE0A);
+    } else {
+        is_turned = false;
+        set_compare_b(TURN_COUNTS);
+    }
 }
 
 static void end_run(void)
@@ -195,68 +200,50 @@ static void end_run(void)
 
 ISR(TIMER0_COMPA_vect)
 {
-    const uint8_t now = phase;
     if (turns_to_go) {
-        if (--turns_to_go == 0 && now == SET)
+        if (--turns_to_go == 0 && phase == SET)
             ADCSRA = TRIGGERED; // from the next one on
         else
             supply_turn(turns_to_go < UINT8_MAX ? turns_to_go : UINT8_MAX);
-    } else if (now == SET || now == READ) {
-        if (--triggers == 0)
-            begin_last();
-        else if (triggers == 1)
-            begin_last_but_one();
-        else
-            phase = CONVERTS;
-    } else if (now == ENDING) {
+    } else if (phase == ENDING) {
         end_run();
-    } else { // triggered too soon: this one is not counted
-        if (now == CONVERTS)
-            unread = true;
-        phase = DISCARDS;
-        trigger_us += TURN_US;
-        what |= RIG_LATE;
+    } else {
+        count_trigger();
     }
+}
+
+// Finds u, which is to be set at the hold of the conversion that is triggered next.
+static void make_ready(void)
+{
+    motor_stage(true);
+    sei();
+    rig_latch(what);
+    cli();
+    motor_stage(false);
+    is_ready = true;
+    set_compare_b(HOLD_COUNTS); // which is in the next turn
 }
 
 ISR(TIMER0_COMPB_vect)
 {
     const uint8_t began = TCNT0;
-    if (!is_ready) {
-        TIMSK0 &= (uint8_t)~_BV(OCIE0B);
-        motor_stage(true);
-        sei();
-        rig_latch(what);
-        cli();
-        motor_stage(false);
-        is_ready = true;
-        set_compare_b(HOLD_COUNTS); // which is in the next turn
-    } else if (phase == LAST) { // else the last trigger has been put off by a turn
-        TIMSK0 &= (uint8_t)~_BV(OCIE0B);
+    TIMSK0 &= (uint8_t)~_BV(OCIE0B);
+    if (is_ready) {
+        is_ready = false;
         motor_apply();
+    } else {
+        is_turned = true;
+        if (of_sample) {
+            // A reading of the other channel is still to come.
+            converter_turn_to(channel ^ THETA_1_CHANNEL ^ ALPHA_CHANNEL);
+            if (triggers == 1)
+                make_ready();
+        }
     }
     note_length(began);
 }
 
-// Takes a reading, and turns the multiplexer before the next trigger comes.
-static void end_conversion(uint16_t reading)
-{
-    const uint8_t of = channel;
-    if (of_sample) {
-        channel ^= THETA_1_CHANNEL ^ ALPHA_CHANNEL;
-        converter_turn_to(channel);
-    }
-    unread = false;
-    if (phase == CONVERTS)
-        phase = TIFR0 & _BV(OCF0A) ? DISCARDS : READ;
-    if (phase == DISCARDS && !(ADCSRA & _BV(ADSC)))
-        phase = READ;
-    sei();
-    rig_reading(of == ALPHA_CHANNEL, reading);
-    cli();
-}
-
-static void end_last(uint16_t reading)
+static void end_last(uint16_t code)
 {
     phase = SETTING;
     if (!of_sample) {
@@ -269,7 +256,7 @@ static void end_last(uint16_t reading)
     }
     supply_offer();
     sei();
-    rig_reading(channel == ALPHA_CHANNEL, reading);
+    rig_reading(channel == ALPHA_CHANNEL, code);
     if (of_sample)
         rig_converted(what, trigger_us);
     news = true;
@@ -277,18 +264,29 @@ static void end_last(uint16_t reading)
     cli();
 }
 
+static void end_conversion(uint16_t code)
+{
+    const uint8_t of = channel;
+    if (of_sample)
+        channel ^= THETA_1_CHANNEL ^ ALPHA_CHANNEL;
+    sei();
+    rig_reading(of == ALPHA_CHANNEL, code);
+    cli();
+}
+
 ISR(ADC_vect)
 {
     const uint8_t began = TCNT0;
     const uint16_t reading = ADC, code = reading << (16 - BOARD_ADC_BITS);
-    if (phase == CONVERTS || (phase == DISCARDS && unread))
+    if (phase == CONVERTS && --readings)
         end_conversion(code);
-    else if (phase == DISCARDS)
-        phase = ADCSRA & _BV(ADSC) ? DISCARDS : READ;
-    else if (phase == LAST)
+    else if (phase == CONVERTS)
         end_last(code);
-    else if (supply_end(reading) && claims())
-        set_next(true);
+    else if (supply_end(reading)) {
+        converter_turn_to(channel); // for what may be set meanwhile
+        if (claims())
+            set_next(true);
+    }
     note_length(began);
 }
 
@@ -326,9 +324,7 @@ void board_convert_channel(uint8_t of, uint16_t n)
 {
     phase = SETTING; // nobody else would: it is free, and nothing waits
     of_sample = false;
-    triggers = n;
-    channel = of ? ALPHA_CHANNEL : THETA_1_CHANNEL;
-    converter_turn_to(channel);
+    begin_with(of ? ALPHA_CHANNEL : THETA_1_CHANNEL, n);
     trigger_us = set_now() + (uint32_t)(n - 1) * BOARD_SKEW_US;
 }
 
@@ -383,7 +379,7 @@ bool converter_is_alive(void)
     const uint8_t before = board_irq_save();
     const bool alive = phase == IDLE || (int32_t)(board_now_us() - trigger_us) < OVERDUE_US;
     board_irq_restore(before);
-    return alive;
+    return alive && !is_broken;
 }
 
 uint16_t board_isr_max_us(void)
