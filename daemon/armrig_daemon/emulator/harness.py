@@ -76,6 +76,8 @@ class Figures(NamedTuple):
 
 
 Record = Duty | Left | Violated
+Convert = Callable[[int, int], int]
+"""Returns the ten bits of a conversion, given the cycle of its hold and its channel."""
 
 
 class Harness:
@@ -85,7 +87,6 @@ class Harness:
         self,
         program: Path,
         image: Path,
-        convert: Callable[[int, int], int],
         *,
         baud: int,
         trace: Path | None = None,
@@ -94,8 +95,6 @@ class Harness:
 
         Parameters
         ----------
-        convert : callable
-            Is asked for the ten bits of a conversion, given the cycle of its hold and its channel.
         baud : int
             Speed of the host's line.
         trace : Path, optional
@@ -114,13 +113,31 @@ class Harness:
         except OSError as err:
             msg = f"{program}: {err.strerror}"
             raise HarnessError(msg) from err
-        self._convert = convert
         self.cycle = 0
 
-    def advance(self, cycle: int, *, until_frame: bool = False) -> list[Record]:
-        """Run to a cycle, or to the end of a frame to the host; return what happened."""
+    def advance(
+        self, cycle: int, convert: Convert, *, until_frame: bool = False
+    ) -> Iterator[Record]:
+        """Run to a cycle, or to the end of a frame to the host; yield what happens, to its end.
+
+        `convert` is asked for each reading.
+        """
         self._order(b"A", cycle, until_frame)
-        return list(self._records())
+        while True:
+            kind, cycle, value = _RECORD.unpack(self._read(_RECORD.size))
+            match chr(kind):
+                case "a":
+                    self._in.write(_READING.pack(convert(cycle, value)))
+                    self._in.flush()
+                case "t":
+                    yield Left(cycle, value)
+                case "v":
+                    yield Duty(cycle, value & 0xFFFF, bool(value >> 16))
+                case "x":
+                    yield Violated(cycle, Violation(value))
+                case "d":
+                    self.cycle = cycle
+                    return
 
     def send(self, cycle: int, data: bytes) -> None:
         """Put bytes on the line to the device, not before `cycle`."""
@@ -181,21 +198,3 @@ class Harness:
     def _data(self) -> bytes:
         _, _, n = _RECORD.unpack(self._read(_RECORD.size))
         return self._read(n)
-
-    def _records(self) -> Iterator[Record]:
-        """Yield what it tells until it has come to its end; answer what it asks."""
-        while True:
-            kind, cycle, value = _RECORD.unpack(self._read(_RECORD.size))
-            match chr(kind):
-                case "a":
-                    self._in.write(_READING.pack(self._convert(cycle, value)))
-                    self._in.flush()
-                case "t":
-                    yield Left(cycle, value)
-                case "v":
-                    yield Duty(cycle, value & 0xFFFF, bool(value >> 16))
-                case "x":
-                    yield Violated(cycle, Violation(value))
-                case "d":
-                    self.cycle = cycle
-                    return

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
+from weakref import finalize
 
 import numpy as np
 from armrig_protocol import decoder
@@ -73,7 +74,8 @@ class Uno:
         self._deaf = OPTIBOOT_NS * CYCLES_PER_US // 1000 if boot_loader else 0
         self._frame = bytearray()
         self._frames: deque[tuple[int, bytes]] = deque()
-        self.harness = Harness(program, image, self._reading, baud=settings.baud, trace=trace)
+        self.harness = Harness(program, image, baud=settings.baud, trace=trace)
+        finalize(self, self.harness.close)
         self.state = State.BOOT
         """As the newest frame tells."""
         self.cause = Cause.POWER_ON
@@ -136,7 +138,7 @@ class Uno:
         target = self.cycle(now_ns)
         if target <= self.harness.cycle:
             return
-        for record in self.harness.advance(target, until_frame=until_frame):
+        for record in self.harness.advance(target, self._reading, until_frame=until_frame):
             match record:
                 case Left(cycle, byte):
                     self._frame.append(byte)

@@ -1,0 +1,39 @@
+"""From the Uno's binary through loop, recorder and loading to a model: the true arm comes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.commands import Run
+from armrig_daemon.config import Config
+from armrig_daemon.service.virtual_service import VirtualService
+
+from firmware.uno_host import missing, switch_on
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+N, Ts = 3000, 0.01
+OMEGA = np.geomspace(0.5, 60, 200)
+
+
+@pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
+def test_the_frequency_response_is_the_arm_s(pacing: str, tmp_path: Path) -> None:
+    """OE of 30 s at 100 Hz in lock-step: within 5 % rms over 0.5 to 60 rad/s."""
+    service = VirtualService(Config(), tmp_path, seed=1, switch_on=switch_on)
+    u = armrig.telegraph(N, 0.05, low=0.0, high=5.0, seed=1)
+    path = service.record(
+        Run(lease="0" * 32, n=0, u=u.tolist(), experiment="blackbox", pacing=pacing)
+    )
+
+    data = armrig.load(path).dataset(output="theta_1")
+    fit = armrig.oe(data, nb=4, nf=4, nk=1, integrator=True)
+
+    A, B, C = arm_matrices(ArmParameters())
+    Phi, Gamma = zero_order_hold(A, B, Ts)
+    z = np.exp(1j * OMEGA * Ts)
+    true = np.array([(C[:1] @ np.linalg.solve(zi * np.eye(4) - Phi, Gamma))[0, 0] for zi in z])
+    error = np.sqrt(np.mean(np.abs(fit.frequency_response(OMEGA).G / true - 1) ** 2))
+    assert error < 0.05
