@@ -2,10 +2,11 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test machine check coverage mutants bench fuzz simulate format clean
+.PHONY: demo test machine check coverage mutants bench fuzz simulate firmware fil format clean
 
-demo: .venv/run
-	$(BIN)/armrig demo
+# FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
+demo: .venv/run $(if $(FIRMWARE),fil)
+	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
 # Two side by side; then what is timed, alone, and also where something before it failed.
 test: .venv/dev

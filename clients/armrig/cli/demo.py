@@ -27,6 +27,11 @@ _VIRTUAL = (
     "machine."
 )
 
+_FIRMWARE = (
+    "The device was the firmware of an Arduino Uno, the very bytes that are flashed, in a "
+    "simulator of its processor; the voltage was measured at the simulated pin."
+)
+
 
 def demo(
     directory: Path,
@@ -34,6 +39,7 @@ def demo(
     seconds: float = 30.0,
     seed: int = 1,
     virtual: bool = False,
+    firmware: bool = False,
     console: Console | None = None,
 ) -> dict[str, Any]:
     """Record an emulated rig, identify and validate it, and write a report into `directory`.
@@ -41,7 +47,8 @@ def demo(
     Returns what was found and where it lies, by name.
 
     In virtual time the same seed gives the same bytes. In real time a machine that stalls too often
-    has the rest recorded in virtual time, which the report says.
+    has the rest recorded in virtual time, which the report says. The firmware of an Uno, which runs
+    in a simulator of its processor, is for virtual time.
 
     Raises
     ------
@@ -61,10 +68,16 @@ def demo(
     with console.status("recording in virtual time"):
         if n_real < len(plan):
             paths += record_in_virtual_time(
-                plan[n_real:], directory.absolute(), config, seed=seed, meanwhile=_load_what_draws
+                plan[n_real:],
+                directory.absolute(),
+                config,
+                seed=seed,
+                firmware=firmware,
+                meanwhile=_load_what_draws,
             )
+    remarks = _remarks(len(paths), n_real, why) + ([_FIRMWARE] if firmware else [])
     with console.status("identifying and typesetting"):
-        done, pdf = _reported(paths, n_real, why, directory)
+        done, pdf = _reported(paths, remarks, directory)
     names = [experiment.name for experiment in plan]
     _print_results(console, done, names, directory, pdf)
     if not virtual:
@@ -99,8 +112,8 @@ def _load_what_draws() -> None:
     from armrig.report import document  # noqa: F401
 
 
-def _reported(paths: list[Path], n_real: int, why: str, directory: Path) -> tuple[Study, Path]:
-    """Return the study of the recordings, of which the first were made in real time."""
+def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[Study, Path]:
+    """Return the study of the recordings, and its report, which makes these remarks."""
     from armrig.recordings.loading import load
     from armrig.report.document import report
     from armrig.report.study import study
@@ -110,7 +123,7 @@ def _reported(paths: list[Path], n_real: int, why: str, directory: Path) -> tupl
     pdf = report(
         done,
         directory / "report.pdf",
-        remarks=_remarks(len(paths), n_real, why),
+        remarks=remarks,
         figures=directory,
     )
     return done, pdf

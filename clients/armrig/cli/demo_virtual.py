@@ -22,6 +22,7 @@ def record_in_virtual_time(
     config: Path,
     *,
     seed: int,
+    firmware: bool = False,
     meanwhile: Callable[[], object] = lambda: None,
 ) -> list[Path]:
     """Play experiments on an emulated rig in virtual time; return their recordings.
@@ -32,6 +33,8 @@ def record_in_virtual_time(
         Configuration of the rig.
     seed : int
         Of the emulated rig, and of the names and times of its recordings.
+    firmware : bool, default False
+        The device is the Uno's firmware in simavr.
     meanwhile : callable
         What is done while another processor plays.
 
@@ -43,6 +46,7 @@ def record_in_virtual_time(
     # Where a pipe is not of UTF-8 by itself, the name of a folder would not come through.
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
+    program += ["--firmware"] if firmware else []
     # In a file: a pipe would have to be fed while we do something else.
     with tempfile.TemporaryFile() as asked:
         for one in plan:

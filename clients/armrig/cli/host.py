@@ -26,6 +26,9 @@ def demo(
         bool,
         typer.Option("--virtual", help="In virtual time: at once, the same bytes for each seed."),
     ] = False,
+    firmware: Annotated[
+        bool, typer.Option("--firmware", help="The Uno's firmware in simavr, in virtual time.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Emulate a rig, record it, identify it, write a report.
@@ -46,7 +49,8 @@ def demo(
         msg = f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s"
         raise ValueError(msg)
     console = Console(stderr=json)
-    done = run_demo(directory, seconds=seconds, seed=seed, virtual=virtual, console=console)
+    how = {"virtual": virtual or firmware, "firmware": firmware}
+    done = run_demo(directory, seconds=seconds, seed=seed, console=console, **how)
     if json:
         print_json(done)
     else:

@@ -1,0 +1,47 @@
+"""The Uno's firmware as a file: what is committed is what its sources give, and it fits."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
+from armrig_daemon.emulator.harness import HarnessError
+
+from firmware.uno_host import HEX, ROOT
+
+UNO = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"
+missing = "" if shutil.which("avr-gcc") else "no gcc-avr: the firmware is not built"
+
+
+@pytest.mark.skipif(bool(missing), reason=missing)
+def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
+    """To the byte; and its 28 kB of flash are not exceeded, or make fails."""
+    image = tmp_path / "uno.hex"
+
+    subprocess.run(
+        ["make", "-s", "-C", str(UNO), f"HEX={image}", f"BUILD={tmp_path}"],
+        check=True,
+        capture_output=True,
+    )
+
+    assert image.read_bytes() == HEX.read_bytes(), "run `make firmware` and commit the image"
+
+
+def test_without_a_harness_it_is_said_how_to_build_one(tmp_path: Path) -> None:
+    """In one line; a file that ARMRIG_FIL names is taken."""
+    with pytest.raises(HarnessError, match="build it in a checkout by `make fil`") as error:
+        harness_program({}, tmp_path)
+    assert "\n" not in str(error.value)
+
+    program = tmp_path / "fil"
+    program.touch()
+    assert harness_program({"ARMRIG_FIL": str(program)}, tmp_path / "elsewhere") == program
+
+
+def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
+    """Which file was looked for."""
+    with pytest.raises(HarnessError, match=r"other\.hex: no such firmware"):
+        firmware_image(tmp_path / "other.hex")

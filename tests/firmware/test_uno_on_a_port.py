@@ -1,0 +1,66 @@
+"""`armrigd emulate --firmware`: the binary behind a pseudo-terminal, in real time."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import serial
+from armrig_protocol import decoder
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
+
+from firmware.uno_host import harness, missing
+
+COMMAND = [sys.executable, "-m", "armrig_daemon", "emulate", "--firmware", "--port"]
+
+
+@pytest.mark.skipif(bool(missing()), reason=missing())
+def test_who_opens_the_port_meets_the_firmware(tmp_path: Path) -> None:
+    """It answers HELLO, repeated as it boots, and says who it is: no emulator, an image."""
+    port = tmp_path / "uno"
+    environ = os.environ | {"ARMRIG_FIL": str(harness())}
+    emulator = subprocess.Popen([*COMMAND, str(port)], env=environ, stderr=subprocess.PIPE)
+    try:
+        while not port.exists():
+            assert emulator.poll() is None
+            time.sleep(0.01)
+        reply = _greet(port)
+    finally:
+        emulator.terminate()
+        emulator.communicate()
+
+    assert reply.firmware != 0
+    assert (reply.queue, reply.pwm_bits) == (256, 10)
+    assert reply.reset == 2  # by its pin, as the port was opened
+    assert emulator.returncode == 0
+
+
+def _greet(port: Path) -> HelloReply:
+    pending = b""
+    with serial.Serial(str(port), 500_000, timeout=0.2, exclusive=True) as line:
+        for seq in range(1, 300):
+            line.write(b"\0" + encode(Hello(0, seq, VERSION, SCHEMA_HASH)))
+            pending, received = decoder.feed(pending, line.read(200))
+            for one in received:
+                if isinstance(one, HelloReply):
+                    return one
+    msg = "no answer"
+    raise AssertionError(msg)
+
+
+def test_without_the_harness_it_ends_with_one_line(tmp_path: Path) -> None:
+    """Exit code 78, as for any configuration that a person must mend."""
+    environ = os.environ | {"ARMRIG_FIL": str(tmp_path / "none")}
+
+    ended = subprocess.run(
+        [*COMMAND, str(tmp_path / "uno")], env=environ, capture_output=True, text=True, check=False
+    )
+
+    assert ended.returncode == 78
+    assert ended.stderr.count("\n") == 1
+    assert "make fil" in ended.stderr
