@@ -22,6 +22,7 @@ _LONGEST = 28
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
     "lab chassis": "armrig collect greybox{rig} --Ts 0.01 --seconds 30 --seed 3 --name chassis",
+    "flash": "armrig conformance --device {port}",
     "model": "armrig model --set J_2=0.005 --set K_lin=2.4 -o step.png",
     "model --set": "armrig lab",
     "calibrate": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",

@@ -136,6 +136,24 @@ def question(text: str) -> str:
     return folded(text, columns - _ANSWER, indent=0) if columns > 2 * _ANSWER else text
 
 
+def agree(text: str, *, yes: bool) -> None:
+    """Ask a person, unless `yes`; return where it is agreed to.
+
+    Raises
+    ------
+    RuntimeError
+        It is not, or nobody is there to ask.
+    """
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        msg = "nobody is there to agree to this: --yes does it, --dry-run only shows it"
+        raise RuntimeError(msg)
+    if not typer.confirm(question(text), err=True):
+        msg = "nothing was done"
+        raise RuntimeError(msg)
+
+
 def folded(text: str, columns: int, indent: int | None = None) -> str:
     """Return the text with no line longer than `columns` where there are blanks to break it at.
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from armrig.cli.options import Json, echo, print_json, question
+from armrig.cli.options import Json, agree, echo, print_json
 
 if TYPE_CHECKING:
     from armrig.rig.installation import Plan
@@ -87,12 +86,6 @@ def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     if root == _SYSTEM and os.geteuid() != 0:
         msg = "only root may do this: the same with sudo, and the whole path of armrig"
         raise RuntimeError(msg)
-    if not yes:
-        if not sys.stdin.isatty():
-            msg = "nobody is there to agree to this: --yes does it, --dry-run only shows it"
-            raise RuntimeError(msg)
-        if not typer.confirm(question("Do this?"), err=True):
-            msg = "nothing was done"
-            raise RuntimeError(msg)
+    agree("Do this?", yes=yes)
     plan.carry_out(run_command)
     return True

@@ -11,7 +11,7 @@ from typing import Any
 from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import FAMILIES
 
-_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab"})
+_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab", "flash"})
 """Commands that nobody is led to by a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",

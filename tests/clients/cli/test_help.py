@@ -28,6 +28,7 @@ COMMANDS = [
     "simulate",
     "integrate",
     "report",
+    "flash",
     "service install",
     "service uninstall",
     "service status",
@@ -46,7 +47,7 @@ def test_every_command_has_h_and_an_example(
 
 
 @pytest.mark.parametrize(
-    "typed", ["stpo", "sto", "resett", "colect", "callibrate", "demoo", "benhc", "stpp"]
+    "typed", ["stpo", "sto", "resett", "colect", "callibrate", "demoo", "benhc", "stpp", "falsh"]
 )
 def test_a_mistyped_command_is_never_answered_with_one_that_acts(
     typed: str, capsys: pytest.CaptureFixture[str]
@@ -55,7 +56,7 @@ def test_a_mistyped_command_is_never_answered_with_one_that_acts(
     assert main([typed]) == 2
 
     said = capsys.readouterr().err.replace(f"'{typed}'", "")
-    assert not re.search(r"stop|reset|collect|calibrate|demo|bench", said)
+    assert not re.search(r"stop|reset|collect|calibrate|demo|bench|flash", said)
 
 
 def test_a_mistyped_command_is_answered_with_one_that_reads(

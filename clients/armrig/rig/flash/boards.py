@@ -1,0 +1,131 @@
+"""Which boards are plugged in, and which of them is meant."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+_UNOS = {
+    (0x2341, 0x0043): "Arduino Uno R3",
+    (0x2341, 0x0001): "Arduino Uno",
+    (0x2A03, 0x0043): "Arduino Uno R3 (arduino.org)",
+    (0x1A86, 0x7523): "Uno with a CH340",
+}
+"""By USB vendor and product. The CH340 is on other boards, too: avrdude asks the chip itself."""
+_FREE_PORT = (
+    "end it first, which leaves the motor at 0 V: Ctrl-C where `armrig lab` or `armrigd run` runs, "
+    "or `systemctl stop armrigd@ID`"
+)
+
+
+class PortError(RuntimeError):
+    """No board can be written to; says why, and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """A board at a serial port."""
+
+    port: str
+    name: str
+    is_uno: bool
+    """Whether it is known to be an Uno."""
+
+    def __str__(self) -> str:
+        """Return the board and where it is."""
+        return f"{self.name} at {self.port}"
+
+
+def plugged_in() -> list[Board]:
+    """Return the boards at this machine's USB, in the order of their ports."""
+    from serial.tools.list_ports import comports
+
+    return [
+        _board(port.device, port.vid, port.pid, port.description)
+        for port in sorted(comports())
+        if port.vid is not None and port.pid is not None
+    ]
+
+
+def chosen(port: str | None, boards: Sequence[Board]) -> Board:
+    """Return the board at `port`, or the only Uno that is plugged in.
+
+    Raises
+    ------
+    PortError
+        There is no such port; or none is given, and no Uno or more than one is there.
+    """
+    if port is not None:
+        return _at(port, boards)
+    unos = [board for board in boards if board.is_uno]
+    if len(unos) == 1:
+        return unos[0]
+    if unos:
+        msg = f"{len(unos)} boards: {_list(unos)}; say by --port which one"
+    elif boards:
+        msg = f"no Uno is plugged in, but {_list(boards)}; if it is one, say so by --port"
+    else:
+        msg = "no board is plugged in by USB; plug an Uno in, or give its port by --port"
+    raise PortError(msg)
+
+
+@contextmanager
+def held(board: Board) -> Iterator[None]:
+    """Hold the board's port during the block, so that no daemon takes it.
+
+    A daemon holds its port by the same lock. Where one does, not a byte is sent and no line of the
+    port is moved: the port is open already, so that our opening does not reset the board.
+
+    Raises
+    ------
+    PortError
+        The port cannot be opened, or somebody holds it.
+    """
+    port = board.port
+    try:
+        fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except PermissionError as err:
+        msg = f"{port}: not permitted; add this user to the group of the port (dialout)"
+        raise PortError(msg) from err
+    except OSError as err:
+        msg = f"{port} cannot be opened: {err.strerror}"
+        raise PortError(msg) from err
+    try:
+        if not os.isatty(fd):
+            msg = f"{port} is no serial port; give that of the board, such as /dev/ttyACM0"
+            raise PortError(msg)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as err:
+            msg = f"{port} is held by another program, such as a rig's daemon; {_FREE_PORT}"
+            raise PortError(msg) from err
+        yield
+    finally:
+        os.close(fd)
+
+
+def _at(port: str, boards: Sequence[Board]) -> Board:
+    if not Path(port).exists():
+        there = f"; there is {_list(boards)}" if boards else ""
+        msg = f"{port} is not there{there}"
+        raise PortError(msg)
+    real = str(Path(port).resolve())  # of /dev/armrig-SERIAL
+    for board in boards:
+        if board.port == real:
+            return Board(port=port, name=board.name, is_uno=board.is_uno)
+    return Board(port=port, name="unknown board: no USB device", is_uno=False)
+
+
+def _board(port: str, vendor: int, product: int, description: str) -> Board:
+    name = _UNOS.get((vendor, product), "")
+    ids = f"{vendor:04X}:{product:04X}"
+    unknown = f"unknown board: {description or 'without a name'} ({ids})"
+    return Board(port=port, name=f"{name} ({ids})" if name else unknown, is_uno=bool(name))
+
+
+def _list(boards: Sequence[Board]) -> str:
+    return ", ".join(map(str, boards))

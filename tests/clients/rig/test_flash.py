@@ -1,0 +1,353 @@
+"""`armrig flash`: the real avrdude writes into a boot loader's pages, and the board is asked after.
+
+The program that was written then runs in simavr, from the bytes that the board holds.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+import uno_with_optiboot
+from armrig.cli import flash as command
+from armrig.cli import main
+from armrig.rig.flash import avrdude, boards
+from armrig.rig.flash.boards import Board, PortError, chosen
+from armrig_core.firmware_image import read_image, shipped_image
+from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uno import Uno as SimulatedUno
+from uno_with_optiboot import Uno
+
+NO_SIMAVR = not Path("/usr/include/simavr/sim_avr.h").exists()
+pytestmark = pytest.mark.skipif(shutil.which("avrdude") is None, reason="no avrdude")
+R3 = Board(port="/dev/ttyACM0", name="Arduino Uno R3 (2341:0043)", is_uno=True)
+CH340 = Board(port="/dev/ttyUSB0", name="Uno with a CH340 (1A86:7523)", is_uno=True)
+PICO = Board(port="/dev/ttyACM1", name="unknown board: Pico (2E8A:000A)", is_uno=False)
+Said = pytest.CaptureFixture[str]
+
+
+class _EmulatedDevice(Device):
+    """Another firmware than that which was written."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def _another_firmware(flash: bytes, now_ns: int) -> _EmulatedDevice:
+    return _EmulatedDevice(EmulatorSettings(), now_ns)
+
+
+def _what_was_written(folder: Path, flash: bytes, now_ns: int) -> SimulatedUno:
+    """Return a simulated Uno that runs the bytes of its flash."""
+    image = folder / "flash.hex"
+    image.write_text("".join(_records(flash)) + ":00000001FF\n", encoding="ascii")
+    return SimulatedUno(uno_with_optiboot.harness(), image, EmulatorSettings(), now_ns)
+
+
+def _records(data: bytes) -> Iterator[str]:
+    for at in range(0, len(data), 16):
+        record = bytes((len(data[at : at + 16]), at >> 8, at & 0xFF, 0)) + data[at : at + 16]
+        yield f":{record.hex()}{-sum(record) & 0xFF:02x}\n"
+
+
+@pytest.mark.skipif(NO_SIMAVR, reason="no libsimavr-dev: the firmware is not run")
+def test_the_firmware_is_written_read_back_and_answers(tmp_path: Path, capsys: Said) -> None:
+    """The board holds the bytes of the file, runs them, and says so."""
+    image = read_image(shipped_image())
+    uno_with_optiboot.harness()
+    with Uno(partial(_what_was_written, tmp_path)) as uno:
+        assert main(["flash", "--port", uno.port, "--yes", "--json"]) == 0
+
+    told = json.loads(capsys.readouterr().out)
+    assert bytes(uno.flash[: len(image.data)]) == image.data
+    assert set(uno.flash[len(image.data) :]) == {0xFF}
+    assert told["port"] == uno.port
+    assert told["firmware"]["crc"] == told["device"]["firmware"] == f"{image.crc:08x}"
+    assert (told["device"]["version"], told["device"]["state"]) == (2, "IDLE")
+
+
+def test_a_board_that_runs_another_firmware_afterwards_is_told(capsys: Said) -> None:
+    """Its answer to HELLO says which; all pages were written and read back."""
+    with Uno(_another_firmware) as uno:
+        assert main(["flash", "--port", uno.port, "--yes"]) == 1
+
+    said = capsys.readouterr()
+    assert "written and read back: the same" in said.out
+    assert "says that it runs the firmware 00000000, and not" in said.err
+    assert uno.left
+
+
+def test_a_program_that_does_not_answer_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    """As of a firmware that was built for another speed of the line."""
+    monkeypatch.setattr("armrig.rig.flash.greeting.greeting", lambda port, baud: None)
+    with Uno(_another_firmware) as uno:
+        assert main(["flash", "--port", uno.port, "--yes", "--baud", "1000000"]) == 1
+
+    assert "does not answer at 1000000 baud" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        ({"signature": bytes((0x1E, 0x95, 0x14))}, "the chip on the board is no ATmega328P"),
+        ({"stuck_bit": True}, "what the board holds is not what was written"),
+    ],
+)
+def test_a_board_that_cannot_hold_it_is_told_in_a_line(
+    fault: dict[str, object], says: str, capsys: Said
+) -> None:
+    """Another chip, and a worn cell; avrdude's own words are not shown."""
+    with Uno(_another_firmware) as uno:
+        for name, value in fault.items():
+            setattr(uno, name, value)
+        assert main(["flash", "--port", uno.port, "--yes"]) == 1
+
+    said = capsys.readouterr()
+    assert says in said.err
+    assert len(said.err.splitlines()) == 1
+    assert "read back" not in said.out
+
+
+def test_another_chip_is_not_written(capsys: Said) -> None:
+    """The signature is asked for first."""
+    with Uno(_another_firmware) as uno:
+        uno.signature = bytes((0x1E, 0x95, 0x14))
+        main(["flash", "--port", uno.port, "--yes"])
+
+    assert set(uno.flash) == {0xFF}
+
+
+def test_a_dry_run_says_all_and_sends_nothing(capsys: Said) -> None:
+    """Board, file, CRC, size, command; the port is not even opened."""
+    image = read_image(shipped_image())
+    with Uno(_another_firmware) as uno:
+        assert main(["flash", "--port", uno.port, "--dry-run"]) == 0
+        assert main(["flash", "--port", uno.port, "--dry-run", "--json"]) == 0
+
+    out, _, told = capsys.readouterr().out.rstrip().rpartition("\n")
+    assert set(uno.flash) == {0xFF}
+    for text in (uno.port, str(image.path), f"{len(image.data)} B", f"CRC-32 {image.crc:08x}"):
+        assert text in out
+    assert (
+        json.loads(told)["command"][1:] == avrdude.command("", port=uno.port, image=image.path)[1:]
+    )
+    assert " ".join(json.loads(told)["command"]) in out
+
+
+def test_a_port_that_a_daemon_holds_is_left_alone(capsys: Said) -> None:
+    """By the lock of the daemon's own opening; says how to end it."""
+    with Uno(_another_firmware) as uno:
+        daemon = os.open(uno.port, os.O_RDWR | os.O_NOCTTY)
+        fcntl.flock(daemon, fcntl.LOCK_EX)
+        assert main(["flash", "--port", uno.port, "--yes"]) == 1
+        os.close(daemon)
+
+    assert "is held by another program" in (said := capsys.readouterr().err)
+    assert "systemctl stop armrigd@ID" in said
+    assert set(uno.flash) == {0xFF}
+
+
+def test_no_daemon_takes_the_port_while_it_is_written() -> None:
+    """One that systemd starts meanwhile finds it taken."""
+    from armrig_daemon.loop.link import Link, TakenPortError
+
+    with Uno(_another_firmware) as uno:
+        board = Board(port=uno.port, name="", is_uno=True)
+        with boards.held(board), pytest.raises(TakenPortError):
+            Link(uno.port, 500_000)
+        Link(uno.port, 500_000).close()
+
+
+def test_the_motor_is_asked_for_before_a_byte_is_sent(
+    monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    """What the pins do is said, and without an answer nothing is done."""
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr("typer.confirm", lambda text, err: print(text) and False)
+    with Uno(_another_firmware) as uno:
+        assert main(["flash", "--port", uno.port]) == 1
+
+    said = capsys.readouterr()
+    assert command.MOTOR in said.out
+    assert "nothing was done" in said.err
+    assert set(uno.flash) == {0xFF}
+
+
+def test_where_nobody_can_be_asked_nothing_is_done(capsys: Said) -> None:
+    """A script says --yes."""
+    with Uno(_another_firmware) as uno:
+        assert main(["flash", "--port", uno.port]) == 1
+
+    assert "--yes does it" in capsys.readouterr().err
+    assert set(uno.flash) == {0xFF}
+
+
+def test_without_avrdude_it_says_how_to_get_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    """In a line."""
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+
+    assert main(["flash", "--dry-run"]) == 1
+    assert "apt install avrdude" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("port", "there", "found"),
+    [
+        (None, [PICO, R3], R3),
+        (None, [CH340], CH340),
+        (None, [], "no board is plugged in by USB"),
+        (None, [PICO], "no Uno is plugged in, but unknown board: Pico (2E8A:000A) at /dev/ttyACM1"),
+        (None, [R3, CH340], "2 boards: Arduino Uno R3 (2341:0043) at /dev/ttyACM0, Uno with"),
+        ("/dev/no-such-port", [R3], "/dev/no-such-port is not there; there is Arduino Uno R3"),
+    ],
+)
+def test_which_board_is_meant(port: str | None, there: list[Board], found: Board | str) -> None:
+    """The only Uno, or the one that is named; else all that is there is said."""
+    if isinstance(found, Board):
+        assert chosen(port, there) == found
+        return
+    with pytest.raises(PortError) as refused:
+        chosen(port, there)
+    assert found in str(refused.value)
+    assert ("--port" in str(refused.value)) == (port is None)
+
+
+def test_a_board_is_known_by_the_name_that_stays(tmp_path: Path) -> None:
+    """The link that udev makes leads to its port."""
+    port = tmp_path / "ttyACM0"
+    port.touch()
+    link = tmp_path / "armrig-5563"
+    link.symlink_to(port)
+
+    board = chosen(str(link), [Board(port=str(port), name=R3.name, is_uno=True)])
+
+    assert board == Board(port=str(link), name=R3.name, is_uno=True)
+
+
+def test_boards_are_named_by_their_usb_ids(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Others by what they say of themselves; ports without USB are none."""
+    from serial.tools.list_ports_common import ListPortInfo
+
+    def port(device: str, vid: int | None, pid: int | None, text: str) -> ListPortInfo:
+        info = ListPortInfo(device)
+        info.vid, info.pid, info.description = vid, pid, text
+        return info
+
+    ports = [
+        port("/dev/ttyUSB0", 0x1A86, 0x7523, "USB Serial"),
+        port("/dev/ttyS0", None, None, "ttyS0"),
+        port("/dev/ttyACM1", 0x2E8A, 0x000A, "Pico"),
+        port("/dev/ttyACM0", 0x2341, 0x0043, "ttyACM0"),
+    ]
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
+
+    assert boards.plugged_in() == [R3, PICO, CH340]
+
+
+@pytest.mark.parametrize(
+    ("said", "meaning"),
+    [
+        # avrdude 7.1
+        ("avrdude warning: attempt 3 of 3: not in sync: resp=0x00\n", "does not answer"),
+        ("avrdude error: verification mismatch\n", "is not what was written"),
+        # avrdude 6.3
+        ("avrdude: stk500_getsync() attempt 10 of 10: not in sync: resp=0x00\n", "does not answer"),
+        ("avrdude: verification error; content mismatch\n", "is not what was written"),
+        ("avrdude: Expected signature for ATmega328P is 1E 95 0F\n", "no ATmega328P"),
+        # another
+        (
+            "avrdude error: cannot open x\n\navrdude done.  Thank you.\n",
+            "said: avrdude error: cann",
+        ),
+        ("", "said: nothing"),
+    ],
+)
+def test_what_avrdude_says_becomes_a_line(said: str, meaning: str) -> None:
+    """Of the versions of Debian 12 and of Ubuntu 22.04."""
+    assert meaning in avrdude.reason(said)
+
+
+def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> None:
+    """Its own parser takes our options; it fails at the port."""
+    call = avrdude.command(str(avrdude.find()), port=str(tmp_path / "no"), image=shipped_image())
+
+    with pytest.raises(avrdude.FlashError, match="boot loader does not answer"):
+        avrdude.write(call, lambda done, total, name: None)
+
+
+def test_a_boot_loader_that_falls_silent_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    """It is ended when it takes too long."""
+    monkeypatch.setattr(avrdude, "_LONGEST_S", 1.0)
+    with Uno(_another_firmware) as uno:
+        uno.falls_silent_at = 1024
+        assert main(["flash", "--port", uno.port, "--yes"]) == 1
+
+    assert "the board may hold half a program: leave the motor unplugged" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("", (0, 50, "asking the boot loader")),
+        ("Reading | " + 50 * "#" + " | 100% 0.00s\n", (0, 50, "asking the boot loader")),
+        ("Reading | #### | 100%\nWriting | " + 7 * "#", (7, 50, "writing")),
+        ("Writing | " + 50 * "#" + " | 100% 3 s\nReading | ###", (3, 50, "reading back")),
+    ],
+)
+def test_progress_is_that_of_the_newest_bar(said: str, told: tuple[int, int, str]) -> None:
+    """A block is a fiftieth."""
+    assert avrdude.progress(said) == told
+
+
+def test_progress_ends_where_all_was_read_back() -> None:
+    """Of a real run; how finely it is told before is up to the machine."""
+    told: list[tuple[int, int, str]] = []
+    with Uno(_another_firmware) as uno:
+        call = avrdude.command(str(avrdude.find()), port=uno.port, image=shipped_image())
+        avrdude.write(call, lambda *args: told.append(args))
+
+    assert told[-1] == (50, 50, "reading back")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (":00000001FF\n", "nothing stands at address 0"),
+        (":0100000041BE\n", "it has no end"),
+        (":0100000041BF\n:00000001FF\n", "the checksum of line 1 is wrong"),
+        ("not hex\n", "line 1 is no record"),
+        (":020000060000F8\n", "line 1 is of the unknown kind 6"),
+    ],
+)
+def test_a_file_that_is_no_firmware_is_refused(
+    text: str, says: str, tmp_path: Path, capsys: Said
+) -> None:
+    """Which file, and what is wrong with it."""
+    path = tmp_path / "a.hex"
+    path.write_text(text, encoding="ascii")
+
+    assert main(["flash", "--hex", str(path), "--dry-run"]) == 1
+    assert f"{path}: no firmware in Intel HEX: {says}" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_firmware_that_does_not_fit_is_refused(tmp_path: Path, capsys: Said) -> None:
+    """The boot loader's own 512 B are not written over."""
+    path = tmp_path / "a.hex"
+    path.write_text("".join(_records(bytes(32257))) + ":00000001FF\n", encoding="ascii")
+
+    assert main(["flash", "--hex", str(path), "--dry-run"]) == 1
+    assert "32257 B, and an ATmega328P has room for 32256" in capsys.readouterr().err

@@ -1,0 +1,77 @@
+"""What is in the wheel: the firmware's image, and nothing of its GPL harness."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+from armrig_core.firmware_image import shipped_image
+
+ROOT = Path(__file__).parents[2]
+IMAGE = "armrig_core/firmware/armrig-uno.hex"
+builders = pytest.importorskip("hatchling.builders.wheel", reason="no hatchling")
+sdists = pytest.importorskip("hatchling.builders.sdist", reason="no hatchling")
+
+
+def _wheel(root: Path, folder: Path) -> dict[str, bytes]:
+    """Return the files of the wheel that is built of a tree, and leave them in `folder`."""
+    (path,) = builders.WheelBuilder(str(root)).build(directory=str(folder))
+    with zipfile.ZipFile(path) as wheel:
+        wheel.extractall(folder)
+        return {name: wheel.read(name) for name in wheel.namelist()}
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder for the files of the wheel."""
+    return tmp_path_factory.mktemp("wheel")
+
+
+@pytest.fixture(scope="module")
+def wheel(unpacked: Path) -> dict[str, bytes]:
+    """Give the files of the wheel of this checkout."""
+    return _wheel(ROOT, unpacked)
+
+
+def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
+    """Where `shipped_image` looks for it; it is that which is committed beside its source."""
+    assert wheel[IMAGE] == shipped_image().read_bytes()
+
+
+@pytest.mark.usefixtures("wheel")
+def test_an_installed_armrig_finds_its_own(unpacked: Path) -> None:
+    """Not that of a checkout."""
+    program = "from armrig_core.firmware_image import *; print(shipped_image())"
+    call = [sys.executable, "-c", program]
+    found = subprocess.run(
+        call, env={"PYTHONPATH": str(unpacked)}, capture_output=True, text=True, check=True
+    )
+
+    assert Path(found.stdout.strip()) == unpacked / IMAGE
+
+
+def test_nothing_of_the_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
+    """It is GPL: no file of its folder, under whatever name, nor any C at all."""
+    harness = {path.read_bytes() for path in (ROOT / "firmware_protocol" / "fil").glob("*.[ch]")}
+
+    assert len(harness) > 5
+    assert not harness & set(wheel.values())
+    assert not [name for name in wheel if "fil/" in name or name.endswith((".c", ".h"))]
+    assert not [name for name, data in wheel.items() if b"GPL-3" in data]
+
+
+def test_a_wheel_of_the_source_archive_is_the_same(wheel: dict[str, bytes], tmp_path: Path) -> None:
+    """Whoever builds it from there has the firmware, and no harness in the wheel, either."""
+    (path,) = sdists.SdistBuilder(str(ROOT)).build(directory=str(tmp_path))
+    with tarfile.open(path) as archive:
+        archive.extractall(tmp_path / "source", filter="data")
+    (source,) = (tmp_path / "source").iterdir()
+
+    of_archive = _wheel(source, tmp_path)
+
+    assert of_archive.keys() == wheel.keys()
+    assert of_archive[IMAGE] == wheel[IMAGE]
