@@ -9,7 +9,10 @@ import fcntl
 import json
 import os
 import shutil
+import signal
+import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -299,6 +302,24 @@ def test_a_boot_loader_that_falls_silent_is_told(
     assert "the board may hold half a program: leave the motor unplugged" in capsys.readouterr().err
 
 
+def test_ctrl_c_says_what_the_board_may_hold() -> None:
+    """And leaves no avrdude behind: the port is free at once."""
+    program = [sys.executable, "-m", "armrig", "flash", "--yes", "--port"]
+    with Uno(_another_firmware) as uno:
+        uno.falls_silent_at = 1024
+        flash = subprocess.Popen([*program, uno.port], stderr=subprocess.PIPE, text=True)
+        while not uno.written and flash.poll() is None:
+            time.sleep(0.01)
+        flash.send_signal(signal.SIGINT)
+        _, said = flash.communicate(timeout=60)
+        with boards.held(Board(port=uno.port, name="", is_uno=True)):
+            users = subprocess.run(["pgrep", "-f", f"avrdude.*{uno.port} "], capture_output=True)
+
+    assert flash.returncode == 130
+    assert "interrupted; the board may hold half a program" in said
+    assert users.stdout == b""
+
+
 @pytest.mark.parametrize(
     ("said", "told"),
     [
@@ -342,6 +363,14 @@ def test_a_file_that_is_no_firmware_is_refused(
 
     assert main(["flash", "--hex", str(path), "--dry-run"]) == 1
     assert f"{path}: no firmware in Intel HEX: {says}" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_hole_in_a_file_is_erased_flash(tmp_path: Path) -> None:
+    """As avrdude writes it, so that the CRC is that of the board."""
+    path = tmp_path / "a.hex"
+    path.write_text(":0100000041BE\n:0100030042BA\n:00000001FF\n", encoding="ascii")
+
+    assert read_image(path).data == b"\x41\xff\xff\x42"
 
 
 def test_a_firmware_that_does_not_fit_is_refused(tmp_path: Path, capsys: Said) -> None:

@@ -72,13 +72,8 @@ def write(call: Sequence[str], moved: Moved) -> None:
     FlashError
         It failed, or did not end.
     """
-    # A group of its own: Ctrl-C is ours, and it is told in order.
     avrdude = subprocess.Popen(
-        call,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
+        call, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     )
     try:
         said = _read(avrdude, moved)
