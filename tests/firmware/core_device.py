@@ -110,7 +110,7 @@ class CoreDevice(Device):
 
     def _begin(self, now_ns: int, mcusr: int) -> None:
         last = self._boot_id
-        while self._boot_id in (0, last):
+        while self._boot_id == 0 or not (self._boot_id ^ last) & 0xFFFF:
             self._boot_id = int(self._rng.integers(1, U32, endpoint=True))
         self.core = library(self._hardware)
         self._fw = CoreFirmware(self)

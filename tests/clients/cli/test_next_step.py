@@ -17,6 +17,7 @@ from made_recordings import manifest, of_the_arm, recorded, sample, written
 
 VALUES: dict[str, Any] = {
     "file": "F.mcap",
+    "port": "/dev/ttyACM0",
     "estimation": "F.mcap",
     "validation": "F2.mcap",
     "files": " F.mcap F2.mcap",
