@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Callable, Mapping
@@ -148,10 +149,17 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
             raise
         except RigError as err:
             raise RigError(_reason(opened, err, connect)) from err
-    here = all(part.is_file() for part in part_paths(path))
-    verdict = data_verdict(load(path)) if here else None
+    verdict = data_verdict(load(path)) if _is_readable(path) else None
     synced = opened.last_run.synced if opened.last_run else 0
     return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal, synced)
+
+
+def _is_readable(path: Path) -> bool:
+    """Tell whether a recording is on this machine, and ours to read: who drives need not be."""
+    try:
+        return all(part.is_file() and os.access(part, os.R_OK) for part in part_paths(path))
+    except PermissionError:  # not even its folder
+        return False
 
 
 def _played(
