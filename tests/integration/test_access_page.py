@@ -38,7 +38,7 @@ def _commands(block: str) -> list[list[str]]:
 
 
 ACCESS, CLIENT, ACCESS_BY_PASSWORD, CLIENT_BY_PASSWORD = _blocks("toml")
-INSTALL, MADE, USED, CHANGED = _blocks("sh")
+INSTALL, MADE, _, _, _, USED, CHANGED = _blocks("sh")  # the others: tests/systemd/test_walk.py
 (PASSWORDS,) = _blocks("text")
 
 
@@ -163,5 +163,5 @@ def test_the_extra_has_the_name_that_the_page_says() -> None:
     """As pyproject.toml declares it."""
     project = (Path(__file__).parents[2] / "pyproject.toml").read_text()
 
-    assert INSTALL.strip() == "pip install 'armrig[pki]'"
+    assert INSTALL.strip() == "pip install '.[pki]'"
     assert '\npki = ["cryptography' in project
