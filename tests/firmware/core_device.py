@@ -19,7 +19,7 @@ from armrig_protocol.messages import Cause, State
 
 from firmware.library import CoreState, Setup, library
 
-_CAUSES, _STATES = tuple(Cause), tuple(State)
+_CAUSES, _STATES, _RUN = tuple(Cause), tuple(State), int(State.RUN)
 _SENT = Struct("=qB")
 
 
@@ -104,6 +104,7 @@ class CoreDevice(Device):
     """An emulated rig whose firmware is the C core."""
 
     is_watched = False
+    build = "librig.so"
     image: Any = None
     """The device's state while another's is in the library."""
     _fw: Any
@@ -112,7 +113,7 @@ class CoreDevice(Device):
         last = self._boot_id
         while self._boot_id == 0 or not (self._boot_id ^ last) & 0xFFFF:
             self._boot_id = int(self._rng.integers(1, U32, endpoint=True))
-        self.core = library(self._hardware)
+        self.core = library(self._hardware, self.build)
         self._fw = CoreFirmware(self)
         started = clock.started(self._settings, now_ns)
         setup = Setup(
@@ -134,6 +135,11 @@ class CoreDevice(Device):
     def use(self) -> Any:
         """Return the library's functions, with the state of this device in it."""
         return self.core.use(self)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the core is in RUN; for calls from C, at which its state is in place."""
+        return bool(self.core.functions.pc_state() == _RUN)
 
     # -- as `Device` -----------------------------------------------------------------------------
 
@@ -182,7 +188,7 @@ class CoreDevice(Device):
         """Let the pin have a duty that stands for `code`."""
         bits = self._hardware.pwm_bits
         wanted = duty(code, bits) if bits < 16 else code
-        if steps != wanted or self._fw.state is not State.RUN:
+        if steps != wanted or not self.is_running:
             msg = f"{steps} steps for code {code} in state {self._fw.state.name}"
             raise VoltageError(msg)
         self._board.latch(t_ns, code, Cause.REQUEST)

@@ -138,7 +138,7 @@ class Library:
 
     def __init__(self, path: Path) -> None:
         """Load it, and connect it with whoever uses it."""
-        self._c = c = ctypes.CDLL(str(path))
+        self.functions = c = ctypes.CDLL(str(path))
         for name, (kind, given) in _FUNCTIONS.items():
             function = getattr(c, name)
             function.restype, function.argtypes = kind, given
@@ -149,19 +149,19 @@ class Library:
         self._error: BaseException | None = None
         kinds = [(name, ctypes.CFUNCTYPE(kind, *given)) for name, kind, given in _WORLD]
         world = type("World", (ctypes.Structure,), {"_fields_": kinds})
-        self._calls = [kind(self._to_user(name)) for name, kind in kinds]  # kept: C has them
-        c.pc_device_connect(ctypes.byref(world(*self._calls)))
+        self.functionsalls = [kind(self._to_user(name)) for name, kind in kinds]  # kept: C has them
+        c.pc_device_connect(ctypes.byref(world(*self.functionsalls)))
 
     def use(self, user: Any) -> Any:
         """Return the functions, with the state of `user` in place, to whom calls go."""
         if self._user is not user:
             if self._user is not None:
                 self._user.image = ctypes.create_string_buffer(self._bytes)
-                self._c.pc_move(self._user.image, True)
+                self.functions.pc_move(self._user.image, True)
             if user.image is not None:
-                self._c.pc_move(user.image, False)
+                self.functions.pc_move(user.image, False)
             self._user = user
-        return self._c
+        return self.functions
 
     def raise_error(self) -> None:
         """Raise what a call from C has met: C knows no exceptions."""
@@ -182,8 +182,8 @@ class Library:
 
 
 @cache
-def library(hardware: Hardware) -> Library:
-    """Return the core for a board of this hardware."""
+def library(hardware: Hardware, target: str = "librig.so") -> Library:
+    """Return the core for a board of this hardware, built as `target` of boards/pc."""
     constants = {
         "BOARD_QUEUE": hardware.queue,
         "BOARD_ADC_BITS": hardware.adc_bits,
@@ -191,4 +191,4 @@ def library(hardware: Hardware) -> Library:
         "BOARD_SKEW_US": hardware.skew_us,
         "BOARD_TS_MIN_US": hardware.ts_min_us,
     }
-    return Library(build("librig.so", *(f"{key}={value}" for key, value in constants.items())))
+    return Library(build(target, *(f"{key}={value}" for key, value in constants.items())))

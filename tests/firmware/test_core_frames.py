@@ -38,7 +38,7 @@ def hardware(pwm_bits: int = 10) -> Hardware:
 
 def core() -> Any:
     """Return the functions of the core."""
-    return library.library(hardware())._c
+    return library.library(hardware()).functions
 
 
 def opened(stuffed: bytes) -> tuple[str, bytes]:
@@ -161,7 +161,7 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
 @pytest.mark.parametrize("bits", [8, 10, 12, 15])
 def test_duty_and_code_are_those_of_python(bits: int) -> None:
     """For each code; a division is a sum there."""
-    c = library.library(hardware(bits))._c
+    c = library.library(hardware(bits)).functions
 
     for u in range(0, 65536, 1 if bits == 10 else 7):
         steps = duty(u, bits)
@@ -171,6 +171,6 @@ def test_duty_and_code_are_those_of_python(bits: int) -> None:
 
 def test_a_duty_of_16_bits_is_the_code() -> None:
     """Such a board does not quantise."""
-    c = library.library(hardware(16))._c
+    c = library.library(hardware(16)).functions
 
     assert all(c.rig_duty(u) == c.rig_code(u) == u for u in (0, 1, 32767, 32768, 65535))

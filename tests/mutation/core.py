@@ -24,6 +24,7 @@ TESTS = [
     "test_same_answers.py",
     "test_core_guards_itself.py",
     "test_wraps.py",
+    "test_bounds.py",
     "test_core_frames.py",
     "test_fuzz_core.py",
 ]

@@ -155,7 +155,8 @@ def build() -> None:
         library(
             Hardware(
                 conversion_ns=104_000, hold_ns=HOLD_NS, adc_bits=10, pwm_bits=pwm_bits, queue=queue
-            )
+            ),
+            WatchedCore.build,
         )
 
 
@@ -167,6 +168,7 @@ class WatchedCore(Watching, CoreDevice):
     """A device with the C core: what is judged are its calls of the board layer."""
 
     is_watched = True
+    build = "librig-fast.so"
     _frame: Frame | None = None
 
     def arrives(self, t_ns: int, data: Any, n: int) -> None:

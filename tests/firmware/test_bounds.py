@@ -1,0 +1,52 @@
+"""The last value that is allowed and the first that is not, with both firmwares."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_protocol.messages import Ack, Cal, CalReply, Code, Config, ConfigReply
+from emulated_host import CONFIG
+
+from firmware import library
+from firmware.both_devices import MS, BothDevices
+from firmware.test_wraps import INSTANT
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_cal_takes_1_to_1024_readings(channel: int) -> None:
+    """And tells the same of them to the last bit; one more is BAD_VALUE."""
+    both = BothDevices(INSTANT)
+    both.wait(1 * MS)
+
+    for n in (0, 1, 1024, 1025):
+        both.put(Cal, channel=channel, zero=0, n=n)
+        both.wait(120 * MS)
+
+    assert [m.n for m in both.heard if isinstance(m, CalReply)] == [1, 1024]
+    assert [m.code for m in both.heard if isinstance(m, Ack)] == [Code.BAD_VALUE] * 2
+
+
+@pytest.mark.parametrize(
+    ("fields", "code"),
+    [
+        ({"u_min": 300, "u_max": 300}, Code.OK),
+        ({"u_min": 301, "u_max": 300}, Code.BAD_VALUE),
+        ({"u_min": 300, "u_max": 400, "u_rest": 300}, Code.OK),
+        ({"u_min": 300, "u_max": 400, "u_rest": 400}, Code.OK),
+        ({"u_min": 300, "u_max": 400, "u_rest": 401}, Code.BAD_VALUE),
+        ({"u_min": 300, "u_max": 400, "u_rest": 299}, Code.BAD_VALUE),
+        ({"ts_us": 208 + 254 * 208, "oversampling": 255}, Code.OK),
+        ({"ts_us": 207 + 254 * 208, "oversampling": 255}, Code.BAD_VALUE),
+        ({"oversampling": 0, "ts_us": 2**32 - 1}, Code.BAD_VALUE),
+    ],
+)
+def test_a_configuration_at_its_bounds(fields: dict[str, int], code: int) -> None:
+    """One code is a range, too; the shortest Ts grows with the oversampling."""
+    both = BothDevices(INSTANT)
+    both.wait(1 * MS)
+
+    both.put(Config, **{**CONFIG, **fields})
+    both.wait(1 * MS)
+
+    assert [m.code for m in both.heard if isinstance(m, ConfigReply)] == [code]
