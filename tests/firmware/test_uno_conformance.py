@@ -1,0 +1,36 @@
+"""The Uno's binary does what PROTOCOL.md says, rule by rule.
+
+In simavr, in virtual time; its PWM pin is looked at beside the answers.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import pytest
+from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.rule import Result
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
+from armrig_daemon.emulator.settings import EmulatorSettings
+from spoilt_devices import AT_A_RAIL
+from virtual_line import VirtualLine
+
+from firmware.uno_host import missing, switch_on
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+
+
+@pytest.mark.parametrize("resets", [True, False])
+def test_the_uno_does_what_the_protocol_says(resets: bool) -> None:
+    """Each rule is tried, and holds, whether the opening of its port resets it or not."""
+    with closing(switch_on(EmulatorSettings(**AT_A_RAIL), 0)) as uno:
+        line = VirtualLine(uno, resets=resets)
+        told: list[Result] = []
+
+        run(Host(line), told.append)
+
+        assert [r for r in told if r.outcome == FAIL] == []
+        assert [r.outcome for r in told].count(NOT_TRIED) == (not resets)
+        uno.advance(line.now_ns() + 1_000_000)
+        assert (uno.duties[-1].high, uno.duties[-1].enabled) == (0, False)
+        assert uno.violations == []
