@@ -33,6 +33,7 @@ def test_a_daemon_that_lives_is_not_disturbed(served: Bench) -> None:
     assert stop.popen.wait(WITHIN_S) == 1
     assert stop.said == (
         f"armrigd: estop: nothing sent: {served.port} cannot be opened: it is taken by another "
-        "program; end that one; a daemon that runs is stopped by `armrig stop`\n"
+        "program, maybe another rig's daemon; end that one, or give this rig a port of its own; "
+        "a daemon that runs is stopped by `armrig stop`\n"
     )
     assert served.phase() == "safe"

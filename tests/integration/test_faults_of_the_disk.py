@@ -177,7 +177,7 @@ def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, su
     path = directory / "run.mcap"
     path.with_name(path.name + suffix).symlink_to(elsewhere)
 
-    if suffix == ".active":
+    if suffix in (".active", ""):  # the recording's own name is as taken as that of its file
         with pytest.raises(RecordingError, match="File exists"):
             Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
     else:
