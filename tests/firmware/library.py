@@ -168,6 +168,7 @@ class Library:
         error, self._error = self._error, None
         if error is not None:
             raise error
+        assert not self.state.has_failed, "C goes no further, and nobody was told why"
 
     def _to_user(self, name: str) -> Callable[..., Any]:
         def call(*given: Any) -> Any:
@@ -191,4 +192,10 @@ def library(hardware: Hardware, target: str = "librig.so") -> Library:
         "BOARD_SKEW_US": hardware.skew_us,
         "BOARD_TS_MIN_US": hardware.ts_min_us,
     }
-    return Library(build(target, *(f"{key}={value}" for key, value in constants.items())))
+    return _loaded(build(target, *(f"{key}={value}" for key, value in constants.items())))
+
+
+@cache
+def _loaded(path: Path) -> Library:
+    # What is loaded twice is one in memory, and calls whoever connected last.
+    return Library(path)

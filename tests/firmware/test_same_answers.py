@@ -6,6 +6,7 @@ import os
 from typing import Any
 
 import pytest
+from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.cobs import stuff
 from armrig_protocol.crc import crc32
@@ -293,3 +294,12 @@ def test_both_devices_answer_every_byte_alike() -> None:
             suppress_health_check=list(HealthCheck),
         ),
     )
+
+
+def test_hardware_that_is_built_alike_has_one_library() -> None:
+    """The hold is no constant of the build; loaded again, C would call another device's pins."""
+    slow, fast = (
+        Hardware(conversion_ns=104_000, hold_ns=hold_ns, adc_bits=10, pwm_bits=10, queue=256)
+        for hold_ns in (12_000, 2_000)
+    )
+    assert library.library(slow) is library.library(fast)
