@@ -8,6 +8,7 @@ from functools import partial
 from itertools import pairwise
 
 import pytest
+from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config, Device
 from armrig_daemon.core.state import Phase
@@ -22,7 +23,7 @@ from virtual_bench import LEASE, MS, Bench, codes
 from firmware.uno_host import PERIOD_NS, missing, switch_on
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
-LATCH_NS = 16_000
+LATCH_NS = 10_000
 """An interrupt may wait so long for another; what it sets acts in the next period."""
 
 
@@ -108,7 +109,7 @@ def assert_on_the_pin(bench: UnoBench, volts: list[float], ts_us: int) -> None:
     uno, duties = bench.uno, bench.uno.duties
     (started,) = bench.of(RunStarted)
     samples = [s for s in bench.samples if 0 <= s.k - started.k_first < len(volts)]
-    first = _index_of_hold(bench, samples[0].t_device_us)
+    first = index_of_hold(bench, samples[0])
     holds = bench.holds[first : first + len(volts)]
     at = 0
     for hold_ns, v in zip(holds, volts, strict=True):
@@ -123,14 +124,14 @@ def assert_on_the_pin(bench: UnoBench, volts: list[float], ts_us: int) -> None:
     assert max(offsets) - min(offsets) <= 1000
 
 
-def _index_of_hold(bench: UnoBench, t_us: int) -> int:
-    """Return which hold is that of the sample with this time.
+def index_of_hold(bench: UnoBench, sample: Sample) -> int:
+    """Return which hold is that of a sample.
 
     The device's clock begins with its program, and both are known together where samples are rare.
     """
     alone_us = bench.samples[20].t_device_us
     (behind_ns,) = (h - alone_us * 1000 for h in bench.holds if 0 <= h - alone_us * 1000 < 9 * MS)
-    due_ns = t_us * 1000 + behind_ns
+    due_ns = sample.t_device_us * 1000 + behind_ns
     return next(i for i, t in enumerate(bench.holds) if abs(t - due_ns) <= 1000)
 
 
