@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -39,6 +41,8 @@ BOOT_NS = 250 * MS
 """The Uno has booted, and been heard, after so long."""
 PERIOD_NS = 64_000
 """Of the PWM."""
+pins: list[Path] | None = None
+"""VCD files of what the pins of each Uno do in this test, in the order of their switching on."""
 
 
 def missing() -> str:
@@ -58,8 +62,18 @@ def harness() -> Path:
 
 
 def switch_on(settings: EmulatorSettings, now_ns: int, **kwargs: Any) -> Uno:
-    """Return a simulated Uno with the firmware of the checkout."""
+    """Return a simulated Uno with the firmware of the checkout; its pins are traced in a test."""
+    if pins is not None:
+        pins.append(new_trace())
+        kwargs["trace"] = pins[-1]
     return Uno(harness(), HEX, settings, now_ns, **kwargs)
+
+
+def new_trace() -> Path:
+    """Return a new file for the trace of one Uno's pins."""
+    number, name = tempfile.mkstemp(prefix="armrig-uno-", suffix=".vcd")
+    os.close(number)
+    return Path(name)
 
 
 class Host:
