@@ -109,7 +109,8 @@ def structure_hints(
       belongs to a y that integrates (-20 dB a decade); without an integrator the rate's slope
       is +20 dB a decade. y itself, which drifts, is not looked at. A slow pole has the slope of an
       integrator, too, down to frequencies that the record hardly has; but the rate's answer to a
-      step returns to 0 then, where that of an integrator stays up.
+      step returns to 0 then, where that of an integrator stays up. theta_1 is known to integrate,
+      and is taken so unless that answer surely returns: another rig has the arm's names.
     - Order: singular values of the Hankel matrix of the regularised impulse response above what
       draws from its own uncertainty make; twice the number of resonances at least.
     - Poles less zeros: the slope at the highest frequencies at which u explains y (coherence above
@@ -122,7 +123,7 @@ def structure_hints(
     data : Dataset
         Of an input that excites; missing samples and several experiments are allowed.
     integrator : bool, optional
-        Whether y integrates; by default read from the data, theta_1 known to.
+        Whether y integrates; by default read from the data.
     seed : int or numpy.random.Generator, default 0
         For the draws.
 
@@ -146,10 +147,11 @@ def structure_hints(
     of_rate = None
     integrates = integrator
     if integrates is None:
-        integrates = data.output in INTEGRATING_OUTPUTS or slope < 10 - 2 * slope_std
-        if integrates and data.output not in INTEGRATING_OUTPUTS:
+        known = data.output in INTEGRATING_OUTPUTS
+        integrates = known or slope < 10 - 2 * slope_std
+        if integrates:
             of_rate = long_enough(data, LAGS, integrator=True)
-            integrates = _stays(of_rate)
+            integrates = not _returns(of_rate) if known else _stays(of_rate)
     first_lag, blind = _first_lag(data, integrates=integrates)
     nk = first_lag if first_lag < 1 or blind < HIDDEN else 1
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
@@ -186,13 +188,23 @@ def structure_hints(
 
 
 def _stays(of_rate: ImpulseResponse) -> bool:
-    """Tell whether the rate's answer to a step ends surely above a share of its largest value."""
+    """Tell whether the rate's answer to a step ends above a share of its largest, and not at 0."""
+    end, std = _end_of_step(of_rate)
+    return end > max(STAYS, SURE * std)
+
+
+def _returns(of_rate: ImpulseResponse) -> bool:
+    """Tell whether the rate's answer to a step ends surely below a share of its largest value."""
+    end, std = _end_of_step(of_rate)
+    return end + SURE * std < STAYS
+
+
+def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
+    """Return where the rate's answer to a step ends, and its deviation, over its largest value."""
     g, _ = of_rate.decaying
-    steps = np.cumsum(g)
-    every: Vector = np.ones(g.size)
-    variance = float(every @ _covariance(of_rate) @ every)
-    end = abs(float(steps[-1]))
-    return end > STAYS * float(np.max(np.abs(steps))) and end**2 > SURE**2 * variance
+    steps = np.abs(np.cumsum(g))
+    largest = float(np.max(steps))
+    return float(steps[-1]) / largest, float(np.sqrt(_covariance(of_rate).sum())) / largest
 
 
 def _first_lag(data: Dataset, *, integrates: bool) -> tuple[int, float]:

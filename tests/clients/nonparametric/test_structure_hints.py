@@ -58,6 +58,19 @@ def test_a_slow_pole_is_no_integrator(pole: float, integrates: bool) -> None:
     assert ("a slow pole, and no integrator" in repr(found)) is not integrates
 
 
+@pytest.mark.parametrize("offset", [0.0, 2.0])
+def test_a_circuit_that_has_the_arm_s_names_does_not_integrate(offset: float) -> None:
+    """theta_1 is known to, but not where what a step of u does to its rate surely dies out."""
+    rng = np.random.default_rng(1)
+    u = telegraph(1500, 0.05, seed=1)
+    y = offset + filtered([0, 0.02], np.poly([0.92, 0.86]), u) + 0.005 * rng.standard_normal(1500)
+
+    found = structure_hints(Dataset(u=u, y=y, Ts=0.01, output="theta_1"))
+
+    assert not found.integrator
+    assert "no integrator" in found.explain()
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_response_longer_than_its_lags_has_no_other_resonances(
     sampled: Callable[[float], Any], seed: int
