@@ -1,0 +1,162 @@
+"""What the Uno's board layer promises the core: times, names, and a reset where a part of it dies.
+
+Where only a broken board could show it, a part of the program is broken, built, and run.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from armrig_core.firmware_image import read_image
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uno import Uno
+from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Stop
+
+from firmware.uno_host import BOOT_NS, HEX, MS, Host, harness, missing, powered
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+FIRMWARE = HEX.parent
+HALF = 32768
+RESET_PIN = 2
+"""In MCUSR."""
+DIES_MS = 600
+PATIENCE_MS = 50 + 256 + 5
+"""Until a converter counts as dead, until the watchdog bites, and for the clock's beginning."""
+builds = pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no gcc-avr")
+
+
+def broken(folder: Path, file: str, old: str, new: str) -> Path:
+    """Return an image of the firmware with a piece of one file replaced."""
+    shutil.copytree(FIRMWARE, folder / "firmware")
+    uno = folder / "firmware" / "boards" / "uno"
+    source = (uno / file).read_text(encoding="utf-8")
+    assert source.count(old) == 1
+    (uno / file).write_text(source.replace(old, new), encoding="utf-8")
+    image = folder / "broken.hex"
+    make = ["make", "-s", "-C", str(uno), f"HEX={image}", f"BUILD={folder}"]
+    subprocess.run(make, check=True, capture_output=True)
+    return image
+
+
+def restart(host: Host) -> None:
+    """Reset it by its pin, and wait until it has booted."""
+    host.uno.reset(host.now)
+    host.wait(BOOT_NS / MS)
+
+
+def test_a_tick_that_waited_for_the_converter_says_so() -> None:
+    """However close an EXCHANGE's sample ends before it: t_us is its trigger, TICK_LATE tells."""
+    ts_us = 2400
+    late = 0
+    with powered() as host:
+        holds: list[int] = []
+        host.uno.stuck = lambda t_ns, channel: holds.append(t_ns) if channel == 0 else None
+        began_us: list[float] = []
+        for i in range(100):
+            host.arm(mode=1, ts_us=ts_us, oversampling=8, watchdog_ms=250)
+            nonce = host.last(ConfigReply).nonce
+            host.heard.clear()
+            holds.clear()
+            host.say(Exchange, 1, 0)
+            host.wait(1.45 + i * 0.002)
+            host.say(Start, 3, nonce)
+            host.wait(14)
+            host.say(Stop)
+            host.wait(2)
+
+            samples = host.of(Sample)
+            assert [s.k for s in samples] == [1, 0, 1, 2]
+            waited = samples[1].t_us != samples[2].t_us - ts_us
+            assert bool(samples[1].flags & Flag.TICK_LATE) == waited
+            late += waited
+            lasts = [h for n, h in enumerate(holds) if n % 8 == 7]
+            began_us += [h / 1000 - s.t_us for h, s in zip(lasts, samples, strict=True)]
+    assert 0 < late < 100
+    assert max(began_us) - min(began_us) <= 1
+
+
+@pytest.mark.parametrize("byte", range(12))
+@pytest.mark.parametrize("copy", [0, 1])
+def test_a_spoilt_byte_of_the_uid_changes_nothing(copy: int, byte: int) -> None:
+    """It is kept twice, each with its check."""
+    with powered() as host:
+        uid = host.hello().uid
+        eeprom = host.uno.harness.read_eeprom(0, 1024)
+        places = [i for i in range(1024) if eeprom[i : i + 8] == uid.to_bytes(8, "little")]
+        assert len(places) == 2
+
+        at = places[copy] + byte
+        host.uno.harness.write_eeprom(at, bytes([eeprom[at] ^ 0x10]))
+        restart(host)
+
+        assert host.hello().uid == uid
+
+
+def test_hello_tells_the_crc_of_the_image() -> None:
+    """Of every byte that is written to flash, as `armrig flash` asks for."""
+    with powered() as host:
+        assert host.hello().firmware == read_image(HEX).crc
+
+
+def test_a_reset_is_told_with_its_own_cause_alone() -> None:
+    """What reset it before is forgotten."""
+    with powered() as host:
+        assert host.hello().reset & RESET_PIN == 0
+        restart(host)
+        assert host.hello().reset == RESET_PIN
+        restart(host)
+        assert host.hello().reset == RESET_PIN
+
+
+@builds
+@pytest.mark.parametrize(
+    "fault",
+    ["for (;;) ;", "ADCSRA = 0;", "TIMSK0 = 0;"],
+    ids=["main hangs", "the converter is off", "the clock stands still"],
+)
+def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path) -> None:
+    """S3: in RUN, while the host goes on; the pin is low soon, and stays so."""
+    loop = "        if (is_time_to_poll())\n"
+    dies = f"        if (board_now_us() > {DIES_MS}000) {{ {fault} }}\n"
+    image = broken(tmp_path, "main.c", loop, dies + loop)
+    uno = Uno(harness(), image, EmulatorSettings(), 0)
+    try:
+        host = Host(uno)
+        host.wait(BOOT_NS / MS)
+        host.start(watchdog_ms=250)
+        while host.now < (DIES_MS - 10) * MS:
+            host.drive(HALF, 1, host.now // MS)
+        assert uno.state is State.RUN
+        assert uno.duties[-1].high == 512
+
+        for _ in range(200):  # the host goes on
+            host.drive(HALF, 1, host.now // MS)
+
+        figures = uno.harness.figures()
+        assert figures.boots >= 2
+        assert uno.ns(figures.last_high) <= DIES_MS * MS + PATIENCE_MS * MS
+        assert not uno.duties[-1].enabled
+        assert uno.violations == []
+    finally:
+        uno.close()
+
+
+@builds
+def test_an_eeprom_that_is_worn_out_costs_no_boot_its_name(tmp_path: Path) -> None:
+    """The count cannot be written; each boot has its own boot_id in the low half, too, by noise."""
+    count = "    eeprom_update_block(&next, &counts[place], sizeof next);\n"
+    image = broken(tmp_path, "identity.c", count, "")
+    uno = Uno(harness(), image, EmulatorSettings(), 0)
+    try:
+        host = Host(uno)
+        host.wait(BOOT_NS / MS)
+        told = set()
+        for _ in range(5):
+            told.add(host.hello().boot_id & 0xFFFF)
+            restart(host)
+    finally:
+        uno.close()
+    assert len(told) == 5
