@@ -274,9 +274,9 @@ MUTANTS = (
         plant=_put(orders, "_acquire", _any_owner),
         breaks=frozenset({"A1"}),
         faults=("intruder",),
-        first=1039,
+        first=1035,
     ),
-    Mutant(name="no staleness", plant=NO_AGE, breaks=frozenset({"S4"})),
+    Mutant(name="no staleness", plant=NO_AGE, breaks=frozenset({"S4"}), first=1004),
     Mutant(
         name="no firmware timeout",
         plant=_put(firmware.Firmware, "_set_watchdog", _never_bites),
@@ -307,6 +307,7 @@ MUTANTS = (
         breaks=frozenset({"S1", "S5"}),
         without=(NO_RANGE,),
         faults=("out_of_range",),
+        first=1011,
     ),
     Mutant(
         name="no timeout of the lease",
@@ -330,6 +331,7 @@ MUTANTS = (
         name="stale, and no STOP",
         plant=_put(step, "_stale", _only_said),
         breaks=frozenset({"S4"}),
+        first=1004,
     ),
     Mutant(
         name="a trip that does not latch",
@@ -346,7 +348,7 @@ MUTANTS = (
         plant=_put(orders, "_acquire", _out_of_fault),
         breaks=frozenset({"S6"}),
         faults=("hang", "intruder"),
-        first=1019,
+        first=1067,
     ),
     Mutant(
         name="a calibration taken in a run",
@@ -359,7 +361,7 @@ MUTANTS = (
         plant=_all(*(_put(m, "send", _all_beats) for m in (step, core_requests, setpoints))),
         breaks=frozenset({"R1"}),
         faults=("delay from_device", "loss from_device"),
-        first=1028,
+        first=1039,
     ),
     Mutant(
         name="a decoder that keeps all",

@@ -9,10 +9,13 @@ from typing import Final, NamedTuple
 
 MS: Final = 1_000_000
 SECOND: Final = 1_000_000_000
-END_NS: Final = 10 * SECOND
-CLEAR_NS: Final = 7_700 * MS
-"""From here on there is no fault: what comes back, has to come back by itself (T1)."""
 _FIRST_NS: Final = 400 * MS
+CLEAR_NS: Final = 5_200 * MS
+"""From here on there is no fault: what comes back, has to come back by itself (T1)."""
+BACK_NS: Final = CLEAR_NS + SECOND
+"""When it must be back: boards that boot in 50 ms have half of what T1 allows."""
+END_NS: Final = BACK_NS + 100 * MS
+"""Short, so that faults meet each other (docs/decisions/0021)."""
 
 WAYS: Final = ("to_device", "from_device")
 LINE: Final = ("loss", "duplicate", "delay", "reorder", "flip", "replay", "garbage", "split")
@@ -154,7 +157,7 @@ def draw(
         u_min=rng.randint(0, 6_000) if narrow else 0,
         u_max=rng.randint(50_000, 65_535) if narrow else 65_535,
         slew=rng.choice([0, 0, 0, 15_000, 40_000]),
-        turns=rng.choice([0, 0, 200, 300, 1_500]),
+        turns=rng.choice([0, 0, 100, 200, 1_500]),
         rail_ticks=rng.choice([0, 0, 0, 8, 60]),
         stop_after=rng.choice([0, 0, 3]),
         service_ns=rng.choice([0, 400 * MS]),
@@ -163,7 +166,7 @@ def draw(
         queue=(512, 256)[seed % 2],
         adc_noise_v=rng.choice([0.0, 0.0, 0.0, 0.0025]),
         clock_ppm=rng.choice([0.0, rng.uniform(-100, 100), rng.uniform(-100, 100)]),
-        clock_start_us=rng.choice([0, 0, (1 << 32) - rng.randint(1, 9_000_000)]),
+        clock_start_us=rng.choice([0, 0, (1 << 32) - rng.randint(1, END_NS // 1_100)]),
         usb_ns=rng.choice([0, 0, 0, 1 * MS]) if slow_device else 0,
         client_ns=rng.randint(12, 60) * MS,
         modes=tuple(rng.choices(["hold", "exchange", "scheduled"], k=12)),
