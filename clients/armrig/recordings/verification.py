@@ -214,7 +214,8 @@ def check_clock(r: Recording) -> Check:
     host = int(r.samples["t_sched_ns"][-1]) - int(r.samples["t_sched_ns"][0])
     device = 1000 * (int(r.samples["t_device_us"][-1]) - int(r.samples["t_device_us"][0]))
     ppm = (device / host - 1) * 1e6
-    allowed = _MOST_DRIFT_PPM + 2e12 * r.Ts / host  # either end may be up to a sample off
+    # Either end may be up to a sample off.
+    allowed = _MOST_DRIFT_PPM + 2 * (r.Ts * 1e9) / host * 1e6
     if abs(ppm) > allowed:
         text = f"the device's clock is {ppm:.0f} ppm off the host's over the run, more than "
         return _failed("clock", f"{text}{allowed:.0f}")

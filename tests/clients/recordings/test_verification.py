@@ -35,10 +35,11 @@ def run(**changes: Any) -> list[Sample]:
     ]
 
 
-def clock(k: int, offset_ns: int) -> Any:
+def clock(k: int, offset_ns: int, **changes: float) -> Any:
     """Return a comparison of the clocks at sample k, certain to 1 µs."""
+    certain = {"offset_std_ns": 1e3, "drift_std_ppm": 0.1} | changes
     return protobuf.message_class(protobuf.CLOCK)(
-        t_host_ns=sample(k).t_host_ns, offset_ns=offset_ns, offset_std_ns=1e3, drift_std_ppm=0.1
+        t_host_ns=sample(k).t_host_ns, offset_ns=offset_ns, **certain
     )
 
 
@@ -199,6 +200,56 @@ def test_clocks_that_jump_or_run_apart_are_told(tmp_path: Path) -> None:
 
     assert "jumps by 50 µs" in failed(jump)["clock"]
     assert "ppm off the host's" in failed(verified(tmp_path, apart))["clock"]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "may"),
+    [
+        ({"bound_ns": 49e3}, {}, True),
+        ({}, {"bound_ns": 49e3}, True),
+        ({"bound_ns": 19e3}, {"bound_ns": 19e3}, False),
+        ({"bound_ns": 24e3}, {"bound_ns": 24e3}, True),
+        ({"drift_ppm": 50.0}, {}, True),  # over 1 s
+        ({"drift_ppm": -50.0}, {}, False),
+        ({"offset_std_ns": 8.5e3}, {}, True),
+        ({"offset_std_ns": 7.5e3}, {}, False),
+        ({}, {"offset_std_ns": 8.5e3}, True),
+        ({"drift_std_ppm": 8.5}, {}, True),
+        ({}, {"drift_std_ppm": 8.5}, False),  # what it may gain from there on
+    ],
+)
+def test_clocks_may_differ_by_what_the_comparisons_do_not_know(
+    tmp_path: Path, before: dict[str, float], after: dict[str, float], may: bool
+) -> None:
+    """50 µs in 1 s: by both bounds, the drift told, and six deviations of offset and drift."""
+    compared = [clock(100, 0, **before), clock(200, 50_000, **after)]
+
+    found = verified(tmp_path, [*run()[:100], compared[0], *run()[100:], compared[1]])
+
+    assert ("clock" not in failed(found)) == may
+
+
+@pytest.mark.parametrize(
+    ("n", "gained_us", "may"),
+    [
+        (11, 20_500, True),  # of 100 ms: two samples of 10 ms, and 0.6 ms
+        (11, 20_700, False),
+        (N, 43_900, True),  # of 3990 ms: two samples, and 23.94 ms
+        (N, 44_000, False),
+    ],
+)
+def test_a_clock_may_be_off_by_a_resonator_and_a_sample_at_either_end(
+    tmp_path: Path, n: int, gained_us: int, may: bool
+) -> None:
+    """What a short run cannot tell is no fault of its clock."""
+    samples = run()[:n]
+    samples[-1] = samples[-1]._replace(t_device_us=samples[-1].t_device_us + gained_us)
+    ended = Outcome(outcome="stopped", samples=n, missing=0)
+    about = manifest(k_first=0, samples=N)
+
+    found = verify(written(tmp_path, recorded(samples, manifest=about, outcome=ended)))
+
+    assert ("clock" not in failed(found)) == may
 
 
 def test_a_later_sample_is_compared_with_its_own_voltage(tmp_path: Path) -> None:
