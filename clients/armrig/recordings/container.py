@@ -256,17 +256,17 @@ class _Reader:
     def _walk(self, chunk: bytes) -> None:
         """Take the records of a chunk: runs of samples of constant layout at once."""
         view, streams, add_run = memoryview(chunk), self.streams, self.rows.add_run
+        unpack_head, head_size = _MESSAGE.unpack_from, RECORD_HEAD.size
         at, end, work = 0, len(chunk), 0
         while at < end:
-            if chunk[at] not in _IN_CHUNKS:
-                msg = f"a chunk holds a record (opcode {chunk[at]}) that must not lie in one"
-                raise DamageError(msg)
             if end - at < _MESSAGE.size:
+                _check_opcode(chunk[at])
                 msg = "a chunk ends within a record"
                 raise DamageError(msg)
-            opcode, length, channel = _MESSAGE.unpack_from(chunk, at)
-            begin = at + RECORD_HEAD.size
-            after = begin + length
+            opcode, length, channel = unpack_head(chunk, at)
+            after = at + head_size + length
+            if opcode != _MESSAGE_CODE:
+                _check_opcode(opcode)
             if after > end:
                 msg = "a record runs over the end of its chunk"
                 raise DamageError(msg)
@@ -280,7 +280,7 @@ class _Reader:
                     work += _RUN_WORK
                     at += add_run(view, at)
                     continue
-            self.add_record(opcode, chunk[begin:after])
+            self.add_record(opcode, chunk[at + head_size : after])
             at = after
         self.budget.spend(WORK, work)
 
@@ -296,6 +296,12 @@ class _Reader:
         self.budget.spend(WORK, _RECORD_WORK)
         self.budget.spend(KEPT, len(data) + _OVERHEADS[stream])
         self.content.messages.setdefault(stream, []).append(parsed)
+
+
+def _check_opcode(opcode: int) -> None:
+    if opcode not in _IN_CHUNKS:
+        msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
+        raise DamageError(msg)
 
 
 def _text(body: bytes, at: int) -> str:

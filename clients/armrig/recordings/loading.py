@@ -305,8 +305,11 @@ def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
 
 def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
     """Return u (N,) in V: as applied, or as held while samples were missing, else NaN."""
+    applied = samples["u_applied_v"]
+    if applied.size == rows.N:
+        return applied.copy()
     u = rows.filled((gap.k_first, gap.count, gap.u_held_v) for gap in gaps)
-    u[rows.present] = samples["u_applied_v"]
+    u[rows.present] = applied
     return u
 
 
