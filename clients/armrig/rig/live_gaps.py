@@ -9,10 +9,12 @@ from typing import Any
 
 from armrig_core.telemetry import Sample
 
+from armrig.rig.newest import Newest
+
 MISSED = "the listener, or the way to it, did not keep up"
 """Reason of a gap that the daemon knows nothing of."""
-MOST_TOLD = 10_000
-"""Gaps told that are kept until the sample behind them comes; of more the oldest are forgotten."""
+MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
+"""Gaps told that are kept until the sample behind them comes; a daemon's has 60 B."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +35,11 @@ class LiveGap:
     """Why they are missing."""
     published: bool
     """Whether they were published, and only this listener missed them: a recording has them."""
+
+
+def told_gaps() -> Newest[Any]:
+    """Return what keeps the gaps that a daemon tells, `armrig.v1.Gap`; the oldest are forgotten."""
+    return Newest(MOST_TOLD, MOST_TOLD_BYTES)
 
 
 def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator[LiveGap]:

@@ -24,7 +24,8 @@ from armrig_core.telemetry import Sample
 
 from armrig.recordings.grid import MISSING_LIMIT
 from armrig.recordings.recording_summary import REMOTE
-from armrig.rig.live_gaps import MOST_TOLD, LiveGap, gaps_between
+from armrig.rig.live_gaps import LiveGap, gaps_between, told_gaps
+from armrig.rig.newest import Newest
 from armrig.rig.remote_message import RemoteMessage, remote_message
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
@@ -70,7 +71,7 @@ class RemoteRecording:
     _first: Sample | None = None
     _last: Sample | None = None
     _missing: int = 0
-    _told: deque[Any] = field(default_factory=lambda: deque(maxlen=MOST_TOLD))
+    _told: Newest[Any] = field(default_factory=told_gaps)
     _waiting: list[Outgoing] = field(default_factory=list)
     _waiting_size: int = 0
     _state: Any = None
@@ -134,7 +135,7 @@ class RemoteRecording:
     def _take(self, message: RemoteMessage) -> None:
         if message.stream == "gap":
             # Written before the sample behind it: only then is it between two of the file's.
-            self._told.append(message.value)
+            self._told.add(message.value, len(message.data))
             return
         if message.stream == "sample":
             self._go_on(message.value)
@@ -152,7 +153,7 @@ class RemoteRecording:
         if self._file is None and self._state is not None and self._state.Ts_s > 0:
             self._begin(self._first)
         self._last = sample
-        self._told.clear()
+        self._told.take()
 
     def _follow(self, first: Sample, last: Sample, sample: Sample) -> None:
         if sample.k <= last.k:
@@ -224,7 +225,7 @@ class RemoteRecording:
         waiting = self._taken()
         self._first = self._last = None
         self._missing = 0
-        self._told.clear()
+        self._told.take()
         if file is None:
             return
         file.add(waiting)

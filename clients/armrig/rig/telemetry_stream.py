@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +13,16 @@ import zenoh
 from armrig_core import protobuf, telemetry, topics
 from google.protobuf.message import DecodeError
 
-from armrig.rig.live_gaps import MOST_TOLD, gaps_between
-from armrig.rig.session import NoReplyError, RigError, open_session
+from armrig.rig.live_gaps import gaps_between, told_gaps
+from armrig.rig.newest import Newest
+from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError, open_session
 
 SILENCE_S = 1.0
 """After so long without a message the daemon is looked for, in s."""
 _LOOK_S = 1.0  # how long a daemon may take to show that it is there
 _LISTEN_S = 0.002
-_RING = 10_000  # samples that a slow listener may be behind before it misses some
+_RING = 10_000  # messages that a slow listener may be behind before it misses the oldest
+_RING_BYTES = MOST_RECEIVED  # of them; a stranger's may be as long as that each
 
 
 def stream(
@@ -66,18 +68,23 @@ def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
     rig, name = _stream_of(key)
     with arrivals(session, key) as messages_since, _gaps_told(session, rig, name) as gaps_since:
         before: telemetry.Sample | None = None
-        told: deque[Any] = deque(maxlen=MOST_TOLD)
+        told = told_gaps()
         for messages in _until_gone(session, rig, messages_since):
             # A gap is published before the sample behind it: if that is here, so is the gap.
-            told.extend(gaps_since())
+            for gap in gaps_since():
+                told.add(gap, gap.ByteSize())
             for message in messages:
                 if name == "sample":
                     if before is not None:
                         yield from gaps_between(before, message, told)
                     before = message
-                    while told and told[0].k_first + told[0].count <= message.k:
-                        told.popleft()
+                    told.forget_while(partial(_is_over, message.k))
                 yield message
+
+
+def _is_over(k: int, gap: Any) -> bool:
+    """Return whether a gap lies before sample k."""
+    return bool(gap.k_first + gap.count <= k)
 
 
 def _gaps_told(
@@ -116,14 +123,19 @@ def _until_gone(
 def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
     """Give a function that returns at once what a key has brought since its last call."""
     rig, name = _stream_of(key)
-    with session.declare_subscriber(key, zenoh.handlers.RingChannel(_RING)) as subscriber:
+    ring: Newest[bytes] = Newest(_RING, _RING_BYTES)
 
-        def messages_since() -> list[Any]:
-            messages: list[Any] = []
-            while len(messages) < _RING and (received := subscriber.try_recv()) is not None:
-                messages.append(_read(rig, name, received.payload.to_bytes()))
-            return messages
+    def receive(received: zenoh.Sample) -> None:
+        payload = received.payload.to_bytes()
+        ring.add(payload, len(payload))
 
+    def messages_since() -> list[Any]:
+        return [_read(rig, name, payload) for payload in ring.take()]
+
+    # In the thread that receives: another one would be handed them through a queue of zenoh's,
+    # whose bound is their number alone.
+    callback = zenoh.handlers.Callback(receive, indirect=False)
+    with session.declare_subscriber(key, callback):
         yield messages_since
 
 

@@ -17,7 +17,7 @@ import pytest
 import zenoh
 from armrig.rig import telemetry_stream
 from armrig.rig.client import REPLY_S, RefusedError, Rig, RunEndedError, longest_reply_s
-from armrig.rig.session import NoReplyError, RigError
+from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import decoded, stream
 from armrig_core import commands, protobuf, telemetry
 from armrig_core.endpoint import endpoint, socket_directory
@@ -344,15 +344,26 @@ def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, where: str) -> N
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_a_stream_ends_when_the_process_of_its_daemon_does(
-    number: signal.Signals, where: str
+    number: signal.Signals, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed or ended in order: its last word may not arrive, so silence is looked into."""
+    """Killed or ended in order: its last word may not arrive, so silence is looked into.
+
+    One that stands still is not alive either: that it does not answer in time is no answer.
+    """
+    is_alive = telemetry_stream._is_alive
     program = [sys.executable, "-c", ALIVE, str(Path(__file__).parents[1]), where]
     with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as daemon:
         assert daemon.stdout is not None
         assert daemon.stdout.readline() == b"up\n"
         samples = stream("rig/1/sample", connect=where)
         assert next(samples).k >= 0
+        with open_session(where, rig="1") as session:
+            assert is_alive(session, "1")
+            with monkeypatch.context() as patched:
+                patched.setattr(telemetry_stream, "_LOOK_S", 0.1)
+                daemon.send_signal(signal.SIGSTOP)
+                assert not is_alive(session, "1")
+                daemon.send_signal(signal.SIGCONT)
         daemon.send_signal(number)
         daemon.wait()
 
@@ -384,6 +395,16 @@ def test_silence_of_a_living_daemon_is_waited_through(
     thread.start()
     assert next(stream("rig/1/sample", connect=where)).k == 7
     thread.join()
+
+
+def test_a_stream_of_a_rig_that_is_not_there_ends(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody answers at the endpoint, and no daemon of this rig: silence is looked into."""
+    monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
+
+    with pytest.raises(NoReplyError, match="rig 2: its daemon went away"):
+        next(stream("rig/2/sample", connect=where))
 
 
 @pytest.mark.parametrize("key", ["rig/1", "rig/1/nothing", "rig/../sample", "sample"])

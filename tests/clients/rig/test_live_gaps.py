@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import isnan
 from typing import Any
 
 import armrig
 import pytest
+import zenoh
 from armrig.cli import main
-from armrig.rig import telemetry_stream
+from armrig.rig import live_gaps, telemetry_stream
 from armrig.rig.live_gaps import MISSED, LiveGap, gaps_between
-from armrig.rig.telemetry_stream import stream
+from armrig.rig.session import open_session
+from armrig.rig.telemetry_stream import arrivals, stream
 from armrig_core import telemetry
 from fake_daemon import FakeDaemon
 from hypothesis import given
 from hypothesis import strategies as st
-from made_recordings import gap, sample
+from made_recordings import event, gap, sample
 
 spans = st.lists(st.tuples(st.integers(0, 60), st.integers(1, 20)), max_size=8)
 
@@ -170,6 +174,96 @@ def test_a_daemon_that_counts_anew_misses_nothing(
 
     assert [type(f).__name__ for f in found] == ["LiveGap", *["Sample"] * 4]
     assert [f.k for f in found[1:]] == [900, 901, 5, 6]
+
+
+@contextmanager
+def scripted(_: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
+    """Stand for what comes from the line, in lots that no machine makes anew each time."""
+    lots = iter(SCRIPT[key.rsplit("/", 1)[1]])
+    yield lambda: next(lots, [])
+
+
+SCRIPT: dict[str, list[list[Any]]] = {}
+
+
+@pytest.fixture
+def listed(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., list[Any]]:
+    """Give what returns a stream made of lots of samples, and of the gaps told with each."""
+
+    def values(samples: list[list[Any]], gaps: list[list[Any]]) -> list[Any]:
+        monkeypatch.setattr(telemetry_stream, "arrivals", scripted)
+        monkeypatch.setitem(SCRIPT, "sample", samples)
+        monkeypatch.setitem(SCRIPT, "gap", gaps)
+        heard = stream("rig/1/sample", connect=where)
+        found = up_to(heard, samples[-1][-1].k)
+        heard.close()
+        return found
+
+    return values
+
+
+def test_a_gap_that_came_before_its_place_is_kept_until_there(
+    listed: Callable[..., list[Any]],
+) -> None:
+    """Whether it came with samples before it, or long before."""
+    found = listed(
+        [[sample(1), sample(2), sample(5), sample(6)], [sample(7)], [sample(9)]],
+        [[gap(3, 2, 2.5), gap(8, 1, 2.5)]],
+    )
+
+    assert [f.k_first if isinstance(f, LiveGap) else f.k for f in found] == [1, 2, 3, 5, 6, 7, 8, 9]
+    assert [f.reason for f in found if isinstance(f, LiveGap)] == ["link silent"] * 2
+
+
+def test_a_gap_is_told_of_the_samples_before_the_daemon_counts_anew_alone(
+    listed: Callable[..., list[Any]],
+) -> None:
+    """The same indices may be missing again, and that for another reason."""
+    found = listed([[sample(1), sample(4)], [sample(1), sample(4), sample(5)]], [[gap(2, 2, 2.5)]])
+
+    assert [f.reason for f in found if isinstance(f, LiveGap)] == ["link silent", MISSED]
+
+
+def test_gaps_told_do_not_pile_up(
+    listed: Callable[..., list[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of too many the oldest are forgotten, and of too long ones."""
+    monkeypatch.setattr(live_gaps, "MOST_TOLD", 3)
+    few = listed([[sample(0), sample(10)]], [[gap(k, 1, 2.5) for k in range(1, 10)]])
+    monkeypatch.setattr(live_gaps, "MOST_TOLD_BYTES", 1000)
+    long = [gap(k, 1, 2.5, "x" * 400) for k in range(1, 10)]
+    short = listed([[sample(0), sample(10)]], [long])
+
+    assert [(f.k_first, f.count) for f in few[1:-1]] == [(1, 6), (7, 1), (8, 1), (9, 1)]
+    assert [(f.k_first, f.count) for f in short[1:-1]] == [(1, 7), (8, 1), (9, 1)]
+
+
+def test_a_stranger_cannot_fill_the_memory_of_who_listens(daemon: FakeDaemon, where: str) -> None:
+    """100 MB that nobody reads for a while: 16 MiB are kept, of which the newest is the last."""
+    large = event(0, "x" * (1 << 20)).SerializeToString()
+    last = event(0, "last").SerializeToString()
+    with (
+        open_session(where, rig="1") as session,
+        arrivals(session, "rig/1/event") as events_since,
+        arrivals(session, "rig/1/gap") as gaps_since,
+    ):
+        while not gaps_since():  # until the daemon has heard of us
+            daemon.session.put("rig/1/gap", gap(1, 1, 1.0).SerializeToString())
+            time.sleep(0.01)
+        all_come = {"congestion_control": zenoh.CongestionControl.BLOCK}
+        for data in (*[large] * 100, last):
+            daemon.session.put("rig/1/event", data, **all_come)
+        daemon.session.put("rig/1/gap", gap(2, 1, 1.0).SerializeToString(), **all_come)
+        while not any(g.k_first == 2 for g in gaps_since()):
+            time.sleep(0.01)
+
+        kept = events_since()
+
+    assert len(kept) == 16
+    assert kept[-1].message == "last"
+    assert sum(one.ByteSize() for one in kept) <= 16 << 20
 
 
 def test_watch_shows_a_gap(
