@@ -15,10 +15,11 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from armrig.recordings import catalogue as catalogue_module
-from armrig.recordings import catalogue_index, recording_summary
+from armrig.recordings import catalogue_index, metadata, recording_summary
 from armrig.recordings.catalogue import COLUMNS, catalogue
 from armrig.recordings.recording_summary import RecordingSummary, facts_of, summary_of
 from armrig_core.manifest import OUTCOME, RUN, Outcome
+from armrig_core.recording_file.budget import DamageError
 from made_recordings import manifest, recorded, sample, written
 from mcap.data_stream import RecordBuilder
 from mcap.records import Footer, MetadataIndex
@@ -382,3 +383,19 @@ def test_an_index_of_a_hundred_thousand_records_costs_two_reads(tmp_path: Path) 
         assert "no metadata named armrig.outcome" in catalogue(tmp_path).left_out[0].why
 
     assert reads == 1
+
+
+def test_a_summary_longer_than_any_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its length is a number that the file says; one as long as a record may be is read."""
+    data = recorded([sample(0)])
+    path = written(tmp_path, data)
+    (start,) = struct.unpack_from("<Q", data, len(data) - 8 - 4 - 8 - 8)
+    length = len(data) - start - 8 - 29  # up to the footer
+
+    monkeypatch.setattr(metadata, "RECORD_LIMIT", length)
+    assert RUN in metadata.read_metadata(path)
+    monkeypatch.setattr(metadata, "RECORD_LIMIT", length - 1)
+    with pytest.raises(DamageError, match="its footer says of no summary"):
+        metadata.read_metadata(path)

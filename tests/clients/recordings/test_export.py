@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from armrig.cli import main
+from armrig.recordings import export
 from armrig.recordings.export import write_csv, write_mat, write_parquet
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
@@ -55,6 +56,19 @@ def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording)
         assert pytest.approx(TS) == found.Ts
         np.testing.assert_array_equal(found.y, rec.theta_1)
         np.testing.assert_array_equal(found.u, rec.u)
+
+
+def test_a_long_recording_is_written_row_by_row_as_a_short_one(
+    rec: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each once, where they are made into text in several pieces, the last one shorter."""
+    one, many = rec.path.with_name("one.csv"), rec.path.with_name("many.csv")
+    write_csv(rec, one)
+    monkeypatch.setattr(export, "_AT_ONCE", 70)
+    write_csv(rec, many)
+
+    assert len(one.read_text().splitlines()) == 1 + N
+    assert many.read_text() == one.read_text()
 
 
 @pytest.mark.parametrize("kind", ["csv", "mat", "parquet"])

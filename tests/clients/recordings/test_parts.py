@@ -48,6 +48,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @settings(max_examples=40, deadline=None)
 @example(50, 1)
+@example(98, 50)  # the sample before the first is at a rail
 @given(st.integers(0, N - 2), st.integers(1, N))
 def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n: int) -> None:
     """Every array but the count of turns, which begins anew; reports of its time alone."""
@@ -64,6 +65,34 @@ def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n:
         e.message for e in whole.events if first * TS <= e.t < end * TS
     }
     assert len(part.gaps) == (first < 50) + (first < 930 and end > 900)
+
+
+def test_samples_that_came_late_are_in_their_part(tmp_path: Path) -> None:
+    """As after a stall: read on until one behind the part is seen, however late it was."""
+    late_ns = 5_000_000_000
+    samples = [sample(k) for k in range(800)]
+    samples[100:] = [s._replace(t_host_ns=s.t_host_ns + late_ns) for s in samples[100:]]
+    path = written(tmp_path, recorded(samples, manifest=manifest(samples=800), flush_every=20))
+
+    # The last one, 140, is alone in its chunk.
+    part = load(path, start=0.5, stop=1.41)
+
+    assert (part.k_first, part.N, part.missing) == (50, 91, 0)
+
+
+def test_a_second_around_the_part_is_read(tmp_path: Path) -> None:
+    """A sample may come before it was due, and a report be written behind what it tells of."""
+    early_ns = 900_000_000
+    messages: list[object] = [
+        sample(k)._replace(t_host_ns=sample(k).t_host_ns - early_ns) for k in range(100, 800)
+    ]
+    messages.insert(190, event(200, "told 0.9 s later"))  # behind sample 289
+    path = written(tmp_path, recorded(messages, manifest=manifest(samples=800), flush_every=20))
+
+    part = load(path, start=1.5, stop=2.1)
+
+    assert (part.k_first, part.N, part.missing) == (250, 60, 0)
+    assert [e.message for e in load(path, start=0.5, stop=1.1).events] == ["told 0.9 s later"]
 
 
 def test_what_lies_outside_the_part_is_not_unpacked(
@@ -157,13 +186,18 @@ def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None
             load(given_paths)
 
 
-def test_a_part_that_was_cut_off_is_told(tmp_path: Path) -> None:
-    """Which one, and what is missing is missing."""
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_a_part_that_was_cut_off_is_told(tmp_path: Path, number: int) -> None:
+    """Which one it is; whichever it is, the recording is cut off."""
     paths = _parts(tmp_path)
-    paths[0].write_bytes(paths[0].read_bytes()[:-20])
+    cut = paths[number - 1]
+    sizes = [path.stat().st_size for path in paths]
+    assert not load(tmp_path / "run.mcap").cut_off
+    cut.write_bytes(cut.read_bytes()[:-20])
 
     rec = load(tmp_path / "run.mcap")
 
     assert rec.cut_off
-    assert "part 1: the file is cut off" in rec.damage
+    assert rec.damage.startswith(f"part {number}: the file is cut off")
+    assert f" of {sum(sizes) - 20} B, " in rec.damage
     assert rec.N == 300

@@ -28,10 +28,12 @@ from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.manifest import INPUT, RUN, Manifest, Outcome
 from armrig_core.recording_file import budget, file_records
+from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import Wanted
 from armrig_protocol.messages import Flag
 from fuzz.cuts import edges
+from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_recordings import (
@@ -49,6 +51,7 @@ from made_recordings import (
 from mcap.writer import CompressionType, Writer
 
 IDENTITY = Calibration(theta_1=Potentiometer(rad_per_count=tau / 65536))
+_ROW_HEAD = struct.pack("<BQHIQQ", 0x05, 22 + telemetry.SAMPLE_LENGTH, 1, 0, 0, 0)
 
 
 def _record(opcode: int, body: bytes) -> bytes:
@@ -677,29 +680,61 @@ def test_only_our_names_are_kept(tmp_path: Path) -> None:
     assert "without its footer" in load(written(tmp_path, _broken_off(schema + metadata))).damage
 
 
+@pytest.mark.parametrize("flush_every", [0, 30, 50])
 def test_a_file_has_no_more_samples_than_a_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flush_every: int
 ) -> None:
-    """Those up to there are kept."""
+    """Those up to there are kept, in the middle of a chunk or at its end."""
     monkeypatch.setattr(sample_rows, "SAMPLES_LIMIT", 250)
+    monkeypatch.setattr(sample_rows, "_PENDING_LIMIT", 0)
+    data = recorded([sample(k) for k in range(300)], flush_every=flush_every)
 
-    rec = load(written(tmp_path, recorded([sample(k) for k in range(300)])))
+    rec = load(written(tmp_path, data))
 
     assert rec.N == 250
     assert "more than 250 samples" in rec.damage
 
 
+@given(
+    st.lists(st.lists(st.integers(0, 12) | st.integers(2**62 - 2, 2**62 + 1), max_size=4)),
+    st.integers(0, 30),
+)
+def test_samples_are_kept_for_as_long_as_k_rises(packs: list[list[int]], spoilt: int) -> None:
+    """Within what is packed at once and from one to the next; up to one that cannot be read."""
+    rows, failed, expected = sample_rows.SampleRows(), False, []
+    all_k = [k for pack in packs for k in pack]
+    for k, last in zip(all_k, [-1, *all_k], strict=False):
+        if not last < k < 2**62 or len(expected) == spoilt:
+            break
+        expected.append(k)
+
+    count = 0
+    try:
+        for pack in packs:
+            for k in pack:
+                data = telemetry.encode_sample(sample(0)._replace(k=k))
+                spoil = count == spoilt
+                rows.add_run(memoryview(_ROW_HEAD + (b"\xff" * len(data) if spoil else data)), 0)
+                rows.settle()
+                count += 1
+            rows.pack()
+    except (DamageError, DecodeError):
+        failed = True
+
+    assert rows.finish()["k"].tolist() == expected
+    assert failed == (len(expected) < len(all_k))
+
+
 def test_samples_do_not_keep_the_chunk_they_came_in() -> None:
     """One sample in each of many chunks of 8 MB must not hold all of them."""
-    head = struct.pack("<BQHIQQ", 0x05, 22 + telemetry.SAMPLE_LENGTH, 1, 0, 0, 0)
-    chunk = head + telemetry.encode_sample(sample(0)) + bytes(100_000)
+    chunk = _ROW_HEAD + telemetry.encode_sample(sample(0)) + bytes(100_000)
     rows = sample_rows.SampleRows()
     before = sys.getrefcount(chunk)
 
     taken = rows.add_run(memoryview(chunk), 0)
     rows.settle()
 
-    assert taken == len(head) + telemetry.SAMPLE_LENGTH
+    assert taken == len(_ROW_HEAD) + telemetry.SAMPLE_LENGTH
     assert sys.getrefcount(chunk) == before
 
 
@@ -711,6 +746,20 @@ def test_a_grid_has_no_more_rows_than_a_run(
 
     with pytest.raises(RecordingError, match="too many for a recording"):
         load(written(tmp_path, recorded([sample(k) for k in (0, 1, 299)])))
+
+
+@pytest.mark.parametrize(("came", "missing"), [(0, 200_000), (7, 200_070)])
+def test_a_grid_lacks_no_more_samples_than_it_may(came: int, missing: int) -> None:
+    """200 000, and ten more for each that came; with one more it is refused."""
+    k = np.arange(came, dtype=np.uint64)
+
+    ended = Outcome(outcome="complete", samples=came, missing=missing)
+
+    rows = grid.grid(k, manifest(k_first=0, samples=came + missing), ended, ())
+
+    assert (rows.k_first, rows.N) == (0, came + missing)
+    with pytest.raises(ValueError, match=f"{missing + 1} are missing: too many"):
+        grid.grid(k, manifest(k_first=0, samples=came + missing + 1), ended, ())
 
 
 @given(

@@ -87,6 +87,43 @@ def test_a_part_is_played_alone(run: Path) -> None:
         published(run, 5.0, 6.0)
 
 
+@pytest.mark.parametrize(
+    ("start", "stop", "told"),
+    [(0.2, 0.3, ["begins", "gap"]), (0.1, 0.2, []), (0.25, 0.3, ["gap"]), (0.2, 0.25, ["begins"])],
+)
+def test_a_part_begins_with_its_first_moment_and_ends_before_its_last(
+    tmp_path: Path, start: float, stop: float, told: list[str]
+) -> None:
+    """So two parts that follow each other have each message once."""
+    messages = [sample(k) for k in range(N)]
+    begins, lost = timing(20), gap(23, 2, 1.0)
+    begins.t_host_ns = messages[20].t_sched_ns
+    messages[23:25] = [lost]
+    messages[20:20] = [begins]
+    run = published(
+        written(tmp_path, recorded(messages, manifest=manifest(samples=N))), start, stop
+    )
+
+    others = {"timing": "begins", "gap": "gap"}
+    assert [others[m.stream] for m in run.messages() if m.stream in others] == told
+
+
+@pytest.mark.parametrize("after_us", [-5, 0, 5])
+def test_a_gap_is_published_when_it_is_over(tmp_path: Path, after_us: int) -> None:
+    """Or just before the sample behind it, where that came sooner; at the end of the file, too."""
+    lost, last = gap(3, 2, 1.0), gap(8, 2, 1.0)
+    behind = sample(5)
+    lost.t_to_ns = behind.t_host_ns + 1000 * after_us
+    messages = [sample(0), sample(1), sample(2), lost, behind, sample(6), sample(7), last]
+    run = published(written(tmp_path, recorded(messages)))
+
+    found = list(run.messages())
+
+    assert [m.stream for m in found] == [*["sample"] * 3, "gap", *["sample"] * 3, "gap"]
+    assert found[3].t == pytest.approx(0.05 + 3e-6 + min(after_us, 0) * 1e-6, abs=1e-9)
+    assert found[-1].t == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize("speed", [0.5, 1.0, 20.0])
 def test_each_message_is_published_when_it_is_due(
     run: Path, speed: float, monkeypatch: pytest.MonkeyPatch
@@ -159,6 +196,39 @@ def test_a_listener_hears_what_was_recorded(run: Path, place: str) -> None:
     ]
     [missing] = [v for v in heard if isinstance(v, LiveGap)]
     assert (missing.k_first, missing.count, missing.reason) == (20, 5, "link silent")
+
+
+def test_who_does_not_keep_up_does_not_hold_it_up(run: Path, place: str) -> None:
+    """Messages of every stream may be dropped on their way, as a daemon's are."""
+    where = f"unixsock-stream/{place}/p.sock"
+    with staged(where, "played-1") as stage, open_session(where, rig="played-1") as listener:
+        heard = listener.declare_subscriber("rig/played-1/*", zenoh.handlers.FifoChannel(200))
+        stage.wait_for_listener()
+        list(play(published(run), stage.publish, speed=1000.0))
+        received = [heard.recv() for _ in range(len(published(run)))]
+
+    assert {str(r.key_expr).rsplit("/", 1)[1] for r in received} == {
+        "sample",
+        "gap",
+        "event",
+        "timing",
+    }
+    assert all(r.congestion_control == zenoh.CongestionControl.DROP for r in received)
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o077])
+def test_the_group_may_listen_and_nobody_else(place: str, mask: int) -> None:
+    """As at a daemon's socket; other files of this process are made as before."""
+    before = os.umask(mask)
+    try:
+        with staged(f"unixsock-stream/{place}/p.sock", "played-1"):
+            assert Path(place, "p.sock").stat().st_mode & 0o777 == 0o770
+            assert os.umask(mask) == mask
+        with pytest.raises(RigError), staged("nonsense", "played-1"):
+            pass
+        assert os.umask(mask) == mask
+    finally:
+        os.umask(before)
 
 
 def test_it_is_no_rig(place: str) -> None:
