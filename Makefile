@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test machine check coverage mutants bench fuzz simulate firmware fil format clean
+.PHONY: demo test machine walk check coverage mutants bench fuzz simulate firmware fil format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -15,7 +15,12 @@ test: .venv/dev
 
 # As root: the service under a systemd, and strangers on a network, each in a machine of its own.
 machine: .venv/dev
-	$(BIN)/pytest -m machine tests/systemd tests/integration
+	$(BIN)/pytest -m machine -k "not empty" tests/systemd tests/integration
+
+# As root, with Debian's debootstrap: every line of docs/service.md and docs/access.md, on an empty
+# Debian. It fetches packages; four minutes.
+walk: .venv/dev
+	$(BIN)/pytest -m machine -k empty tests/systemd/test_walk.py
 
 check: .venv/dev
 	$(BIN)/ruff check

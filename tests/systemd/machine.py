@@ -1,7 +1,8 @@
 """A machine with systemd as its PID 1, in namespaces of its own; the host is not touched.
 
 Its root is the host's with a layer of memory over it, so that nothing has to be downloaded; /etc
-has none of the host's units, and /opt/armrig is an installation of this checkout.
+has none of the host's units, and /opt/armrig is an installation of this checkout. Or it is another
+system's, as it is there.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from typing import Any
 
 CHECKOUT = Path(__file__).parents[2]
 WITHIN_S = 30.0
+FETCHED_S = 600.0
 _CAP_SYS_RESOURCE = 24  # <linux/capability.h>
+_HOST = Path("/")
 _SCRIPT = Path(__file__).with_name("machine.sh")
 _NAMESPACES = ("--cgroup", "--mount", "--pid", "--fork", "--uts", "--ipc", "--net")
 _OURS = ("firmware_protocol", "daemon", "clients")
@@ -57,17 +60,18 @@ def wait_for(what: Callable[[], object], within_s: float = WITHIN_S) -> float:
 class Machine:
     """A running machine."""
 
-    def __init__(self) -> None:
+    def __init__(self, root: Path = _HOST) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="armrig-machine-"))
         self._cgroup = _cgroups() / self._folder.name
         self._cgroup.mkdir()
         start = f"echo $$ > {self._cgroup}/cgroup.procs; exec unshare {' '.join(_NAMESPACES)} "
-        start += f"--kill-child sh {_SCRIPT} {self._folder} {CHECKOUT} {sys.base_prefix}"
+        start += f"--kill-child sh {_SCRIPT} {self._folder} {root} {CHECKOUT} {sys.base_prefix}"
         self._unshare = subprocess.Popen(["sh", "-c", start], stdin=subprocess.DEVNULL)
         self._pid = 0
         try:
             wait_for(self._is_up)
-            self._install()
+            if root == _HOST:
+                self._install()
         except BaseException:
             self.end()
             raise
@@ -96,19 +100,25 @@ class Machine:
             self.write(Path("/opt/armrig/bin") / name, _PROGRAM.format(module=module), 0o755)
 
     def run(
-        self, *command: str, user: str = "", check: bool = True
+        self, *command: str, user: str = "", check: bool = True, online: bool = False
     ) -> subprocess.CompletedProcess[str]:
-        """Run a command in the machine, as root or as another of its users."""
-        enter = ["nsenter", "-t", str(self._pid), "-m", "-u", "-i", "-n", "-p", "-C", "--"]
+        """Run a command in the machine, as root or as another of its users.
+
+        What is to be online has the host's network for once, and time to fetch packages.
+        """
+        enter = ["nsenter", "-t", str(self._pid), "-m", "-u", "-i", "-p", "-C"]
+        enter += ["--"] if online else ["-n", "--"]
         if user:
             enter += ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups"]
         clean = ["env", "-i", "-C", "/", "PATH=/opt/armrig/bin:/usr/sbin:/usr/bin:/sbin:/bin"]
+        if online:  # as this host fetches packages
+            clean += [f"{key}={value}" for key, value in os.environ.items() if key[:4] == "PIP_"]
         done = subprocess.run(
             [*enter, *clean, "HOME=/tmp", "OPENBLAS_NUM_THREADS=1", *command],
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
-            timeout=120,
+            timeout=FETCHED_S if online else 120,
             check=False,
         )
         assert not check or done.returncode == 0, f"{command}: {done.stdout}{done.stderr}"

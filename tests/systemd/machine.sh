@@ -1,23 +1,37 @@
-# A machine in namespaces of its own, for tests: systemd as its PID 1, the host's files below it.
+# A machine in namespaces of its own, for tests: systemd as its PID 1, the files of a root below it.
 #
-#   unshare --cgroup --mount --pid --fork --uts --ipc --net --kill-child sh machine.sh FOLDER CHECKOUT PYTHON
+#   unshare --cgroup --mount --pid --fork --uts --ipc --net --kill-child sh machine.sh FOLDER ROOT CHECKOUT PYTHON
 #
-# What it writes goes into memory and is gone with it. Of the host's kernel it may load no module,
-# set no clock and change no setting.
+# ROOT is /, that of this host: what the machine writes goes into memory and is gone with it. Or that
+# of another system, which it may change. Of the host's kernel it may load no module, set no clock
+# and change no setting.
 set -eu
-folder=$1 checkout=$2 python=$3
+folder=$1 root=$2 checkout=$3 python=$4
 
 mount --make-rprivate /
 mount -t tmpfs -o mode=0755 tmpfs "$folder"
 mkdir "$folder/upper" "$folder/work" "$folder/root"
-mount -t overlay -o "lowerdir=/,upperdir=$folder/upper,workdir=$folder/work" overlay "$folder/root"
+if [ "$root" = / ]; then
+    mount -t overlay -o "lowerdir=/,upperdir=$folder/upper,workdir=$folder/work" overlay "$folder/root"
+else
+    mount --bind "$root" "$folder/root"
+fi
 cd "$folder/root"
+mkdir -p mnt
 
-# At places that every user of the machine can read: here they may lie in somebody's home.
-mkdir -p opt/checkout opt/python
-mount --bind "$checkout" opt/checkout
-mount --bind "$python" opt/python
-for of_here in opt/checkout opt/python; do mount -o remount,ro,bind $of_here; done
+if [ "$root" = / ]; then
+    # At places that every user of the machine can read: here they may lie in somebody's home.
+    mkdir -p opt/checkout opt/python
+    mount --bind "$checkout" opt/checkout
+    mount --bind "$python" opt/python
+    for of_here in opt/checkout opt/python; do mount -o remount,ro,bind $of_here; done
+    # The host's own units, users and settings are none of the machine's.
+    for of_host in etc/systemd/system etc/udev etc/sysusers.d etc/tmpfiles.d etc/armrig; do
+        rm -rf $of_host
+        mkdir -p $of_host
+    done
+    rm -rf var/lib/armrig var/log/journal opt/armrig
+fi
 
 mount -t tmpfs -o mode=0755 tmpfs run
 for of_all in tmp var/tmp; do mount -t tmpfs -o mode=1777 tmpfs $of_all; done
@@ -36,21 +50,13 @@ for name in null zero full random urandom tty cpu_dma_latency; do
     cp -a /dev/$name dev/  # a node of the machine's own, whose mode it may change
 done
 
-# The host's own units, users and settings are none of the machine's.
-for of_host in etc/systemd/system etc/udev etc/sysusers.d etc/tmpfiles.d etc/armrig; do
-    rm -rf $of_host
-    mkdir -p $of_host
-done
-rm -rf var/lib/armrig var/log/journal opt/armrig
-
-mkdir -p mnt
 pivot_root . mnt
 cd /
 umount -l /mnt
 
 # A Python with a shared library looks for it where it was built. If that is a home, which the unit
 # hides, the loader takes that of the host's Python of the same version, and no module fits it.
-if [ "$python" != /usr ]; then
+if [ "$root" = / ] && [ "$python" != /usr ]; then
     echo /opt/python/lib > etc/ld.so.conf.d/0-python.conf
     ldconfig
 fi
