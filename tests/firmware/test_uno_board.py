@@ -20,8 +20,6 @@ from firmware.uno_host import BOOT_NS, HEX, MS, Host, harness, missing, powered
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 FIRMWARE = HEX.parent
 HALF = 32768
-RESET_PIN = 2
-"""In MCUSR."""
 DIES_MS = 600
 PATIENCE_MS = 50 + 256 + 5
 """Until a converter counts as dead, until the watchdog bites, and for the clock's beginning."""
@@ -99,16 +97,6 @@ def test_hello_tells_the_crc_of_the_image() -> None:
     """Of every byte that is written to flash, as `armrig flash` asks for."""
     with powered() as host:
         assert host.hello().firmware == read_image(HEX).crc
-
-
-def test_a_reset_is_told_with_its_own_cause_alone() -> None:
-    """What reset it before is forgotten."""
-    with powered() as host:
-        assert host.hello().reset & RESET_PIN == 0
-        restart(host)
-        assert host.hello().reset == RESET_PIN
-        restart(host)
-        assert host.hello().reset == RESET_PIN
 
 
 @builds

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,28 +18,50 @@ from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
 
 from firmware.uno_host import harness, missing
 
-COMMAND = [sys.executable, "-m", "armrig_daemon", "emulate", "--firmware", "--port"]
+COMMAND = [sys.executable, "-m", "armrig_daemon"]
+EMULATE = [*COMMAND, "emulate", "--firmware", "--port"]
+needs_simavr = pytest.mark.skipif(bool(missing()), reason=missing())
 
 
-@pytest.mark.skipif(bool(missing()), reason=missing())
-def test_who_opens_the_port_meets_the_firmware(tmp_path: Path) -> None:
-    """It answers HELLO, repeated as it boots, and says who it is: no emulator, an image."""
+@pytest.fixture
+def port(tmp_path: Path) -> Iterator[Path]:
+    """Emulate a rig with the firmware; give its port, and end it well."""
     port = tmp_path / "uno"
     environ = os.environ | {"ARMRIG_FIL": str(harness())}
-    emulator = subprocess.Popen([*COMMAND, str(port)], env=environ, stderr=subprocess.PIPE)
+    emulator = subprocess.Popen([*EMULATE, str(port)], env=environ, stderr=subprocess.PIPE)
     try:
         while not port.exists():
             assert emulator.poll() is None
             time.sleep(0.01)
-        reply = _greet(port)
+        yield port
     finally:
         emulator.terminate()
         emulator.communicate()
+    assert emulator.returncode == 0
+
+
+@needs_simavr
+def test_who_opens_the_port_meets_the_firmware(port: Path) -> None:
+    """It answers HELLO, repeated as it boots, and says who it is: no emulator, an image."""
+    reply = _greet(port)
 
     assert reply.firmware != 0
     assert (reply.queue, reply.pwm_bits) == (256, 10)
     assert reply.reset == 2  # by its pin, as the port was opened
-    assert emulator.returncode == 0
+
+
+@needs_simavr
+def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
+    """As a lab asks its board: no rule is broken, however late this machine is."""
+    arguments = ["conformance", "--device", str(port), "--motor-unplugged", "--json"]
+
+    ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
+
+    told = json.loads(ended.stdout)
+    assert [r for r in told["rules"] if r["outcome"] == "FAIL"] == []
+    assert (ended.returncode, told["broken"]) == (0, 0)
+    assert len(told["rules"]) > 80
+    assert told["device"]["firmware"] != "0"
 
 
 def _greet(port: Path) -> HelloReply:
@@ -58,7 +82,7 @@ def test_without_the_harness_it_ends_with_one_line(tmp_path: Path) -> None:
     environ = os.environ | {"ARMRIG_FIL": str(tmp_path / "none")}
 
     ended = subprocess.run(
-        [*COMMAND, str(tmp_path / "uno")], env=environ, capture_output=True, text=True, check=False
+        [*EMULATE, str(tmp_path / "uno")], env=environ, capture_output=True, text=True, check=False
     )
 
     assert ended.returncode == 78
