@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from armrig_core.firmware_image import shipped_image
+
 from armrig_daemon.emulator.harness import HarnessError
 
 VARIABLE = "ARMRIG_FIL"
@@ -29,15 +31,15 @@ def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> P
     return program
 
 
-def firmware_image(image: Path | None, checkout: Path = _PROTOCOL) -> Path:
-    """Return the firmware to run: `image`, or the Uno's of the checkout.
+def firmware_image(image: Path | None) -> Path:
+    """Return the firmware to run: `image`, or the Uno's that is shipped.
 
     Raises
     ------
     HarnessError
         There is none; says which file was looked for.
     """
-    found = image or checkout / "firmware" / "armrig-uno.hex"
+    found = image or shipped_image()
     if not found.is_file():
         msg = f"{found}: no such firmware; `make firmware` builds it in a checkout"
         raise HarnessError(msg)
