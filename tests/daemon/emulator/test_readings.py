@@ -107,9 +107,13 @@ def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
 def test_the_shortest_ts_grows_by_two_skews_with_each(
     m: int, conversion_us: float, mode: Mode
 ) -> None:
-    """BAD_VALUE below `ts_min_us` + 2 (m - 1) `skew_us`; at it no sample is late."""
+    """BAD_VALUE below `ts_min_us` + 2 (m - 1) `skew_us`; at it no sample is late.
+
+    `ts_min_us` is two conversions, rounded up.
+    """
     host = Host(replace(QUIET, conversion_us=conversion_us))
     hello = host.hello()
+    assert hello.ts_min_us - 1 < 2 * conversion_us <= hello.ts_min_us
     least = hello.ts_min_us + 2 * (m - 1) * hello.skew_us
 
     assert host.configure(mode=mode, ts_us=least - 1, oversampling=m).code == Code.BAD_VALUE

@@ -105,17 +105,6 @@ def test_hello_tells_of_the_mode_and_the_queue(queue: int) -> None:
     assert (accepted.code, accepted.mode) == (Code.OK, Mode.SCHEDULED)
 
 
-@pytest.mark.parametrize("conversion_us", [104.0, 100.3])
-def test_a_ts_shorter_than_two_conversions_is_refused(conversion_us: float) -> None:
-    """BAD_VALUE below `ts_min_us`, the two rounded up."""
-    host = Host(EmulatorSettings(baud=BAUD, conversion_us=conversion_us))
-    least = host.hello().ts_min_us
-
-    assert least - 1 < 2 * conversion_us <= least
-    assert host.configure(**{**SCHEDULED, "ts_us": least - 1}).code == Code.BAD_VALUE
-    assert host.configure(**{**SCHEDULED, "ts_us": least}).code == Code.OK
-
-
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("state", STATES)
 def test_setpoints_are_taken_in_armed_and_run_of_this_mode_only(state: State, mode: Mode) -> None:

@@ -1,0 +1,44 @@
+"""How a device of the emulator is made to break a rule: by a patched function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pytest
+from armrig_daemon.emulator import (
+    requests,
+    transmission,
+)
+from armrig_daemon.emulator.firmware import Firmware
+from armrig_protocol.messages import (
+    Message,
+)
+
+Patch = pytest.MonkeyPatch
+
+
+class SpoiltDevice(NamedTuple):
+    """What is done to the emulator, and a rule that must find it."""
+
+    spoil: Callable[[Patch], None]
+    found_by: str
+    """Part of the rule's sentence."""
+
+
+def other_handler(patch: Patch, kind: type[Message], make: Callable[[Any], Any]) -> None:
+    """Put another handler of a type in the place of its own."""
+    patch.setitem(requests._HANDLERS, kind, make(requests._HANDLERS[kind]))
+
+
+def changed_answers(patch: Patch, change: Callable[[Message], Message | None]) -> None:
+    """Let each frame to the host be another one, or none."""
+    send = transmission.Transmission.send
+
+    def changed(
+        self: transmission.Transmission, fw: Firmware, t_ns: int, messages: list[Message]
+    ) -> None:
+        kept = [new for m in messages if (new := change(m)) is not None]
+        send(self, fw, t_ns, kept)
+
+    patch.setattr(transmission.Transmission, "send", changed)

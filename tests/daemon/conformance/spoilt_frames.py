@@ -1,0 +1,175 @@
+"""Devices that break a rule of frames, their numbers and their order (sections 1 and 2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from armrig_daemon.emulator import (
+    device,
+    reception,
+    requests,
+    transitions,
+    transmission,
+)
+from armrig_daemon.emulator.firmware import Firmware
+from armrig_protocol import decoder
+from armrig_protocol.frame import Spoilt
+from armrig_protocol.messages import (
+    Ack,
+    Cause,
+    Code,
+    Event,
+    Hello,
+    HelloReply,
+    Keepalive,
+    Message,
+    Pong,
+    Sample,
+    Setpoints,
+    State,
+)
+from spoiling import Patch, SpoiltDevice, changed_answers, other_handler
+
+
+def _no_crc(patch: Patch) -> None:
+    decode = decoder.decode
+
+    def lenient(stuffed: bytes) -> Any:
+        found = decode(stuffed)
+        if isinstance(found, Spoilt) and found.reason == "crc":
+            return Keepalive(0, 0)
+        return found
+
+    patch.setattr(reception.decoder, "decode", lenient)
+
+
+def _answers_spoilt(patch: Patch) -> None:
+    handle = requests.handle
+
+    def answering(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+        made = handle(fw, now_ns, received)
+        if isinstance(received, Spoilt):
+            made = [fw.answer(0, 0, Code.BAD_VALUE)]
+        return made
+
+    patch.setattr(device, "handle", answering)
+
+
+def _no_unknown(patch: Patch) -> None:
+    changed_answers(
+        patch,
+        lambda m: None if isinstance(m, Ack) and m.code == Code.UNKNOWN_TYPE else m,
+    )
+
+
+def _stale_is_taken(patch: Patch) -> None:
+    patch.setattr(requests, "is_newer", lambda number, last, mask: True)
+
+
+def _half_is_newer(patch: Patch) -> None:
+    def wide(number: int, last: int | None, mask: int) -> bool:
+        return last is None or 1 <= (number - last) & mask <= mask // 2 + 1
+
+    patch.setattr(requests, "is_newer", wide)
+
+
+def _stale_echo(patch: Patch) -> None:
+    changed_answers(
+        patch, lambda m: m._replace(echo=(m.echo - 1) & 0xFFFF) if isinstance(m, Sample) else m
+    )
+
+
+def _skips_a_seq(patch: Patch) -> None:
+    send = transmission.Transmission.send
+
+    def skipping(
+        self: transmission.Transmission, fw: Firmware, t_ns: int, messages: list[Message]
+    ) -> None:
+        send(self, fw, t_ns, messages)
+        self._seq = (self._seq + any(isinstance(m, HelloReply) for m in messages)) & 0xFFFF
+
+    patch.setattr(transmission.Transmission, "send", skipping)
+
+
+def _stop_must_be_new(patch: Patch) -> None:
+    patch.setattr(requests, "Stop", Setpoints)
+
+
+def _k_not_reset(patch: Patch) -> None:
+    def kept(old: Any) -> Any:
+        def handler(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
+            k = fw.k
+            made = old(fw, now_ns, m)
+            fw.k = k
+            return made  # type: ignore[no-any-return]
+
+        return handler
+
+    other_handler(patch, Hello, kept)
+
+
+def _spoilt_stops(patch: Patch) -> None:
+    handle = requests.handle
+
+    def stopping(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+        made = handle(fw, now_ns, received)
+        if isinstance(received, Spoilt) and fw.state is State.READY:
+            fw.enter(now_ns, State.IDLE, Cause.NONE)
+        return made
+
+    patch.setattr(device, "handle", stopping)
+
+
+def _pong_time(patch: Patch) -> None:
+    changed_answers(
+        patch,
+        lambda m: m._replace(rx_us=(m.rx_us + 30_000) & 0xFFFFFFFF) if isinstance(m, Pong) else m,
+    )
+
+
+def _small_ring(patch: Patch) -> None:
+    patch.setattr(transmission, "RING_BYTES", 60)
+
+
+def _event_of_another_boot(patch: Patch) -> None:
+    changed_answers(
+        patch,
+        lambda m: m._replace(boot=0) if isinstance(m, Event) else m,
+    )
+
+
+def _half_a_boot_id(patch: Patch) -> None:
+    reset = device.Device.reset
+
+    def same(self: device.Device, now_ns: int) -> None:
+        low = self._fw.boot_id & 0xFFFF
+        reset(self, now_ns)
+        self._fw.boot_id = self._fw.boot_id & 0xFFFF_0000 | low
+
+    patch.setattr(device.Device, "reset", same)
+
+
+def _event_before_answer(patch: Patch) -> None:
+    transition = transitions._transition
+    patch.setattr(
+        transitions, "_transition", lambda fw, t, m, state: transition(fw, t, m, state)[::-1]
+    )
+
+
+SPOILT: dict[str, SpoiltDevice] = {
+    "a CRC is not looked at": SpoiltDevice(_no_crc, "wrong CRC"),
+    "what is spoilt is answered": SpoiltDevice(_answers_spoilt, "wrong CRC"),
+    "an unknown type is not answered": SpoiltDevice(_no_unknown, "unknown type"),
+    "old frames are taken": SpoiltDevice(_stale_is_taken, "ACK(STALE)"),
+    "32768 ahead is newer": SpoiltDevice(_half_is_newer, "ACK(STALE)"),
+    "the EVENT comes before its answer": SpoiltDevice(_event_before_answer, "the answer first"),
+    "the echo is one behind": SpoiltDevice(_stale_echo, "`echo`"),
+    "only the high half of boot_id is drawn": SpoiltDevice(_half_a_boot_id, "another low half"),
+    "EVENT has another boot": SpoiltDevice(_event_of_another_boot, "low half of boot_id"),
+    "the device skips a seq": SpoiltDevice(_skips_a_seq, "seq counts them"),
+    "an old STOP is stale": SpoiltDevice(_stop_must_be_new, "whatever its seq"),
+    "PONG has a wrong time": SpoiltDevice(_pong_time, "in order"),
+    "HELLO does not begin k anew": SpoiltDevice(_k_not_reset, "behind a HELLO it may be any"),
+    "noise stops it": SpoiltDevice(_spoilt_stops, "Bytes at random"),
+    "PONG finds no room behind SAMPLE": SpoiltDevice(_small_ring, "At 1 kHz"),
+}

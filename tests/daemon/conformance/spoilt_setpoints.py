@@ -1,0 +1,140 @@
+"""Devices that break a rule of scheduled mode, its queue and its timer (section 6)."""
+
+from __future__ import annotations
+
+from dataclasses import replace as dataclass_replace
+from typing import Any
+
+from armrig_daemon.emulator import (
+    queue,
+    setpoints,
+    timer,
+    transitions,
+)
+from armrig_daemon.emulator.firmware import Firmware
+from armrig_daemon.emulator.queue import SetpointQueue
+from armrig_protocol.messages import (
+    Cause,
+    Config,
+    Message,
+    Setpoints,
+)
+from spoiling import Patch, SpoiltDevice
+
+
+def _drifts(patch: Patch) -> None:
+    due = timer.Timer.due_ns.fget  # type: ignore[attr-defined]
+    patch.setattr(timer.Timer, "due_ns", property(lambda self: due(self) + self.k * 300))
+
+
+def _one_late(patch: Patch) -> None:
+    due = timer.Timer.due_ns.fget  # type: ignore[attr-defined]
+    patch.setattr(timer.Timer, "due_ns", property(lambda self: due(self) + 5_000 * (self.k == 17)))
+
+
+def _starts_at_once(patch: Patch) -> None:
+    make = transitions._timer
+
+    def short(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Any:
+        made = make(fw, now_ns, period_ns, k_stop)
+        return dataclass_replace(made, first_ns=made.first_ns - period_ns)
+
+    patch.setattr(transitions, "_timer", short)
+
+
+def _one_sample_late(patch: Patch) -> None:
+    advance = SetpointQueue.advance
+
+    def late(self: SetpointQueue) -> bool:
+        before = self.in_force
+        there = advance(self)
+        self.in_force = before
+        return there
+
+    patch.setattr(SetpointQueue, "advance", late)
+
+
+def _hold_is_zero(patch: Patch) -> None:
+    advance = SetpointQueue.advance
+
+    def rests(self: SetpointQueue) -> bool:
+        there = advance(self)
+        if not there:
+            self.in_force = self._rest
+        return there
+
+    patch.setattr(SetpointQueue, "advance", rests)
+
+
+def _overwrites(patch: Patch) -> None:
+    add = SetpointQueue.add
+
+    def taken(self: SetpointQueue, m: Setpoints) -> bool:
+        add(self, m)
+        return True
+
+    patch.setattr(SetpointQueue, "add", taken)
+
+
+def _smaller_queue(patch: Patch) -> None:
+    def smaller(self: SetpointQueue, config: Config, capacity: int) -> None:
+        original(self, config, capacity - 1)
+
+    original = SetpointQueue.__init__
+    patch.setattr(SetpointQueue, "__init__", smaller)
+
+
+def _queue_outlives_its_run(patch: Patch) -> None:
+    class Kept(SetpointQueue):
+        last: list[Any] = []  # noqa: RUF012 - of this test alone
+
+        def __init__(self, config: Config, capacity: int) -> None:
+            super().__init__(config, capacity)
+            self._entries.extend(Kept.last)
+            self._frames.extend([len(Kept.last)] if Kept.last else [])
+            Kept.last = self._entries  # type: ignore[assignment]
+
+    patch.setattr(transitions, "SetpointQueue", Kept)
+
+
+def _half_the_setpoint_frames(patch: Patch) -> None:
+    patch.setattr(queue, "LEAST_A_FRAME", 16)
+
+
+def _n_of_25(patch: Patch) -> None:
+    patch.setattr(setpoints, "SETPOINTS_PER_FRAME", 300)
+
+
+def _setpoints_feed(patch: Patch) -> None:
+    tick = Firmware.tick
+
+    def feeding(self: Firmware, now_ns: int) -> list[Message]:
+        self.feed(now_ns)
+        return tick(self, now_ns)
+
+    patch.setattr(Firmware, "tick", feeding)
+
+
+def _padding_counts(patch: Patch) -> None:
+    violation = SetpointQueue.violation
+
+    def all_of_it(self: SetpointQueue, m: Setpoints) -> tuple[Cause, int]:
+        return violation(self, m._replace(n=24))
+
+    patch.setattr(SetpointQueue, "violation", all_of_it)
+
+
+SPOILT: dict[str, SpoiltDevice] = {
+    "the timer drifts": SpoiltDevice(_drifts, "to 1 us"),
+    "one sample is 5 us late": SpoiltDevice(_one_late, "to 1 us"),
+    "START samples at once": SpoiltDevice(_starts_at_once, "one Ts behind START"),
+    "each u is one sample late": SpoiltDevice(_one_sample_late, "every u at its k"),
+    "HOLD does not hold": SpoiltDevice(_hold_is_zero, "dry queue"),
+    "what disagrees is taken": SpoiltDevice(_overwrites, "disagrees"),
+    "the queue is one too small": SpoiltDevice(_smaller_queue, "what HELLO_R says"),
+    "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "gone with it"),
+    "too few frames in the queue": SpoiltDevice(_half_the_setpoint_frames, "`queue`/8"),
+    "n of 25 is taken": SpoiltDevice(_n_of_25, "n of 0 or above 24"),
+    "queued setpoints feed": SpoiltDevice(_setpoints_feed, "do not feed"),
+    "padding is looked at": SpoiltDevice(_padding_counts, "padding"),
+}

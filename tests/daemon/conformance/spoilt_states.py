@@ -1,0 +1,183 @@
+"""Devices that break a rule of states, arming, configuration and watchdog (sections 3, 4 and 7)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from armrig_daemon.emulator import (
+    device,
+    firmware,
+    requests,
+    transitions,
+)
+from armrig_daemon.emulator.firmware import Firmware
+from armrig_protocol.frame import Spoilt
+from armrig_protocol.messages import (
+    TYPES,
+    Arm,
+    Cause,
+    ClearFault,
+    Code,
+    Config,
+    ConfigReply,
+    Exchange,
+    Hello,
+    HelloReply,
+    Message,
+    Sample,
+    Start,
+    State,
+    Stop,
+)
+from spoiling import Patch, SpoiltDevice, changed_answers, other_handler
+
+
+def _hello_feeds(patch: Patch) -> None:
+    def feeding(hello: Any) -> Any:
+        def handler(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
+            fw.feed(now_ns)
+            return hello(fw, now_ns, m)  # type: ignore[no-any-return]
+
+        return handler
+
+    other_handler(patch, Hello, feeding)
+
+
+def _spoilt_feeds(patch: Patch) -> None:
+    handle = requests.handle
+
+    def feeding(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+        if isinstance(received, Spoilt):
+            fw.feed(now_ns)
+        return handle(fw, now_ns, received)
+
+    patch.setattr(device, "handle", feeding)
+
+
+def _late_watchdog(patch: Patch) -> None:
+    set_watchdog = Firmware._set_watchdog
+
+    def late(self: Firmware) -> None:
+        set_watchdog(self)
+        if self.watchdog_ns != firmware.NEVER:
+            self.watchdog_ns += 2_000_000
+
+    patch.setattr(Firmware, "_set_watchdog", late)
+
+
+def _watchdog_in_run_only(patch: Patch) -> None:
+    set_watchdog = Firmware._set_watchdog
+
+    def run_only(self: Firmware) -> None:
+        set_watchdog(self)
+        if self.state is State.ARMED:
+            self.watchdog_ns = firmware.NEVER
+
+    patch.setattr(Firmware, "_set_watchdog", run_only)
+
+
+def _any_boot(patch: Patch) -> None:
+    other_handler(
+        patch, Arm, lambda arm: lambda fw, t, m: arm(fw, t, m._replace(boot_id=fw.boot_id))
+    )
+
+
+def _any_nonce(patch: Patch) -> None:
+    for kind in (Arm, Start):
+        other_handler(
+            patch, kind, lambda old: lambda fw, t, m: old(fw, t, m._replace(nonce=fw.nonce))
+        )
+
+
+def _one_nonce(patch: Patch) -> None:
+    accept = Firmware.accept
+
+    def same(self: Firmware, config: Config) -> None:
+        accept(self, config)
+        self.nonce = 77
+
+    patch.setattr(Firmware, "accept", same)
+
+
+def _any_token(patch: Patch) -> None:
+    other_handler(
+        patch, ClearFault, lambda old: lambda fw, t, m: old(fw, t, m._replace(token=fw.token))
+    )
+
+
+def _token_not_told(patch: Patch) -> None:
+    changed_answers(patch, lambda m: m._replace(token=0) if isinstance(m, HelloReply) else m)
+
+
+def _config_stays(patch: Patch) -> None:
+    enter = Firmware.enter
+
+    def keeping(self: Firmware, now_ns: int, state: State, cause: Cause, *, detail: int = 0) -> Any:
+        kept = self.config, self.config_crc, self.nonce
+        event = enter(self, now_ns, state, cause, detail=detail)
+        self.config, self.config_crc, self.nonce = kept
+        return event
+
+    patch.setattr(Firmware, "enter", keeping)
+
+
+def _wrong_config_crc(patch: Patch) -> None:
+    changed_answers(patch, lambda m: m._replace(config_crc=1) if isinstance(m, ConfigReply) else m)
+
+
+def _stop_in_fault(patch: Patch) -> None:
+    def quiet(fw: Firmware, now_ns: int, m: Stop) -> list[Message]:
+        if fw.state in (State.FAULT, State.ESTOP):
+            return [fw.answer(TYPES[Stop], m.seq, Code.OK)]
+        return transitions.stop(fw, now_ns, m)
+
+    patch.setitem(requests._HANDLERS, Stop, quiet)
+
+
+def _drives_when_armed(patch: Patch) -> None:
+    def reported(m: Message) -> Message:
+        return m._replace(u_k=500) if isinstance(m, Sample) and m.state == State.ARMED else m
+
+    changed_answers(patch, reported)
+
+
+def _clamps(patch: Patch) -> None:
+    def clamped(old: Any) -> Any:
+        def handler(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
+            if fw.config is not None:
+                m = m._replace(u=min(max(m.u, fw.config.u_min), fw.config.u_max))
+            return old(fw, now_ns, m)  # type: ignore[no-any-return]
+
+        return handler
+
+    other_handler(patch, Exchange, clamped)
+
+
+def _slew_by_duty(patch: Patch) -> None:
+    def rounded(old: Any) -> Any:
+        def handler(fw: Firmware, now_ns: int, m: Exchange) -> list[Message]:
+            fw.u = fw.board.code
+            return old(fw, now_ns, m)  # type: ignore[no-any-return]
+
+        return handler
+
+    other_handler(patch, Exchange, rounded)
+
+
+SPOILT: dict[str, SpoiltDevice] = {
+    "HELLO feeds the watchdog": SpoiltDevice(_hello_feeds, "feeds the watchdog"),
+    "a spoilt frame feeds the watchdog": SpoiltDevice(_spoilt_feeds, "feeds the watchdog"),
+    "the watchdog is 2 ms late": SpoiltDevice(_late_watchdog, "silence of `watchdog_ms`"),
+    "no watchdog in ARMED": SpoiltDevice(_watchdog_in_run_only, "silence of `watchdog_ms`"),
+    "ARM of another boot arms": SpoiltDevice(_any_boot, "ARM carries"),
+    "any nonce arms": SpoiltDevice(_any_nonce, "do not arm again"),
+    "one nonce for all": SpoiltDevice(_one_nonce, "draws a nonce"),
+    "any token clears": SpoiltDevice(_any_token, "Only CLEAR_FAULT"),
+    "the token is not in HELLO_R": SpoiltDevice(_token_not_told, "with a token"),
+    "a code is clamped": SpoiltDevice(_clamps, "is FAULT(RANGE): the EVENT"),
+    "slew looks at the rounded duty": SpoiltDevice(_slew_by_duty, "more than `slew` from the last"),
+    "ARMED has a code": SpoiltDevice(_drives_when_armed, "every state but RUN"),
+    "the configuration outlives STOP": SpoiltDevice(_config_stays, "STOP leads from"),
+    "config_crc is not that of CONFIG": SpoiltDevice(_wrong_config_crc, "CRC-32 of it"),
+    "STOP is OK in FAULT": SpoiltDevice(_stop_in_fault, "In FAULT a request"),
+}
