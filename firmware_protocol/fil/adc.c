@@ -10,7 +10,7 @@ enum { ADCSRA = 0x7a, ADCSRB = 0x7b, ADATE = 0x20, ADEN = 0x80, ADTS = 7, ADTS_T
 
 static avr_t *the_avr;
 static avr_irq_t *inputs, *trigger;
-static int flag, by_timer;
+static int flag, by_timer, stands;
 static unsigned channel;
 
 static cycles_t held(avr_t *avr, cycles_t when, void *param) {
@@ -44,11 +44,16 @@ static void compared(avr_irq_t *irq, uint32_t value, void *param) {
     (void)irq, (void)param;
     int rises = value && !flag;
     flag = value != 0;
-    if (rises && the_avr->data[ADCSRA] & ADATE && (the_avr->data[ADCSRB] & ADTS) == ADTS_TIMER0_COMPA) {
+    if (rises && !stands && the_avr->data[ADCSRA] & ADATE && (the_avr->data[ADCSRB] & ADTS) == ADTS_TIMER0_COMPA) {
         by_timer = 1;
         avr_raise_irq(trigger, 1);
         by_timer = 0;
     }
+}
+
+// From now on no trigger of the timer begins a conversion, or each does again.
+void adc_stand(int is_to) {
+    stands = is_to;
 }
 
 // Let the supply be this; the bandgap is read against it.

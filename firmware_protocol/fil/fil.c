@@ -119,6 +119,9 @@ static void serve(void) {
         case 'V': // the supply, in mV
             adc_supply(avr, (uint16_t)order.n);
             break;
+        case 'S': // the converter stands still, or goes on
+            adc_stand((int)order.n);
+            break;
         case 'W': // write n bytes of EEPROM
             if (order.n > sizeof data || !hear(data, order.n))
                 return;

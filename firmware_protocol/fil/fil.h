@@ -57,6 +57,7 @@ void pwm_reset(avr_t *avr);
 // adc.c
 void adc_attach(avr_t *avr);
 void adc_supply(avr_t *avr, uint16_t millivolts);
+void adc_stand(int is_to);
 
 // flags.c: what simavr 1.6 does wrong with the interrupt flags of timer 0
 void flags_attach(avr_t *avr);

@@ -14,6 +14,7 @@ enum { COM1A1 = 0x80, ENABLE_BIT = 0x80, TIMER1_OVF = 13, TOP = FIL_PWM_PERIOD -
 static avr_t *the_avr;
 static avr_timer_comp_t *comp;
 static avr_irq_t *pin_irq;
+static uint8_t temp; // the high byte on its way: silicon's TEMP
 static uint16_t ocr_buffer;
 static int pin, enable;
 static cycles_t rose, period_began;
@@ -88,12 +89,19 @@ static void overflowed(avr_irq_t *irq, uint32_t value, void *param) {
     }
 }
 
+// Does not act before the low byte comes, whatever the timer does meanwhile.
+static void write_high(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
+    (void)avr, (void)addr, (void)param;
+    temp = v;
+}
+
 static void write_ocr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     (void)addr, (void)param;
     uint16_t active = comp->timer->tov_cycles ? (uint16_t)(comp->comp_cycles ? comp->comp_cycles - 1 : TOP) : 0;
-    ocr_buffer = (uint16_t)(avr->data[OCR1AH] << 8 | v);
+    ocr_buffer = (uint16_t)(temp << 8 | v);
     if (!comp->timer->tov_cycles) { // a timer that stands takes it at once
         avr->data[OCR1AL] = v;
+        avr->data[OCR1AH] = temp;
         return;
     }
     avr->data[OCR1AL] = (uint8_t)active;
@@ -114,6 +122,7 @@ void pwm_attach(avr_t *avr) {
     the_avr = avr;
     comp = avr->io[AVR_DATA_TO_IO(OCR1AL)].w.param;
     avr->io[AVR_DATA_TO_IO(OCR1AL)].w.c = write_ocr;
+    avr->io[AVR_DATA_TO_IO(OCR1AH)].w.c = write_high;
     pin_irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 1);
     avr_irq_register_notify(pin_irq, pin_changed, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 7), enable_changed, NULL);

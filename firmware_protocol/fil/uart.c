@@ -154,6 +154,8 @@ static void write_ubrr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
 
 // Forget what is on its way; the line's bytes of before a reset are gone, too.
 void uart_reset(avr_t *avr) {
+    avr_cycle_timer_cancel(avr, byte_came, NULL);
+    avr_cycle_timer_cancel(avr, byte_left, NULL);
     line_head = line_tail = n_received = 0;
     line_free = avr->cycle;
     shifting = buffered = -1;

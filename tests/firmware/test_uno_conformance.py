@@ -20,10 +20,14 @@ from firmware.uno_host import missing, switch_on
 pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
 
 
-@pytest.mark.parametrize("resets", [True, False])
-def test_the_uno_does_what_the_protocol_says(resets: bool) -> None:
-    """Each rule is tried, and holds, whether the opening of its port resets it or not."""
-    with closing(switch_on(EmulatorSettings(**AT_A_RAIL), 0)) as uno:
+@pytest.mark.parametrize(("resets", "boot_loader"), [(True, False), (False, False), (True, True)])
+def test_the_uno_does_what_the_protocol_says(resets: bool, boot_loader: bool) -> None:
+    """Each rule is tried, and holds, whether the opening of its port resets it or not.
+
+    And where that ends in a boot loader, which is deaf for a second.
+    """
+    settings = EmulatorSettings(**AT_A_RAIL)
+    with closing(switch_on(settings, 0, boot_loader=boot_loader)) as uno:
         line = VirtualLine(uno, resets=resets)
         told: list[Result] = []
 

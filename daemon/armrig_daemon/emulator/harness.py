@@ -151,6 +151,10 @@ class Harness:
         """Let the supply be this."""
         self._order(b"V", 0, millivolts)
 
+    def stand(self, *, is_to: bool = True) -> None:
+        """Let the converter stand still, or go on."""
+        self._order(b"S", 0, is_to)
+
     def read_eeprom(self, start: int, n: int) -> bytes:
         """Return n bytes of the EEPROM."""
         self._order(b"E", start, n)
