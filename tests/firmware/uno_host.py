@@ -41,6 +41,8 @@ BOOT_NS = 250 * MS
 """The Uno has booted, and been heard, after so long."""
 PERIOD_NS = 64_000
 """Of the PWM."""
+BAUD = EmulatorSettings().baud
+"""Of the firmware of the checkout."""
 pins: list[Path] | None = None
 """VCD files of what the pins of each Uno do in this test, in the order of their switching on."""
 
@@ -61,12 +63,30 @@ def harness() -> Path:
     return FIL / "fil"
 
 
+@cache
+def image(baud: int) -> Path:
+    """Return the firmware for a speed of the line: the checkout's, or one built for it."""
+    if baud == BAUD:
+        return HEX
+    folder = Path(_folder().name)
+    made = folder / f"{baud}.hex"
+    here = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"
+    given = [f"HEX={made}", f"BUILD={folder / str(baud)}", f"BAUD={baud}"]
+    subprocess.run(["make", "-s", "-C", str(here), *given], check=True, stdout=subprocess.DEVNULL)
+    return made
+
+
+@cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="armrig-uno-")
+
+
 def switch_on(settings: EmulatorSettings, now_ns: int, **kwargs: Any) -> Uno:
     """Return a simulated Uno with the firmware of the checkout; its pins are traced in a test."""
     if pins is not None:
         pins.append(new_trace())
         kwargs["trace"] = pins[-1]
-    return Uno(harness(), HEX, settings, now_ns, **kwargs)
+    return Uno(harness(), image(settings.baud), settings, now_ns, **kwargs)
 
 
 def new_trace() -> Path:
@@ -165,9 +185,9 @@ class Host:
 
 
 @contextmanager
-def powered(seed: int = 1, **kwargs: Any) -> Iterator[Host]:
+def powered(seed: int = 1, baud: int = BAUD, **kwargs: Any) -> Iterator[Host]:
     """Switch an Uno on, wait until it has booted, and give its host; switch it off."""
-    uno = switch_on(EmulatorSettings(seed=seed), 0, **kwargs)
+    uno = switch_on(EmulatorSettings(seed=seed, baud=baud), 0, **kwargs)
     try:
         host = Host(uno)
         host.wait(BOOT_NS / MS)
