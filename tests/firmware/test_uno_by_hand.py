@@ -344,7 +344,7 @@ def _act(host: Host, rng: random.Random) -> None:
             host.drive(rng.randrange(40000), rng.randrange(8), k)
         case 4:
             host.say(ClearFault, host.hello().token)
-            host.arm(mode=1, watchdog_ms=20, ts_us=rng.choice([400, 1000, 2000]))
+            host.arm(mode=1, watchdog_ms=20, ts_us=rng.choice([800, 1000, 2000]))
             host.say(Setpoints, 0, 24, 0, tuple(rng.randrange(65536) for _ in range(24)))
             host.say(Start, rng.choice([0, 10, 30]), host.last(ConfigReply).nonce)
         case 5:
@@ -399,3 +399,28 @@ def test_what_it_does_not_know_is_refused_by_name() -> None:
         host.wait(10)
 
         assert host.last(Ack).of_type == 0x81
+
+
+def test_a_converter_that_stands_still_is_0_v_by_the_hardware_s_watchdog() -> None:
+    """S1: while the host feeds the device's own; it then answers as one that has booted."""
+    with powered() as host:
+        host.start(mode=1, watchdog_ms=250, underrun=1, hold=255)
+        boot_id = host.hello().boot_id
+        host.say(Setpoints, host.last(Sample).k + 3, 24, 0, (HALF,) * 24)
+        host.wait(60)
+        host.uno.harness.stand()
+        stood_ns = host.now
+        driven = bool(high_from(host.uno, stood_ns, host.now + 1))
+
+        for _ in range(50):
+            host.say(Keepalive)
+            host.wait(10)
+        hello = host.hello()
+
+        assert driven
+        assert host.uno.ns(host.uno.harness.figures().last_high) <= stood_ns + 320 * MS
+        assert host.uno.harness.figures().boots == 2
+        assert hello.boot_id != boot_id
+        assert hello.reset == 8  # WDRF
+        assert hello.state == State.IDLE
+        assert host.uno.violations == []

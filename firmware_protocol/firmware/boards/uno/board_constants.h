@@ -11,7 +11,7 @@
 #define BOARD_PWM_BITS 10
 #define BOARD_SKEW_US 128 // a turn of timer 0: see converter.c
 #define BOARD_HOLD_US 16 // data sheet, table 24-1: two clocks of 125 kHz after the timer's trigger
-#define BOARD_TS_MIN_US 400 // see converter.c
+#define BOARD_TS_MIN_US 800 // at 1 Mbaud, too: see converter.c
 #define BOARD_CAPABILITIES \
     (RIG_CAPABILITY_EXCHANGE | RIG_CAPABILITY_SCHEDULED | RIG_CAPABILITY_CAL \
         | RIG_CAPABILITY_ENABLE_LINE)

@@ -1,16 +1,19 @@
 // Conversions are triggered by timer 0 itself, at its compare A, one a turn of 128 us, so that no
-// late interrupt makes them late. Compare B's interrupt turns the multiplexer 40 us behind each, when
-// the converter has long held what it converts (data sheet, 24.5). And when the last of a sample is
-// held, 16 us after its trigger, it gives u to the motor. To find u takes 30 us, so that it is made
-// ready before, while alpha is converted for the last time; what puts the motor off meanwhile makes
-// that void.
+// late interrupt makes them late. Compare B's interrupt turns the multiplexer 24 us behind each, when
+// the converter has held what it converts (data sheet, 24.5). And when the last of a sample is held,
+// 16 us after its trigger, it gives u to the motor. To find u takes 25 us, and two or three times that
+// beside bytes that come at 1 Mbaud. So it is made ready before, in the 118 us from the multiplexer's
+// turn to the hold, and bytes that leave wait meanwhile; what puts the motor off makes that void.
 //
 // The converter runs at 125 kHz: 13.5 clocks, 108 us a conversion. Full resolution asks for 200 kHz
 // at most (data sheet, 24.4), and 250 kHz would gain little: the line alone takes 360 us for a
 // SAMPLE at 1 Mbaud, and a sample takes the converter for 128 + 108 us.
 //
 // The long handlers, of the latch and of a conversion's end, let other interrupts in: the line's
-// are due every 20 us.
+// are due every 20 us, or 10.
+//
+// The shortest Ts: from 600 us on each sample is in time beside any line. But at 1 Mbaud main tells
+// each only from 700 us on where many setpoints come at once; 500 kbaud carry one in 810 us.
 #include "converter.h"
 
 #include "board.h"
@@ -18,6 +21,7 @@
 #include "motor.h"
 #include "pins.h"
 #include "supply.h"
+#include "uart.h"
 
 #define SUPPLY_AS_REFERENCE _BV(REFS0)
 #define QUIET (_BV(ADEN) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0)) // 16 MHz / 128
@@ -27,7 +31,7 @@
 enum {
     COUNTS_PER_US = 2, // of timer 0
     HOLD_COUNTS = (BOARD_HOLD_US - 2) * COUNTS_PER_US, // its interrupt takes 3 us to set OCR1A
-    TURN_COUNTS = 40 * COUNTS_PER_US, // more than HOLD_COUNTS
+    TURN_COUNTS = 24 * COUNTS_PER_US, // more than HOLD_COUNTS
     LEAD_COUNTS = 32, // 16 us: longer than it takes to set a trigger with interrupts off
     LEAD_US = LEAD_COUNTS / COUNTS_PER_US,
     OVERDUE_US = 50000,
@@ -47,7 +51,7 @@ static bool of_sample; // else of one channel
 static uint8_t channel; // of the next reading
 static bool is_turned; // the multiplexer, for the next trigger
 static bool is_ready; // u, to be set at the hold
-static bool is_broken; // a trigger came before the multiplexer was turned: no reading can be trusted
+static bool is_broken; // a trigger came before the multiplexer was turned, or the hold before u
 static uint32_t trigger_us; // the last one's, or the end
 
 static volatile uint8_t asked; // samples that wait
@@ -212,14 +216,24 @@ ISR(TIMER0_COMPA_vect)
     }
 }
 
+// Returns whether the last conversion of a sample is still to be held.
+static bool is_before_hold(void)
+{
+    const bool is_triggered = triggers == 0 || TIFR0 & _BV(OCF0A);
+    return !is_triggered || (uint8_t)(TCNT0 - OCR0A) < HOLD_COUNTS - 2 * COUNTS_PER_US;
+}
+
 // Finds u, which is to be set at the hold of the conversion that is triggered next.
 static void make_ready(void)
 {
     motor_stage(true);
+    uart_pause();
     sei();
     rig_latch(what);
     cli();
+    uart_go_on();
     motor_stage(false);
+    is_broken |= !is_before_hold();
     is_ready = true;
     set_compare_b(HOLD_COUNTS); // which is in the next turn
 }

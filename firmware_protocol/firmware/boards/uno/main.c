@@ -23,6 +23,7 @@ __attribute__((naked, used, section(".init5"))) void note_reset(void)
     reset_flags = MCUSR; // 0 where a boot loader has cleared it
     MCUSR = 0;
     wdt_enable(WDTO_250MS);
+    wdt_reset(); // simavr 1.6 takes the new period over with this alone
     for (uint8_t *at = &_end; at <= &__stack; at++)
         *at = PAINT;
 }

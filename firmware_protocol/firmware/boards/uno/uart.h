@@ -9,4 +9,9 @@ void uart_begin(void);
 // Returns the next byte that came, or -1.
 int16_t uart_next(void);
 
+// Lets what is to be sent wait, and go on: two bytes are on their way meanwhile. From an interrupt,
+// with interrupts off, whatever comes between.
+void uart_pause(void);
+void uart_go_on(void);
+
 #endif

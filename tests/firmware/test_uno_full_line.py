@@ -1,0 +1,147 @@
+"""The Uno's binary where its line is full, at the shortest Ts that it tells, at both speeds."""
+
+from __future__ import annotations
+
+import random
+import shutil
+from collections.abc import Callable
+
+import pytest
+from armrig_core.volts import applied_code
+from armrig_daemon.config import Config, Device
+from armrig_daemon.core.budget import scheduled_us
+from armrig_daemon.emulator.board import duty
+from armrig_daemon.emulator.harness import Violation
+from armrig_protocol.messages import (
+    SETPOINTS_PER_FRAME,
+    Cause,
+    ConfigReply,
+    Event,
+    Flag,
+    Keepalive,
+    Mode,
+    Sample,
+    Setpoints,
+    Start,
+    State,
+)
+
+from firmware.test_uno_runs import LATCH_NS, UnoBench, assert_complete, assert_on_the_pin, telegraph
+from firmware.uno_host import BAUD, MS, PERIOD_NS, Host, missing, powered
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+BUILDS = pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no gcc-avr: no other speed")
+FAST = 1_000_000
+BAUDS = [BAUD, pytest.param(FAST, marks=BUILDS)]
+LOST = {BAUD: set[Violation](), FAST: {Violation.RX_OVERRUN}}
+HALF = 32768
+N = 600
+
+
+def _play(host: Host, u: list[int], ts_us: int) -> list[Sample]:
+    """Play a run beside a flood that leaves no gap in the line to the device."""
+    host.arm(mode=int(Mode.SCHEDULED), ts_us=ts_us, watchdog_ms=250)
+    for k0 in range(0, 240, SETPOINTS_PER_FRAME):
+        host.say(Setpoints, k0, 24, 0, tuple(u[k0 : k0 + 24]))
+        host.wait(2)
+    host.say(Start, len(u), host.last(ConfigReply).nonce)
+    sent = 240
+    for _ in range(len(u) * ts_us // 1000 + 40):
+        samples = host.of(Sample)
+        while sent < len(u) and sent + 24 <= len(samples) + 256:
+            host.say(Setpoints, sent, 24, 0, tuple(u[sent : sent + 24]))
+            sent += 24
+        while host.uno.rx_backlog_ns(host.now) < 2 * MS:
+            host.say(Keepalive)
+        host.wait(1)
+    return host.of(Sample)
+
+
+@pytest.mark.parametrize("baud", BAUDS)
+def test_beside_a_flood_every_sample_is_in_time_and_tells_what_the_pin_has(baud: int) -> None:
+    """What the flood costs are setpoints, and those samples say UNDERRUN."""
+    rng = random.Random(3)
+    u = [rng.randrange(65536) for _ in range(N)]
+    with powered(baud=baud) as host:
+        holds: list[int] = []
+        host.uno.stuck = lambda t_ns, channel: holds.append(t_ns) if channel == 0 else None
+        ts_us = host.hello().ts_min_us
+
+        samples = _play(host, u, ts_us)
+
+        assert [s.k for s in samples] == list(range(N))
+        assert not any(s.flags & (Flag.TICK_LATE | Flag.TX_DROP) for s in samples)
+        told = [s.u_k for s in samples]
+        assert told == [0 if s.flags & Flag.UNDERRUN else applied_code(u[s.k], 10) for s in samples]
+        assert not any(s.flags & Flag.UNDERRUN for s in samples[:240])
+        assert _at_the_pin(host, holds) == [duty(code, 10) for code in told]
+        assert host.uno.harness.figures().boots == 1
+
+
+def _at_the_pin(host: Host, holds: list[int]) -> list[int]:
+    """Return the duty at the pin behind each hold, one period of the PWM later."""
+    duties, at, found = host.uno.duties, 0, []
+    for hold_ns in holds:
+        by_ns = hold_ns + PERIOD_NS + LATCH_NS
+        while at + 1 < len(duties) and host.uno.ns(duties[at + 1].cycle) <= by_ns:
+            at += 1
+        found.append(duties[at].high)
+    return found
+
+
+@pytest.mark.parametrize("baud", BAUDS)
+def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> None:
+    """SETPOINTS, PING and STATUS beside the samples: each u at its k, and on the pin.
+
+    At 1 Mbaud bytes are lost where many setpoints come at once, and come again.
+    """
+    bench = UnoBench(Config(device=Device(baud=baud, watchdog_ms=250)))
+    try:
+        told = bench.loop.state.device
+        assert told is not None
+        ts_us = max(told.ts_min_us, scheduled_us(baud, told.skew_us))
+        volts = telegraph(2000)
+
+        bench.run(volts, ts_us)
+
+        assert_complete(bench, volts)
+        assert_on_the_pin(bench, volts, ts_us)
+        assert {v.what for v in bench.uno.violations} <= LOST[baud]
+    finally:
+        bench.uno.close()
+
+
+def _noise(host: Host, rng: random.Random) -> None:
+    host.put(rng.randbytes(30))
+
+
+def _frames_too_short(host: Host, rng: random.Random) -> None:
+    host.put(b"\1\1\0" * 10)
+
+
+@pytest.mark.parametrize("flood", [_noise, _frames_too_short])
+@pytest.mark.parametrize("baud", BAUDS)
+def test_a_flood_keeps_nobody_from_the_watchdog(
+    baud: int, flood: Callable[[Host, random.Random], None]
+) -> None:
+    """S3: bytes that are no frames come without a gap; 0 V in the watchdog and a millisecond."""
+    rng = random.Random(4)
+    with powered(baud=baud) as host:
+        ts_us = host.hello().ts_min_us
+        host.arm(mode=int(Mode.SCHEDULED), ts_us=ts_us, watchdog_ms=100)
+        for k0 in range(0, 240, SETPOINTS_PER_FRAME):
+            host.say(Setpoints, k0, SETPOINTS_PER_FRAME, 0, (HALF,) * SETPOINTS_PER_FRAME)
+            host.wait(2)
+        fed_ns = host.say(Start, 0, host.last(ConfigReply).nonce)
+
+        for _ in range(150):
+            while host.uno.rx_backlog_ns(host.now) < 2 * MS:
+                flood(host, rng)
+            host.wait(1)
+        host.wait(10)
+
+        low_ns = host.uno.ns(host.uno.harness.figures().last_high)
+        assert 99.9 * MS <= low_ns - fed_ns <= 101 * MS
+        assert host.last(Event).cause == Cause.WATCHDOG
+        assert host.uno.state is State.FAULT
+        assert host.uno.harness.figures().boots == 1
