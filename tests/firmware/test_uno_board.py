@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core.firmware_image import read_image
+from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
 from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Stop
@@ -47,7 +48,7 @@ def restart(host: Host) -> None:
 
 def test_a_tick_that_waited_for_the_converter_says_so() -> None:
     """However close an EXCHANGE's sample ends before it: t_us is its trigger, TICK_LATE tells."""
-    ts_us = 2400
+    ts_us = 2600
     late = 0
     with powered() as host:
         holds: list[int] = []
@@ -59,7 +60,7 @@ def test_a_tick_that_waited_for_the_converter_says_so() -> None:
             host.heard.clear()
             holds.clear()
             host.say(Exchange, 1, 0)
-            host.wait(1.45 + i * 0.002)
+            host.wait(1.25 + i * 0.002)
             host.say(Start, 3, nonce)
             host.wait(14)
             host.say(Stop)
@@ -127,7 +128,8 @@ def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path)
         assert figures.boots >= 2
         assert uno.ns(figures.last_high) <= DIES_MS * MS + PATIENCE_MS * MS
         assert not uno.duties[-1].enabled
-        assert uno.violations == []
+        # Bytes are lost where nobody takes them.
+        assert {v.what for v in uno.violations} <= {Violation.RX_OVERRUN}
     finally:
         uno.close()
 
