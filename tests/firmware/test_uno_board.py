@@ -14,7 +14,7 @@ from armrig_core.firmware_image import read_image
 from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
-from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Stop
+from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Status, Stop
 
 from firmware.uno_host import BOOT_NS, HEX, MS, Host, harness, missing, powered
 
@@ -98,6 +98,15 @@ def test_hello_tells_the_crc_of_the_image() -> None:
     """Of every byte that is written to flash, as `armrig flash` asks for."""
     with powered() as host:
         assert host.hello().firmware == read_image(HEX).crc
+
+
+def test_status_tells_the_longest_interrupt() -> None:
+    """That in which u is found, 30 us and more; less than a turn of the clock."""
+    with powered() as host:
+        host.start()
+        host.drive(HALF, 600)
+
+        assert 30 <= host.last(Status).isr_max_us < 128
 
 
 @builds
