@@ -1,0 +1,92 @@
+"""docs/access.md: its packet filter keeps a stranger's connections out of everybody else's way."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import namespaces
+import pytest
+from laboratory import by_certificate, certificates
+from namespaces import Namespaces
+from processes import Bench
+from remote_rig import GUARDED, PORT, started, stranger
+
+pytestmark = pytest.mark.machine
+PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
+(RULES,) = re.findall(r"```nft\n(.*?)```", PAGE, re.DOTALL)
+ELSEWHERE = "10.77.0.3"
+TRIED, SECONDS = 100, 12
+BURST, HELD = 8, 16
+"""Connections of one address at once, and at a time, as the page says."""
+HOLDER = f"""
+import select, socket, time
+poll, held = select.poll(), []
+for _ in range({TRIED}):
+    one = socket.socket()
+    one.setblocking(False)
+    one.bind(("{ELSEWHERE}", 0))
+    one.connect_ex(("{namespaces.ADDRESSES["rig"]}", {PORT}))
+    held.append(one)
+    time.sleep({SECONDS / TRIED})
+print(sum(bool(select.select([], [one], [], 0)[1]) for one in held), flush=True)
+input()
+"""
+
+
+@pytest.fixture
+def line() -> Iterator[Namespaces]:
+    """Give two machines, the strangers' with a second address."""
+    if why := namespaces.missing():
+        pytest.skip(why)
+    if shutil.which("nft") is None:
+        pytest.skip("nft is not installed (nftables)")
+    with namespaces.connected() as both:
+        links = json.loads(_run(both.command("stranger", "ip", "-json", "link")))
+        (end,) = (link["ifname"] for link in links if link["ifname"].startswith("as"))
+        _run(both.command("stranger", "ip", "address", "add", f"{ELSEWHERE}/24", "dev", end))
+        yield both
+
+
+def _run(command: list[str], text: str = "") -> str:
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@contextmanager
+def _held(line: Namespaces) -> Iterator[int]:
+    """Have somebody hold as many connections as he gets; give how many that are."""
+    command = line.command("stranger", sys.executable, "-c", HOLDER)
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as holder:
+        assert holder.stdout is not None
+        yield int(holder.stdout.readline())
+        holder.communicate("\n")
+
+
+def test_a_stranger_s_connections_are_few_and_others_come_in(
+    line: Namespaces, bench: Bench
+) -> None:
+    """By the page's rules; without them all of his are made."""
+    made = certificates(bench.folder)
+    where = by_certificate(bench, made, f"tls/{namespaces.ADDRESSES['rig']}:{PORT}")
+    bench.emulate()
+    with started(line, bench, *GUARDED):
+        with _held(line) as without:
+            pass
+        _run(line.command("rig", "nft", "-f", "-"), RULES)
+        with _held(line) as held:
+            watcher = stranger(line, where, made, "watch", "carol.pem")
+            assert watcher.stdout is not None
+            assert watcher.stdout.readline() == "there\n"
+            watcher.communicate()
+
+    assert without == TRIED
+    assert BURST <= held <= HELD
