@@ -22,9 +22,9 @@ pytestmark = pytest.mark.machine
 PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
 (RULES,) = re.findall(r"```nft\n(.*?)```", PAGE, re.DOTALL)
 ELSEWHERE = "10.77.0.3"
-TRIED, SECONDS = 100, 12
-BURST, HELD = 8, 16
-"""Connections of one address at once, and at a time, as the page says."""
+TRIED, SECONDS = 100, 20
+HELD = 16
+"""Connections of one address at a time, as the page says."""
 HOLDER = f"""
 import select, socket, time
 poll, held = select.poll(), []
@@ -89,4 +89,4 @@ def test_a_stranger_s_connections_are_few_and_others_come_in(
             watcher.communicate()
 
     assert without == TRIED
-    assert BURST <= held <= HELD
+    assert 0 < held <= HELD
