@@ -41,7 +41,7 @@ EXAMPLES = int(os.environ.get("ARMRIG_FIRMWARE_EXAMPLES", "60"))
 BENCHES = [
     EmulatorSettings(boot_ms=1.0),
     EmulatorSettings(boot_ms=1.0, baud=1_000_000, pwm_bits=0, adc_bits=0, queue=64),
-    EmulatorSettings(boot_ms=1.0, clock_ppm=37.5, queue=64, brown_out_s=0.35),
+    EmulatorSettings(boot_ms=1.0, clock_ppm=37.5, queue=256, brown_out_s=0.35),
     EmulatorSettings(boot_ms=0.0, baud=1_000_000, supply_v=3.9, adc_noise_v=0.0),
     EmulatorSettings(boot_ms=5.0, theta_1_zero_deg=2.0, alpha_zero_deg=0.0, queue=256),
 ]
