@@ -48,10 +48,11 @@ bench: .venv/dev
 
 # SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story. With
 # STALLS=tolerated or suffered the emulator is stalled besides, and its clock stops or does not.
-# With CORE=1 the device's firmware is the C core.
-SEEDS ?= 1000
-simulate: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS)) $(if $(CORE),--core)
+# With CORE=1 the device's firmware is the C core; with UNO=1 the Uno's binary in simavr is the device,
+# judged at its pin: a second or two a schedule.
+SEEDS ?= $(if $(UNO),200,1000)
+simulate: .venv/dev $(if $(UNO),fil)
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS)) $(if $(CORE),--core) $(if $(UNO),--uno)
 
 # 10^8 bytes of frames, 10^6 commands, 10^6 files read, 10^5 recovered, 64 KiB cut at every byte, 1 MiB at 10^4 places: an hour.
 fuzz: .venv/dev

@@ -23,23 +23,24 @@ def main() -> int:
         *("--stalls",), choices=list(_STALLS), help="stall the emulator's process besides"
     )
     parser.add_argument("--core", action="store_true", help="the device's firmware is the C core")
+    parser.add_argument("--uno", action="store_true", help="the device is an Uno in simavr")
     parser.add_argument("--workers", type=int, help="processes; one for each core unless given")
     parser.add_argument("--stories", type=Path, default=Path("simulator-stories"))
     asked = parser.parse_args()
+    if asked.uno and (asked.stalls or asked.core):
+        parser.error("an Uno has its own firmware, and is not stalled")
+    kind = {"stalls": _STALLS.get(asked.stalls), "c_core": asked.core, "uno": asked.uno}
     if asked.seed is not None:
-        return _again(
-            draw(asked.seed, stalls=_STALLS.get(asked.stalls), c_core=asked.core), asked.stories
-        )
+        return _again(draw(asked.seed, **kind), asked.stories)
     seeds = range(asked.first, asked.first + asked.seeds)
-    stalls = _STALLS.get(asked.stalls)
-    done = campaign.run(seeds, stalls=stalls, c_core=asked.core, workers=asked.workers)
+    done = campaign.run(seeds, **kind, workers=asked.workers)
     print("\n".join(done.lines()))
     for seed, invariant, t_ns, text in done.violations[:_MOST_STORIES]:
         again = f"make simulate SEED={seed}" + (f" STALLS={asked.stalls}" if asked.stalls else "")
-        again += " CORE=1" if asked.core else ""
+        again += " CORE=1" if asked.core else " UNO=1" if asked.uno else ""
         print(f"{invariant} at {t_ns / 1e6:.3f} ms: {text}\n  {again}")
         path = _path(seed, asked.stories)
-        story.write(draw(seed, stalls=stalls, c_core=asked.core), path)
+        story.write(draw(seed, **kind), path)
         print(f"  its story: {path}")
     if len(done.violations) > _MOST_STORIES:
         print(f"and the seeds {', '.join(str(v[0]) for v in done.violations[_MOST_STORIES:])}")

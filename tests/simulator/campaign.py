@@ -12,6 +12,8 @@ from math import ceil
 from multiprocessing import get_context
 from time import perf_counter, process_time
 
+from firmware.uno_host import harness
+
 from simulator.checks import COMMANDER_GONE, LINK_GONE
 from simulator.options import END_NS, KINDS, MS, draw
 from simulator.rig import Outcome, simulate
@@ -150,6 +152,7 @@ def run(
     only: Sequence[str] = KINDS,
     stalls: bool | None = None,
     c_core: bool = False,
+    uno: bool = False,
     workers: int | None = None,
     enough: Callable[[Campaign], bool] = lambda _: False,
 ) -> Campaign:
@@ -163,6 +166,8 @@ def run(
         The emulator is stalled besides, and tolerates it or does not.
     c_core : bool
         The device's firmware is the C core.
+    uno : bool
+        The device is an Uno in simavr.
     workers : int, optional
         Processes; one for each core unless given; 0 runs all in this one.
     enough : callable
@@ -170,9 +175,11 @@ def run(
     """
     campaign = Campaign()
     began = perf_counter()
-    one = partial(_one, only, stalls, c_core)
+    one = partial(_one, only, stalls, c_core, uno)
     if c_core:
         build()  # before the fork: each process would build its own
+    if uno:
+        harness()
     if workers == 0:
         results = map(one, seeds)
         _gather(campaign, results, enough)
@@ -197,10 +204,10 @@ def _gather(
 
 
 def _one(
-    only: Sequence[str], stalls: bool | None, c_core: bool, seed: int
+    only: Sequence[str], stalls: bool | None, c_core: bool, uno: bool, seed: int
 ) -> tuple[Outcome, float]:
     began = process_time()
     gc.disable()  # values without cycles: the collector would only look
-    outcome = simulate(draw(seed, only=only, stalls=stalls, c_core=c_core))
+    outcome = simulate(draw(seed, only=only, stalls=stalls, c_core=c_core, uno=uno))
     gc.enable()
     return outcome, process_time() - began

@@ -369,6 +369,10 @@ class Checks:
                 self.seen[f"{PLAYED}taken in"] += 1
         return frame
 
+    def taken_in(self, seq: int) -> Frame | None:
+        """Return the newest frame with this seq that the device has taken in."""
+        return self._taken.get(seq)
+
     def changed(self, t_ns: int, before: int, after: int, frame: Frame | None) -> None:
         """Judge a transition of the device that a frame made (S6).
 
@@ -485,6 +489,10 @@ class Checks:
         wanted = FULL_SCALE_V * asked / CODE_FULL_SCALE
         if abs(self.volts - wanted) > self._half_step + 1e-9:
             raise Violation("S5", t_ns, f"{self.volts} V for code {asked}, which is {wanted} V")
+        self.remember(k, got, scheduled=scheduled)
+
+    def remember(self, k: int, got: int, *, scheduled: bool) -> None:
+        """Remember the code of what the motor got for a sample."""
         codes = self._latched_codes
         codes[self.k_first + k if scheduled else k] = got
         if len(codes) > 2_000:
@@ -501,10 +509,11 @@ class Checks:
         if self.volts and not volts:
             self.zero_in_time(t_ns)
             if state != 5:
-                self._stopped(t_ns, cause)
+                self.stopped(t_ns, cause)
         self.volts = volts
 
-    def _stopped(self, t_ns: int, cause: int) -> None:
+    def stopped(self, t_ns: int, cause: int) -> None:
+        """Note how long it took until the motor had 0 V."""
         if cause == Cause.WATCHDOG:
             self._worst(LINK_GONE, t_ns - self.fed_ns)
         if self.reason.startswith("the lease") and self.run is None:

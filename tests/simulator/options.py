@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from random import Random
 from typing import Final, NamedTuple
 
@@ -57,6 +57,10 @@ _WEIGHTS: Final = {
     "slow_service": 2.0,
 }
 """How much more often than others a fault is drawn."""
+
+
+_UNO: Final = {"boot_ms": 58.0, "pwm_bits": 10, "queue": 256, "clock_ppm": 0.0, "clock_start_us": 0}
+"""What an Uno is; it boots in so long until it has told so."""
 
 
 class Episode(NamedTuple):
@@ -113,6 +117,8 @@ class Options:
     """The device's clock stops meanwhile."""
     c_core: bool = False
     """The device's firmware is the C core, not the Python one; all else is as without it."""
+    uno: bool = False
+    """The device is an Uno in simavr: its converter, PWM, queue, clock and boot are its own."""
 
     def lines(self) -> list[str]:
         """Return all of it, one option a line."""
@@ -125,7 +131,12 @@ class Options:
 
 
 def draw(
-    seed: int, *, only: Sequence[str] = KINDS, stalls: bool | None = None, c_core: bool = False
+    seed: int,
+    *,
+    only: Sequence[str] = KINDS,
+    stalls: bool | None = None,
+    c_core: bool = False,
+    uno: bool = False,
 ) -> Options:
     """Return the schedule of a seed.
 
@@ -138,6 +149,8 @@ def draw(
         option hangs on it. Left out, it is not.
     c_core : bool
         The device's firmware is the C core; no other option hangs on it.
+    uno : bool
+        The device is an Uno; what it is by itself is not drawn.
     """
     rng = Random(seed)
     ts_us = rng.choice([5_000] * 7 + [2_000, 10_000, 20_000])
@@ -150,7 +163,7 @@ def draw(
         episodes.append(Episode(kind, _FIRST_NS, whole, 0.02 * rng.random()))
     kept = sorted(episodes, key=lambda e: e.t_ns)
     slow_device = ts_us >= 5_000
-    return Options(
+    drawn = Options(
         seed=seed,
         ts_us=ts_us,
         watchdog_ms=rng.choice([100, 100, 100, 50, 250]) if slow_device else 100,
@@ -177,6 +190,7 @@ def draw(
         tolerates_stalls=bool(stalls),
         c_core=c_core,
     )
+    return replace(drawn, uno=True, **_UNO) if uno else drawn
 
 
 def _stalls(rng: Random) -> tuple[Episode, ...]:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from hashlib import blake2b
 from heapq import heappop, heappush
+from pathlib import Path
 from random import Random
 from struct import Struct
 from traceback import extract_tb
@@ -38,6 +39,7 @@ from simulator.options import BACK_NS, CLEAR_NS, END_NS, MS, Episode, Options
 from simulator.telling import FullPipe, Silent, Teller, read
 from simulator.violation import Violation
 from simulator.watched import Watched, WatchedCore
+from simulator.watched_uno import WatchedUno
 
 NEVER = 1 << 62
 _DRIVING, _RUN = (Phase.ACTIVE, Phase.ARMED), DeviceState.RUN
@@ -108,8 +110,10 @@ class Rig:
     margin_ns = 150_000
     collections = 0
 
-    def __init__(self, options: Options, story: Story | None = None) -> None:
-        """Switch everything on at time 0."""
+    def __init__(
+        self, options: Options, story: Story | None = None, trace: Path | None = None
+    ) -> None:
+        """Switch everything on at time 0; `trace` is the VCD file for an Uno's pins."""
         self.options, self.now = options, 0
         self.story = story
         rng = Random(options.seed ^ 0x5EED)
@@ -118,8 +122,7 @@ class Rig:
         self._rng = rng
         self._to_device = Line("to_device", options.episodes, Random(rng.random()), self.faults)
         self._from_device = Line("from_device", options.episodes, Random(rng.random()), self.faults)
-        watched = WatchedCore if options.c_core else Watched
-        self.device = watched(_settings(options), self.checks, options.clock_start_us)
+        self.device = _switch_on(options, self.checks, trace)
         self._readings()
         self._n = 0
         self._world: list[tuple[int, int, Callable[[Any], None], Any]] = []
@@ -607,14 +610,25 @@ def _settings(options: Options) -> EmulatorSettings:
     )
 
 
-def simulate(options: Options, story: Story | None = None) -> Outcome:
-    """Run one schedule."""
+def _switch_on(
+    options: Options, checks: Checks, trace: Path | None
+) -> Watched | WatchedCore | WatchedUno:
+    if options.uno:
+        return WatchedUno(_settings(options), checks, trace)
+    watched = WatchedCore if options.c_core else Watched
+    return watched(_settings(options), checks, options.clock_start_us)
+
+
+def simulate(options: Options, story: Story | None = None, trace: Path | None = None) -> Outcome:
+    """Run one schedule; `trace` is the VCD file for an Uno's pins."""
     violation = None
-    rig = Rig(options, story)
+    rig = Rig(options, story, trace)
     try:
         rig.run()
     except Violation as err:
         violation = (err.invariant, err.t_ns, err.text)
+    finally:
+        rig.device.close()
     checks = rig.checks
     return Outcome(
         options.seed,

@@ -16,20 +16,23 @@ _LAST = 400
 """Lines before the end that are kept in full."""
 
 
-def tell(options: Options) -> tuple[Outcome, list[str]]:
-    """Return the outcome of a schedule, and its story."""
+def tell(options: Options, trace: Path | None = None) -> tuple[Outcome, list[str]]:
+    """Return the outcome of a schedule, and its story; `trace` is for the pins of an Uno."""
     lines: list[str] = []
 
     def story(t_ns: int, what: str, thing: Any) -> None:
         lines.append(f"{t_ns / MS:11.3f} ms  {what:12} {_said(thing)}")
 
-    outcome = simulate(options, story)
+    outcome = simulate(options, story, trace)
     return outcome, lines
 
 
 def write(options: Options, path: Path) -> Outcome:
-    """Write the story of a schedule to `path`: what was drawn, and its end in full."""
-    outcome, lines = tell(options)
+    """Write the story of a schedule to `path`: what was drawn, and its end in full.
+
+    Beside it, where the device is an Uno, what its pins did, as VCD.
+    """
+    outcome, lines = tell(options, path.with_suffix(".vcd") if options.uno else None)
     verdict = "no violation"
     if outcome.violation:
         invariant, t_ns, text = outcome.violation

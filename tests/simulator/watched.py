@@ -108,6 +108,9 @@ class Watching:
         else:
             super().reset(now_ns - self._time.held_up_ns)
 
+    def close(self) -> None:
+        """Do nothing: it is no process."""
+
     # -- what it does ----------------------------------------------------------------------------
 
     def _changed(self, change: Change) -> None:

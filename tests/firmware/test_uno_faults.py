@@ -1,0 +1,26 @@
+"""The simulator of faults over the Uno's binary: S1 ... S6 judged at its pin."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from simulator import campaign
+
+from firmware.uno_host import missing
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+
+# `make simulate UNO=1` tries 200.
+SEEDS = int(os.environ.get("ARMRIG_SIMULATE_UNO_SEEDS", "8"))
+
+
+def test_every_invariant_holds_at_the_pin_under_faults() -> None:
+    """Each code that the device tells is looked for at its pin."""
+    done = campaign.run(range(SEEDS), uno=True)
+
+    assert not done.violations, [
+        f"make simulate UNO=1 SEED={v[0]}: {v[1:]}" for v in done.violations
+    ]
+    assert done.seen["S5: the pin had the code that was told"] > 1_000 * SEEDS
+    assert done.seen["S4"]
