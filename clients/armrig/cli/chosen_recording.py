@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.recording_file.part_names import part_paths
 
 from armrig.cli.options import tell
 from armrig.data.files.suffixes import OTHER_DATA, RECORDING
@@ -61,7 +62,8 @@ def _check_bare_name(path: Path) -> None:
     if path.suffix or path.parent != Path() or path.exists():
         return
     beside = path.with_suffix(RECORDING)
-    meant = str(beside) if path.name and beside.exists() else f"@{path}"
+    is_there = path.name and part_paths(beside)[0].exists()
+    meant = str(beside) if is_there else f"@{path}"
     raise NoSuchRecordingError(f"{path}: there is no such file; did you mean {meant}?")
 
 

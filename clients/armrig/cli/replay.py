@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from armrig_protocol.frame import Spoilt, Unknown, decode
 from numpy.typing import NDArray
 
 from armrig.recordings.container import Content, read, streamed
+from armrig.recordings.loading import files_of, run_content
 from armrig.recordings.recorded_input import recorded_input
 from armrig.recordings.recording import RecordingError
 from armrig.recordings.sample_rows import SAMPLE_DTYPE
@@ -64,6 +66,8 @@ class Replay:
 def replay(path: str | Path) -> Replay:
     """Run the core through a recorded run and compare what it decides with what was decided.
 
+    The run is that in a file, or by its name that in all its parts.
+
     Compared are all frames to the device, and all samples in the file.
 
     Raises
@@ -73,14 +77,15 @@ def replay(path: str | Path) -> Replay:
     """
     path = Path(path)
     try:
-        content = read(path)
+        paths = files_of(path)
+        content = read(path) if paths == [path] else run_content(paths, digest=False).content
     except (OSError, DamageError) as err:
         msg = f"{path}: {getattr(err, 'strerror', None) or err}"
         raise RecordingError(msg) from err
     if content is None:
         msg = f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)"
         raise RecordingError(msg)
-    first = next(streamed(path, "trace"), None)
+    first = next(_chunks_of(paths), None)
     if first is None or not first.state:
         why = "recorded before replay was built?"
         if content.damage:
@@ -88,20 +93,25 @@ def replay(path: str | Path) -> Replay:
         msg = f"{path}: holds no steps of the daemon's core: {why}"
         raise RecordingError(msg)
     try:
-        return _replayed(path, content, first.state)
+        return _replayed(paths, content, first.state)
     except Exception as err:  # the core runs on what somebody wrote there: anything may be raised
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         msg = f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
         raise RecordingError(msg) from err
 
 
-def _replayed(path: Path, content: Content, begin: bytes) -> Replay:
+def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
+    """Give the chunks of steps in the files of a run."""
+    return chain.from_iterable(streamed(path, "trace") for path in paths)
+
+
+def _replayed(paths: Sequence[Path], content: Content, begin: bytes) -> Replay:
     manifest = manifest_of(content.metadata[RUN])
-    state = trace.restored(begin, _codes(path, content, manifest))
+    state = trace.restored(begin, _codes(paths[0], content, manifest))
     # Samples read together with the answer to START belong to the step before the first.
     k = content.samples["k"]
     compared = _Compared(content.samples[k > state.told], manifest)
-    chunks = _Chunks(streamed(path, "trace"))
+    chunks = _Chunks(_chunks_of(paths))
     difference, frames, said = "", 0, []
     first = now_ns = None
     n = 0

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from difflib import SequenceMatcher
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any
+
+from armrig_core.recording_file.part_names import PART, part_number
 
 from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import FAMILIES
@@ -64,6 +66,9 @@ def _missing(parameter: Any) -> str:
 def _too_many(extra: str, ctx: Any) -> str:
     """Return that arguments came that the command does not take, and which it takes."""
     arguments = [p for p in ctx.command.params if p.param_type_name == "argument"]
+    if part_number(Path(extra)):
+        run = f"{extra.partition(PART)[0]}{RECORDING}"
+        return f"{extra}: one file is taken; all parts of a run are read by its name, {run}"
     takes = " ".join(p.metavar if p.required else f"[{p.metavar}]" for p in arguments)
     return f"{extra}: too much; `{ctx.command_path}` takes {takes or 'no file'}" + (
         f" and options of one value each, `{ctx.command_path} {takes} --OPTION VALUE`"

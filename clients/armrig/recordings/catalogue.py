@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,6 +11,7 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray
 
+from armrig.recordings.catalogue_columns import columns
 from armrig.recordings.catalogue_index import (
     Known,
     is_settled,
@@ -22,35 +22,13 @@ from armrig.recordings.catalogue_index import (
 )
 from armrig.recordings.export import imported
 from armrig.recordings.folder import found_files
-from armrig.recordings.recording_summary import RecordingSummary, facts_of, summary_of
+from armrig.recordings.recording_summary import RecordingSummary, summary_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 WORTH_KEEPING = 100
 """So many files that were read anew are worth an index: to read fewer again takes 20 ms."""
-COLUMNS: dict[str, Any] = {
-    "recording": np.object_,
-    "run_id": np.object_,
-    "rig": np.object_,
-    "started": "datetime64[ms]",
-    "experiment": np.object_,
-    "name": np.object_,
-    "validation": np.bool_,
-    "validation_of": np.object_,
-    "seconds": np.float64,
-    "Ts": np.float64,
-    "samples": np.int64,
-    "missing": np.int64,
-    "outcome": np.object_,
-    "part": np.int64,
-    "pacing": np.object_,
-    "device": np.object_,
-    "calibration_sha256": np.object_,
-    "armrig": np.object_,
-    "bytes": np.int64,
-}
-"""Columns of the table and their types: what `facts_of` says of each recording."""
 
 
 class LeftOut(NamedTuple):
@@ -82,10 +60,7 @@ class Catalogue:
 
         `started` is in UTC, to the millisecond; NaT where a recording names no such time.
         """
-        rows = [facts_of(summary) for summary in self.recordings]
-        for row in rows:
-            row["started"] = _utc(row["started"])
-        return {name: np.array([r[name] for r in rows], kind) for name, kind in COLUMNS.items()}
+        return columns(self.recordings)
 
     def to_pandas(self) -> DataFrame:
         """Return the table as a pandas.DataFrame.
@@ -186,12 +161,3 @@ def _said_by(path: Path) -> RecordingSummary | str:
         return summary_of(path)
     except DamageError as err:
         return str(err)
-
-
-def _utc(text: str) -> datetime | None:
-    """Return a time of day in UTC, without saying so; None where the text names none."""
-    try:
-        when = datetime.fromisoformat(text)
-        return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else None
-    except (ValueError, OverflowError):
-        return None

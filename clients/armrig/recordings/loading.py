@@ -14,7 +14,7 @@ from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import CalibrationFileError, read_calibration
 from armrig_core.manifest import Manifest, Outcome, Recovered
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.part_names import part_paths
+from armrig_core.recording_file.part_names import part_number, part_paths
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
@@ -32,7 +32,7 @@ from armrig.recordings.daemon_reports import (
 from armrig.recordings.grid import Grid, grid
 from armrig.recordings.parts import joined
 from armrig.recordings.recording import Recording, RecordingError, Vector
-from armrig.recordings.recording_summary import check_sampling_time
+from armrig.recordings.sampling_time import check_sampling_time
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
 EVERYTHING = (0, 1 << 63)
@@ -83,18 +83,19 @@ def load(
     """
     given = [path] if isinstance(path, str | Path) else path
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
-        msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap")'
-        raise TypeError(msg)
+        msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap"), '
+        raise TypeError(msg + "or a list of the parts of a run, in their order")
     if str(given[0] if given else "").startswith("@") and not Path(given[0]).exists():
         msg = f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"
         raise RecordingError(msg)
-    paths = [part for one in given for part in part_paths(Path(one))]
+    paths = [part for one in given for part in files_of(Path(one))]
     if not paths:
         msg = "no file to load"
         raise RecordingError(msg)
     name = Path(given[0]) if len(given) == 1 else paths[0]
     try:
         if isinstance(calibration, (str, Path)):
+            _check_is_calibration(Path(calibration), paths[0])
             calibration = read_calibration(Path(calibration))
     except CalibrationFileError as err:
         raise RecordingError(str(err)) from err
@@ -106,6 +107,28 @@ def load(
         asked_s = found.manifest.samples * found.manifest.Ts
         raise RecordingError(f"{msg}; its run has {asked_s:g} s" if asked_s > 0 else msg)
     return recording
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return the files that a path stands for; raises RecordingError where a part is missing.
+
+    The last ones may be missing all the same: the outcome is then that the run is continued.
+    """
+    paths = part_paths(path)
+    if paths == [path]:
+        return paths
+    numbers = [part_number(part) for part in paths]
+    for number in range(1, numbers[-1]):
+        if number not in numbers:
+            msg = f"{path}: part {number} of this run is missing; those that are there are read by "
+            raise RecordingError(f"{msg}their own names, such as {paths[0].name}")
+    return paths
+
+
+def _check_is_calibration(path: Path, first: Path) -> None:
+    if RECORDING in path.suffixes:
+        msg = f"{path}: a recording, where a calibration is wanted; the parts of a run are given "
+        raise RecordingError(f'{msg}as a list, armrig.load(["{first.name}", "{path.name}"])')
 
 
 class RunContent(NamedTuple):
@@ -120,7 +143,11 @@ class RunContent(NamedTuple):
 
 
 def run_content(
-    paths: Sequence[Path], start: float | None, stop: float | None, *, digest: bool = True
+    paths: Sequence[Path],
+    start: float | None = None,
+    stop: float | None = None,
+    *,
+    digest: bool = True,
 ) -> RunContent:
     """Return what the files of a run hold from `start` to `stop`; raises as `load`."""
     between, part = EVERYTHING, None

@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from armrig_core.manifest import Manifest
-from armrig_core.recording_file.part_names import part_paths
 from armrig_core.telemetry import Sample, encode_sample
 from numpy.typing import NDArray
 
 from armrig.recordings.container import Content
 from armrig.recordings.daemon_reports import Clock
-from armrig.recordings.loading import EVERYTHING, clock_of, origin_of, run_content
+from armrig.recordings.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
 from armrig.recordings.recording import RecordingError
 
 _AT_ONCE = 4096  # samples that are made into Python's numbers at once
@@ -90,7 +89,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
     OSError
         The file cannot be opened or read.
     """
-    found = run_content(part_paths(path), start, stop, digest=False)
+    found = run_content(files_of(path), start, stop, digest=False)
     content, manifest = found.content, found.manifest
     clock = clock_of(content, manifest, origin_of(content, manifest))
     first, end = found.between

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from armrig_core.manifest import (
@@ -20,6 +19,7 @@ from armrig_core.manifest import (
 from armrig_core.recording_file.budget import DamageError
 
 from armrig.recordings.metadata import read_metadata
+from armrig.recordings.sampling_time import check_sampling_time
 
 VALIDATION_OF = "validation_of"
 """Key of a run's details: the id of the run that it was recorded to validate."""
@@ -29,8 +29,6 @@ REMOTE = "remote"
 """What `armrig record` records: whatever the rig did."""
 TEXT_LIMIT = 4096
 """Longest text that a recording may say of itself, in characters; a name or a reason has fewer."""
-TS_LEAST_S, TS_LIMIT_S = 1e-6, 86_400.0
-"""No sampling time is shorter than the first, or as long as the second, in s."""
 
 _EXPERIMENT = re.compile(rf"({'|'.join(KINDS)})(-validation)?(?:-(.+))?")
 
@@ -173,40 +171,3 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
         part=manifest.part,
         **texts,
     )
-
-
-def check_sampling_time(manifest: Manifest) -> None:
-    """Raise DamageError where a recording says of a sampling time that none has."""
-    if not TS_LEAST_S <= manifest.Ts < TS_LIMIT_S:
-        msg = f"its manifest says Ts={manifest.Ts!r} s, which must be from 1 µs to below a day"
-        raise DamageError(msg)
-
-
-def shown_path(path: Path) -> str:
-    """Return a path as text; of a name that is none in this system's encoding the bytes escaped."""
-    return str(path).encode("utf-8", "backslashreplace").decode()
-
-
-def facts_of(summary: RecordingSummary) -> dict[str, Any]:
-    """Return what is said of a recording, for a program."""
-    return {
-        "recording": shown_path(summary.path),
-        "run_id": summary.run_id,
-        "rig": summary.rig,
-        "started": summary.started,
-        "experiment": summary.kind,
-        "name": summary.name,
-        "validation": summary.is_validation,
-        "validation_of": summary.validation_of or None,
-        "seconds": summary.seconds,
-        "Ts": summary.Ts,
-        "samples": summary.samples,
-        "missing": summary.missing,
-        "outcome": summary.outcome,
-        "part": summary.part,
-        "pacing": summary.pacing,
-        "device": summary.device,
-        "calibration_sha256": summary.calibration_sha256,
-        "armrig": summary.armrig,
-        "bytes": summary.size,
-    }

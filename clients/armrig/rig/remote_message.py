@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from armrig_core.recording_file.outgoing import Outgoing
 from google.protobuf.message import DecodeError
 
-from armrig.recordings.recording_summary import TS_LEAST_S, TS_LIMIT_S
+from armrig.recordings.sampling_time import TS_LEAST_S, TS_LIMIT_S
 from armrig.rig.session import RigError
 from armrig.rig.telemetry_stream import decoded
 

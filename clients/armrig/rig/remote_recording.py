@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import os
-import platform
-import secrets
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from armrig_core import protobuf
-from armrig_core.manifest import Manifest, check_whole_numbers
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.recorder import CONTINUED, Recording, RecordingError
+from armrig_core.recording_file.part_names import CONTINUED
+from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.recording_file.unfinished import ACTIVE
 from armrig_core.telemetry import Sample
 
 from armrig.recordings.grid import MISSING_LIMIT
-from armrig.recordings.recording_summary import REMOTE
 from armrig.rig.live_gaps import LiveGap, gaps_between, told_gaps
 from armrig.rig.newest import Newest
+from armrig.rig.remote_manifest import remote_manifest
 from armrig.rig.remote_message import RemoteMessage, remote_message
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
@@ -179,9 +174,10 @@ class RemoteRecording:
             raise RigError(msg + "their rate, all the time; what answers there is no armrigd")
         self._begun.append(now_s)
         path = self._free_path()
+        manifest = remote_manifest(self.rig, self.endpoint, self._state, self._offset_ns)
         try:
             self._file = Recording(
-                path, self._manifest(), {}, t_first_ns=first.t_host_ns, changed=lambda: None
+                path, manifest, {}, t_first_ns=first.t_host_ns, changed=lambda: None
             )
         except RecordingError as err:
             why = getattr(err.__cause__, "strerror", "") or err
@@ -195,30 +191,6 @@ class RemoteRecording:
             path = self.path.with_stem(f"{self.path.stem}{end}")
             if not any(os.path.lexists(taken) for taken in (path, f"{path}{ACTIVE}")):
                 return path
-
-    def _manifest(self) -> Manifest:
-        uname = platform.uname()
-        manifest = Manifest(
-            rig=self.rig,
-            run_id=secrets.token_hex(4),
-            experiment=REMOTE,
-            details={"recorded_from": self.endpoint},
-            Ts=self._state.Ts_s,
-            samples=0,  # nobody asked for a number of them
-            started=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
-            clock_offset_ns=self._offset_ns,
-            armrig=version("armrig"),
-            protocol="",
-            host={"kernel": f"{uname.system} {uname.release} {uname.version}"},
-        )
-        try:
-            device = msgspec.json.decode(self._state.device, type=dict[str, Any])
-            told = msgspec.structs.replace(manifest, device=device)
-            check_whole_numbers(told)
-            told.metadata()
-        except (ValueError, OverflowError, RecursionError):  # a DecodeError is a ValueError
-            return manifest  # what it says of itself fits into none
-        return told
 
     def _end(self, outcome: str) -> None:
         file, self._file = self._file, None

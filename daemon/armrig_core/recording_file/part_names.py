@@ -8,6 +8,8 @@ from armrig_core.recording_file.unfinished import ACTIVE
 
 PART = ".part-"
 """Between a run's name and a part's number: NAME.part-0001.mcap."""
+CONTINUED = "continued"
+"""Outcome of a part that another one follows."""
 
 
 def part_path(path: Path, number: int) -> Path:
@@ -23,11 +25,14 @@ def part_paths(path: Path) -> list[Path]:
     """
     if path.exists() or path.suffix != ".mcap":
         return [path]
-    begin = path.stem + PART
     found = path.parent.glob("*.mcap*") if path.parent.is_dir() else ()
-    parts = [p for p in found if p.name.startswith(begin) and _number(p.name[len(begin) :])]
-    return sorted(parts) or [path]
+    parts = [p for p in found if part_number(p) and p.name.startswith(path.stem + PART)]
+    return sorted(parts, key=lambda part: (part_number(part), part)) or [path]
 
 
-def _number(rest: str) -> bool:
-    return rest.partition(".")[0].isdigit() and rest.partition(".")[2] in ("mcap", f"mcap{ACTIVE}")
+def part_number(path: Path) -> int:
+    """Return which part of a run a file is by its name, from 1; 0 for what is named as none."""
+    _, _, rest = path.name.rpartition(PART)
+    number, _, ending = rest.partition(".")
+    is_one = number.isascii() and number.isdigit() and ending in ("mcap", f"mcap{ACTIVE}")
+    return int(number) if is_one else 0

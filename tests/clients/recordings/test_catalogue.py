@@ -16,12 +16,15 @@ import pyarrow.parquet
 import pytest
 from armrig.recordings import catalogue as catalogue_module
 from armrig.recordings import catalogue_index, metadata, recording_summary
-from armrig.recordings.catalogue import COLUMNS, catalogue
-from armrig.recordings.recording_summary import RecordingSummary, facts_of, summary_of
+from armrig.recordings.catalogue import catalogue
+from armrig.recordings.catalogue_columns import COLUMNS, facts_of
+from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import OUTCOME, RUN, Outcome
 from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.file_records import RECORD_LIMIT
 from made_recordings import manifest, recorded, sample, written
 from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
 from mcap.records import Footer, MetadataIndex
 from mcap.writer import Writer
 
@@ -399,3 +402,26 @@ def test_a_summary_longer_than_any_is_not_read(
     monkeypatch.setattr(metadata, "RECORD_LIMIT", length - 1)
     with pytest.raises(DamageError, match="its footer says of no summary"):
         metadata.read_metadata(path)
+    monkeypatch.undo()
+    path.write_bytes(data[:-28] + bytes(8) + data[-20:])
+    with pytest.raises(DamageError, match="its footer says of no summary"):
+        metadata.read_metadata(path)
+
+
+def test_a_record_longer_than_any_is_not_read(tmp_path: Path) -> None:
+    """Where the index points, a length stands that the file says; one as long as may be is read."""
+    data = bytearray(recorded([sample(0)]))
+    summary = make_reader(BytesIO(bytes(data))).get_summary()
+    assert summary is not None
+    [place] = [index.offset for index in summary.metadata_indexes if index.name == RUN]
+    for length, why in (
+        (RECORD_LIMIT + 1, "is longer than the"),
+        (RECORD_LIMIT, ""),
+    ):
+        struct.pack_into("<Q", data, place + 1, length)
+        path = written(tmp_path, bytes(data))
+        if why:
+            with pytest.raises(DamageError, match=why):
+                metadata.read_metadata(path)
+        else:
+            assert RUN in metadata.read_metadata(path)

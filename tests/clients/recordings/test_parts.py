@@ -1,4 +1,4 @@
-"""A part of a recording without the rest, and the parts of one run as one recording."""
+"""A part of a recording, read without the rest."""
 
 from __future__ import annotations
 
@@ -131,73 +131,3 @@ def test_a_range_without_samples_is_refused(
     """In one line, with what is allowed."""
     with pytest.raises(RecordingError, match=why):
         load(long, start=start, stop=stop)
-
-
-def _parts(directory: Path) -> list[Path]:
-    """Write a run of 300 samples in three parts, a gap over the second boundary."""
-    spans = [(0, 100), (100, 195), (205, 300)]
-    paths = []
-    for i, (first, end) in enumerate(spans, 1):
-        about = manifest(k_first=0, samples=300, part=i, part_k_first=max(first - 5 * (i == 3), 0))
-        messages = [sample(k, u_applied_v=k / 100) for k in range(first, end)]
-        before = [gap(195, 10, 4.0)] if i == 3 else []
-        ended = Outcome(
-            outcome="complete" if i == 3 else "continued",
-            samples=len(messages),
-            missing=5 if i > 1 else 0,
-        )
-        data = recorded([*before, *messages], manifest=about, outcome=ended)
-        paths.append(written(directory, data, f"run.part-{i:04}.mcap"))
-    return paths
-
-
-def test_the_parts_of_a_run_are_read_as_one(tmp_path: Path) -> None:
-    """By the name of the run, or one by one in their order; and each by itself."""
-    paths = _parts(tmp_path)
-
-    whole = load(tmp_path / "run.mcap")
-    again = load(paths)
-    middle = load(paths[1])
-
-    assert (whole.N, whole.missing, whole.damage) == (300, 10, "")
-    np.testing.assert_array_equal(whole.u[[0, 99, 100, 194, 200, 205]], [0, 0.99, 1, 1.94, 4, 2.05])
-    assert whole.outcome is not None
-    assert whole.outcome.outcome == "complete"
-    assert whole.sha256 == again.sha256 != middle.sha256
-    assert (middle.k_first, middle.N, middle.missing) == (100, 100, 5)
-    assert middle.t[0] == pytest.approx(1.0)
-    np.testing.assert_array_equal(load(paths, start=1.5, stop=2.5).t, whole.t[150:250])
-
-
-def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None:
-    """One left out, the wrong order, or another run's."""
-    one, two, three = _parts(tmp_path)
-    other = written(
-        tmp_path, recorded([sample(0)], manifest=manifest(run_id="x", part=2)), "o.mcap"
-    )
-
-    for given_paths, why in (
-        ([one, three], "part 3 does not follow part 1"),
-        ([two, one], "part 1 does not follow part 2"),
-        ([one, other], "only the parts of one run are joined"),
-        ([], "no file"),
-    ):
-        with pytest.raises(RecordingError, match=why):
-            load(given_paths)
-
-
-@pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_part_that_was_cut_off_is_told(tmp_path: Path, number: int) -> None:
-    """Which one it is; whichever it is, the recording is cut off."""
-    paths = _parts(tmp_path)
-    cut = paths[number - 1]
-    sizes = [path.stat().st_size for path in paths]
-    assert not load(tmp_path / "run.mcap").cut_off
-    cut.write_bytes(cut.read_bytes()[:-20])
-
-    rec = load(tmp_path / "run.mcap")
-
-    assert rec.cut_off
-    assert rec.damage.startswith(f"part {number}: the file is cut off")
-    assert f" of {sum(sizes) - 20} B, " in rec.damage
-    assert rec.N == 300

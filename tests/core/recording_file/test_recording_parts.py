@@ -14,7 +14,7 @@ from armrig.recordings.verification import verify
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import part_paths
+from armrig_core.recording_file.part_names import CONTINUED, part_paths
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
@@ -117,7 +117,7 @@ def test_a_part_says_which_it_is_and_ends_behind_a_sample(tmp_path: Path) -> Non
     assert begins == [0, 33, 63, 93]
     assert [r.k_first - FIRST for r in loaded] == begins
     ended = [(r.outcome.outcome, r.outcome.samples, r.outcome.missing) for r in loaded if r.outcome]
-    continued = recorder.CONTINUED
+    continued = CONTINUED
     assert ended == [
         *((continued, 29, 4), (continued, 29, 1), (continued, 30, 0), ("complete", 7, 0))
     ]
