@@ -357,15 +357,15 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
         assert daemon.stdout.readline() == b"up\n"
         samples = stream("rig/1/sample", connect=where)
         assert next(samples).k >= 0
-        with open_session(where, rig="1") as session:
-            assert is_alive(session, "1")
-            with monkeypatch.context() as patched:
-                patched.setattr(telemetry_stream, "_LOOK_S", 0.1)
-                daemon.send_signal(signal.SIGSTOP)
-                assert not is_alive(session, "1")
-                daemon.send_signal(signal.SIGCONT)
+        with open_session(where, rig="1") as session, monkeypatch.context() as patched:
+            was_alive = is_alive(session, "1")
+            patched.setattr(telemetry_stream, "_LOOK_S", 0.1)
+            daemon.send_signal(signal.SIGSTOP)
+            stood_alive = is_alive(session, "1")
+            daemon.send_signal(signal.SIGCONT)
         daemon.send_signal(number)
         daemon.wait()
+        assert (was_alive, stood_alive) == (True, False)
 
         with pytest.raises(NoReplyError, match="went away"):
             for _ in samples:

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 import zenoh
 from armrig.cli import main
+from armrig.recordings import published as publishing
 from armrig.recordings.published import published
 from armrig.recordings.recording import RecordingError
 from armrig.rig import play as playing
@@ -83,8 +84,17 @@ def test_a_part_is_played_alone(run: Path) -> None:
     ks = [telemetry.decode_sample(m.data).k for m in messages if m.stream == "sample"]  # type: ignore[union-attr]
     assert ks == [*range(10, 20), *range(25, 30)]
     assert [m.stream for m in messages if m.stream != "sample"] == ["gap"]
+    assert [m.stream for m in published(run, 0.3).messages() if m.stream != "sample"] == ["timing"]
     with pytest.raises(RecordingError, match="nothing in it to publish"):
         published(run, 5.0, 6.0)
+
+
+def test_samples_are_taken_in_pieces(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each once, in their order, however many are made into messages at once."""
+    whole = list(published(run).messages())
+    monkeypatch.setattr(publishing, "_AT_ONCE", 7)
+
+    assert list(published(run).messages()) == whole
 
 
 @pytest.mark.parametrize(
@@ -114,13 +124,15 @@ def test_a_gap_is_published_when_it_is_over(tmp_path: Path, after_us: int) -> No
     lost, last = gap(3, 2, 1.0), gap(8, 2, 1.0)
     behind = sample(5)
     lost.t_to_ns = behind.t_host_ns + 1000 * after_us
-    messages = [sample(0), sample(1), sample(2), lost, behind, sample(6), sample(7), last]
+    samples = [sample(0), sample(1), sample(2), lost, behind, sample(6), sample(7)]
+    messages = [event(0, "begun"), *samples, event(7, "ended"), last]
     run = published(written(tmp_path, recorded(messages)))
 
     found = list(run.messages())
 
-    assert [m.stream for m in found] == [*["sample"] * 3, "gap", *["sample"] * 3, "gap"]
-    assert found[3].t == pytest.approx(0.05 + 3e-6 + min(after_us, 0) * 1e-6, abs=1e-9)
+    order = ["event", *["sample"] * 3, "gap", *["sample"] * 2, "event", "sample", "gap"]
+    assert [m.stream for m in found] == order
+    assert found[4].t == pytest.approx(0.05 + 3e-6 + min(after_us, 0) * 1e-6, abs=1e-9)
     assert found[-1].t == pytest.approx(0.1)
 
 

@@ -258,6 +258,15 @@ def test_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> Non
     assert found.missing == MOST_TOLD + 100
 
 
+def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
+    """A reason of 100 kB is none of a daemon's: of such ones 1 MiB is kept."""
+    long = [message("gap", k_first=k, count=1, reason="x" * 100_000) for k in range(1, 30)]
+
+    recording.add(piece(state(), sample(0), *long))
+
+    assert [int(told.k_first) for told in recording._told] == list(range(20, 30))
+
+
 def test_a_disk_that_is_behind_is_waited_for(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

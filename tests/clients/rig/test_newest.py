@@ -1,0 +1,29 @@
+"""The newest of what came: never more than may be, and the oldest goes first."""
+
+from __future__ import annotations
+
+from armrig.rig.newest import Newest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.none() | st.integers(0, 12) | st.tuples(st.integers(0, 40)), max_size=40))
+def test_what_is_kept_is_the_newest_that_fits(steps: list[int | tuple[int] | None]) -> None:
+    """At most 4 and 20 B: by sizes added (int), after all were taken (None) or some forgotten."""
+    queue, model = Newest[tuple[int, int]](4, 20), list[tuple[int, int]]()
+    for number, step in enumerate(steps):
+        if step is None:
+            assert queue.take() == model
+            model.clear()
+        elif isinstance(step, tuple):
+            last = step[0]
+            queue.forget_while(lambda one, last=last: one[0] < last)  # type: ignore[misc]
+            model = [one for one in model if one[0] >= last]
+        else:
+            queue.add((number, step), step)
+            model.append((number, step))
+            while len(model) > 4 or sum(size for _, size in model) > 20:
+                del model[0]
+
+        assert (list(queue), len(queue)) == (model, len(model))
