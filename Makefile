@@ -18,7 +18,7 @@ machine: .venv/dev
 	$(BIN)/pytest -m machine -k "not empty" tests/systemd tests/integration
 
 # As root, with Debian's debootstrap: every line of docs/service.md and docs/access.md, on an empty
-# Debian. It fetches packages; four minutes.
+# Debian. It fetches packages, and takes minutes.
 walk: .venv/dev
 	$(BIN)/pytest -m machine -k empty tests/systemd/test_walk.py
 
