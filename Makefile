@@ -18,9 +18,9 @@ machine: .venv/dev
 	$(BIN)/pytest -m machine -k "not empty" tests/systemd tests/integration
 
 # As root, with Debian's debootstrap: every line of docs/service.md and docs/access.md, on an empty
-# Debian. It fetches packages, and takes minutes.
+# Debian. It fetches packages: five minutes.
 walk: .venv/dev
-	$(BIN)/pytest -m machine -k empty tests/systemd/test_walk.py
+	$(BIN)/pytest -m machine -k empty -o faulthandler_timeout=900 tests/systemd/test_walk.py
 
 check: .venv/dev
 	$(BIN)/ruff check
