@@ -48,7 +48,8 @@ def ls(where: Folder = None, count: Count = _COUNT, every: All = False, json: Js
     of the recordings the files themselves.
     """
     from armrig.recordings.catalogue import catalogue
-    from armrig.recordings.catalogue_columns import facts_of, shown_path
+    from armrig.recordings.catalogue_columns import facts_of
+    from armrig.recordings.recording_summary import shown_path
 
     folder = where or recording_folder()
     try:
@@ -125,7 +126,7 @@ def _table(rows: list[tuple[str, ...]]) -> str:
 
 def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
     """Return what is not in the table: the older ones, and what is not whole."""
-    from armrig.recordings.catalogue_columns import shown_path
+    from armrig.recordings.recording_summary import shown_path
 
     if found is None or not (found.recordings or found.left_out or found.unfinished):
         return f"there are no recordings in {folder}; make one with `armrig collect`"

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.recordings.recording_summary import RecordingSummary
+from armrig.recordings.recording_summary import RecordingSummary, shown_path
 
 COLUMNS: dict[str, Any] = {
     "recording": np.object_,
@@ -42,11 +41,6 @@ def columns(recordings: Sequence[RecordingSummary]) -> dict[str, NDArray[Any]]:
     for row in rows:
         row["started"] = _utc(row["started"])
     return {name: np.array([r[name] for r in rows], kind) for name, kind in COLUMNS.items()}
-
-
-def shown_path(path: Path) -> str:
-    """Return a path as text; of a name that is none in this system's encoding the bytes escaped."""
-    return str(path).encode("utf-8", "backslashreplace").decode()
 
 
 def facts_of(summary: RecordingSummary) -> dict[str, Any]:

@@ -171,3 +171,8 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
         part=manifest.part,
         **texts,
     )
+
+
+def shown_path(path: Path) -> str:
+    """Return a path as text; of a name that is none in this system's encoding the bytes escaped."""
+    return str(path).encode("utf-8", "backslashreplace").decode()
