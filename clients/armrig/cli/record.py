@@ -108,7 +108,7 @@ def _finish(recording: RemoteRecording, outcome: str) -> None:
 
 
 def _checked(path: Path) -> Path:
-    from armrig_core.recording_file.unfinished import ACTIVE
+    from armrig_core.recording_file.part_names import ACTIVE
 
     if path.suffix != ".mcap":
         msg = f"-o {path}: a recording's name ends in .mcap"

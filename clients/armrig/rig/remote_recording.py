@@ -12,9 +12,8 @@ from typing import Any
 
 from armrig_core import protobuf
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import CONTINUED
+from armrig_core.recording_file.part_names import ACTIVE, CONTINUED
 from armrig_core.recording_file.recorder import Recording, RecordingError
-from armrig_core.recording_file.unfinished import ACTIVE
 from armrig_core.telemetry import Sample
 
 from armrig.recordings.grid import MISSING_LIMIT

@@ -1,11 +1,11 @@
-"""The names of the files of one run: a long run is recorded in parts, which are read as one."""
+"""The names of the files of one run, while it is written, and in parts, which are read as one."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from armrig_core.recording_file.unfinished import ACTIVE
-
+ACTIVE, COPY = ".active", ".compact"
+"""How the name of a recording goes on while it is written, and while it is written once more."""
 PART = ".part-"
 """Between a run's name and a part's number: NAME.part-0001.mcap."""
 CONTINUED = "continued"

@@ -18,9 +18,8 @@ from msgspec.structs import replace
 
 from armrig_core.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import CONTINUED, part_path
+from armrig_core.recording_file.part_names import ACTIVE, CONTINUED, part_path
 from armrig_core.recording_file.recording_part import EndsHereError, Part, RemovedError
-from armrig_core.recording_file.unfinished import ACTIVE
 
 FLUSH_S = 0.1
 SYNC_S = 1.0

@@ -16,9 +16,9 @@ from armrig_core.manifest import OUTCOME, RUN, Manifest, Outcome
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.outgoing import Outgoing
+from armrig_core.recording_file.part_names import ACTIVE, COPY
 from armrig_core.recording_file.reserve import Reserve
 from armrig_core.recording_file.rewriting import compact, sync_directory
-from armrig_core.recording_file.unfinished import ACTIVE, COPY
 from armrig_core.topics import RECORDED, topic
 
 CHUNK = 128 * 1024

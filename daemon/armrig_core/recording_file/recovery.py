@@ -32,14 +32,9 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
+from armrig_core.recording_file.part_names import ACTIVE, COPY
 from armrig_core.recording_file.rewriting import Rewriter, all_records, sync_directory
-from armrig_core.recording_file.unfinished import (
-    ACTIVE,
-    COPY,
-    NotOursError,
-    RecoveryError,
-    held,
-)
+from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
 from armrig_core.topics import stream_of
 
 CUT_OFF = "cut off: its daemon died"

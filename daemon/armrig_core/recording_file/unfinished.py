@@ -11,9 +11,7 @@ from typing import IO
 
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.opening import opened
-
-ACTIVE, COPY = ".active", ".compact"
-"""How the name of a recording goes on while it is written, and while it is written once more."""
+from armrig_core.recording_file.part_names import ACTIVE, COPY
 
 
 class RecoveryError(Exception):
