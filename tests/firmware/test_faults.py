@@ -15,7 +15,7 @@ from firmware import library
 pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
 
 # `make simulate CORE=1 SEEDS=10000` tries 10 000.
-SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "100"))
+SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "40"))
 
 
 def test_every_invariant_holds_under_faults() -> None:
