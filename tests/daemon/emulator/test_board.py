@@ -123,3 +123,27 @@ def test_a_driver_with_a_gain_and_an_offset_stays_between_its_supplies(
 
     assert board.volts == pytest.approx(terminal, abs=0.005)
     assert board.code == reported(code, 10)
+
+
+def test_a_share_that_was_measured_at_a_pin_drives_where_the_arm_is() -> None:
+    """Told late, it acts from the newest instant on: the arm does not go back."""
+    changes: list[Change] = []
+    board = make_board(changes)
+    board.drive(2_000_000, 0.5, State.RUN, Cause.REQUEST)
+    board.drive(1_000_000, 0.25, State.RUN, Cause.REQUEST)
+
+    assert [(change.t_ns, change.volts) for change in changes] == [
+        (2_000_000, 2.5),
+        (2_000_000, 1.25),
+    ]
+    assert board.volts == 1.25
+
+
+def test_a_share_of_more_than_the_pin_has_does_not_reach_the_motor() -> None:
+    """S1."""
+    board = make_board()
+
+    with pytest.raises(VoltageError):
+        board.drive(0, 1.001, State.RUN, Cause.REQUEST)
+
+    assert board.volts == 0.0

@@ -295,3 +295,16 @@ def test_cal_under_way_is_lost_by_a_reset() -> None:
     assert not any(isinstance(m, CalReply) for m in host.wait(100 * MS))
     only(Sample, host.ask(Exchange, k=1, u=0))
     assert host.ask(Hello, version=2, schema=0)
+
+
+def test_who_writes_the_bytes_need_not_wake_before_cal_ends() -> None:
+    """No byte of its answer leaves before `visible_ns`, and that is no conversion's end."""
+    host = Host()
+    host.put(Cal, channel=0, zero=0, n=300)
+    host.wait(2 * MS)
+
+    due_ns = host.device.visible_ns()
+    host.wait(100 * MS)
+
+    (answer,) = [heard for heard in host.heard if isinstance(heard.message, CalReply)]
+    assert host.now_ns - 75 * MS < due_ns <= answer.t_ns
