@@ -16,6 +16,7 @@ import typer
 import typer.core
 
 from armrig.cli import (
+    batch,
     calibrate,
     collect,
     comparison,
@@ -91,6 +92,7 @@ for _command, _example in (
     (reporting.report, "@blackbox @blackbox/validation -o report.pdf"),
     (evidence.verify, "@last"),
     (evidence.export, "@last data.mat"),
+    (batch.app, "batch"),
     (recovery.recover, ""),
     (play.play, "@last --speed 10"),
     (record.record, "--from unixsock-stream//run/armrig/1.sock -o monday.mcap"),

@@ -42,6 +42,26 @@ def load_fit(path: str | PathLike[str]) -> Fit:
     path = Path(path)
     try:
         text = read_text(path, MOST_BYTES)
+    except TextError as err:
+        msg = f"{path}: {err}; a model is what `armrig identify --save` and fit.save(path) write"
+        raise ModelFileError(msg) from err
+    return fit_of(text, str(path))
+
+
+def fit_of(text: str, path: str) -> Fit:
+    """Return the model that a file's text holds.
+
+    Parameters
+    ----------
+    path : str
+        What errors call it.
+
+    Raises
+    ------
+    ModelFileError
+        As for `load_fit`.
+    """
+    try:
         content = json.loads(text) if text.lstrip().startswith("{") else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             msg = f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
@@ -57,11 +77,8 @@ def load_fit(path: str | PathLike[str]) -> Fit:
             msg += "save it again"
             raise ModelFileError(msg)
         repr(fit), fit.poles()  # what is no model shows when it is used
-    except (ModelFileError, OSError):
+    except ModelFileError:
         raise
-    except TextError as err:
-        msg = f"{path}: {err}; a model is what `armrig identify --save` and fit.save(path) write"
-        raise ModelFileError(msg) from err
     except Exception as err:
         msg = f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
         raise ModelFileError(msg) from err

@@ -27,12 +27,16 @@ def save_fit(fit: Estimate, path: str | PathLike[str]) -> Path:
     OSError
         The file cannot be written.
     """
+    path = Path(path)
+    path.write_text(model_text(fit), encoding="utf-8")
+    return path
+
+
+def model_text(fit: Estimate) -> str:
+    """Return what the file of a model holds."""
     content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
     content |= {f.name: _plain(getattr(fit, f.name)) for f in fields(fit)}
-    path = Path(path)
-    text = json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8")
-    return path
+    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def _plain(value: Any) -> Any:

@@ -89,7 +89,11 @@ def verify(path: str | Path) -> Verification:
     RecordingError, OSError
         It cannot be loaded at all.
     """
-    recording = load(path)
+    return verify_recording(load(path))
+
+
+def verify_recording(recording: Recording) -> Verification:
+    """Check a recording that is loaded already, as `verify` does."""
     checks = (
         check_file(recording),
         check_samples(recording),

@@ -1,0 +1,111 @@
+"""The rows that are done, kept as they come: whatever dies, the next start goes on behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import msgspec
+from armrig_core.recording_file.file_lock import lock
+
+from armrig.batch.items import Item
+from armrig.batch.rows import Row
+
+SUFFIX = ".progress"
+"""Behind the name of the table while it is not complete."""
+
+
+class ProgressError(RuntimeError):
+    """What is there is of another task, or another process is at it; says what to do."""
+
+
+class Progress:
+    """An open file of rows, one a line, behind a first line that says of which task they are."""
+
+    def __init__(self, table: Path, header: dict[str, str]) -> None:
+        """Open it, or make it.
+
+        Raises
+        ------
+        ProgressError
+            It is of another task, or is open elsewhere.
+        OSError
+            It cannot be written.
+        """
+        self.path = table.with_name(table.name + SUFFIX)
+        self._file = self.path.open("a+b")
+        try:
+            lock(self._file)
+        except BlockingIOError as err:
+            self._file.close()
+            msg = f"{self.path}: another armrig batch is at it; wait for it, or give another -o"
+            raise ProgressError(msg) from err
+        self._file.seek(0)
+        content = self._file.read()
+        whole, _, torn = content.rpartition(b"\n")
+        first, *lines = whole.split(b"\n") if whole else [b""]
+        self.rows: list[Row] = []
+        """Those that an earlier start has left."""
+        if not first:
+            self._file.truncate(0)
+            self._write(header)
+            return
+        if _decoded(first) != header:
+            self._file.close()
+            msg = f"{self.path} holds what came of another task or other options; give another -o, "
+            raise ProgressError(f"{msg}or --force to begin anew")
+        if torn:  # the process was killed within a line
+            self._file.truncate(len(content) - len(torn))
+        self.rows = [row for line in lines if (row := _decoded(line)) is not None]
+
+    def add(self, row: Row) -> None:
+        """Keep a row; it survives the death of this process from here on."""
+        self._write(row)
+
+    def remove(self) -> None:
+        """Remove the file: the table is complete."""
+        self.path.unlink()
+
+    def __enter__(self) -> Progress:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the file, which stays."""
+        self._file.close()
+
+    def _write(self, value: object) -> None:
+        self._file.write(msgspec.json.encode(value) + b"\n")
+        self._file.flush()
+
+
+def still_right(rows: Iterable[Row], items: Iterable[Item]) -> dict[str, Row]:
+    """Return, by name, the results of those items whose files have not changed since.
+
+    What had a problem is tried again: a process may have been killed, a disk full.
+    """
+    state = {item.name: (item.bytes, item.modified_ns) for item in items}
+    return {
+        row["recording"]: row
+        for row in rows
+        if not row["problem"] and state.get(row["recording"]) == (row["bytes"], row["modified_ns"])
+    }
+
+
+def begin_anew(table: Path) -> None:
+    """Remove a table and what was left of one."""
+    for path in (table, table.with_name(table.name + SUFFIX)):
+        path.unlink(missing_ok=True)
+
+
+def _decoded(line: bytes) -> dict[str, object] | None:
+    try:
+        return msgspec.json.decode(line, type=dict[str, object])
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return None

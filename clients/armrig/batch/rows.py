@@ -1,0 +1,196 @@
+"""What comes of one recording: the function that the workers run. It raises nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from functools import lru_cache
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armrig.batch.columns import columns_of
+from armrig.batch.items import Item
+from armrig.batch.tasks import Identify, Report, Task, Validate, Verify
+from armrig.data.dataset import Dataset
+from armrig.data.treatment import detrend
+from armrig.models.fit import Fit
+from armrig.recordings.doubts import doubts, doubts_of_estimation, doubts_of_pair
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording, RecordingError
+
+Row = dict[str, Any]
+
+
+def row_of(task: Task, item: Item) -> Row:
+    """Return the row of a recording; where nothing comes of it `problem` says why.
+
+    Raises nothing: one recording, however broken, stops no batch.
+    """
+    row: Row = dict.fromkeys(columns_of(task))
+    row |= {
+        "recording": item.name,
+        "bytes": item.bytes,
+        "modified_ns": item.modified_ns,
+        "problem": "",
+        "doubts": [],
+    }
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            # A search sees overflows on its way, and its verdict tells them.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            recording = load(item.path)
+            row |= _of_the_run(recording)
+            row |= _result(task, recording, item)
+    except (RecordingError, ValueError, RuntimeError, OSError) as err:
+        row["problem"] = _in_a_line(str(err) or type(err).__name__)
+    except Exception as err:
+        row["problem"] = _in_a_line(f"{type(err).__name__}: {err}")
+    return {name: _plain(value) for name, value in row.items()}
+
+
+def _of_the_run(r: Recording) -> Row:
+    m = r.manifest
+    return {
+        "sha256": r.sha256,
+        "rig": m.rig,
+        "device": str(m.device.get("uid", "")),
+        "run_id": m.run_id,
+        "experiment": m.experiment,
+        "started": m.started,
+        "Ts": r.Ts,
+        "samples": int(r.samples.size),
+        "missing": r.missing,
+        "calibration_sha256": m.calibration_sha256,
+        "recorded_by": f"armrig {m.armrig}",
+        "damage": r.damage,
+        "doubts": doubts(r),
+    }
+
+
+def _result(task: Task, recording: Recording, item: Item) -> Row:
+    match task:
+        case Identify():
+            return _identified(task, recording)
+        case Validate():
+            return _validated(task, recording)
+        case Verify():
+            return _verified(recording)
+        case Report():
+            return _reported(task, recording, item)
+
+
+def _identified(task: Identify, recording: Recording) -> Row:
+    from armrig.estimation.estimators import ESTIMATORS
+    from armrig.estimation.orders import require_sensible
+    from armrig.models.model_writing import model_text
+
+    data = _treated(recording.dataset(task.signal), wanted=task.detrend)
+    asked = {name: n for name, n in task.orders.items() if n is not None}
+    require_sensible(samples=data.N - data.missing, nk=task.nk, integrator=task.integrator, **asked)
+    wanted = {"integrator": task.integrator, "offset": task.offset, "stable": task.stable}
+    more: dict[str, Any] = {name: True for name, is_wanted in wanted.items() if is_wanted}
+    fit = ESTIMATORS[task.structure](data, **task.orders, nk=task.nk, **more)
+    return {
+        "structure": fit.structure,
+        "nk": task.nk,
+        "integrator": fit.integrator,
+        "output": fit.output,
+        "N": fit.N,
+        "fit_percent": fit.fit_percent,
+        "noise_variance": fit.noise_variance,
+        "loss": fit.loss,
+        "fpe": fit.fpe,
+        "p_white": fit.whiteness,
+        "converged": fit.converged,
+        "names": list(fit.names),
+        "parameters": fit.theta.tolist(),
+        "std": fit.std.tolist(),
+        "std_robust": fit.std_robust.tolist(),
+        "warnings": list(fit.warnings),
+        "model": model_text(fit),
+        "doubts": [*doubts(recording), *doubts_of_estimation(recording)],
+    }
+
+
+def _validated(task: Validate, recording: Recording) -> Row:
+    from armrig.validation.comparison import compare
+    from armrig.validation.residuals import residuals
+
+    fit = _model(task.model)
+    data = _treated(recording.dataset(_output(fit)), wanted=task.detrend)
+    row = compare(data, fit)[0]
+    tests = residuals(fit, data)
+    return {
+        "model_of": fit.source,
+        "output": fit.output,
+        "on_estimation_data": row.on_estimation_data,
+        "fit_percent": row.fit_percent,
+        "rms_error": row.rms_error,
+        "velocity_fit_percent": row.velocity_fit_percent,
+        "p_white": tests.whiteness,
+        "p_no_dynamics_missing": tests.missing_dynamics,
+        "p_no_feedback": tests.feedback,
+        "doubts": [*doubts(recording), *doubts_of_estimation(recording)],
+    }
+
+
+def _verified(recording: Recording) -> Row:
+    from armrig.recordings.verification import verify_recording
+
+    found = verify_recording(recording)
+    row: Row = {"passed": found.passed}
+    for check in found.checks:
+        row |= {check.about: check.result, f"{check.about}_found": check.text}
+    return row
+
+
+def _reported(task: Report, recording: Recording, item: Item) -> Row:
+    from armrig.report.document import report
+    from armrig.report.study import Orders, study
+
+    beside = [load(item.validation)] if item.validation else []
+    orders = Orders(na=task.na, nb=task.nb, nf=task.nf, nk=task.nk)
+    done = study([recording, *beside], orders=orders)
+    path = report(done, Path(task.folder, item.name).with_suffix(".pdf"))
+    found = doubts(recording)
+    for other in beside:
+        found += doubts_of_pair(recording, other)
+    return {
+        "report": path.name,
+        "report_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "validated_by": Path(item.validation).name,
+        "best": done.best.name,
+        "rms_error": done.best.comparison.rms_error,
+        "doubts": found,
+    }
+
+
+def _treated(data: Dataset, *, wanted: bool) -> Dataset:
+    return detrend(data) if wanted else data
+
+
+@lru_cache(maxsize=1)
+def _model(text: str) -> Fit:
+    from armrig.models.model_file import fit_of
+
+    return fit_of(text, "the model")
+
+
+def _output(fit: Fit) -> Any:
+    return fit.output if fit.output in ("theta_1", "alpha", "velocity") else "theta_1"
+
+
+def _in_a_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it, and what is not finite as None, which a table shows empty."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

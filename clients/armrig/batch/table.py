@@ -1,0 +1,106 @@
+"""The table of a batch as a Parquet file, and what it says of how it was made."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from armrig.batch.columns import Kind, columns_of
+from armrig.batch.progress import ProgressError
+from armrig.batch.rows import Row
+from armrig.batch.tasks import Task, Validate, digest, name_of, sha256
+from armrig.recordings.export import imported
+
+KEY = b"armrig.batch"
+"""Of the table's metadata, where its header stands."""
+
+
+def header_of(task: Task, folder: Path) -> dict[str, str]:
+    """Return what a table says of itself: nothing in it changes from one start to the next."""
+    options = msgspec.to_builtins(task)
+    if isinstance(task, Validate):
+        options["model"] = f"sha256 {sha256(task.model)}"
+    return {
+        "task": name_of(task),
+        "options": msgspec.json.encode(options).decode(),
+        "digest": digest(task),
+        "folder": str(folder.resolve()),
+        "armrig": version("armrig"),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def check_writable() -> None:
+    """Refuse, before any work, where Parquet cannot be written.
+
+    Raises
+    ------
+    ImportError
+        pyarrow is not installed.
+    """
+    imported("pyarrow.parquet", "parquet")
+
+
+def read_rows(path: Path, task: Task) -> list[Row]:
+    """Return the rows of an earlier table of the same task; none where there is no table.
+
+    Raises
+    ------
+    ProgressError
+        What is there is no table of this task.
+    """
+    if not path.exists():
+        return []
+    pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
+    try:
+        table = parquet.read_table(str(path))
+        header = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
+    except (pyarrow.ArrowException, KeyError, msgspec.DecodeError, OSError) as err:
+        msg = f"{path} is there and is no table of armrig batch; give another -o"
+        raise ProgressError(msg) from err
+    if header.get("digest") != digest(task) or header.get("armrig") != version("armrig"):
+        msg = f"{path} holds what came of another task, other options or another armrig; give "
+        raise ProgressError(f"{msg}another -o, or --force to begin anew")
+    rows: list[Row] = table.to_pylist()
+    return rows
+
+
+def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[Row]) -> None:
+    """Write the table, in the order of the recordings' names, at once in place of one before.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
+    ordered = sorted(rows, key=lambda row: str(row["recording"]))
+    schema = pyarrow.schema(
+        [(name, _type(pyarrow, kind)) for name, kind in columns_of(task).items()],
+        metadata={KEY: msgspec.json.encode(header)},
+    )
+    made = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        parquet.write_table(pyarrow.Table.from_pylist(ordered, schema=schema), str(made))
+        made.replace(path)
+    finally:
+        made.unlink(missing_ok=True)
+
+
+def _type(pyarrow: Any, kind: Kind) -> Any:
+    of_one = {
+        "text": pyarrow.string(),
+        "truth": pyarrow.bool_(),
+        "count": pyarrow.int64(),
+        "number": pyarrow.float64(),
+    }
+    return of_one[kind] if kind in of_one else pyarrow.list_(of_one[kind[:-1]])

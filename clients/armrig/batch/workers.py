@@ -1,0 +1,69 @@
+"""Who does the work: processes here, or a Dask cluster; both are executors of the same kind."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+from armrig.recordings.export import imported
+
+_CONNECT_S = 10.0
+
+
+class ClusterError(RuntimeError):
+    """The cluster cannot be reached, or was lost; says what to do."""
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Executor]:
+    """Give an executor of so many processes on this machine, each with one thread for matrices."""
+    # Not forked: whatever threads and locks this process has, the others begin clean.
+    context = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+    try:
+        yield executor
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """Give an executor that is a Dask cluster; its workers need armrig, and the same folders.
+
+    Raises
+    ------
+    ImportError
+        dask.distributed is not installed.
+    ClusterError
+        No scheduler answers.
+    """
+    distributed = imported("distributed", "dask")
+    # It logs each lost connection with its traceback; what a person must know is raised.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    try:
+        client: Any = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as err:
+        msg = f"--scheduler {address}: no Dask scheduler answers; `dask scheduler` starts one and "
+        raise ClusterError(f"{msg}says its address, such as tcp://127.0.0.1:8786") from err
+    with client:
+        yield client.get_executor(pure=False)
+
+
+def _begin() -> None:
+    """Make a worker process: Ctrl-C is its parent's, whose death is its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

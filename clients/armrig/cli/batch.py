@@ -1,0 +1,270 @@
+"""The command `armrig batch`: one task for all recordings of a folder, and one table of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from armrig.cli.model_structures import (
+    NaOrNone,
+    NbOrNone,
+    NcOrNone,
+    NdOrNone,
+    NfOrNone,
+    OrderOrNone,
+    Structure,
+    check_integrator,
+    check_single_estimate,
+    chosen_orders,
+)
+from armrig.cli.options import Detrend, Json, Na, Nb, Nf, Nk, OutputName, echo, print_json, tell
+
+if TYPE_CHECKING:
+    from armrig.batch.batch import Batch
+    from armrig.batch.tasks import Task
+
+_HELP = {"help_option_names": ["-h", "--help"]}
+
+
+def _example(given: str) -> str:
+    return f"Example: armrig batch {given}"
+
+
+app = typer.Typer(
+    help="Do one task for all recordings of a folder: a table (Parquet) with a row for each.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the recordings are.")]
+Table = Annotated[
+    Path,
+    typer.Option("-o", "--output", metavar="PARQUET", help="Table to write, or to go on with."),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option("--workers", min=1, help="Processes here.", show_default="one for each core"),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers do it instead."
+    ),
+]
+Rigs = Annotated[
+    list[str] | None, typer.Option("--rig", help="Only this rig; repeatable.", show_default="all")
+]
+Kinds = Annotated[
+    list[str] | None,
+    typer.Option("--kind", help="Only this kind of experiment; repeatable.", show_default="all"),
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Begin anew, whatever is at the table's place.")
+]
+_AHEAD = 2  # for each worker one that waits
+_AT_ONCE = 256  # of a cluster, which may grow
+_NAMED = 3
+
+
+@app.command(
+    epilog="Example: armrig batch identify weeks -o models.parquet --integrator --kind blackbox",
+    context_settings=_HELP,
+)
+def identify(
+    folder: Folder,
+    output: Table,
+    structure: Annotated[Structure, typer.Option("--structure", help="Which model.")] = "oe",
+    na: NaOrNone = None,
+    nb: NbOrNone = None,
+    nc: NcOrNone = None,
+    nd: NdOrNone = None,
+    nf: NfOrNone = None,
+    order: OrderOrNone = None,
+    nk: Nk = 1,
+    integrator: Annotated[
+        bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")
+    ] = False,
+    offset: Annotated[
+        bool, typer.Option("--offset", help="Estimate the input's offset along (ARMAX, OE, BJ).")
+    ] = False,
+    stable: Annotated[
+        bool, typer.Option("--stable", help="Reflect poles outside the unit circle into it.")
+    ] = False,
+    signal: Annotated[OutputName, typer.Option("--signal", help="The output.")] = "theta_1",
+    detrend: Detrend = False,
+    rig: Rigs = None,
+    kind: Kinds = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Estimate a model from each recording: parameters, deviations, fit, and the model itself."""
+    from armrig.batch.tasks import Identify
+
+    given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}
+    check_single_estimate(structure, offset=offset, stable=stable, search=False)
+    if integrator:
+        check_integrator(structure)
+    task = Identify(
+        structure=structure,
+        orders=chosen_orders(structure, given),
+        nk=nk,
+        integrator=integrator,
+        offset=offset,
+        stable=stable,
+        signal=signal,
+        detrend=detrend,
+    )
+    _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
+
+
+@app.command(
+    epilog="Example: armrig batch validate weeks --model model.json -o fits.parquet",
+    context_settings=_HELP,
+)
+def validate(
+    folder: Folder,
+    model: Annotated[
+        Path,
+        typer.Option("--model", metavar="JSON", help="Model that identify --save has written."),
+    ],
+    output: Table,
+    detrend: Detrend = False,
+    rig: Rigs = None,
+    kind: Kinds = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Judge one model by each recording: how it simulates it, and what its residuals still hold."""
+    from armrig.batch.tasks import Validate
+    from armrig.models.model_file import load_fit
+    from armrig.models.model_writing import model_text
+
+    task = Validate(model=model_text(load_fit(model)), detrend=detrend)
+    _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
+
+
+@app.command(epilog=_example("verify weeks -o checks.parquet"), context_settings=_HELP)
+def verify(
+    folder: Folder,
+    output: Table,
+    rig: Rigs = None,
+    kind: Kinds = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Check that each recording is what its run was. Exit code 1 where a check fails."""
+    from armrig.batch.tasks import Verify
+
+    done = _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
+    failed = [row["recording"] for row in done.rows if row["passed"] is False]
+    if failed:
+        tell(f"{len(failed)} failed a check: {_some(failed)}; the table says which")
+        raise typer.Exit(1)
+
+
+@app.command(
+    epilog="Example: armrig batch report weeks -o reports.parquet --kind blackbox",
+    context_settings=_HELP,
+)
+def report(
+    folder: Folder,
+    output: Table,
+    reports: Annotated[
+        Path, typer.Option("--reports", metavar="FOLDER", help="Where the PDFs go.")
+    ] = Path("reports"),
+    na: Na = 4,
+    nb: Nb = 4,
+    nf: Nf = 4,
+    nk: Nk = 1,
+    rig: Rigs = None,
+    kind: Kinds = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a report of each recording, with the one that validates it where there is one."""
+    from armrig.batch.tasks import Report
+
+    reports.mkdir(parents=True, exist_ok=True)
+    task = Report(folder=str(reports.resolve()), na=na, nb=nb, nf=nf, nk=nk)
+    _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
+
+
+def _do(
+    task: Task,
+    folder: Path,
+    output: Path,
+    rigs: Iterable[str] | None,
+    kinds: Iterable[str] | None,
+    workers: int | None,
+    scheduler: str | None,
+    *,
+    force: bool,
+    json: bool,
+) -> Batch:
+    """Do it, and say what came of it; exit code 1 where of some recordings nothing came."""
+    from functools import partial
+
+    from armrig.batch.batch import batch
+    from armrig.batch.workers import cluster, processes
+    from armrig.cli.spinner import spinner
+
+    if output.suffix != ".parquet":
+        msg = f"-o {output}: a table's name ends in .parquet"
+        raise ValueError(msg)
+    if scheduler is not None and workers is not None:
+        msg = "--workers goes with processes here; a Dask cluster has its own"
+        raise typer.BadParameter(msg)
+    many = workers or os.cpu_count() or 1
+    with spinner("at work on") as count:
+        done = batch(
+            folder.resolve(),
+            task,
+            output,
+            open_executor=partial(processes, many)
+            if scheduler is None
+            else partial(cluster, scheduler),
+            at_once=_AHEAD * many if scheduler is None else _AT_ONCE,
+            rigs=tuple(rigs or ()),
+            kinds=tuple(kinds or ()),
+            anew=force,
+            count=count,
+        )
+    _say(done, json=json)
+    return done
+
+
+def _say(done: Batch, *, json: bool) -> None:
+    problems = done.problems
+    if json:
+        facts: dict[str, Any] = {
+            "table": str(done.table),
+            "rows": len(done.rows),
+            "done_before": done.done_before,
+            "problems": {row["recording"]: row["problem"] for row in problems},
+        }
+        print_json(facts)
+    else:
+        before = f", {done.done_before} of them done before" if done.done_before else ""
+        echo(f"{done.table}: {len(done.rows)} recordings{before}; {len(problems)} without a result")
+        for row in problems[:_NAMED]:
+            echo(f"  {row['recording']}: {row['problem']}")
+        if len(problems) > _NAMED:
+            echo(f"  and {len(problems) - _NAMED} more; the column problem says why")
+    if problems:
+        raise typer.Exit(1)
+
+
+def _some(names: list[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more

@@ -1,0 +1,342 @@
+"""One task for all recordings of a folder: a row for each, whatever it is and whoever dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import armrig
+import made_recordings
+import msgspec
+import numpy as np
+import pytest
+from armrig.batch import running, workers
+from armrig.batch.batch import batch
+from armrig.batch.items import items_in
+from armrig.batch.progress import SUFFIX, Progress, ProgressError
+from armrig.batch.rows import row_of
+from armrig.batch.tasks import Identify, Report, Task, Validate, Verify
+from armrig.cli import main
+from armrig.models.model_writing import model_text
+from armrig.recordings.verification import verify
+from batches import SHORT, kept, started, telegraph, wait_for_rows
+from deadly import deadly
+
+pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
+ARX = Identify(structure="arx", orders={"na": 4, "nb": 4})
+MANY = 36
+OTHER_RIG, BROKEN, CUT, STEP = "m-other-rig.mcap", "m-broken.mcap", "m-cut.mcap", "m-step.mcap"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return forty recordings, among them what a lab has among them."""
+    made = tmp_path_factory.mktemp("recordings")
+    whole = made_recordings.of_the_arm(telegraph(1))
+    for n in range(MANY):
+        (made / f"a-{n:02}.mcap").write_bytes(made_recordings.of_the_arm(telegraph(n), seed=n))
+    (made / BROKEN).write_bytes(b"no recording at all")
+    in_chunks = made_recordings.of_the_arm(telegraph(1, 3000))
+    (made / CUT).write_bytes(in_chunks[: len(in_chunks) * 3 // 4])
+    (made / OTHER_RIG).write_bytes(
+        whole.replace(b"\x03\0\0\0rig\x01\0\0\0001", b"\x03\0\0\0rig\x01\0\0\0002")
+    )
+    (made / STEP).write_bytes(made_recordings.of_the_arm(np.full(SHORT, 2.0), experiment="step"))
+    return made
+
+
+def done(folder: Path, task: Task, table: Path, **options: Any) -> list[dict[str, Any]]:
+    """Do a task with two processes and return the table's rows."""
+    batch(folder, task, table, open_executor=partial(workers.processes, 2), at_once=4, **options)
+    return rows_of(table)
+
+
+def rows_of(table: Path) -> list[dict[str, Any]]:
+    """Return what another program reads."""
+    rows: list[dict[str, Any]] = pyarrow_parquet.read_table(str(table)).to_pylist()
+    return rows
+
+
+@pytest.fixture(scope="module")
+def identified(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the table of a batch that nothing has disturbed."""
+    table = tmp_path_factory.mktemp("undisturbed") / "models.parquet"
+    done(folder, ARX, table)
+    return table
+
+
+def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Path) -> None:
+    """What has no result says why, in a line; all others have one."""
+    rows = {row["recording"]: row for row in rows_of(identified)}
+    assert len(rows) == MANY + 4
+    assert [name for name, row in rows.items() if row["problem"]] == [BROKEN, STEP]
+    assert "not an MCAP file" in rows[BROKEN]["problem"]
+    assert "\n" not in rows[BROKEN]["problem"]
+    assert rows[CUT]["damage"]
+    assert 0 < rows[CUT]["samples"] < 3000
+
+
+def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: Path) -> None:
+    """Parameters to the last bit, and the model as `identify --save` has written it."""
+    recording = armrig.load(folder / "a-07.mcap")
+    fit = armrig.arx(recording.dataset(), na=4, nb=4)
+    row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
+    assert row["parameters"] == fit.theta.tolist()
+    assert row["std"] == fit.std.tolist()
+    assert row["names"] == list(fit.names)
+    assert row["model"] == model_text(fit)
+    assert row["sha256"] == recording.sha256
+    assert (row["rig"], row["Ts"], row["samples"]) == ("1", 0.01, SHORT)
+
+
+def test_a_table_says_how_it_was_made(identified: Path) -> None:
+    """Task, options and versions; no time of day, so that the same makes the same bytes."""
+    header = json.loads(
+        pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.batch"]
+    )
+    assert header["task"] == "identify"
+    assert json.loads(header["options"])["orders"] == {"na": 4, "nb": 4}
+    assert {"armrig", "numpy", "scipy", "python", "folder"} <= header.keys()
+
+
+def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
+    """A recording of another rig is left out, and so is what does not say of which it is."""
+    assert [item.name for item in items_in(folder, rigs=["2"])] == [OTHER_RIG]
+    assert [item.name for item in items_in(folder, kinds=["step"])] == [STEP]
+    names = {item.name for item in items_in(folder, rigs=["1"])}
+    assert not names & {OTHER_RIG, BROKEN, CUT}
+
+
+def test_a_recording_of_another_rig_is_told_of_beside_a_models_own(
+    folder: Path, tmp_path: Path
+) -> None:
+    """A model of rig 1 judged by data of rig 2 is a row with its rig: whose it is can be seen."""
+    fit = armrig.arx(armrig.load(folder / "a-01.mcap").dataset(), na=4, nb=4)
+    rows = {
+        r["recording"]: r
+        for r in done(folder, Validate(model=model_text(fit)), tmp_path / "v.parquet")
+    }
+    assert (rows[OTHER_RIG]["rig"], rows["a-02.mcap"]["rig"]) == ("2", "1")
+    assert rows["a-01.mcap"]["on_estimation_data"] is True
+    alone = armrig.compare(armrig.load(folder / "a-02.mcap").dataset(), fit)[0]
+    assert rows["a-02.mcap"]["fit_percent"] == alone.fit_percent
+
+
+def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> None:
+    """The result of each check, and what was found."""
+    rows = {r["recording"]: r for r in done(folder, Verify(), tmp_path / "v.parquet")}
+    for name in ("a-03.mcap", CUT):
+        alone = verify(folder / name)
+        assert rows[name]["passed"] is alone.passed
+        assert {c.about: c.result for c in alone.checks} == {
+            c.about: rows[name][c.about] for c in alone.checks
+        }
+        assert [rows[name][f"{c.about}_found"] for c in alone.checks] == [
+            c.text for c in alone.checks
+        ]
+
+
+def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
+    """Named as its recording; a step alone gives none, and says so."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in ("a-00.mcap", STEP):
+        shutil.copy2(folder / name, few)
+    rows = done(few, Report(folder=str(tmp_path)), tmp_path / "reports.parquet")
+    assert [row["report"] for row in rows] == ["a-00.pdf", None]
+    assert (tmp_path / "a-00.pdf").read_bytes().startswith(b"%PDF-")
+    assert "nothing to identify from" in rows[1]["problem"]
+
+
+def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
+    """Neither after the end nor where a start was killed; a file that changed is."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for n in range(4):
+        shutil.copy2(folder / f"a-{n:02}.mcap", few)
+    table = tmp_path / "models.parquet"
+    done(few, ARX, table)
+    first = table.read_bytes()
+    again: list[str] = []
+    done(few, ARX, table, count=lambda n, total, name: again.append(name))
+    assert again == []
+    assert table.read_bytes() == first
+    shutil.copy(folder / "a-30.mcap", few / "a-01.mcap")
+    shutil.copy(folder / "a-31.mcap", few / "b.mcap")
+    done(few, ARX, table, count=lambda n, total, name: again.append(name))
+    assert sorted(again) == ["a-01.mcap", "b.mcap"]
+
+
+def test_results_of_other_options_are_refused(folder: Path, tmp_path: Path) -> None:
+    """Neither a table nor what a killed start has left is mixed with another task's rows."""
+    table = tmp_path / "models.parquet"
+    done(folder, ARX, table, kinds=["step"])
+    with pytest.raises(ProgressError, match="other options"):
+        done(folder, Identify(structure="arx", orders={"na": 3, "nb": 4}), table)
+    (tmp_path / f"checks.parquet{SUFFIX}").write_bytes(msgspec.json.encode({"task": "x"}) + b"\n")
+    with pytest.raises(ProgressError, match="--force"):
+        done(folder, Verify(), tmp_path / "checks.parquet")
+    done(folder, Verify(), tmp_path / "checks.parquet", anew=True, kinds=["step"])
+
+
+def test_two_at_one_table_are_refused(folder: Path, tmp_path: Path) -> None:
+    """The second says so before it does any work."""
+    table = tmp_path / "models.parquet"
+    with Progress(table, {"digest": "held"}), pytest.raises(ProgressError, match="is at it"):
+        done(folder, ARX, table)
+
+
+def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
+    """All lines before it count, and what comes next stands on a line of its own."""
+    table, header = tmp_path / "t.parquet", {"task": "x"}
+    with Progress(table, header) as progress:
+        progress.add({"recording": "a"})
+    with progress.path.open("ab") as file:
+        file.write(b'{"recording": "b", "by')
+    with Progress(table, header) as progress:
+        assert progress.rows == [{"recording": "a"}]
+        progress.add({"recording": "c"})
+    with Progress(table, header) as progress:
+        assert progress.rows == [{"recording": "a"}, {"recording": "c"}]
+
+
+def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
+    """Each other item has its own result, once."""
+    items = ["a", "b", "deadly", "c", "d"]
+    came = list(running.results(deadly, items, partial(workers.processes, 2), at_once=4))
+    assert sorted(item for item, _ in came) == sorted(items)
+    for item, result in came:
+        if item == "deadly":
+            assert "died, 2 times" in str(result)
+        else:
+            assert result == item.upper()
+
+
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(one) for one in text.split()]
+
+
+def working(pid: int) -> list[int]:
+    """Return those of its processes that do the work."""
+    return [c for c in children(pid) if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
+
+
+def is_alive(pid: int) -> bool:
+    """Return whether a process runs; one that is dead and not waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
+def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
+    lab: tuple[Path, bytes], tmp_path: Path
+) -> None:
+    """Byte for byte; its workers are gone with it, and no recording was done twice."""
+    folder, whole = lab
+    table = tmp_path / "models.parquet"
+    with started(folder, table, "--workers", "2") as process:
+        wait_for_rows(table, 3, process)
+        its = working(process.pid)
+        process.kill()
+        process.wait()
+    assert len(its) == 2
+    until = time.monotonic() + 20
+    while any(map(is_alive, its)) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not any(map(is_alive, its))
+    left = kept(table)
+    with started(folder, table, "--workers", "2") as process:
+        said = process.communicate(timeout=100)[1]
+    assert process.returncode == 0, said
+    assert table.read_bytes() == whole
+    assert len({json.loads(line)["recording"] for line in left}) == len(left) >= 3
+    assert not table.with_name(table.name + SUFFIX).exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
+def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
+    """The table is the same, byte for byte."""
+    folder, whole = lab
+    table = tmp_path / "models.parquet"
+    with started(folder, table, "--workers", "2") as process:
+        wait_for_rows(table, 2, process)
+        os.kill(working(process.pid)[0], signal.SIGKILL)
+        said = process.communicate(timeout=100)[1]
+    assert process.returncode == 0, said
+    assert table.read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["verify", "FOLDER", "-o", "x.csv"], "ends in .parquet"),
+        (["verify", "nowhere", "-o", "x.parquet"], "nowhere"),
+        (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "no recording in it is asked for"),
+        (["validate", "FOLDER", "--model", "no.json", "-o", "x.parquet"], "no.json"),
+        (["identify", "FOLDER", "-o", "x.parquet", "--structure", "arx", "--nf", "3"], "--nf"),
+        (
+            ["verify", "FOLDER", "-o", "x.parquet", "--scheduler", "tcp://h:1", "--workers", "2"],
+            "--workers",
+        ),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_a_line(
+    given: list[str],
+    said: str,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    code = main(["batch", *(str(folder) if word == "FOLDER" else word for word in given)])
+    assert code != 0
+    err = capsys.readouterr().err
+    assert said in err
+    assert "Traceback" not in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_says_what_came_of_it(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The answer first; exit code 1 where there is no result for some, which are named."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in ("a-00.mcap", BROKEN):
+        shutil.copy2(folder / name, few)
+    table = tmp_path / "models.parquet"
+    given = [
+        "batch",
+        "identify",
+        str(few),
+        "-o",
+        str(table),
+        "--structure",
+        "arx",
+        "--workers",
+        "1",
+    ]
+    assert main(given) == 1
+    out = capsys.readouterr().out
+    assert out.startswith(f"{table}: 2 recordings; 1 without a result\n  {BROKEN}: ")
+    assert main([*given, "--json"]) == 1
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["rows"], facts["done_before"], list(facts["problems"])) == (2, 1, [BROKEN])
+
+
+def test_no_recording_however_made_raises(folder: Path) -> None:
+    """Nor does one that is gone by the time that it is its turn."""
+    item = items_in(folder)[0]._replace(path=str(folder / "gone.mcap"))
+    assert "gone.mcap" in row_of(Verify(), item)["problem"]
