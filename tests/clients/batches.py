@@ -45,10 +45,10 @@ def kept(table: Path) -> list[bytes]:
 
 def wait_for_rows(table: Path, count: int, process: subprocess.Popen[bytes]) -> None:
     """Return when so many rows are kept."""
-    until = time.monotonic() + 100
+    until = time.monotonic() + 200
     while time.monotonic() < until:
         if len(kept(table)) >= count:
             return
         assert process.poll() is None, "it ended before it was disturbed"
         time.sleep(0.005)
-    pytest.fail(f"not {count} rows in 100 s")
+    pytest.fail(f"not {count} rows in 200 s")

@@ -46,14 +46,20 @@ def cluster(address: str) -> Iterator[Executor]:
     """
     distributed = imported("distributed", "dask")
     # It logs each lost connection with its traceback; what a person must know is raised.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    logging.disable(logging.CRITICAL)
     try:
-        client: Any = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+        with _connected(distributed, address) as client:
+            yield client.get_executor(pure=False)
+    finally:
+        logging.disable(logging.NOTSET)
+
+
+def _connected(distributed: Any, address: str) -> Any:
+    try:
+        return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as err:
         msg = f"--scheduler {address}: no Dask scheduler answers; `dask scheduler` starts one and "
         raise ClusterError(f"{msg}says its address, such as tcp://127.0.0.1:8786") from err
-    with client:
-        yield client.get_executor(pure=False)
 
 
 def _begin() -> None:

@@ -256,7 +256,7 @@ def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
     assert not any(map(is_alive, its))
     left = kept(table)
     with started(folder, table, "--workers", "2") as process:
-        said = process.communicate(timeout=100)[1]
+        said = process.communicate(timeout=300)[1]
     assert process.returncode == 0, said
     assert table.read_bytes() == whole
     assert len({json.loads(line)["recording"] for line in left}) == len(left) >= 3
@@ -271,7 +271,7 @@ def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path:
     with started(folder, table, "--workers", "2") as process:
         wait_for_rows(table, 2, process)
         os.kill(working(process.pid)[0], signal.SIGKILL)
-        said = process.communicate(timeout=100)[1]
+        said = process.communicate(timeout=300)[1]
     assert process.returncode == 0, said
     assert table.read_bytes() == whole
 

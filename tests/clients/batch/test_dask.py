@@ -63,7 +63,7 @@ def test_a_cluster_makes_the_same_table_though_a_worker_is_killed(
     with started(folder, table, "--scheduler", cluster.address) as process:
         wait_for_rows(table, 2, process)
         cluster.workers[0].kill()
-        said = process.communicate(timeout=100)[1]
+        said = process.communicate(timeout=300)[1]
     assert process.returncode == 0, said
     assert table.read_bytes() == whole
 
@@ -78,13 +78,13 @@ def test_a_cluster_that_goes_away_is_told_and_the_batch_goes_on_elsewhere(
         wait_for_rows(table, 2, process)
         for one in (cluster.scheduler, *cluster.workers):
             one.kill()
-        said = process.communicate(timeout=100)[1].decode()
+        said = process.communicate(timeout=300)[1].decode()
     assert process.returncode == 1
     assert "the same command goes on" in said
     assert "Traceback" not in said
     assert len(kept(table)) >= 2
     with started(folder, table, "--workers", "2") as process:
-        said = process.communicate(timeout=100)[1].decode()
+        said = process.communicate(timeout=300)[1].decode()
     assert process.returncode == 0, said
     assert table.read_bytes() == whole
 
