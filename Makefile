@@ -1,8 +1,9 @@
 # armrig: `make demo` and `make test` need Debian's python3, python3-venv, make and a C compiler.
 PYTHON ?= python3
 BIN := .venv/bin
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test machine walk check coverage mutants bench fuzz simulate firmware fil format clean
+.PHONY: demo test machine walk check coverage mutants bench fuzz simulate firmware fil lock audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -66,6 +67,23 @@ firmware:
 fil:
 	$(MAKE) -C firmware_protocol/fil
 
+# The exact versions and their hashes, for all systems, that are installed here and by CI: after each
+# change of pyproject.toml's dependencies. UPGRADE=1 takes the newest.
+LOCKED = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+  --no-header --no-annotate $(if $(UPGRADE),--upgrade)
+lock: .venv
+	$(BIN)/pip install --quiet uv
+	$(LOCKED) pyproject.toml -o requirements.lock
+	$(LOCKED) pyproject.toml --extra dev --constraint requirements.lock -o tests/requirements.lock
+
+# Known vulnerabilities of what an installation has; pypi.org is asked.
+audit: .venv/dev
+	$(BIN)/pip-audit --disable-pip --require-hashes -r requirements.lock
+
+# What others get, in dist/: the sources, the wheel that is built of them, and their hashes.
+release: .venv/dev
+	.ci/release
+
 format: .venv/dev
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
@@ -73,16 +91,18 @@ format: .venv/dev
 	$(BIN)/python -m armrig_daemon.configuration_reference
 
 clean:
-	rm -rf .venv demo
+	rm -rf .venv demo dist
 
-# What a user needs; the wheels come with the first call and again when pyproject.toml changes.
-.venv/run: pyproject.toml | .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable .
+# What a user needs, in the versions that are locked; again when they change.
+.venv/run: pyproject.toml requirements.lock | .venv
+	$(PIP) --require-hashes -r requirements.lock
+	$(PIP) --no-deps --editable .
 	touch $@
 
 # What a developer needs beside it.
-.venv/dev: pyproject.toml | .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
+.venv/dev: pyproject.toml tests/requirements.lock | .venv
+	$(PIP) --require-hashes -r tests/requirements.lock
+	$(PIP) --no-deps --no-build-isolation --editable .
 	touch $@ .venv/run
 
 .venv:

@@ -1,0 +1,60 @@
+"""What is installed by hash is what pyproject.toml asks for."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+requirements = pytest.importorskip("packaging.requirements")
+ROOT = Path(__file__).parents[2]
+LOCKS = {"application": ROOT / "requirements.lock", "dev": ROOT / "tests" / "requirements.lock"}
+_PINNED = re.compile(
+    r"^([a-z0-9.-]+)==(\S+)(?: ; (.+?))? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)",
+    re.MULTILINE,
+)
+
+
+def pinned(path: Path) -> dict[str, set[str]]:
+    """Return the versions of each package; it has two where they hang on the Python."""
+    found: dict[str, set[str]] = {}
+    for name, version, _, _ in _PINNED.findall(path.read_text()):
+        found.setdefault(name, set()).add(version)
+    return found
+
+
+def asked_for(*extras: str) -> list[str]:
+    """Return what pyproject.toml asks for."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    more = [text for extra in extras for text in project["optional-dependencies"][extra]]
+    return [*project["dependencies"], *more]
+
+
+@pytest.mark.parametrize("lock", LOCKS)
+def test_every_line_is_a_version_with_hashes(lock: str) -> None:
+    """Nothing else is in it: no address of an index, no package without a hash."""
+    text = LOCKS[lock].read_text()
+    assert _PINNED.sub("", text).strip() == ""
+    assert len(pinned(LOCKS[lock])) > 30
+
+
+@pytest.mark.parametrize(("lock", "extras"), [("application", ()), ("dev", ("dev",))])
+def test_all_that_is_asked_for_is_in_it_within_its_bounds(
+    lock: str, extras: tuple[str, ...]
+) -> None:
+    """`make lock` was called after the last change of a dependency."""
+    versions = pinned(LOCKS[lock])
+    for text in asked_for(*extras):
+        asked = requirements.Requirement(text)
+        name = asked.name.lower().replace("_", "-")
+        assert name in versions, f"{name}: make lock"
+        for version in versions[name]:
+            assert asked.specifier.contains(version), f"{name} {version}: make lock"
+
+
+def test_tests_run_with_the_versions_of_an_installation() -> None:
+    """A package that both have is the same in both."""
+    application, dev = pinned(LOCKS["application"]), pinned(LOCKS["dev"])
+    assert {name: dev.get(name) for name in application} == application
