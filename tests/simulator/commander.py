@@ -136,12 +136,12 @@ class Commander:
         return SetVoltage(order=self._other(), lease="b" * 32, n=1 << 30, code=65_535)
 
     def codes(self) -> list[int]:
-        """Return an experiment: steps within the limits, off rest but for one in ten."""
+        """Return an experiment: steps within the limits; one half is soon at its end."""
         options, rng = self._options, self._rng
         low, high = max(options.u_min, 1), options.u_max
         codes: list[int] = []
         last = 0
-        for _ in range(rng.randint(2, 30)):
+        for _ in range(rng.randint(2, rng.choice([6, 30]))):
             wanted = rng.randint(low, high)
             code = self._near(last, wanted)
             last = code

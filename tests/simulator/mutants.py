@@ -242,7 +242,7 @@ MUTANTS = (
         plant=_put(replies, "handle", _fresh_by_arrival),
         breaks=frozenset({"S4"}),
         faults=("delay from_device",),
-        first=1041,
+        first=1003,
     ),
     Mutant(
         name="no boot nonce",
@@ -250,6 +250,7 @@ MUTANTS = (
         without=(_as_known(requests.Arm, "nonce"), _as_known(requests.Start, "nonce")),
         breaks=frozenset({"S6"}),
         faults=("played_again",),
+        first=1005,
     ),
     Mutant(
         name="no CRC",
@@ -272,11 +273,10 @@ MUTANTS = (
     Mutant(
         name="any owner",
         plant=_put(orders, "_acquire", _any_owner),
-        breaks=frozenset({"A1"}),
+        breaks=frozenset({"A1", "S5"}),
         faults=("intruder",),
-        first=1035,
     ),
-    Mutant(name="no staleness", plant=NO_AGE, breaks=frozenset({"S4"}), first=1004),
+    Mutant(name="no staleness", plant=NO_AGE, breaks=frozenset({"S4"})),
     Mutant(
         name="no firmware timeout",
         plant=_put(firmware.Firmware, "_set_watchdog", _never_bites),
@@ -299,7 +299,7 @@ MUTANTS = (
         breaks=frozenset({"S4"}),
         without=(NO_AGE,),
         faults=("pause",),
-        first=1005,
+        first=1003,
     ),
     Mutant(
         name="no firmware clamp",
@@ -307,14 +307,13 @@ MUTANTS = (
         breaks=frozenset({"S1", "S5"}),
         without=(NO_RANGE,),
         faults=("out_of_range",),
-        first=1011,
+        first=1019,
     ),
     Mutant(
         name="no timeout of the lease",
         plant=_put(Rules, "lease_ns", lambda *_: AGES),
         breaks=frozenset({"S2", "S5"}),
         faults=("hang",),
-        first=1006,
     ),
     Mutant(
         name="replay of an order accepted",
@@ -331,7 +330,6 @@ MUTANTS = (
         name="stale, and no STOP",
         plant=_put(step, "_stale", _only_said),
         breaks=frozenset({"S4"}),
-        first=1004,
     ),
     Mutant(
         name="a trip that does not latch",
@@ -348,7 +346,7 @@ MUTANTS = (
         plant=_put(orders, "_acquire", _out_of_fault),
         breaks=frozenset({"S6"}),
         faults=("hang", "intruder"),
-        first=1067,
+        first=1028,
     ),
     Mutant(
         name="a calibration taken in a run",
@@ -361,7 +359,7 @@ MUTANTS = (
         plant=_all(*(_put(m, "send", _all_beats) for m in (step, core_requests, setpoints))),
         breaks=frozenset({"R1"}),
         faults=("delay from_device", "loss from_device"),
-        first=1039,
+        first=1008,
     ),
     Mutant(
         name="a decoder that keeps all",
@@ -391,6 +389,7 @@ MUTANTS = (
         plant=_put(transitions, "_latch", _said_once),
         breaks=frozenset({"T1"}),
         faults=("delay to_device",),
+        first=1006,
     ),
     Mutant(
         name="a run that is over goes on",

@@ -8,14 +8,14 @@ from random import Random
 from typing import Final, NamedTuple
 
 MS: Final = 1_000_000
-SECOND: Final = 1_000_000_000
-_FIRST_NS: Final = 400 * MS
-CLEAR_NS: Final = 5_200 * MS
+_FIRST_NS: Final = 250 * MS
+CLEAR_NS: Final = 3_400 * MS
 """From here on there is no fault: what comes back, has to come back by itself (T1)."""
-BACK_NS: Final = CLEAR_NS + SECOND
-"""When it must be back: boards that boot in 50 ms have half of what T1 allows."""
-END_NS: Final = BACK_NS + 100 * MS
-"""Short, so that faults meet each other (docs/decisions/0021)."""
+END_NS: Final = CLEAR_NS + 700 * MS
+"""When it must be back: boards that boot in 50 ms have a third of what T1 allows.
+
+Short, so that faults meet each other (docs/decisions/0021).
+"""
 
 WAYS: Final = ("to_device", "from_device")
 LINE: Final = ("loss", "duplicate", "delay", "reorder", "flip", "replay", "garbage", "split")
@@ -48,15 +48,23 @@ _WEIGHTS: Final = {
     "service_gone": 2.5,
     "old_frames": 2.0,
     "pause": 1.6,
-    "kill": 1.4,
+    "kill": 1.7,
     "played_again": 1.4,
     "unplug": 1.4,
     "hang": 1.4,
     "reset": 1.2,
     "pause_in_write": 1.2,
     "slow_service": 2.0,
+    "stuck": 1.4,
+    # Fewer frames go there than come back.
+    "replay to_device": 1.4,
+    "flip to_device": 1.4,
 }
 """How much more often than others a fault is drawn."""
+
+
+_TS_US: Final = {2_000: 2, 5_000: 50, 10_000: 25, 20_000: 23}
+"""How often a sampling time is drawn, in a hundred: a short one costs as many ticks more."""
 
 
 _UNO: Final = {"boot_ms": 58.0, "pwm_bits": 10, "queue": 256, "clock_ppm": 0.0, "clock_start_us": 0}
@@ -153,14 +161,14 @@ def draw(
         The device is an Uno; what it is by itself is not drawn.
     """
     rng = Random(seed)
-    ts_us = rng.choice([5_000] * 7 + [2_000, 10_000, 20_000])
+    ts_us = rng.choices(list(_TS_US), list(_TS_US.values()))[0]
     narrow = rng.random() < 0.3
     episodes = [_episode(rng, only) for _ in range(rng.randint(3, 8))]
     lines = [kind for kind in only if " " in kind]
     if lines and rng.random() < 0.4:
         kind = rng.choice(lines)
         whole = CLEAR_NS - _FIRST_NS
-        episodes.append(Episode(kind, _FIRST_NS, whole, 0.02 * rng.random()))
+        episodes.append(Episode(kind, _FIRST_NS, whole, 0.03 * rng.random()))
     kept = sorted(episodes, key=lambda e: e.t_ns)
     slow_device = ts_us >= 5_000
     drawn = Options(
@@ -169,9 +177,9 @@ def draw(
         watchdog_ms=rng.choice([100, 100, 100, 50, 250]) if slow_device else 100,
         u_min=rng.randint(0, 6_000) if narrow else 0,
         u_max=rng.randint(50_000, 65_535) if narrow else 65_535,
-        slew=rng.choice([0, 0, 0, 15_000, 40_000]),
-        turns=rng.choice([0, 0, 100, 200, 1_500]),
-        rail_ticks=rng.choice([0, 0, 0, 8, 60]),
+        slew=rng.choice([0, 0, 15_000, 15_000, 40_000]),
+        turns=rng.choice([0, 0, 50, 100, 1_000]),
+        rail_ticks=rng.choice([0, 0, 8, 30]),
         stop_after=rng.choice([0, 0, 3]),
         service_ns=rng.choice([0, 400 * MS]),
         boot_ms=rng.choice([0.0, 5.0, 50.0]),
@@ -197,8 +205,8 @@ def _stalls(rng: Random) -> tuple[Episode, ...]:
     """Return 4 to 12 stalls, which may meet the other faults."""
     drawn = []
     for _ in range(rng.randint(4, 12)):
-        t_ns = round(rng.uniform(_FIRST_NS, CLEAR_NS - 700 * MS))
         for_ns = round(20 * MS * 25 ** rng.random())
+        t_ns = round(rng.uniform(_FIRST_NS, CLEAR_NS - 200 * MS - for_ns))
         drawn.append(Episode("stall", t_ns, for_ns, rng.random()))
     return tuple(sorted(drawn, key=lambda e: e.t_ns))
 
@@ -206,9 +214,10 @@ def _stalls(rng: Random) -> tuple[Episode, ...]:
 def _episode(rng: Random, only: Sequence[str]) -> Episode:
     weights = [_WEIGHTS.get(kind, 1.0) for kind in only]
     kind = rng.choices(only, weights)[0]
-    t_ns = round(rng.uniform(_FIRST_NS, CLEAR_NS - 700 * MS))
     share = rng.random()
     for_ns = round(5 * MS * 120**share)  # 5 to 600 ms, as many short as long ones
     if kind == "slow_service":
         for_ns = round(600 * MS * share)  # only a long one is a frozen one
+    lasts_ns = 600 * MS if kind == "old_frames" else for_ns  # they are played one by one
+    t_ns = round(rng.uniform(_FIRST_NS, CLEAR_NS - 100 * MS - lasts_ns))
     return Episode(kind, t_ns, for_ns, rng.random())

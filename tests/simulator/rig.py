@@ -35,7 +35,7 @@ from msgspec.structs import replace
 from simulator.checks import Checks
 from simulator.commander import Commander
 from simulator.line import Line
-from simulator.options import BACK_NS, CLEAR_NS, END_NS, MS, Episode, Options
+from simulator.options import CLEAR_NS, END_NS, MS, Episode, Options
 from simulator.telling import FullPipe, Silent, Teller, read
 from simulator.violation import Violation
 from simulator.watched import Watched, WatchedCore
@@ -386,7 +386,7 @@ class Rig:
         self.at(20 * MS, self._act)
         if options.service_ns:
             self.at(50 * MS, self._alive)
-        self.at(BACK_NS, self._judge_recovery)
+        self.at(END_NS, self._judge_recovery)
         for e in options.episodes:
             if e.kind == "pause":
                 self._pauses.append((e.t_ns, e.for_ns))
@@ -548,7 +548,7 @@ class Rig:
     # -- the end ---------------------------------------------------------------------------------
 
     def _judge_recovery(self, _: None) -> None:
-        """Judge what is there a second after the last fault (T1)."""
+        """Judge what is there some time after the last fault (T1)."""
         checks, options = self.checks, self.options
         recent_ns = max(100 * MS, 10 * options.ts_us * 1000)
         age_ns = self.now - checks.last_sample_ns
