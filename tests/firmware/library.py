@@ -1,12 +1,12 @@
-"""The C core as a library: built once per process for each set of constants; called by ctypes."""
+"""The C core as a library, called by ctypes: one build for each set of constants."""
 
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Callable
 from ctypes import c_bool, c_char_p, c_int64, c_size_t, c_uint8, c_uint16, c_uint32
 from functools import cache
@@ -113,20 +113,21 @@ def missing() -> str:
 
 
 @cache
-def _folder() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="armrig-firmware-")
-
-
-@cache
 def build(target: str, *constants: str) -> Path:
-    """Return what `make` in boards/pc builds as `target`, with constants like "BOARD_QUEUE=256"."""
-    out = Path(_folder().name, "-".join([target, *constants]))
-    out.mkdir()
+    """Return what `make` in boards/pc builds as `target`, with constants like "BOARD_QUEUE=256".
+
+    It stays in the checkout, and all processes that test the core take it from there.
+    """
+    here = FIRMWARE / "boards" / "pc"
+    # Not with a "=" in its name: make would take the target for a variable, and build everything.
+    name = "-".join(one.replace("=", "-") for one in constants) or "as-it-is"
+    out = here / "build" / name
+    out.mkdir(parents=True, exist_ok=True)
     flags = " ".join(f"-D{one}" for one in constants)
-    command = ["make", "-C", str(FIRMWARE / "boards" / "pc"), f"OUT={out}", f"CONSTANTS={flags}"]
-    done = subprocess.run(
-        [*command, f"{out}/{target}"], capture_output=True, text=True, check=False
-    )
+    command = ["make", "-C", str(here), f"OUT={out}", f"CONSTANTS={flags}", f"{out}/{target}"]
+    with (out / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # a second process waits for the first one's build
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         msg = f"the C core is not built:\n{done.stderr}"
         raise RuntimeError(msg)

@@ -29,7 +29,7 @@ builds = pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no gcc-avr"
 
 def broken(folder: Path, file: str, old: str, new: str) -> Path:
     """Return an image of the firmware with a piece of one file replaced."""
-    shutil.copytree(FIRMWARE, folder / "firmware")
+    shutil.copytree(FIRMWARE, folder / "firmware", ignore=shutil.ignore_patterns("build"))
     uno = folder / "firmware" / "boards" / "uno"
     source = (uno / file).read_text(encoding="utf-8")
     assert source.count(old) == 1

@@ -61,7 +61,7 @@ def _judged(site: CoreSite) -> Outcome | None:
     """Return what became of a bug; None where it does not compile."""
     with tempfile.TemporaryDirectory(prefix="armrig-mutant-") as folder:
         firmware = Path(folder, "firmware")
-        shutil.copytree(FIRMWARE, firmware, ignore=shutil.ignore_patterns("uno", "*.hex"))
+        shutil.copytree(FIRMWARE, firmware, ignore=shutil.ignore_patterns("uno", "build", "*.hex"))
         source = firmware / "core" / site.file
         source.write_text(planted(source.read_text(), site))
         pc = firmware / "boards" / "pc"
