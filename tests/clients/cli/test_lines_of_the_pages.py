@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,11 @@ def _lines(page: Path) -> Iterator[str]:
     yield from _SPAN.findall(_BLOCK.sub("", text))
 
 
+@cache
+def _command(program: str) -> Any:
+    return typer.main.get_command(PROGRAMS[program])
+
+
 def _words(line: str) -> list[str]:
     """Return the words of the command, up to where the shell's own begin."""
     words = shlex.split(line, comments=True)
@@ -43,7 +49,7 @@ def _words(line: str) -> list[str]:
 def refused(line: str) -> str:
     """Return what click says against a line, without running it; "" where it is taken."""
     program, *words = _words(line)
-    command: Any = typer.main.get_command(PROGRAMS[program])
+    command = _command(program)
     while words and hasattr(command, "commands") and not words[0].startswith("-"):
         name = words.pop(0)
         if name == "COMMAND":

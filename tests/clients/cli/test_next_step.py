@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,11 @@ VALUES: dict[str, Any] = {
 }
 
 
+@cache
+def _command_line() -> Any:
+    return typer.main.get_command(app)
+
+
 @pytest.fixture
 def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any) -> Path:
     """Give a folder with a telegraph's recording, and the one that validates what it gives."""
@@ -53,7 +59,7 @@ def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any)
 def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
     """Command, options and their values."""
     words = shlex.split(AFTER[after].format(**VALUES))
-    command: Any = typer.main.get_command(app)
+    command = _command_line()
 
     assert words.pop(0) == "armrig"
     while hasattr(command, "commands"):
