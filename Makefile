@@ -34,7 +34,7 @@ check: .venv/dev
 
 # Every branch of the core and of the device's state machine; what adds nothing to that is left out.
 coverage: .venv/dev
-	$(BIN)/pytest -q tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
+	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
 	  conformance core/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
 
 # N generated bugs in the same modules, each of which a test must see. EDGES=1: in the daemon's edges,
