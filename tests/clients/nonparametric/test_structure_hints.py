@@ -44,7 +44,7 @@ def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
 def test_a_slow_pole_is_no_integrator(pole: float, integrates: bool) -> None:
     """It has an integrator's slope down to what the record hardly has; but its answer dies out."""
     slopes = []
-    for seed in range(4):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         u = np.where(np.cumsum(rng.random(1500) < 0.1) % 2, 1.0, -1.0)
         y = filtered([0, 0.03], np.poly([pole, 0.7]), u)
