@@ -163,16 +163,12 @@ def step(
 
     From the lower to the upper level.
     """
-    from armrig.excitation import step as stepped
+    from armrig.excitation.named_signals import check_step_time, step_at
 
-    stepped(1, low=low, high=high)
-    _check_step_time(at, seconds)
+    step_at(1, 1.0, low=low, high=high, at=0.0)
+    check_step_time(at, seconds)
     details = {"input": "step", "low": low, "high": high, "at": at}
-
-    def make(N: int, Ts: float) -> Any:
-        # A time just before the end may round to the end, where there would be no step.
-        return stepped(N, low=low, high=high, at=min(round(at / Ts), N - 1))
-
+    make = partial(step_at, low=low, high=high, at=at)
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
     collect_each([Played("step", make, details, seconds)], run)
 
@@ -193,19 +189,16 @@ def staircase(
     json: Json = False,
 ) -> None:
     """Play levels up and down: static gain and friction."""
-    import numpy as np
+    from armrig.excitation.named_signals import step_at, up_and_down
 
-    from armrig.excitation import staircase as stairs
-    from armrig.excitation import step as stepped
-
-    stepped(1, low=low, high=high)
-    up = np.linspace(low, high, levels)
-    voltages = [*up, *up[-2::-1]]
+    step_at(1, 1.0, low=low, high=high, at=0.0)
     details = {"input": "staircase", "low": low, "high": high, "levels": levels}
     run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
-    collect_each(
-        [Played("staircase", lambda N, _: stairs(N, voltages, low, high), details, seconds)], run
-    )
+
+    def make(N: int, _: float) -> Any:
+        return up_and_down(N, low=low, high=high, levels=levels)
+
+    collect_each([Played("staircase", make, details, seconds)], run)
 
 
 @app.command(epilog="Example: armrig collect bla --realisations 4")
@@ -264,14 +257,3 @@ def bla(
         ),
         run,
     )
-
-
-def _check_step_time(at: float, seconds: float) -> None:
-    if not at >= 0:  # NaN neither
-        msg = f"--at {at:g}: must be a number of seconds, 0 or more"
-        raise ValueError(msg)
-    if at >= seconds:
-        where = "at" if at == seconds else "after"
-        msg = f"--at {at:g} s is {where} the end, {seconds:g} s; give an earlier --at or more "
-        msg += "--seconds"
-        raise ValueError(msg)

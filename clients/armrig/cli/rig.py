@@ -22,47 +22,17 @@ By = Annotated[
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Say how the daemon and its rig are."""
-    from armrig.rig.realtime_status import scheduling_sentences
+    from armrig.rig.status_rows import status_rows
 
     with _opened(rig, connect) as opened:
         report = opened.status()
     if json:
         print_json(report)
         return
-    last = report.last_run
-    device = report.device
-    print_table(
-        ("rig", f"{report.rig}, armrig {report.version}, at {report.endpoint}"),
-        ("phase", report.phase),
-        *(
-            row
-            for row in (("fault", f"{report.fault}: {report.reason}"), ("to do", report.remedy))
-            if report.reason
-        ),
-        ("motor", report.motor or "not known"),
-        ("owner", report.owner or "nobody"),
-        ("Ts", f"{report.Ts:g} s"),
-        ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
-        ("calibration", report.calibration or "not said by this daemon"),
-        ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
-        ("device", report.line or _device_text(device) or "has not answered yet"),
-        ("host", "; ".join(scheduling_sentences(report.host))),
-        (
-            "last run",
-            "none"
-            if last is None
-            else f"{last.recording}, {last.samples} samples, "
-            + (last.outcome if last.finished else f"running; {last.synced} are on the disk"),
-        ),
-        ("recordings", report.recordings),
-    )
+    print_table(*status_rows(report))
     if report.phase == "safe" and not report.line:
         after = "status chassis" if report.arm_removed else "status"
         say_next(after, rig=naming(rig, connect))
-
-
-def _device_text(device: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in device.items())
 
 
 def watch(

@@ -51,31 +51,43 @@ def from_csv(
     OSError
         The file cannot be read.
     """
-    require_levels(low=low, high=high)
-    require_numbers(Ts=Ts)
-    if not 0 < Ts < np.inf:
-        msg = f"Ts={Ts!r} must be finite and > 0, in s"
-        raise ValueError(msg)
     path = Path(path)
+    _require_figures(Ts, low, high)
     try:
         text = read_text(path, MOST_BYTES)
     except TextError as err:
         msg = f"{path}: {err}, as a CSV"
         raise ValueError(msg) from err
-    numbers, rows = _table(path, text)
+    return from_text(text, Ts, name=path, low=low, high=high)
+
+
+def from_text(
+    text: str, Ts: float, *, name: str | Path, low: float = LOWEST_V, high: float = HIGHEST_V
+) -> Vector:
+    """Return the input (N,) in the text of a file called `name`: see `from_csv`."""
+    _require_figures(Ts, low, high)
+    numbers, rows = _table(name, text)
     t, u = numbers
     if t is not None:
-        _require_times(path, t, rows, Ts)
+        _require_times(name, t, rows, Ts)
     outside = ~((u >= low) & (u <= high))
     if outside.any():
         k = int(np.argmax(outside))
-        msg = f"{path}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
+        msg = f"{name}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
         msg += f"as are {np.count_nonzero(outside)} of {u.size} values; scale or shift the signal"
         raise ValueError(msg)
     return u
 
 
-def _require_times(path: Path, t: Vector, rows: list[int], Ts: float) -> None:
+def _require_figures(Ts: float, low: float, high: float) -> None:
+    require_levels(low=low, high=high)
+    require_numbers(Ts=Ts)
+    if not 0 < Ts < np.inf:
+        msg = f"Ts={Ts!r} must be finite and > 0, in s"
+        raise ValueError(msg)
+
+
+def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> None:
     due = t[0] + Ts * np.arange(t.size)
     wrong = ~(np.abs(t - due) <= _TIME_TOLERANCE * Ts)  # also finds NaN
     if wrong.any():
@@ -86,7 +98,7 @@ def _require_times(path: Path, t: Vector, rows: list[int], Ts: float) -> None:
         raise ValueError(msg)
 
 
-def _table(path: Path, text: str) -> tuple[tuple[Vector | None, Vector], list[int]]:
+def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], list[int]]:
     """Return (t or None, u) and the number of the line, from 1, that each row stood in."""
     lines: list[str] = []
     rows: list[int] = []
@@ -129,7 +141,7 @@ def _may_be_decimals(text: str) -> bool:
     return all(re.fullmatch(r"\s*-?\d+,\d+\s*", row) for row in rows)
 
 
-def _unreadable(path: Path, lines: list[str], rows: list[int]) -> str:
+def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
     """Return what is wrong with the first line that is no row of the table."""
     width = len(lines[0].split())
     for row, line in zip(rows, lines, strict=True):
@@ -144,7 +156,7 @@ def _unreadable(path: Path, lines: list[str], rows: list[int]) -> str:
     return f"{path}: its rows cannot be read as numbers"
 
 
-def _order(path: Path, names: list[str]) -> tuple[int, int]:
+def _order(path: str | Path, names: list[str]) -> tuple[int, int]:
     """Return the columns of t and u."""
     if not names:
         return 0, 1

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from armrig.excitation.binary import prbs, telegraph
+from armrig.excitation.levels import staircase, step
 from armrig.excitation.limits import Vector
 from armrig.excitation.noise import white_noise
 from armrig.excitation.sines import chirp, multisine
@@ -74,6 +75,30 @@ def clock_of(a: float) -> int:
         msg = f"a={a!r}: a prbs switches with a probability of more than 0, at most 0.5"
         raise ValueError(msg)
     return max(1, round(1 / (2 * a)))
+
+
+def step_at(N: int, Ts: float, *, low: float, high: float, at: float) -> Vector:
+    """Return the input (N,) that steps from low to high, in V, at a time in s."""
+    # A time just before the end may round to the end, where there would be no step.
+    return step(N, low=low, high=high, at=min(round(at / Ts), N - 1))
+
+
+def check_step_time(at: float, seconds: float) -> None:
+    """Refuse a time of a step that is not inside its length, both in s."""
+    if not at >= 0:  # NaN neither
+        msg = f"--at {at:g}: must be a number of seconds, 0 or more"
+        raise ValueError(msg)
+    if at >= seconds:
+        where = "at" if at == seconds else "after"
+        msg = f"--at {at:g} s is {where} the end, {seconds:g} s; give an earlier --at or more "
+        msg += "--seconds"
+        raise ValueError(msg)
+
+
+def up_and_down(N: int, *, low: float, high: float, levels: int) -> Vector:
+    """Return the input (N,) that goes up from low to high in so many levels, and down again."""
+    up = np.linspace(low, high, levels)
+    return staircase(N, [*up, *up[-2::-1]], low, high)
 
 
 def realisations(

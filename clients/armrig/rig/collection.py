@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from math import floor, isclose, isfinite
 from pathlib import Path
@@ -18,9 +19,13 @@ from numpy.typing import NDArray
 
 from armrig.recordings.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
-from armrig.rig.client import Rig, RunEndedError
+from armrig.rig.client import Progress, Rig, RunEndedError
 from armrig.rig.progress import bar, timing_note
 from armrig.rig.session import NoReplyError, RigError
+
+Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
+"""Takes the rig, the kind of experiment and N; gives, in a `with` block, what is told of progress.
+"""
 
 LONGEST_TS = 1.0
 """Longest sampling time that the daemon takes, in s."""
@@ -117,7 +122,21 @@ def number_of_samples(seconds: float, Ts: float) -> int:
     return N
 
 
-def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], None]) -> Collected:
+@contextmanager
+def on_the_terminal(rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
+    """Show the progress of a run of N samples as a bar, its timing behind it."""
+    with timing_note(rig, N) as note, bar(experiment, note=note) as progress:
+        yield progress
+
+
+def collect(
+    plan: Plan,
+    *,
+    rig: str,
+    connect: str | None,
+    tell: Callable[[str], None],
+    shown: Shown = on_the_terminal,
+) -> Collected:
     """Arm, play, record, and return what was recorded; tell the rehearsal when the run begins.
 
     Raises
@@ -139,8 +158,8 @@ def collect(plan: Plan, *, rig: str, connect: str | None, tell: Callable[[str], 
         try:
             granted = opened.arm(plan.owner, plan.Ts)
             armed = True
-            u = _input(plan, granted.Ts, tell)
-            path, run_id, rehearsal = _played(opened, plan, u, tell)
+            u = planned_input(plan, granted.Ts, tell)
+            path, run_id, rehearsal = _played(opened, plan, u, tell, shown)
         except KeyboardInterrupt as err:
             if not armed:
                 raise
@@ -163,9 +182,9 @@ def _is_readable(path: Path) -> bool:
 
 
 def _played(
-    rig: Rig, plan: Plan, u: NDArray[Any], tell: Callable[[str], None]
+    rig: Rig, plan: Plan, u: NDArray[Any], tell: Callable[[str], None], shown: Shown
 ) -> tuple[Path, str, Rehearsal | None]:
-    """Play an input under a progress bar; return recording, run id, and what the rehearsal said."""
+    """Play an input, show its progress; return recording, run id, and what was rehearsed."""
     rehearsal: Rehearsal | None = None
     run_id = ""
 
@@ -175,7 +194,7 @@ def _played(
         if rehearsal is not None:
             tell(sentence(rehearsal))
 
-    with timing_note(rig, u.size) as note, bar(plan.experiment, note=note) as progress:
+    with shown(rig, plan.experiment, u.size) as progress:
         path = rig.run(
             u,
             pacing=plan.pacing,
@@ -202,7 +221,7 @@ def _require_arm_off(status: StatusReport) -> None:
         raise RigError(msg)
 
 
-def _input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
+def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
     """Return the input at the sampling time in force, and tell where its length is not as asked."""
     if plan.seconds is None:
         u = plan.make(0, Ts)

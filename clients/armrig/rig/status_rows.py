@@ -1,0 +1,41 @@
+"""How a daemon is, in rows for a person: the words of `armrig status` and of the dashboard."""
+
+from __future__ import annotations
+
+from armrig_core.commands import StatusReport
+
+from armrig.rig.realtime_status import scheduling_sentences
+
+
+def status_rows(report: StatusReport) -> list[tuple[str, str]]:
+    """Return what there is to know, each with its name before it; of a fault its cause and remedy.
+
+    The texts may hold characters that do not print: who shows them escapes them.
+    """
+    last = report.last_run
+    device = ", ".join(f"{name} {value}" for name, value in report.device.items())
+    return [
+        ("rig", f"{report.rig}, armrig {report.version}, at {report.endpoint}"),
+        ("phase", report.phase),
+        *(
+            row
+            for row in (("fault", f"{report.fault}: {report.reason}"), ("to do", report.remedy))
+            if report.reason
+        ),
+        ("motor", report.motor or "not known"),
+        ("owner", report.owner or "nobody"),
+        ("Ts", f"{report.Ts:g} s"),
+        ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
+        ("calibration", report.calibration or "not said by this daemon"),
+        ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
+        ("device", report.line or device or "has not answered yet"),
+        ("host", "; ".join(scheduling_sentences(report.host))),
+        (
+            "last run",
+            "none"
+            if last is None
+            else f"{last.recording}, {last.samples} samples, "
+            + (last.outcome if last.finished else f"running; {last.synced} are on the disk"),
+        ),
+        ("recordings", report.recordings),
+    ]
