@@ -1,0 +1,170 @@
+"""What the server answers: the page, its stream, commands, and what was recorded."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+from starlette.routing import Route
+
+from armrig.dashboard.connections import Connections
+from armrig.dashboard.driver import BusyDriverError, Driver
+from armrig.dashboard.experiments import Experiment, plan_of, previewed
+from armrig.dashboard.feed import Feed
+from armrig.dashboard.page_files import PAGE_FILES, PageFile
+from armrig.dashboard.stream import Stream
+from armrig.dashboard.viewers import TooManyViewersError, Viewer
+from armrig.rig.session import RigError
+
+_Owner = Annotated[str, Meta(min_length=1, max_length=80)]
+Answer = Callable[[Request], Awaitable[Response]]
+
+
+class _Stopped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    owner: Annotated[str, Meta(max_length=80)] = ""
+
+
+class _Armed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    owner: _Owner
+    Ts: Annotated[float, Meta(gt=0, le=1)] | None = None
+
+
+class _Wanted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    owner: _Owner
+    experiment: Experiment
+
+
+class RigRoutes:
+    """What is asked of the live rig."""
+
+    def __init__(self, feed: Feed, driver: Driver, stream: Stream) -> None:
+        """Take what knows and moves the rig."""
+        self._feed, self._driver, self._stream = feed, driver, stream
+        # A stop has threads of its own: it waits behind no other question.
+        self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
+
+    def watching(self, connections: Connections, *, may_command: bool) -> list[Route]:
+        """Return the routes of who may watch and stop, and no more."""
+
+        async def stream(request: Request) -> Response:
+            client = request.client
+            address = (client.host, client.port) if client else ("", 0)
+            viewer = Viewer(lambda: connections.abort(address))
+            try:
+                messages = self._stream.messages(viewer, may_command=may_command)
+                first = await anext(messages)
+            except TooManyViewersError as err:
+                return error(503, str(err))
+            return StreamingResponse(_after(first, messages), media_type="text/event-stream")
+
+        return [
+            *(Route(path, _page_file(file)) for path, file in PAGE_FILES.items()),
+            Route("/api/stream", stream),
+            Route("/api/stop", self._stop, methods=["POST"]),
+        ]
+
+    def commanding(self) -> list[Route]:
+        """Return the routes of who may command."""
+        return [
+            Route(f"/api/{name}", answered(does), methods=["POST"])
+            for name, does in (
+                ("arm", self._arm),
+                ("release", self._release),
+                ("reset", self._reset),
+                ("preview", self._preview),
+                ("run", self._run),
+            )
+        ]
+
+    async def _stop(self, request: Request) -> Response:
+        try:
+            asked = msgspec.json.decode(await request.body() or b"{}", type=_Stopped)
+        except (msgspec.DecodeError, UnicodeDecodeError):
+            asked = _Stopped()  # a stop is not refused for a name
+        loop = asyncio.get_running_loop()
+        try:
+            await loop.run_in_executor(self._stopping, self._driver.stop, asked.owner)
+        except RigError as err:
+            return error(502, str(err))
+        return value({"stopped": True})
+
+    def _arm(self, body: bytes) -> Any:
+        asked = msgspec.json.decode(body, type=_Armed)
+        self._driver.arm(asked.owner, asked.Ts)
+        return {"armed": True}
+
+    def _release(self, _: bytes) -> Any:
+        return {"released": self._driver.release()}
+
+    def _reset(self, _: bytes) -> Any:
+        return {"was_latched": self._driver.reset()}
+
+    def _preview(self, body: bytes) -> Any:
+        asked = msgspec.json.decode(body, type=Experiment)
+        if self._feed.status is None:
+            raise RigError(self._feed.trouble)
+        return previewed(asked, self._feed.status)
+
+    def _run(self, body: bytes) -> Any:
+        asked = msgspec.json.decode(body, type=_Wanted)
+        self._driver.start(plan_of(asked.experiment, asked.owner))
+        return {"started": True}
+
+
+def application(routes: list[Route]) -> Starlette:
+    """Return what answers on these routes; an error is a line of JSON."""
+
+    async def unknown(_: Request, err: Exception) -> Response:
+        status = err.status_code if isinstance(err, HTTPException) else 404
+        return error(status, "there is nothing here" if status == 404 else str(err))
+
+    return Starlette(routes=routes, exception_handlers={404: unknown, 405: unknown})
+
+
+def answered(does: Callable[[bytes], Any]) -> Answer:
+    """Return a route that carries out a function of the body in a thread."""
+
+    async def answer(request: Request) -> Response:
+        body = await request.body()
+        try:
+            return value(await asyncio.to_thread(does, body))
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as err:
+            return error(400, str(err))
+        except BusyDriverError as err:
+            return error(409, str(err))
+        except RigError as err:
+            return error(502, str(err))
+
+    return answer
+
+
+def value(found: Any) -> Response:
+    """Return a value as JSON."""
+    return Response(msgspec.json.encode(found), media_type="application/json")
+
+
+def error(status: int, why: str) -> Response:
+    """Return why nothing was done, in a line."""
+    body = msgspec.json.encode({"error": " ".join(why.split())})
+    return Response(body, status, media_type="application/json")
+
+
+def _page_file(file: PageFile) -> Answer:
+    async def answer(_: Request) -> Response:
+        return Response(file.read(), media_type=file.media_type)
+
+    return answer
+
+
+async def _after(first: bytes, messages: AsyncIterator[bytes]) -> AsyncIterator[bytes]:
+    yield first
+    async for message in messages:
+        yield message

@@ -1,0 +1,94 @@
+"""Samples in bins of time: of each signal the least and the largest value, which a pixel shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from armrig_core.telemetry import Sample
+from numpy.typing import NDArray
+
+Rows = NDArray[np.float64]
+"""(n, 9): t in s, then least and largest u in V, theta_1 in °, its rate in °/s, alpha in °."""
+
+COLUMNS = 9
+WIDTH_S = 0.01
+"""Of a bin: a pixel of ten seconds on a thousand pixels. Slower samples are bins of their own."""
+RATE_S = 0.1
+"""Length over which the rate is the slope: one step of the converter is then 3.5 °/s."""
+_TURN = 360.0
+
+
+def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
+    """Return k, t in s, u in V, theta_1 and alpha in °, (n, 5); NaN where an angle is not known."""
+    found = np.array(
+        [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.theta_1_rad, s.alpha_rad) for s in samples],
+        np.float64,
+    ).reshape(-1, 5)
+    found[:, 3:] = np.degrees(found[:, 3:])
+    return found
+
+
+def rate(before: NDArray[np.float64], now: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Return the rate of theta_1 at each row of `now`, (N,) in °/s, over n samples.
+
+    Parameters
+    ----------
+    before : ndarray, shape (m, 5)
+        The samples just before, as of `signals`; those that the first rows are held against.
+    now : ndarray, shape (N, 5)
+        The samples.
+    n : int
+        Samples that it is the slope over. NaN where one of the two shows no angle, or a sample
+        between them is missing. Less than half a turn is taken to lie between them.
+    """
+    every = np.concatenate([before, now])
+    slope = np.full(every.shape[0], np.nan)
+    if every.shape[0] > n:
+        k, t, theta = every[:, 0], every[:, 1], every[:, 3]
+        turned = theta[n:] - theta[:-n]
+        turned -= _TURN * np.round(turned / _TURN)
+        whole = k[n:] - k[:-n] == n
+        slope[n:][whole] = turned[whole] / (t[n:] - t[:-n])[whole]
+    return slope[before.shape[0] :]
+
+
+def binned(found: NDArray[np.float64], slope: NDArray[np.float64]) -> Rows:
+    """Return the rows of samples: a row for each bin, and one more where theta_1 wraps in it."""
+    if not found.shape[0]:
+        return np.zeros((0, COLUMNS))
+    bins = np.floor(found[:, 1] / WIDTH_S + 1e-6)
+    wraps = np.abs(np.diff(found[:, 3], prepend=found[0, 3])) > _TURN / 2  # NaN does not
+    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | wraps)
+    values = np.column_stack([found[:, 2], found[:, 3], slope, found[:, 4]])
+    rows = np.empty((first.size, COLUMNS))
+    rows[:, 0] = found[first, 1]
+    # fmin passes over what is not known, unless nothing is.
+    rows[:, 1::2] = np.fmin.reduceat(values, first)
+    rows[:, 2::2] = np.fmax.reduceat(values, first)
+    return rows
+
+
+def coarser(rows: Rows, width_s: float) -> Rows:
+    """Return rows in wider bins; where a signal jumps by more than half a turn a bin ends."""
+    if not rows.shape[0]:
+        return rows
+    bins = np.floor(rows[:, 0] / width_s + 1e-6)
+    wraps = np.abs(np.diff(rows[:, 3], prepend=rows[0, 3])) > _TURN / 2
+    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | wraps)
+    made = np.empty((first.size, COLUMNS))
+    made[:, 0] = rows[first, 0]
+    made[:, 1::2] = np.fmin.reduceat(rows[:, 1::2], first)
+    made[:, 2::2] = np.fmax.reduceat(rows[:, 2::2], first)
+    return made
+
+
+def as_lists(rows: Rows) -> list[list[float | None]]:
+    """Return rows for JSON: t to the millisecond, values to the hundredth, None where unknown."""
+    return [
+        [
+            round(row[0], 3),
+            *(None if v != v else round(v, 3 if i < 2 else 2) for i, v in enumerate(row[1:])),
+        ]
+        for row in rows.tolist()
+    ]

@@ -1,0 +1,220 @@
+"""Experiments as a person asks for them: what is played, shown before it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import degrees
+from pathlib import PurePosixPath
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from armrig_core.arm import ArmParameters
+from armrig_core.commands import LastRun, StatusReport
+from armrig_core.rehearsal import rehearse, sentence
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from armrig.excitation.experiment_design import predicted_parameter_std
+from armrig.excitation.from_file import from_text
+from armrig.excitation.named_signals import (
+    check_step_time,
+    details_of,
+    named_signal,
+    step_at,
+    up_and_down,
+)
+from armrig.numerics.quantities import number
+from armrig.physics.systems import arm, chassis
+from armrig.rig.collection import Plan, planned_input
+
+SECONDS = {"step": 5.0}
+"""Length by default, in s, of those that have one of their own."""
+_SECONDS = 30.0
+_DEAD_MAN_S = 1.0  # whoever ends the dashboard expects the motor to stop, as of `armrig collect`
+_MOST_POINTS = 1200  # of a preview
+_MOST_DESIGN = 20_000  # samples from which deviations are predicted: a second's work
+_NOISE_RAD = 2 * np.pi / 1024 / 12**0.5  # one step of a converter of 10 bit
+
+_Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
+
+
+class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a person asks for: names and meanings as of `armrig collect`."""
+
+    kind: Literal["step", "blackbox", "greybox", "staircase", "csv"]
+    seconds: Annotated[float, Meta(gt=0, le=86_400)] | None = None
+    Ts: Annotated[float, Meta(gt=0, le=1)] | None = None
+    low: Annotated[float, Meta(ge=0, le=5)] = 0.5
+    high: Annotated[float, Meta(ge=0, le=5)] = 4.5
+    at: Annotated[float, Meta(ge=0)] = 1.0
+    levels: Annotated[int, Meta(ge=2, le=1000)] = 6
+    input: Literal["telegraph", "prbs", "white", "multisine", "chirp"] = "telegraph"
+    a: Annotated[float, Meta(gt=0, le=1)] = 0.05
+    seed: Annotated[int, Meta(ge=0, le=2**53)] = 1
+    name: _Name = ""
+    file: Annotated[str, Meta(max_length=200)] = ""
+    """Name of the person's own file."""
+    text: str = ""
+    """What stands in it."""
+
+
+class Preview(msgspec.Struct, frozen=True, kw_only=True):
+    """An experiment before it is run."""
+
+    experiment: str
+    N: int
+    seconds: float
+    Ts: float
+    t: list[float]
+    """Of each point of the drawing, in s."""
+    u: list[float]
+    rehearsal: str
+    """What the handout's model does, in a sentence."""
+    revolutions: float
+    alpha_deg: float
+    deviations: list[str]
+    """What the experiment would teach of the rig's parameters, a line each."""
+    notes: list[str]
+
+
+def plan_of(experiment: Experiment, owner: str) -> Plan:
+    """Return the plan of an experiment, as `armrig collect` makes it.
+
+    Raises
+    ------
+    ValueError
+        A figure is not possible, whatever the sampling time.
+    """
+    make, details = _input_of(experiment)
+    seconds = experiment.seconds or SECONDS.get(experiment.kind, _SECONDS)
+    if experiment.kind == "step":
+        check_step_time(experiment.at, seconds)
+    kind = "blackbox" if experiment.kind == "csv" else experiment.kind
+    return Plan(
+        experiment=f"{kind}-{experiment.name}" if experiment.name else kind,
+        make=make,
+        details=details,
+        seconds=None if experiment.kind == "csv" else seconds,
+        Ts=experiment.Ts,
+        pacing="scheduled",
+        owner=owner,
+        dead_man=_DEAD_MAN_S,
+        without_arm=experiment.kind == "greybox",
+    )
+
+
+def previewed(experiment: Experiment, status: StatusReport) -> Preview:
+    """Return what an experiment plays, and what the model of the rig does under it.
+
+    Raises
+    ------
+    ValueError
+        It is not possible; the message says what is.
+    """
+    notes: list[str] = []
+    plan = plan_of(experiment, "preview")
+    Ts = plan.Ts or status.Ts
+    u = planned_input(plan, Ts, notes.append)
+    outside = (u < status.u_min) | (u > status.u_max)
+    if outside.any():
+        k = int(np.argmax(outside))
+        msg = f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, what rig "
+        msg += f"{status.rig} allows"
+        raise ValueError(msg)
+    alone = status.arm_removed or plan.without_arm
+    found = rehearse(u, Ts, arm_removed=alone)
+    t, shown = _drawn(u, Ts)
+    return Preview(
+        experiment=plan.experiment,
+        N=u.size,
+        seconds=u.size * Ts,
+        Ts=Ts,
+        t=t,
+        u=shown,
+        rehearsal=sentence(found),
+        revolutions=found.revolutions,
+        alpha_deg=degrees(found.alpha_rad),
+        deviations=_deviations(u, Ts, alone=alone),
+        notes=[*notes, *_cautions(status, plan)],
+    )
+
+
+def _input_of(
+    experiment: Experiment,
+) -> tuple[Callable[[int, float], NDArray[np.float64]], dict[str, Any]]:
+    """Return what makes u of N and Ts, and what the recording keeps of it."""
+    e, levels = experiment, {"low": experiment.low, "high": experiment.high}
+    if e.kind == "csv":
+        name = PurePosixPath(e.file).name or "input.csv"
+        return (
+            lambda _, Ts: from_text(e.text, Ts, name=name),
+            {"input": "csv", "file": name},
+        )
+    if e.kind == "step":
+        return (
+            lambda N, Ts: step_at(N, Ts, at=e.at, **levels),
+            {"input": "step", **levels, "at": e.at},
+        )
+    if e.kind == "staircase":
+        return (
+            lambda N, _: up_and_down(N, levels=e.levels, **levels),
+            {"input": "staircase", **levels, "levels": e.levels},
+        )
+    figures: dict[str, Any] = {"a": e.a, "seed": e.seed, **levels}
+    return (
+        lambda N, Ts: named_signal(e.input, N, Ts, **figures),
+        details_of(e.input, **figures),
+    )
+
+
+def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]:
+    """Return points of the held input; of many samples a stretch's least and largest."""
+    changes = np.flatnonzero(np.diff(u, prepend=np.nan) != 0)
+    if changes.size <= _MOST_POINTS:
+        at, values = [*changes.tolist(), u.size], [*u[changes].tolist(), float(u[-1])]
+        return [round(k * Ts, 6) for k in at], values
+    n = -(-u.size // (_MOST_POINTS // 2))
+    first = np.arange(0, u.size, n)
+    both = np.column_stack([np.minimum.reduceat(u, first), np.maximum.reduceat(u, first)])
+    times = np.column_stack([first, first + n / 2]) * Ts
+    return times.ravel().round(6).tolist(), both.ravel().tolist()
+
+
+def _deviations(u: NDArray[np.float64], Ts: float, *, alone: bool) -> list[str]:
+    """Return the predicted standard deviations of physical parameters, as shares of them."""
+    if u.size > _MOST_DESIGN:
+        return []
+    model, free = (chassis, ("J_1",)) if alone else (arm, ("J_1", "J_2"))
+    try:
+        found = predicted_parameter_std(
+            model, u, Ts=Ts, noise_variance=_NOISE_RAD**2, free=free, fixed=ArmParameters()
+        )
+    except ValueError:
+        return [f"it does not determine {' and '.join(free)}"]
+    return [
+        f"{name} to ± {number(100 * std / value)} %"
+        for name, value, std in zip(found.names, found.theta, found.std, strict=True)
+    ]
+
+
+def _cautions(status: StatusReport, plan: Plan) -> list[str]:
+    """Return what a person should know before the motor turns."""
+    told = []
+    if plan.without_arm and not status.arm_removed:
+        told.append("this is for the chassis alone, and the rig has its arm on: it will be refused")
+    return told
+
+
+def run_facts(last: LastRun | None) -> dict[str, Any] | None:
+    """Return what is shown of the newest run."""
+    if last is None:
+        return None
+    return {
+        "run_id": last.run_id,
+        "file": PurePosixPath(last.recording).name.removesuffix(".active"),
+        "finished": last.finished,
+        "samples": last.samples,
+        "synced": last.synced,
+        "outcome": last.outcome,
+    }

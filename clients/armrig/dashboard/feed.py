@@ -1,0 +1,180 @@
+"""What the dashboard knows of its rig: the last five minutes, how it is, how well it is timed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from armrig_core.commands import StatusReport
+from armrig_core.telemetry import Sample
+
+from armrig.dashboard.bins import COLUMNS, RATE_S, Rows, binned, coarser, rate, signals
+from armrig.rig.live_gaps import MOST_TOLD, gaps_between
+
+HISTORY_S = 300.0
+"""How much of the past who connects is shown."""
+FINE_S = 30.0
+"""Of the newest part every row is sent, of what is older wider bins."""
+COARSE_S = 0.05
+_MOST_ROWS = 40_000  # five minutes of bins, and as many wraps as there are
+LATE_US = (50, 100, 200, 500, 1000, 2000, 5000, 10_000)
+"""Upper edges of the histogram of lateness, in µs; the last bin is what is later."""
+_TS = 0.01  # before the daemon has said its own
+_BACK_NS = 1_000_000_000
+_LATE_S = 60  # seconds that the histogram is of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class News:
+    """What has changed since a viewer's last message."""
+
+    rows: Rows
+    """New bins."""
+    age_s: float
+    """How long ago the newest sample came, in s; inf before the first."""
+    newest: Sample | None
+    """The newest sample."""
+
+
+@dataclass(slots=True)
+class Timing:
+    """How well the rig is timed, as of now."""
+
+    late: list[int] = field(default_factory=lambda: [0] * (len(LATE_US) + 1))
+    """Samples of the last minute by how late they were asked for: see `LATE_US`."""
+    missing: int = 0
+    """Samples that there are not, since the dashboard was started."""
+    unheard: int = 0
+    """Samples that were published and did not reach the dashboard."""
+    last_gap: str = ""
+    """Why samples were missing last."""
+    report: dict[str, float] = field(default_factory=dict)
+    """Of the daemon's newest report: 50th and 99th percentiles."""
+
+
+class Feed:
+    """Written by the listener's thread, read by the server's; neither waits for the other long."""
+
+    def __init__(self) -> None:
+        """Begin with nothing."""
+        self._lock = threading.Lock()
+        self._rows: deque[Rows] = deque()  # in pieces, as they came
+        self._kept = 0
+        self._fresh: list[Rows] = []
+        self._tail = np.zeros((0, 5))
+        self._newest: Sample | None = None
+        self._came_s = -np.inf
+        self._late: deque[tuple[int, list[int]]] = deque(maxlen=_LATE_S)
+        self._told: deque[Any] = deque(maxlen=MOST_TOLD)
+        self._timing = Timing()
+        self.status: StatusReport | None = None
+        """Of the daemon; the newest that it gave."""
+        self.trouble = "looking for the rig's daemon"
+        """Why there is no daemon now; "" where there is one."""
+
+    def add_samples(self, samples: Sequence[Sample], *, live: bool = True) -> None:
+        """Take samples in their order; those of the past are not `live`, and prove nothing."""
+        with self._lock:
+            if live and samples and self._is_of_another_clock(samples[0]):
+                self._rows.clear()
+                self._kept, self._newest = 0, None
+            newest_ns = self._newest.t_host_ns if self._newest else -1
+            samples = [s for s in samples if s.t_host_ns > newest_ns]
+            if not samples:
+                return
+            self._note_gaps(samples)
+            found = signals(samples)
+            Ts = self.status.Ts if self.status else _TS
+            n = max(1, round(RATE_S / Ts))
+            made = binned(found, rate(self._tail, found, n))
+            self._tail = np.concatenate([self._tail, found])[-n:]
+            self._newest = samples[-1]
+            if live:
+                self._came_s = time.monotonic()
+                self._note_lateness(samples)
+            self._fresh.append(made)
+            self._rows.append(made)
+            self._kept += made.shape[0]
+            while self._rows and (
+                self._kept > _MOST_ROWS or self._rows[0][-1, 0] < found[-1, 1] - HISTORY_S
+            ):
+                self._kept -= self._rows.popleft().shape[0]
+
+    def add_gaps(self, gaps: Sequence[Any]) -> None:
+        """Take what the daemon told of missing samples."""
+        self._told.extend(gaps)
+
+    def add_report(self, report: Any) -> None:
+        """Take the daemon's report of a second's timing."""
+        late, device, link = (
+            report.wake_lateness_us,
+            report.device_tick_error_us,
+            report.link_round_trip_us,
+        )
+        self._timing.report = {
+            "late_p50_us": late.p50,
+            "late_p99_us": late.p99,
+            "late_max_us": late.max,
+            "device_p99_us": device.p99,
+            "link_p99_us": link.p99,
+            "cpu_pressure_percent": report.cpu_pressure_percent,
+        }
+
+    def history(self) -> Rows:
+        """Return the last five minutes, what is older than `FINE_S` in wider bins."""
+        with self._lock:
+            pieces = [*self._rows]
+        if not pieces:
+            return np.zeros((0, COLUMNS))
+        rows = np.concatenate(pieces)
+        newest = rows[-1, 0]
+        rows = rows[rows[:, 0] >= newest - HISTORY_S]
+        fine = int(np.searchsorted(rows[:, 0], newest - FINE_S))
+        return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
+
+    def news(self) -> News:
+        """Return what has come since the last call; for the one that sends it to all viewers."""
+        with self._lock:
+            fresh, self._fresh = self._fresh, []
+            rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))
+            return News(rows=rows, age_s=time.monotonic() - self._came_s, newest=self._newest)
+
+    def timing(self) -> Timing:
+        """Return how well the rig is timed."""
+        with self._lock:
+            if self._late:
+                counts = (counts for _, counts in self._late)
+                self._timing.late = [sum(column) for column in zip(*counts, strict=True)]
+            return self._timing
+
+    def _is_of_another_clock(self, sample: Sample) -> bool:
+        """Tell whether the rig's machine was started anew, and its clock with it."""
+        return self._newest is not None and sample.t_host_ns < self._newest.t_host_ns - _BACK_NS
+
+    def _note_gaps(self, samples: Sequence[Sample]) -> None:
+        before = self._newest
+        for sample in samples:
+            if before is not None and sample.k > before.k + 1:
+                for gap in gaps_between(before, sample, self._told):
+                    if gap.published:
+                        self._timing.unheard += gap.count
+                    else:
+                        self._timing.missing += gap.count
+                        self._timing.last_gap = gap.reason
+            before = sample
+        while self._told and self._told[0].k_first <= samples[-1].k:
+            self._told.popleft()
+
+    def _note_lateness(self, samples: Sequence[Sample]) -> None:
+        second = int(self._came_s)
+        if not self._late or self._late[-1][0] != second:
+            self._late.append((second, [0] * (len(LATE_US) + 1)))
+        late_us = [(s.t_host_ns - s.t_sched_ns) / 1e3 for s in samples]
+        counts = self._late[-1][1]
+        for place in np.searchsorted(LATE_US, late_us).tolist():
+            counts[place] += 1

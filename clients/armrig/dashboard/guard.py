@@ -1,0 +1,158 @@
+"""Who is let in: by Host, Origin and token; what is answered carries what a browser must not do."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+MOST_BODY = 8 << 20
+"""Longest body, in B: an input of own has some hundred thousand rows."""
+_BODY_S = 20.0  # how long it may take to come
+_CONTENT = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = (
+    (b"content-security-policy", _CONTENT.encode()),
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cache-control", b"no-store"),
+)
+"""Headers of each answer: no script but the page's own files, in no other page's frame."""
+
+
+class Refusal(Exception):  # noqa: N818  # an answer, and no fault
+    """A request that is not carried out; says why in a line."""
+
+    def __init__(self, status: int, why: str) -> None:
+        super().__init__(why)
+        self.status = status
+
+
+class Guard:
+    """Lets through to an application what comes from the page that it serves itself."""
+
+    def __init__(self, app: ASGIApp, *, origins: Collection[str], token: str) -> None:
+        """Guard an application.
+
+        Parameters
+        ----------
+        origins : collection of str
+            Where the page is at, such as http://127.0.0.1:8807; other Hosts are refused, else
+            a name that leads here would make any page ours (DNS rebinding).
+        token : str
+            What each request below /api/ carries as `Authorization: Bearer`.
+        """
+        self._app = app
+        self._origins = frozenset(origins)
+        self._hosts = frozenset(origin.partition("://")[2] for origin in origins)
+        self._token = token.encode()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it in a line."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":  # no websocket is served
+            await send({"type": "websocket.close", "code": 1008})
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", ()), *HEADERS]
+            await send(message)
+
+        try:
+            self._check(scope)
+            if scope["method"] == "POST":
+                receive = _replayed(await _body(scope, receive), receive)
+        except Refusal as why:
+            await _refuse(with_headers, why)
+            return
+        await self._app(scope, receive, with_headers)
+
+    def _check(self, scope: Scope) -> None:
+        headers = _headers(scope)
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if host not in self._hosts:
+            raise Refusal(403, f"Host {host[:80]!r}: the dashboard is at {self._where}")
+        if origin is not None and origin not in self._origins:
+            raise Refusal(403, f"Origin {origin[:80]!r}: only the dashboard's own page may ask")
+        if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
+            raise Refusal(403, "another page asks: only the dashboard's own may")
+        if scope["method"] not in ("GET", "HEAD", "POST"):
+            raise Refusal(405, f"{scope['method'][:20]}: GET and POST are allowed")
+        if not scope["path"].startswith("/api/"):
+            return
+        kind, _, given = headers.get("authorization", "").partition(" ")
+        # As bytes: a token that is no ASCII is wrong, and no error.
+        if kind != "Bearer" or not hmac.compare_digest(given.encode("latin-1"), self._token):
+            msg = "the token is missing or wrong: open the address that `armrig dashboard` printed"
+            raise Refusal(403, msg)
+
+    @property
+    def _where(self) -> str:
+        return " and ".join(sorted(self._origins))
+
+
+def _headers(scope: Scope) -> Mapping[str, str]:
+    """Return the headers by name; one that comes twice is refused."""
+    found: dict[str, str] = {}
+    for raw, value in scope["headers"]:
+        name = raw.decode("latin-1").lower()
+        if name in found and name in ("host", "origin", "authorization", "content-length"):
+            raise Refusal(400, f"{name} came twice")
+        found[name] = value.decode("latin-1")
+    return found
+
+
+async def _body(scope: Scope, receive: Receive) -> bytes:
+    """Return the body; of one that is too long, or too slow, the beginning only is read."""
+    told = _headers(scope).get("content-length", "0")
+    too_long = Refusal(413, f"the body is too long: at most {MOST_BODY} B are taken")
+    if not told.isdecimal() or int(told) > MOST_BODY:
+        raise too_long
+    parts: list[bytes] = []
+    try:
+        async with asyncio.timeout(_BODY_S):
+            more = True
+            while more:
+                message = await receive()
+                if message["type"] == "http.disconnect":
+                    raise Refusal(400, "the body is not whole")
+                parts.append(message.get("body", b""))
+                more = message.get("more_body", False)
+                if sum(map(len, parts)) > MOST_BODY:
+                    raise too_long
+    except TimeoutError as err:
+        raise Refusal(408, f"the body did not come within {_BODY_S:g} s") from err
+    return b"".join(parts)
+
+
+def _replayed(body: bytes, receive: Receive) -> Receive:
+    """Return what gives a body that was read, and then what comes."""
+    waiting: list[Any] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def next_message() -> Message:
+        return waiting.pop() if waiting else await receive()
+
+    return next_message
+
+
+async def _refuse(send: Send, why: Refusal) -> None:
+    body = json.dumps({"error": str(why)}).encode()
+    headers = [
+        (b"content-type", b"application/json"),
+        (b"content-length", str(len(body)).encode()),
+        (b"connection", b"close"),  # what is left of its body is not read
+    ]
+    await send({"type": "http.response.start", "status": why.status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

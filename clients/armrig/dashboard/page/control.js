@@ -1,0 +1,169 @@
+// What is done to the rig: arm, release, an experiment shown before it runs.
+
+import { askJson, attempt, byId, make, notice, owner, setText, show } from "./elements.js";
+import { chart } from "./plots.js";
+
+const LEVELS = ["low", "high"];
+const RANDOM = ["input", "seconds", ...LEVELS, "a", "seed"];
+const KINDS = {
+  blackbox: { title: "black box: a random input to the whole rig", fields: RANDOM, seconds: 30 },
+  greybox: { title: "grey box: a random input to the chassis alone", fields: RANDOM, seconds: 30 },
+  step: { title: "step: time constant, delay, gain", fields: ["seconds", "at", ...LEVELS], seconds: 5 },
+  staircase: { title: "staircase: static gain and friction", fields: ["seconds", "levels", ...LEVELS], seconds: 30 },
+  csv: { title: "an input of your own, from a CSV file", fields: ["file"] },
+};
+const FIELDS = {
+  input: { label: "input", options: ["telegraph", "prbs", "white", "multisine", "chirp"] },
+  seconds: { label: "length [s]", value: 30, step: "any", min: 0 },
+  at: { label: "step at [s]", value: 1, step: "any", min: 0 },
+  levels: { label: "levels", value: 6, min: 2 },
+  low: { label: "lower level [V]", value: 0.5, step: "any", min: 0, max: 5 },
+  high: { label: "upper level [V]", value: 4.5, step: "any", min: 0, max: 5 },
+  a: { label: "switch probability", value: 0.05, step: "any", min: 0, max: 1 },
+  seed: { label: "seed", value: 1, min: 0 },
+  file: { label: "file: a row u, or t and u, a sample", type: "file" },
+  Ts: { label: "sampling time [s]", step: "any", min: 0, placeholder: "the rig's" },
+  name: { label: "name for the recording", type: "text", pattern: "[a-z0-9\\-]{0,20}", placeholder: "a-z, 0-9, -" },
+};
+const MOST_FILE = 6 << 20;
+
+let shown = null; // the experiment that the preview is of
+let plot = null;
+let going = false;
+let status = {};
+let look = () => {};
+
+export function setUpControl(lookAt) {
+  look = lookAt;
+  const form = byId("experiment");
+  const kind = make("select", { id: "kind" });
+  for (const [name, { title }] of Object.entries(KINDS)) kind.append(make("option", { value: name, textContent: title }));
+  form.append(make("label", { className: "wide" }, "experiment", kind));
+  for (const name of Object.keys(FIELDS)) form.append(field(name));
+  const who = make("input", { id: "owner-name", maxLength: 80, required: true, value: localStorage.getItem("armrig-owner") || "dashboard" });
+  who.addEventListener("change", () => localStorage.setItem("armrig-owner", who.value));
+  form.append(make("label", { className: "wide" }, "your name, for others to read", who));
+  form.append(make("button", { id: "show", type: "submit", textContent: "Show what it does" }));
+  kind.addEventListener("change", chooseKind);
+  form.addEventListener("input", (event) => event.target !== who && forget());
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    attempt(preview);
+  });
+  byId("run").addEventListener("click", () => attempt(run));
+  byId("look").addEventListener("click", () => look(byId("look").dataset.file));
+  byId("arm").addEventListener("click", () => attempt(arm));
+  byId("release").addEventListener("click", () => attempt(release));
+  chooseKind();
+}
+
+function field(name) {
+  const { label, options, ...how } = FIELDS[name];
+  const input = options ? make("select", { id: `field-${name}` }) : make("input", { id: `field-${name}`, type: "number", ...how });
+  for (const option of options || []) input.append(make("option", { value: option, textContent: option }));
+  const made = make("label", { id: `label-${name}` }, label, input);
+  if (how.type === "file") {
+    input.accept = ".csv,.txt";
+    made.className = "wide";
+  }
+  return made;
+}
+
+function chooseKind() {
+  const { fields, seconds } = KINDS[byId("kind").value];
+  for (const name of Object.keys(FIELDS)) show(`label-${name}`, fields.includes(name) || ["Ts", "name"].includes(name));
+  if (seconds) byId("field-seconds").value = seconds;
+  forget();
+}
+
+function forget() {
+  shown = null;
+  show("preview", false);
+}
+
+async function asked() {
+  const kind = byId("kind").value;
+  const experiment = { kind };
+  for (const name of [...KINDS[kind].fields, "Ts", "name"]) {
+    const input = byId(`field-${name}`);
+    if (name === "file") {
+      const file = input.files[0];
+      if (!file) throw new Error("choose a file first");
+      if (file.size > MOST_FILE) throw new Error(`${file.name} has ${file.size} B; at most ${MOST_FILE} are taken`);
+      Object.assign(experiment, { file: file.name.slice(0, 200), text: await file.text() });
+    } else if (input.value !== "") {
+      experiment[name] = input.type === "number" ? Number(input.value) : input.value;
+    }
+  }
+  return experiment;
+}
+
+async function preview() {
+  const experiment = await asked();
+  const found = await askJson("preview", experiment);
+  shown = experiment;
+  show("preview", true);
+  show("running", going);
+  const where = byId("preview-plot");
+  plot?.destroy();
+  const signal = { key: "u", range: [0, 5], pad: 0.3 };
+  plot = chart(where, { signal, height: 130, xLabel: "s", stepped: true });
+  plot.wanted = [0, found.seconds];
+  plot.setData([found.t, found.u, found.u], true);
+  setText("preview-told", `${found.experiment}: ${found.N} samples, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`);
+  const lines = [found.rehearsal];
+  if (found.deviations.length) lines.push(`it would teach, by the handout's figures and a converter's noise: ${found.deviations.join(", ")}`);
+  byId("preview-lines").replaceChildren(...[...lines, ...found.notes].map((text) => make("li", { textContent: text })));
+  allow();
+  byId("run").focus();
+}
+
+async function run() {
+  if (!shown) return;
+  await askJson("run", { owner: owner(), experiment: shown });
+  forget();
+}
+
+async function arm() {
+  const Ts = byId("field-Ts").value;
+  await askJson("arm", { owner: owner(), ...(Ts ? { Ts: Number(Ts) } : {}) });
+  notice("armed, at 0 V; without a command the rig is released after 10 s");
+}
+
+async function release() {
+  const { released } = await askJson("release", {});
+  notice(released ? "released" : "this page does not have the rig");
+}
+
+export function showControl(found) {
+  status = found;
+  allow();
+}
+
+// What the rig cannot take now is not offered.
+function allow() {
+  const ready = ["safe", "armed"].includes(status.phase) && !status.trouble;
+  byId("run").disabled = going || !ready;
+  byId("arm").disabled = going || status.phase !== "safe" || Boolean(status.trouble);
+  byId("release").disabled = going || status.phase !== "armed";
+}
+
+export function showRun(found) {
+  going = found.is_going;
+  allow();
+  if (!found.experiment) return;
+  show("running", true);
+  const share = found.total ? found.done / found.total : 0;
+  byId("progress").value = share;
+  show("progress", going);
+  const text = going
+    ? `${found.experiment}: ${found.done} of ${found.total || "…"} samples`
+    : found.error
+      ? `${found.experiment} did not end well: ${found.error}`
+      : `${found.experiment} is recorded: ${found.recording}`;
+  setText("running-text", text);
+  byId("running-text").className = found.error ? "bad-text" : "";
+  setText("running-told", going ? found.told : found.verdict);
+  show("look", !going && Boolean(found.recording));
+  byId("look").dataset.file = found.recording;
+}

@@ -1,0 +1,68 @@
+// Elements of the page. Whatever comes from others is text, never markup.
+
+export const byId = (id) => document.getElementById(id);
+
+export function make(tag, properties = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name.includes("-") || name === "for" || name === "role") made.setAttribute(name, value);
+    else made[name] = value;
+  }
+  made.append(...children); // a string becomes a text node
+  return made;
+}
+
+export function setText(id, text) {
+  const element = byId(id);
+  if (element.textContent !== text) element.textContent = text;
+}
+
+export function show(id, visible) {
+  byId(id).hidden = !visible;
+}
+
+export const token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
+
+const headers = () => ({ Authorization: `Bearer ${token}` });
+
+// Ask the server; an answer that is no success is an Error with its line.
+export async function ask(path, body, signal) {
+  const how = { headers: headers(), cache: "no-store", signal };
+  if (body !== undefined) Object.assign(how, { method: "POST", body: JSON.stringify(body) });
+  let answer;
+  try {
+    answer = await fetch(`api/${path}`, how);
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Error("the dashboard's server does not answer: start `armrig dashboard` again");
+  }
+  if (!answer.ok) {
+    const told = await answer.json().catch(() => ({}));
+    throw Object.assign(new Error(told.error || `error ${answer.status}`), { status: answer.status });
+  }
+  return answer;
+}
+
+export const askJson = async (path, body) => (await ask(path, body)).json();
+
+let noticeEnds = 0;
+
+// Tell the person something for a while.
+export function notice(text) {
+  setText("notice", text);
+  show("notice", Boolean(text));
+  clearTimeout(noticeEnds);
+  if (text) noticeEnds = setTimeout(() => show("notice", false), 12000);
+}
+
+// Do something that may be refused; say so where it is.
+export async function attempt(does) {
+  try {
+    await does();
+  } catch (error) {
+    notice(error.message);
+  }
+}
+
+// The owner: who commands from this page.
+export const owner = () => byId("owner-name")?.value.trim() || "dashboard";

@@ -1,0 +1,111 @@
+// The page: what comes from the stream goes to its places; keys; the theme.
+
+import { ask, askJson, attempt, byId, notice, owner, token } from "./elements.js";
+import { setUpControl, showRun, showControl } from "./control.js";
+import { LivePlots } from "./plots.js";
+import { listRecordings, setUpRecordings, redrawRecording } from "./recordings.js";
+import { setEdges, setUpStatus, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
+import { Stream } from "./stream.js";
+
+const THEMES = ["system", "light", "dark"];
+const systemDark = matchMedia("(prefers-color-scheme: dark)");
+let plots = null;
+
+function useTheme() {
+  const wanted = localStorage.getItem("armrig-theme") || "system";
+  const dark = wanted === "dark" || (wanted === "system" && systemDark.matches);
+  document.documentElement.dataset.theme = dark ? "dark" : "light";
+  byId("theme").textContent = `Theme: ${wanted}`;
+  for (const chart of plots?.charts ?? []) chart.redraw(false, true);
+  redrawRecording();
+}
+
+// At once, and beside all else: nothing is asked, and no earlier answer is waited for.
+async function stop() {
+  byId("stop").classList.add("pressed");
+  try {
+    await ask("stop", { owner: owner() });
+    notice("told the rig to stop: 0 V");
+  } catch (error) {
+    notice(`STOP was not taken: ${error.message}`);
+  }
+}
+
+const isText = (target) => target instanceof HTMLInputElement && !["button", "file"].includes(target.type);
+
+function onKey(event) {
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  const typing = isText(event.target);
+  if (event.code === "Space") {
+    // At rest a text takes its blank; while the motor may turn the space bar stops, wherever.
+    if (typing && !["armed", "active"].includes(rigStatus().phase)) return;
+    event.preventDefault();
+    event.stopPropagation();
+    if (event.type === "keydown" && !event.repeat) stop();
+    return;
+  }
+  if (event.type !== "keydown" || typing || event.target instanceof HTMLSelectElement) return;
+  if (event.key === "Escape") plots.follow();
+  if (event.key.toLowerCase() === "l") choose("live");
+  if (event.key.toLowerCase() === "r" && !byId("tab-recordings").hidden) choose("recordings");
+}
+
+function choose(name) {
+  for (const tab of ["live", "recordings"]) {
+    byId(tab).hidden = tab !== name;
+    byId(`tab-${tab}`).setAttribute("aria-selected", String(tab === name));
+  }
+  if (name === "live") plots.wants();
+  else attempt(listRecordings);
+}
+
+function begin() {
+  plots = new LivePlots();
+  useTheme();
+  systemDark.addEventListener("change", useTheme);
+  byId("theme").addEventListener("click", () => {
+    const now = localStorage.getItem("armrig-theme") || "system";
+    localStorage.setItem("armrig-theme", THEMES[(THEMES.indexOf(now) + 1) % THEMES.length]);
+    useTheme();
+  });
+  byId("stop").addEventListener("click", stop);
+  addEventListener("keydown", onKey, true);
+  addEventListener("keyup", onKey, true);
+  document.addEventListener("visibilitychange", () => plots.wants());
+  for (const tab of ["live", "recordings"]) byId(`tab-${tab}`).addEventListener("click", () => choose(tab));
+  setUpStatus();
+  setUpControl((file) => {
+    choose("recordings");
+    attempt(() => listRecordings(file));
+  });
+  setUpRecordings();
+  if (!token) notice("open the address that `armrig dashboard` printed: it ends with a token");
+  new Stream(
+    {
+      hello: (hello) => {
+        plots.rows.clear();
+        setEdges(hello.late_us);
+        document.body.classList.toggle("viewer", !hello.may_command);
+        for (const part of document.querySelectorAll("[data-commands]")) part.hidden = !hello.may_command;
+      },
+      past: (rows) => plots.rows.add(rows),
+      whole: () => plots.wants(),
+      live: (live) => {
+        showLive(live);
+        if (live.rows.length) {
+          plots.rows.add(live.rows);
+          plots.wants();
+        }
+      },
+      status: (status) => {
+        showStatus(status);
+        showControl(status);
+      },
+      run: showRun,
+      timing: showTiming,
+    },
+    showLost,
+  );
+}
+
+begin();

@@ -1,0 +1,114 @@
+// How the rig is: phase, owner, fault, age of the data, timing.
+
+import { attempt, askJson, byId, make, notice, setText, show } from "./elements.js";
+
+const FIRST = ["phase", "fault", "to do", "motor", "owner", "Ts", "arm"];
+
+let status = { rows: [], trouble: "" };
+let edges = [];
+let age = null;
+let arrived = performance.now();
+let stale = true;
+
+export const rigStatus = () => status;
+
+export function setEdges(found) {
+  edges = found;
+}
+
+export function showStatus(found) {
+  status = found;
+  const title = found.rig ? `rig ${found.rig}` : "armrig";
+  setText("title", title);
+  setText("owner", found.owner || "nobody");
+  const faulty = Boolean(found.reason);
+  show("fault", faulty);
+  if (faulty) {
+    setText("fault-name", `fault ${found.fault}:`);
+    setText("fault-reason", found.reason);
+    setText("fault-remedy", found.remedy || "mend it");
+  }
+  const run = found.last_run;
+  const going = Boolean(run && !run.finished);
+  show("recording", going);
+  if (going) setText("recording-text", `recording ${run.file}, ${run.samples} samples`);
+  const rows = (wanted) => found.rows.filter(([name]) => FIRST.includes(name) === wanted).flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]);
+  byId("status").replaceChildren(...rows(true));
+  byId("status-all").replaceChildren(...rows(false));
+  showPhase();
+}
+
+function showPhase() {
+  const phase = byId("phase");
+  const name = stale ? "stale" : status.phase || "init";
+  setText("phase", name);
+  phase.className = `pill ${name}`;
+  document.body.classList.toggle("is-stale", stale);
+  document.title = `${name}${status.rig ? ` · rig ${status.rig}` : ""} · armrig`;
+}
+
+export function showLive(live) {
+  age = live.age_s;
+  arrived = performance.now();
+  setStale(live.is_stale, age === null ? "no data yet" : `no data for ${seconds(age)}`, status.trouble || status.line);
+  setText("age", age === null ? "none yet" : `${seconds(age)} old`);
+}
+
+export function showLost(silence, why) {
+  const total = age === null ? null : age + (performance.now() - arrived) / 1000;
+  setText("age", total === null ? "none yet" : `${seconds(total)} old`);
+  setStale(true, total === null ? "no data yet" : `no data for ${seconds(total)}`, why);
+}
+
+const seconds = (s) => (s < 10 ? `${s.toFixed(2)} s` : `${Math.round(s)} s`);
+
+function setStale(now, what, why) {
+  show("stale", now);
+  if (now) {
+    setText("stale-what", status.phase ? `Stale: ${what}, it was ${status.phase}.` : `Stale: ${what}.`);
+    setText("stale-why", why || "");
+  }
+  if (now !== stale) {
+    stale = now;
+    showPhase();
+  }
+}
+
+export const isStale = () => stale;
+
+export function showTiming(timing) {
+  const report = timing.report;
+  const parts = [];
+  if (report.late_p99_us !== undefined) {
+    parts.push(`host late p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, at most ${micros(report.late_max_us)}`);
+    parts.push(`device's ticks p99 ${micros(report.device_p99_us)}; link p99 ${micros(report.link_p99_us)}`);
+  }
+  setText("timing-text", parts.join("; ") || "no report yet");
+  const most = Math.max(1, ...timing.late);
+  byId("histogram").replaceChildren(
+    ...timing.late.map((count, i) => {
+      const bar = make("i");
+      // On a scale of logarithms: one late sample among thousands is seen.
+      bar.style.height = `${count ? 8 + 72 * (Math.log1p(count) / Math.log1p(most)) : 0}%`;
+      const edge = i < edges.length ? `≤${short(edges[i])}` : "more";
+      return make("div", { className: "bar", title: `${count} samples, ${edge}` }, `${count || ""}`, bar, edge);
+    }),
+  );
+  const missing = [`missing: ${timing.missing} samples since this dashboard was started`];
+  if (timing.last_gap) missing.push(`the last: ${timing.last_gap}`);
+  if (timing.unheard) missing.push(`${timing.unheard} did not reach this page's server; recordings have them`);
+  setText("missing", missing.join("; "));
+  byId("missing").className = timing.missing ? "warn-text" : "";
+}
+
+const micros = (us) => (us < 1000 ? `${us < 10 ? us.toFixed(1) : Math.round(us)} µs` : `${(us / 1000).toFixed(1)} ms`);
+const short = (us) => (us < 1000 ? `${us}µs` : `${us / 1000}ms`);
+
+export function setUpStatus() {
+  byId("reset").addEventListener("click", () =>
+    attempt(async () => {
+      const told = await askJson("reset", {});
+      notice(told.was_latched ? "the rig was reset" : "nothing is latched, so there is nothing to reset");
+    }),
+  );
+}

@@ -1,0 +1,61 @@
+// The stream of events from the server. It is opened again when it breaks, for as long as it takes.
+
+import { ask } from "./elements.js";
+
+const SILENT_MS = 700; // 20 messages a second come: without one for so long the server is gone
+const AGAIN_MS = 500;
+
+export class Stream {
+  constructor(handlers, lost) {
+    this.handlers = handlers;
+    this.lost = lost; // called with why, again and again while nothing comes
+    this.heard = performance.now();
+    this.why = "";
+    setInterval(() => this.#look(), 100);
+    this.#run();
+  }
+
+  get silence() {
+    return performance.now() - this.heard;
+  }
+
+  #look() {
+    if (this.silence > SILENT_MS) {
+      this.lost(this.silence, this.why || "the dashboard's server is silent");
+      if (this.silence > 5000) this.abort?.abort();
+    }
+  }
+
+  async #run() {
+    for (;;) {
+      this.abort = new AbortController();
+      try {
+        await this.#read(await ask("stream", undefined, this.abort.signal));
+        this.why = "the dashboard's server has ended the stream";
+      } catch (error) {
+        this.why = error.name === "AbortError" ? "the dashboard's server is silent" : error.message;
+      }
+      await new Promise((done) => setTimeout(done, AGAIN_MS));
+    }
+  }
+
+  async #read(answer) {
+    const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+    let rest = "";
+    for (;;) {
+      const { value, done } = await reader.read();
+      if (done) return;
+      const parts = (rest + value).split("\n\n");
+      rest = parts.pop();
+      this.heard = performance.now();
+      this.why = "";
+      for (const part of parts) this.#handle(part);
+    }
+  }
+
+  #handle(part) {
+    const [first, second] = part.split("\n");
+    const handler = this.handlers[first.slice(7)]; // event: NAME
+    if (handler) handler(JSON.parse(second.slice(6))); // data: JSON
+  }
+}

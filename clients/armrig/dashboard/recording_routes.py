@@ -1,0 +1,162 @@
+"""What is asked of recordings: the list, one of them, its parts, a model, a report."""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from armrig_core.recording_directory import directory_to_look_in, installed
+from msgspec import Meta
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Route
+
+from armrig.dashboard.app import Answer, error, value
+from armrig.dashboard.feed import Feed
+from armrig.dashboard.study_of_one import csv, curves, facts, identified, report
+from armrig.recordings.catalogue import Catalogue, catalogue
+from armrig.recordings.recording_summary import facts_of, shown_path
+
+_MOST_LISTED = 200
+_Seconds = Annotated[float, Meta(ge=0, le=1e7)]
+
+
+class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a person wants of a recording."""
+
+    file: Annotated[str, Meta(max_length=300)]
+    start: _Seconds | None = None
+    stop: _Seconds | None = None
+    output: Literal["theta_1", "alpha"] = "theta_1"
+
+
+class RecordingRoutes:
+    """The routes; what takes long is done in a process of its own, one after the other."""
+
+    def __init__(self, feed: Feed, rig: str) -> None:
+        """Look where the rig's daemon records, if that is here, else where this user's does."""
+        self._feed, self._rig = feed, rig
+        self._worker: ProcessPoolExecutor | None = None
+
+    def routes(self) -> list[Route]:
+        """Return all of them."""
+        return [
+            Route("/api/recordings", self._listed, methods=["POST"]),
+            *(
+                Route(f"/api/{name}", self._answered(does), methods=["POST"])
+                for name, does in (
+                    ("recording", self._facts),
+                    ("curves", self._curves),
+                    ("csv", self._csv),
+                    ("mcap", self._mcap),
+                    ("identify", self._identified),
+                    ("report", self._report),
+                )
+            ),
+        ]
+
+    def end(self) -> None:
+        """End the process, whatever it does."""
+        if self._worker is not None:
+            children = multiprocessing.active_children()
+            self._worker.shutdown(wait=False, cancel_futures=True)
+            for child in children:
+                child.terminate()
+
+    async def _listed(self, _: Request) -> Response:
+        try:
+            found = await asyncio.to_thread(catalogue, self._folder())
+        except OSError as err:
+            return error(404, f"{self._folder()}: {err.strerror}; record something first")
+        return value(
+            {
+                "folder": shown_path(found.folder),
+                "count": len(found),
+                "recordings": [
+                    {**facts_of(s), "file": shown_path(Path(s.file))}
+                    for s in found.recordings[:_MOST_LISTED]
+                ],
+                "left_out": [
+                    f"{shown_path(Path(path.name))}: {why}" for path, why in found.left_out
+                ],
+            }
+        )
+
+    async def _facts(self, path: Path, _: _Asked) -> Response:
+        return value(await self._in_worker(facts, path))
+
+    async def _curves(self, path: Path, asked: _Asked) -> Response:
+        return value(await self._in_worker(curves, path, asked.start, asked.stop))
+
+    async def _csv(self, path: Path, asked: _Asked) -> Response:
+        text = await self._in_worker(csv, path, asked.start, asked.stop)
+        return Response(text, media_type="text/csv")
+
+    async def _mcap(self, path: Path, _: _Asked) -> Response:
+        return FileResponse(path, media_type="application/octet-stream")
+
+    async def _identified(self, path: Path, asked: _Asked) -> Response:
+        validation = await asyncio.to_thread(self._validation_of, path)
+        return value(await self._in_worker(identified, path, validation, asked.output))
+
+    async def _report(self, path: Path, _: _Asked) -> Response:
+        validation = await asyncio.to_thread(self._validation_of, path)
+        pdf = await self._in_worker(report, path, validation)
+        return Response(pdf, media_type="application/pdf")
+
+    def _answered(self, does: Callable[[Path, _Asked], Any]) -> Answer:
+        async def answer(request: Request) -> Response:
+            try:
+                asked = msgspec.json.decode(await request.body(), type=_Asked)
+                response: Response = await does(self._path(asked.file), asked)
+            except (msgspec.DecodeError, UnicodeDecodeError, ValueError, OSError) as err:
+                return error(400, str(err))
+            except BrokenProcessPool:
+                self._worker = None
+                return error(500, "the process that computes has died: ask again")
+            return response
+
+        return answer
+
+    def _folder(self) -> Path:
+        status = self._feed.status
+        if status and os.access(status.recordings, os.R_OK | os.X_OK):
+            return Path(status.recordings)
+        return directory_to_look_in(installed(self._rig), os.environ)
+
+    def _path(self, file: str) -> Path:
+        """Return the recording of a name as listed; nothing else of the disk is read."""
+        folder = self._folder()
+        if Path(file).name != file or not file.endswith(".mcap") or not (folder / file).is_file():
+            msg = f"{file!r}: there is no such recording in {folder}"
+            raise ValueError(msg)
+        return folder / file
+
+    def _validation_of(self, path: Path) -> Path | None:
+        """Return the recording that was made to validate one, if there is any."""
+        found: Catalogue = catalogue(path.parent)
+        of = next((s for s in found.recordings if s.file == path.name), None)
+        if of is None:
+            return None
+        return next((s.path for s in found.recordings if s.validation_of == of.run_id), None)
+
+    async def _in_worker(self, does: Callable[..., Any], *arguments: Any) -> Any:
+        if self._worker is None:
+            # Spawned: a copy of this process would hold its threads' locks for ever.
+            context = multiprocessing.get_context("spawn")
+            self._worker = ProcessPoolExecutor(1, mp_context=context, initializer=_leave_ctrl_c)
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._worker, does, *arguments)
+
+
+def _leave_ctrl_c() -> None:
+    """Have Ctrl-C end the server alone, which then ends us."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

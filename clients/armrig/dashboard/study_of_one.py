@@ -1,0 +1,174 @@
+"""What is made of one recording, in a process of its own: its data are large, its models slow."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.estimation.oe import oe
+from armrig.models.fit import Fit
+from armrig.nonparametric.structure_hints import structure_hints
+from armrig.recordings.export import write_csv
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
+from armrig.recordings.recording_summary import shown_path
+from armrig.recordings.usability import data_verdict
+from armrig.validation.advice.advice import advice
+from armrig.validation.comparison import compare
+from armrig.validation.residuals import residuals
+
+_PIXELS = 1000
+_MOST_GAPS = 100
+_KEPT = 2  # recordings: the one that is looked at, and its validation
+Output = Literal["theta_1", "alpha"]
+
+
+def facts(path: Path) -> dict[str, Any]:
+    """Return what a recording says of itself, its verdict, and its curves as a whole."""
+    recording = _loaded(path)
+    verdict = data_verdict(recording)
+    manifest, outcome = recording.manifest, recording.outcome
+    return {
+        "file": shown_path(Path(path.name)),
+        "about": [
+            ("experiment", manifest.experiment),
+            ("started", manifest.started),
+            ("length", f"{recording.N * recording.Ts:g} s, {recording.N} samples"),
+            ("Ts", f"{recording.Ts:g} s, {manifest.pacing}"),
+            ("missing", f"{recording.missing} samples"),
+            ("dead band", f"{recording.hidden} samples show no angle"),
+            ("outcome", outcome.outcome if outcome else recording.damage),
+            ("sha256", recording.sha256[:12]),
+        ],
+        "usable": verdict.usable,
+        "summary": verdict.summary,
+        "findings": [(f.level, f.about, f.text) for f in verdict.findings],
+        "gaps": [
+            [float(round(g.k_first - recording.k_first)) * recording.Ts, g.count, g.reason]
+            for g in recording.gaps[:_MOST_GAPS]
+        ],
+        "seconds": recording.N * recording.Ts,
+        "curves": curves(path, None, None),
+    }
+
+
+def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
+    """Return u, theta_1 (turns counted) and alpha between two times in s, for a screen's width."""
+    recording = _loaded(path)
+    first = 0 if start is None else int(np.searchsorted(recording.t, start))
+    last = recording.N if stop is None else int(np.searchsorted(recording.t, stop, "right"))
+    part = slice(first, max(last, first + 1))
+    t = recording.t[part]
+    return {
+        name: _drawn(t, values[part])
+        for name, values in (
+            ("u", recording.u),
+            ("theta_1", np.degrees(recording.theta_1)),
+            ("alpha", np.degrees(recording.alpha)),
+        )
+    }
+
+
+def csv(path: Path, start: float | None, stop: float | None) -> bytes:
+    """Return the columns between two times in s as text: see `armrig export`."""
+    part = load(path, start=start, stop=stop)
+    with tempfile.TemporaryDirectory(prefix="armrig-") as folder:
+        out = Path(folder) / "part.csv"
+        write_csv(part, out)
+        return out.read_bytes()
+
+
+def identified(path: Path, validation: Path | None, output: Output) -> dict[str, Any]:
+    """Return an OE model of the orders that the data suggest, judged on other data.
+
+    Parameters
+    ----------
+    validation : Path, optional
+        Recording to judge by; without it the first half estimates and the second judges.
+
+    Raises
+    ------
+    ValueError
+        The data determine no model; the message says what is wrong with them.
+    """
+    data = _loaded(path).dataset(output)
+    if validation is None:
+        estimation, other = data.split(2)
+    else:
+        estimation, other = data, _loaded(validation).dataset(output)
+    hints = structure_hints(estimation)
+    fit = oe(
+        estimation, nb=hints.nb, nf=hints.nf, nk=hints.nk, integrator=hints.integrator, stable=True
+    )
+    table = compare(other, fit)
+    tests = residuals(fit, other)
+    return {
+        "model": fit.label,
+        "judged": "the second half of the recording" if validation is None else validation.name,
+        "texts": [
+            ("model", repr(fit)),
+            ("why these orders", hints.explain()),
+            ("held against data that it has not seen", repr(table)),
+            ("residuals", repr(tests)),
+            ("poles, zeros and the like", str(fit.summary())),
+            ("advice", advice(fit).explain()),
+        ],
+        "figures": _figures(fit, table, tests),
+    }
+
+
+def report(path: Path, validation: Path | None) -> bytes:
+    """Return the report of a recording as a PDF: see `armrig report`."""
+    from armrig.report.document import report as typeset
+    from armrig.report.study import study
+
+    done = study([_loaded(path), *([_loaded(validation)] if validation else [])])
+    with tempfile.TemporaryDirectory(prefix="armrig-") as folder:
+        return typeset(done, Path(folder) / "report.pdf").read_bytes()
+
+
+@lru_cache(maxsize=_KEPT)
+def _loaded(path: Path) -> Recording:
+    return load(path)
+
+
+def _drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | None]]:
+    """Return x, and the least and the largest y of each pixel; None where there is none."""
+    n = -(-t.size // _PIXELS)
+    first = np.arange(0, t.size, n)
+    least, largest = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
+    return [
+        t[first].round(6).tolist(),
+        [None if v != v else round(v, 4) for v in least.tolist()],
+        [None if v != v else round(v, 4) for v in largest.tolist()],
+    ]
+
+
+def _figures(fit: Fit, table: Any, tests: Any) -> list[tuple[str, str]]:
+    """Return figures as SVG, each with its title."""
+    from io import StringIO
+
+    import matplotlib as mpl
+
+    from armrig.canvas import figure_of
+    from armrig.models.figures import plot_bode
+    from armrig.models.pole_zero_figure import plot_poles_zeros
+
+    mpl.use("svg")
+    made = []
+    for title, draw in (
+        ("Simulated against measured", table.plot),
+        ("Frequency response with 95 % bands", lambda: figure_of(plot_bode(fit))),
+        ("Poles and zeros with 95 % regions", lambda: figure_of(plot_poles_zeros(fit))),
+        ("Residuals on these data", tests.plot),
+    ):
+        drawn = StringIO()
+        with mpl.rc_context({"svg.hashsalt": "armrig"}):
+            draw().savefig(drawn, format="svg", metadata={"Date": None})
+        made.append((title, drawn.getvalue()))
+    return made

@@ -1,0 +1,94 @@
+"""What a pixel shows of many samples."""
+
+from __future__ import annotations
+
+from math import radians
+
+import numpy as np
+from armrig.dashboard.bins import as_lists, binned, coarser, rate, signals
+from armrig_core.telemetry import Sample
+
+
+def _samples(theta_1_deg: list[float], Ts: float = 0.001, u: float = 1.0) -> list[Sample]:
+    return [
+        Sample(
+            k=k,
+            t_sched_ns=round(k * Ts * 1e9),
+            t_host_ns=round(k * Ts * 1e9),
+            t_device_us=0,
+            theta_1_rad=radians(theta),
+            alpha_rad=radians(-theta),
+            u_cmd_v=u,
+            u_applied_v=u,
+            theta_1_counts=0,
+            alpha_counts=0,
+            flags=0,
+        )
+        for k, theta in enumerate(theta_1_deg)
+    ]
+
+
+def _binned(samples: list[Sample]) -> np.ndarray:
+    found = signals(samples)
+    return binned(found, np.full(len(samples), np.nan))
+
+
+def test_a_bin_holds_the_least_and_the_largest() -> None:
+    """A peak of one sample among ten is seen."""
+    rows = _binned(_samples([0, 0, 0, 7, 0, 0, -3, 0, 0, 0] + [1] * 10))
+
+    assert rows.shape == (2, 9)
+    np.testing.assert_allclose(rows[:, 0], [0.0, 0.01])
+    np.testing.assert_allclose(rows[:, 3], [-3, 1])
+    np.testing.assert_allclose(rows[:, 4], [7, 1])
+
+
+def test_slow_samples_are_bins_of_their_own() -> None:
+    """Nothing is put together that a pixel can tell apart."""
+    assert _binned(_samples([1, 2, 3], Ts=0.01)).shape[0] == 3
+
+
+def test_a_wrap_ends_a_bin() -> None:
+    """Else a line across the whole turn would be drawn."""
+    rows = _binned(_samples([358, 359, 1, 2]))
+
+    assert rows[:, 3].round().tolist() == [358, 1]
+    assert rows[:, 4].round().tolist() == [359, 2]
+
+
+def test_what_is_not_known_hides_nothing() -> None:
+    """In a bin with one known angle that is shown; in one with none there is no value."""
+    nan = float("nan")
+    rows = _binned(_samples([nan, 5, nan, nan, nan, nan, nan, nan, nan, nan] + [nan] * 10))
+
+    assert as_lists(rows)[0][3:5] == [5.0, 5.0]
+    assert as_lists(rows)[1][3:5] == [None, None]
+
+
+def test_the_rate_is_the_slope_across_a_wrap() -> None:
+    """One degree a millisecond is 1000 °/s, also from 359 to 0."""
+    found = signals(_samples([(350 + k) % 360 for k in range(30)]))
+    slope = rate(found[:10], found[10:], 10)
+
+    np.testing.assert_allclose(slope, 1000.0, rtol=1e-6)
+
+
+def test_a_missing_sample_leaves_no_rate() -> None:
+    """The time between two samples is not what it seems; what comes later has a rate again."""
+    samples = _samples([float(k) for k in range(40)])
+    del samples[15]
+    found = signals(samples)
+    slope = rate(found[:5], found[5:], 5)
+
+    assert np.isnan(slope[10:15]).all()
+    assert np.isfinite(slope[15:]).all()
+    assert np.isnan(rate(found[:0], found[:5], 5)).all()
+
+
+def test_coarser_rows_keep_the_extremes() -> None:
+    """Five bins into one: least of all, largest of all, at the first's time."""
+    rows = _binned(_samples([float(k % 37) for k in range(100)]))
+    wide = coarser(rows, 0.05)
+
+    assert wide.shape == (2, 9)
+    assert (wide[0, 3].round(), wide[0, 4].round()) == (0, 36)

@@ -1,0 +1,62 @@
+"""The page is files of the package, with nothing that its own policy forbids."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import armrig.dashboard
+from armrig.dashboard.page_files import PAGE_FILES
+
+PAGE = Path(armrig.dashboard.__file__).parent / "page"
+OWN = [path for path in PAGE.iterdir() if path.suffix in (".js", ".html", ".css")]
+
+
+def test_every_file_is_served_and_there() -> None:
+    """No file is forgotten, and none is named that there is not."""
+    there = {str(p.relative_to(PAGE)) for p in PAGE.rglob("*") if p.is_file()}
+
+    assert {file.name for file in PAGE_FILES.values()} == there
+    assert all(file.read() and file.media_type for file in PAGE_FILES.values())
+
+
+def test_text_of_others_is_never_markup() -> None:
+    """No way from a string to elements, no script from a string, no handler in an attribute."""
+    forbidden = r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function"
+    for path in OWN:
+        assert not re.search(forbidden, path.read_text()), path.name
+    html = (PAGE / "index.html").read_text()
+    assert not re.search(r"<script(?![^>]*src=)|\son\w+=|\sstyle=|<style", html)
+
+
+def test_nothing_is_fetched_from_elsewhere() -> None:
+    """The page works without a network."""
+    for path in OWN:
+        assert not re.search(r"https?://(?!www\.w3\.org)", path.read_text()), path.name
+
+
+def _luminance(colour: str) -> float:
+    channels = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def _contrast(a: str, b: str) -> float:
+    dark, light = sorted((_luminance(a), _luminance(b)))
+    return (light + 0.05) / (dark + 0.05)
+
+
+def test_all_text_has_a_contrast_of_four_and_a_half() -> None:
+    """In both themes, each colour of text on each ground that it stands on (WCAG 2.1, AA)."""
+    css = (PAGE / "dashboard.css").read_text()
+    pairs = [(ink, ground) for ink in ("ink", "soft") for ground in ("ground", "card")]
+    pairs += [(name, f"{name}-ground") for name in ("bad", "warn", "good")]
+    pairs += [("accent-ink", "accent"), ("accent", "info-ground"), ("ink", "info-ground")]
+    pairs += [(name, "card") for name in ("bad", "warn", "good")]
+    themes = re.findall(r":root[^{]*\{([^}]*)\}", css)
+    assert len(themes) == 2
+    for theme in themes:
+        colours = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", theme))
+        for ink, ground in pairs:
+            assert _contrast(colours[ink], colours[ground]) >= 4.5, (ink, ground)
+    assert _contrast("#ffffff", "#b00020") >= 4.5

@@ -1,0 +1,434 @@
+"""The dashboard's server, asked over HTTP; behind it a real daemon and its emulated rig."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from math import isclose
+from typing import Any
+
+import pytest
+from armrig.dashboard.connections import MOST
+from armrig.rig.status_rows import status_rows
+from driving import STOPPED_S, at_rest, check_volts
+from processes import Bench, wait_for
+from watching import Client, watched
+
+STEP = {"kind": "step", "seconds": 20.0, "at": 0.1, "low": 1.0, "high": 4.0}
+
+
+@pytest.fixture(scope="module")
+def _page(_serving: Bench) -> Iterator[Client]:
+    with watched(_serving) as client:
+        yield client
+
+
+@pytest.fixture
+def page(served: Bench, _page: Client) -> Client:
+    """Give a client of a dashboard over a rig at rest, which does nothing and is not stale."""
+    wait_for(lambda: not _page.first("run")["is_going"])
+    wait_for(lambda: not _page.first("live")["is_stale"])
+    return _page
+
+
+def begin(page: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> None:
+    """Run an experiment, and wait until the motor is driven."""
+    status, told = page.ask("/api/run", {"owner": "a page", "experiment": experiment})
+    assert status == 200, told
+    wait_for(lambda: bench.volts() > 0)
+
+
+def test_samples_come_in_the_stream(page: Client) -> None:
+    """Each row is later than the one before: least and largest of each signal."""
+    rows: list[list[float]] = []
+    for name, value in page.events():
+        rows += value["rows"] if name == "live" else value if name == "past" else []
+        if len(rows) > 300:
+            break
+
+    t = [row[0] for row in rows]
+    assert t == sorted(t)
+    assert all(len(row) == 9 for row in rows)
+    assert {row[1] for row in rows[-50:]} == {0.0}
+
+
+def test_the_past_comes_first(page: Client, served: Bench) -> None:
+    """Who connects late is shown what was before, from the daemon's own memory, too."""
+    with watched(served) as anew:
+        wait_for(lambda: not anew.first("live")["is_stale"])
+        seen = []
+        for name, value in anew.events():
+            if name == "whole":
+                break
+            seen += value if name == "past" else []
+
+    # The daemon is older than this dashboard, which was not there to hear it.
+    assert seen[-1][0] - seen[0][0] > 2.0
+
+
+def test_the_words_are_those_of_the_status(page: Client, served: Bench) -> None:
+    """`armrig status` prints the very rows."""
+    rows = dict(page.first("status")["rows"])
+
+    with served.rig() as rig:
+        assert rows == dict(status_rows(rig.status()))
+    assert rows["phase"] == "safe"
+    assert rows["owner"] == "nobody"
+    assert rows["motor"] == "at 0 V, says the device"
+
+
+def test_an_experiment_is_shown_before_it_runs(page: Client) -> None:
+    """Its input, what the model does under it, and what it would teach."""
+    status, shown = page.ask("/api/preview", STEP)
+
+    assert status == 200
+    assert (shown["t"], shown["u"]) == ([0.0, 0.1, 20.0], [1.0, 4.0, 4.0])
+    assert shown["rehearsal"].startswith("rehearsed on the model: the chassis turns ")
+    assert shown["deviations"][0].startswith("J_1 to ± ")
+
+
+def test_a_preview_moves_nothing(page: Client, served: Bench) -> None:
+    """It asks the daemon for nothing."""
+    before = served.voltage_changes()
+    page.ask("/api/preview", STEP)
+
+    assert served.phase() == "safe"
+    assert served.voltage_changes() == before
+
+
+def test_an_experiment_runs_and_is_recorded(page: Client, served: Bench) -> None:
+    """By the command line's way: under a lease, with the owner's name, rehearsed, and judged."""
+    short = STEP | {"seconds": 1.0, "name": "page"}
+    begin(page, served, short)
+    wait_for(lambda: not page.first("run")["is_going"])
+    run = page.first("run")
+
+    assert run["error"] == ""
+    assert run["told"].startswith("rehearsed on the model")
+    assert (run["done"], run["total"]) == (100, 100)
+    assert (served.recordings / run["recording"]).exists()
+    assert "-step-page-" in run["recording"]
+    check_volts(served)
+
+
+def test_stop_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
+    """At the motor's terminals; the run says who stopped it."""
+    begin(page, served)
+    told = time.monotonic_ns()
+    assert page.ask("/api/stop", {"owner": "somebody"}) == (200, {"stopped": True})
+
+    assert served.went_to_0_v_after(told) < STOPPED_S
+    wait_for(lambda: not page.first("run")["is_going"])
+    assert "stopped by somebody" in page.first("run")["error"]
+
+
+def test_stop_ends_another_s_run(page: Client, served: Bench) -> None:
+    """It needs no lease, and no run of the page's own."""
+    with served.rig() as other:
+        other.arm("somebody else")
+        other.set(1.0)
+        wait_for(lambda: served.volts() > 0)
+        assert page.ask("/api/stop", {})[0] == 200
+        wait_for(lambda: served.volts() == 0.0)
+
+
+def test_a_stop_is_not_refused_for_its_body(page: Client, served: Bench) -> None:
+    """Whatever stands in it, the motor stops."""
+    begin(page, served)
+
+    assert page.ask("/api/stop", b"\xff no JSON")[0] == 200
+    wait_for(lambda: served.volts() == 0.0)
+
+
+def test_what_another_has_is_refused_in_a_line(page: Client, served: Bench) -> None:
+    """The page has no way around the lease."""
+    with served.rig() as other:
+        other.arm("somebody else")
+        status, told = page.ask("/api/arm", {"owner": "me"})
+        other.disarm()
+
+    assert status == 502
+    assert "somebody else" in told["error"]
+    assert "\n" not in told["error"]
+
+
+def test_arm_and_release(page: Client, served: Bench) -> None:
+    """The owner is told to all, and the rig is nobody's afterwards."""
+    assert page.ask("/api/arm", {"owner": "me"}) == (200, {"armed": True})
+    wait_for(lambda: page.first("status")["owner"] == "me")
+    assert page.ask("/api/release", {}) == (200, {"released": True})
+    wait_for(lambda: page.first("status")["owner"] == "")
+
+
+def test_two_runs_at_once_are_refused(page: Client, served: Bench) -> None:
+    """One after the other."""
+    begin(page, served)
+
+    status, told = page.ask("/api/run", {"owner": "me", "experiment": STEP})
+    page.ask("/api/stop", {})
+
+    assert status == 409
+    assert "already" in told["error"]
+    wait_for(lambda: not page.first("run")["is_going"])
+
+
+MARKUP = "<img src=x onerror=alert(1)>"
+
+
+@pytest.mark.parametrize(
+    ("experiment", "says"),
+    [
+        ({"kind": "step", "high": 6.0}, "high"),
+        ({"kind": "step", "at": 9.0}, "--at 9 s is after the end"),
+        ({"kind": "nonsense"}, "nonsense"),
+        ({"kind": "step", "unknown": 1}, "unknown"),
+        ({"kind": "csv", "text": "u\n7\n"}, "is outside 0 to 5 V"),
+        ({"kind": "csv", "text": "u\n1\n", "file": MARKUP, "seconds": 1e9}, "seconds"),
+        ({"kind": "blackbox", "seconds": 80_000, "Ts": 0.001}, "at most 4000000 samples"),
+        ({"kind": "step", "name": "No!"}, "name"),
+    ],
+)
+def test_what_is_not_possible_is_refused_before_anything_moves(
+    page: Client, served: Bench, experiment: dict[str, Any], says: str
+) -> None:
+    """In a line, which names what is allowed; and the motor stays where it is."""
+    for path, body in (
+        ("/api/preview", experiment),
+        ("/api/run", {"owner": "me", "experiment": experiment}),
+    ):
+        status, told = page.ask(path, body)
+        if path == "/api/run" and status == 200:  # what depends on the rig's sampling time
+            wait_for(lambda: not page.first("run")["is_going"])
+            told = page.first("run")
+        else:
+            assert status == 400
+        assert "\n" not in told["error"]
+        assert says in told["error"]
+    assert served.volts() == 0.0
+
+
+COMMANDS = ("arm", "release", "reset", "preview", "run", "stop", "recordings", "mcap", "report")
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example:8807"},
+        {"Host": "127.0.0.1"},
+        {"Host": None},
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Sec_Fetch_Site": "cross-site"},
+        {"Authorization": None},
+        {"Authorization": "Bearer "},
+        {"Authorization": "Bearer wrong"},
+        {"Authorization": "Bearer ÿ"},
+        {"Authorization": "Basic bWU6bWU="},
+    ],
+    ids=str,
+)
+def test_a_stranger_commands_nothing(
+    page: Client, served: Bench, headers: dict[str, str | None]
+) -> None:
+    """Wrong Host, wrong Origin, another page, no token: one line, and nothing happens."""
+    for command in COMMANDS:
+        status, told = page.ask(f"/api/{command}", {"owner": "evil"}, **headers)
+        assert status in (400, 403)
+        if isinstance(told, dict):
+            assert "\n" not in told["error"]
+    status, _ = page.ask("/api/stream", **headers)
+
+    assert status in (400, 403)
+    assert served.phase() == "safe"
+
+
+def test_no_answer_lets_another_page_in(page: Client) -> None:
+    """No script but the page's own files, in nobody's frame, and no permission for others."""
+    link = socket.create_connection((page.host, page.port), 10.0)
+    with link:
+        link.sendall(f"GET / HTTP/1.1\r\nHost: {page.host}:{page.port}\r\n\r\n".encode())
+        head = link.recv(65_536).partition(b"\r\n\r\n")[0].decode().lower()
+
+    assert "script-src 'self'" in head
+    assert "unsafe-inline" not in head
+    assert "frame-ancestors 'none'" in head
+    assert "access-control-allow" not in head
+    assert "set-cookie" not in head
+
+
+def test_nothing_of_the_disk_is_served_but_recordings(page: Client) -> None:
+    """No path leads out of their folder, nor out of the page's files."""
+    for name in ("../armrig.toml", "/etc/passwd", "x/../y.mcap", "..", "", "no.mcap"):
+        status, told = page.ask("/api/mcap", {"file": name})
+        assert (status, "there is no such recording" in told["error"]) == (400, True)
+    for path in ("/../pyproject.toml", "/vendor/", "/%2e%2e/app.py", "/app.py"):
+        assert page.ask(path)[0] == 404
+
+
+def test_a_body_that_is_too_long_is_refused(page: Client, served: Bench) -> None:
+    """Ten megabytes, told or untold, are not read to their end."""
+    assert page.ask("/api/run", b"[", Content_Length=str(10 << 20))[0] == 413
+    with socket.create_connection((page.host, page.port), 10.0) as link:
+        head = "POST /api/run HTTP/1.1\r\nTransfer-Encoding: chunked\r\n"
+        head += f"Host: {page.host}:{page.port}\r\nAuthorization: Bearer {page.token}\r\n\r\n"
+        link.sendall(head.encode())
+        chunk = b"10000\r\n" + bytes(0x10000) + b"\r\n"
+        sent, answer = 0, b""
+        link.settimeout(0.0)
+        while not answer and sent < 1000:
+            try:
+                link.setblocking(True)
+                link.settimeout(0.2)
+                link.sendall(chunk)
+                sent += 1
+                link.settimeout(0.01)
+                answer = link.recv(1000)
+            except TimeoutError:
+                continue
+            except OSError:
+                break
+    assert sent < 1000
+    assert served.phase() == "safe"
+    assert page.ask("/api/stop", {})[0] == 200
+
+
+def test_a_thousand_connections_keep_nobody_from_a_stop(page: Client, served: Bench) -> None:
+    """Those that ask nothing give way."""
+    begin(page, served)
+    with ExitStack() as links:
+        for _ in range(1000):
+            links.enter_context(socket.create_connection((page.host, page.port), 10.0))
+        assert page.ask("/api/stop", {}) == (200, {"stopped": True})
+        wait_for(lambda: served.volts() == 0.0)
+    assert MOST < 1000
+
+
+def test_who_does_not_read_is_dropped_and_delays_nobody(page: Client) -> None:
+    """His messages are not kept for him beyond a bound."""
+    with socket.socket() as deaf:
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.connect((page.host, page.port))
+        head = f"GET /api/stream HTTP/1.1\r\nHost: {page.host}:{page.port}\r\n"
+        deaf.sendall(f"{head}Authorization: Bearer {page.token}\r\n\r\n".encode())
+        assert deaf.recv(100)
+        most = 0
+        for name, value in page.events():
+            if name == "timing":
+                if most == 2 and value["viewers"] == 1:
+                    break
+                most = max(most, value["viewers"])
+            assert name != "live" or not value["is_stale"]
+
+    assert most == 2
+
+
+def test_a_daemon_that_dies_is_stale_and_comes_back(bench: Bench) -> None:
+    """Told as such, with what to do; and found again without a new page."""
+    bench.configure(watchdog_ms=250)
+    bench.emulate()
+    daemon = bench.serve()
+    with watched(bench) as page:
+        wait_for(lambda: not page.first("live")["is_stale"])
+        daemon.kill()
+        daemon.popen.wait(10)
+        wait_for(lambda: page.first("live")["is_stale"])
+        wait_for(lambda: "armrig lab" in page.first("status")["trouble"], 20)
+        bench.serve()
+        wait_for(lambda: not page.first("live")["is_stale"], 20)
+
+        assert page.first("status")["trouble"] == ""
+        assert page.ask("/api/stop", {})[0] == 200
+
+
+def test_a_fault_shows_its_cause_before_its_reset(bench: Bench) -> None:
+    """In the words of the daemon; after the reset the rig is safe."""
+    bench.configure(watchdog_ms=250)
+    emulator = bench.emulate()
+    bench.serve()
+    with watched(bench) as page:
+        wait_for(lambda: not page.first("live")["is_stale"])
+        begin(page, bench)
+        emulator.kill()
+        wait_for(lambda: page.first("status")["phase"] == "fault", 20)
+        seen = page.first("status")
+
+        assert seen["reason"]
+        assert seen["remedy"]
+        assert dict(seen["rows"])["fault"] == f"{seen['fault']}: {seen['reason']}"
+        bench.emulate()
+        wait_for(lambda: page.ask("/api/reset", {}) == (200, {"was_latched": True}), 20)
+        wait_for(lambda: page.first("status")["phase"] == "safe", 20)
+
+
+def test_a_name_is_told_as_it_is(page: Client, served: Bench) -> None:
+    """Markup in a name stays text: the answer is JSON, and no browser takes it for a page."""
+    with served.rig() as other:
+        other.arm(MARKUP)
+        wait_for(lambda: page.first("status")["owner"] == MARKUP)
+        other.disarm()
+
+
+def test_nobody_waits_for_the_end(served: Bench) -> None:
+    """A dashboard with viewers ends at once, and with it the run that it began."""
+    with watched(served) as page:
+        wait_for(lambda: not page.first("live")["is_stale"])
+        begin(page, served)
+        events = page.events()
+        next(events)
+    wait_for(lambda: served.volts() == 0.0)
+    with served.rig() as rig:
+        at_rest(rig)
+    assert [name for name, _ in events][-1:] != ["whole"]  # the stream ends by itself
+
+
+def test_a_recording_is_looked_at(page: Client, served: Bench) -> None:
+    """Its verdict, its curves, a part of it as CSV, and the file itself."""
+    begin(page, served, STEP | {"seconds": 2.0})
+    wait_for(lambda: not page.first("run")["is_going"])
+    file = page.first("run")["recording"]
+
+    _, listed = page.ask("/api/recordings", {})
+    status, facts = page.ask("/api/recording", {"file": file})
+    _, text = page.ask("/api/csv", {"file": file, "start": 0.5, "stop": 1.0})
+    _, whole = page.ask("/api/mcap", {"file": file})
+
+    assert listed["recordings"][0]["file"] == file
+    assert status == 200
+    assert facts["summary"].startswith("the data")
+    assert [len(x) for x in facts["curves"]["u"]] == [200, 200, 200]
+    times = [float(row.split(",")[1]) for row in text.decode().splitlines()[1:]]
+    assert isclose(times[0], 0.5, abs_tol=0.01)
+    assert len(times) in (50, 51)
+    assert whole == (served.recordings / file).read_bytes()
+
+
+def test_a_model_and_a_report_of_a_recording(page: Client, served: Bench) -> None:
+    """An OE model of the orders that the data suggest, with its figures; and the PDF."""
+    begin(page, served, {"kind": "blackbox", "seconds": 8.0})
+    wait_for(lambda: not page.first("run")["is_going"], 30)
+    file = page.first("run")["recording"]
+
+    status, found = page.ask("/api/identify", {"file": file})
+    _, pdf = page.ask("/api/report", {"file": file})
+
+    assert status == 200, found
+    assert found["model"].startswith("OE[")
+    titles = [title for title, svg in found["figures"] if "<svg" in svg]
+    assert len(titles) == 4
+    assert pdf[:5] == b"%PDF-"
+
+
+def test_where_no_model_fits_it_says_why(page: Client, served: Bench) -> None:
+    """And the curves are there all the same."""
+    begin(page, served, {"kind": "csv", "text": "u\n" + "1\n" * 60, "file": "flat.csv"})
+    wait_for(lambda: not page.first("run")["is_going"])
+    file = page.first("run")["recording"]
+
+    status, told = page.ask("/api/identify", {"file": file})
+
+    assert status == 400
+    assert told["error"]
+    assert json.dumps(page.ask("/api/recording", {"file": file})[1]["curves"])

@@ -1,0 +1,75 @@
+"""A page's server in this process, and a client that speaks HTTP to it as a browser does."""
+
+from __future__ import annotations
+
+import http.client
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import urlsplit
+
+from armrig.dashboard.serving import Settings, dashboard
+from processes import Bench
+
+_ANSWER_S = 20.0
+
+
+class Client:
+    """Who has the address that `armrig dashboard` printed."""
+
+    def __init__(self, url: str) -> None:
+        parts = urlsplit(url)
+        self.url = url
+        self.host, self.port = str(parts.hostname), int(parts.port or 0)
+        self.token = parts.fragment.removeprefix("token=")
+
+    def ask(
+        self, path: str, body: Any = None, method: str = "", **headers: str | None
+    ) -> tuple[int, Any]:
+        """Return status and answer; a header given as None is left out."""
+        given = {"Authorization": f"Bearer {self.token}", "Host": f"{self.host}:{self.port}"}
+        given |= {name.replace("_", "-"): value for name, value in headers.items()}  # type: ignore[misc]
+        data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
+        link = http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
+        try:
+            link.putrequest(method or ("GET" if body is None else "POST"), path, skip_host=True)
+            for name, value in given.items():
+                if value is not None:
+                    link.putheader(name, value)
+            if data is not None and "Content-Length" not in given:
+                link.putheader("Content-Length", str(len(data)))
+            link.endheaders(data)
+            answer = link.getresponse()
+            text = answer.read()
+        finally:
+            link.close()
+        return answer.status, (json.loads(text) if text[:1] in (b"{", b"[") else text)
+
+    def events(self) -> Iterator[tuple[str, Any]]:
+        """Give the events of the stream, with their names, for as long as it lasts."""
+        link = http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
+        try:
+            link.request("GET", "/api/stream", headers={"Authorization": f"Bearer {self.token}"})
+            answer = link.getresponse()
+            assert answer.status == 200, answer.read()
+            name = ""
+            for line in answer:
+                if line.startswith(b"event: "):
+                    name = line[7:-1].decode()
+                elif line.startswith(b"data: "):
+                    yield name, json.loads(line[6:])
+        finally:
+            link.close()
+
+    def first(self, wanted: str) -> Any:
+        """Return the first event of a name."""
+        return next(value for name, value in self.events() if name == wanted)
+
+
+@contextmanager
+def watched(bench: Bench) -> Iterator[Client]:
+    """Serve a dashboard of the bench's rig."""
+    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
+    with dashboard(Settings(connect=endpoint, port=None)) as served:
+        yield Client(served.url)
