@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import ssl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -21,6 +22,7 @@ class Client:
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
         self.url = url
+        self.is_shared = parts.scheme == "https"
         self.host, self.port = str(parts.hostname), int(parts.port or 0)
         self.token = parts.fragment.removeprefix("token=")
 
@@ -31,7 +33,7 @@ class Client:
         given = {"Authorization": f"Bearer {self.token}", "Host": f"{self.host}:{self.port}"}
         given |= {name.replace("_", "-"): value for name, value in headers.items()}  # type: ignore[misc]
         data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
-        link = http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
+        link = self._link()
         try:
             link.putrequest(method or ("GET" if body is None else "POST"), path, skip_host=True)
             for name, value in given.items():
@@ -48,7 +50,7 @@ class Client:
 
     def events(self) -> Iterator[tuple[str, Any]]:
         """Give the events of the stream, with their names, for as long as it lasts."""
-        link = http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
+        link = self._link()
         try:
             link.request("GET", "/api/stream", headers={"Authorization": f"Bearer {self.token}"})
             answer = link.getresponse()
@@ -62,14 +64,27 @@ class Client:
         finally:
             link.close()
 
+    def _link(self) -> http.client.HTTPConnection:
+        if not self.is_shared:
+            return http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
+        trusting = ssl.create_default_context()
+        trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
+        return http.client.HTTPSConnection(
+            self.host, self.port, timeout=_ANSWER_S, context=trusting
+        )
+
     def first(self, wanted: str) -> Any:
         """Return the first event of a name."""
         return next(value for name, value in self.events() if name == wanted)
 
 
+def endpoint(bench: Bench) -> str:
+    """Return where the bench's daemon listens."""
+    return f"unixsock-stream/{bench.folder}/armrig/1.sock"
+
+
 @contextmanager
 def watched(bench: Bench) -> Iterator[Client]:
     """Serve a dashboard of the bench's rig."""
-    endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    with dashboard(Settings(connect=endpoint, port=None)) as served:
+    with dashboard(Settings(connect=endpoint(bench))) as served:
         yield Client(served.url)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import threading
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armrig.cli.options import Connect, Json, RigId, echo, print_json
+
+if TYPE_CHECKING:
+    from armrig.dashboard.serving import Served
 
 Port = Annotated[
     int | None,
@@ -20,6 +23,13 @@ Port = Annotated[
     ),
 ]
 Browser = Annotated[bool, typer.Option("--open", help="Open it in the browser.")]
+Share = Annotated[
+    bool,
+    typer.Option("--share", help="Let visitors on this network watch and stop, by TLS."),
+]
+Foxglove = Annotated[
+    bool, typer.Option("--foxglove", help="Serve the streams to Foxglove on this machine, too.")
+]
 
 
 def dashboard(
@@ -27,26 +37,52 @@ def dashboard(
     connect: Connect = None,
     port: Port = None,
     browser: Browser = False,
+    share: Share = False,
+    for_foxglove: Foxglove = False,
     json: Json = False,
 ) -> None:
     """Show a rig live in a browser, and drive it there, until Ctrl-C.
 
-    The address that it prints may command the rig: who has it, may.
+    Who has the address that it prints may command the rig. That of --share may watch and stop.
 
-    With --json it prints {"url": …}.
+    With --json it prints {"url": …, "shared_url": …, "foxglove": …}.
     """
     import webbrowser
+    from contextlib import ExitStack
 
     from armrig.dashboard.serving import Settings
     from armrig.dashboard.serving import dashboard as serving
+    from armrig.dashboard.share import own_address
 
-    with serving(Settings(rig=rig, connect=connect, port=port)) as served:
+    address = own_address() if share else None
+    with ExitStack() as opened:
+        settings = Settings(rig=rig, connect=connect, port=port, share=address)
+        served = opened.enter_context(serving(settings))
+        streams = ""
+        if for_foxglove:
+            from armrig.dashboard.foxglove import foxglove
+
+            streams = opened.enter_context(foxglove(rig=rig, connect=connect))
         if json:
-            print_json({"url": served.url})
+            urls = {"url": served.url, "shared_url": served.shared_url or None}
+            print_json(urls | {"foxglove": streams or None})
         else:
-            echo(
-                f"rig {rig}: {served.url}\nwho has this address may command the rig; Ctrl-C ends it"
-            )
+            _say(rig, served, streams)
         if browser:
             webbrowser.open(served.url)
         threading.Event().wait()
+
+
+def _say(rig: str, served: Served, streams: str) -> None:
+    """Say where the page is, and what may be done there."""
+    echo(f"rig {rig}: {served.url}")
+    echo("who has this address may command the rig; Ctrl-C ends it")
+    if served.shared_url:
+        from armrig.dashboard.share import qr_code
+
+        echo(f"to watch and stop: {served.shared_url}")
+        echo(qr_code(served.shared_url))
+        echo("the browser warns of the certificate, which this machine has made; its SHA-256 is")
+        echo(served.fingerprint)
+    if streams:
+        echo(f"for Foxglove, to watch: {streams}")

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import resource
 import secrets
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from typing import Any
 
 import uvicorn
+from starlette.routing import Route
 
 from armrig.dashboard.app import RigRoutes, application
 from armrig.dashboard.connections import Connections
@@ -21,11 +23,14 @@ from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Guard
 from armrig.dashboard.listener import Listener
 from armrig.dashboard.recording_routes import RecordingRoutes
+from armrig.dashboard.share import PORT as SHARED_PORT
+from armrig.dashboard.share import Certificate, certificate
 from armrig.dashboard.stream import Stream
 from armrig.rig.session import RigError
 
 HOST = "127.0.0.1"
 PORT = 8807
+_FILES = 16_384
 _START_S = 20.0
 _ENDS_S = 2
 
@@ -40,6 +45,10 @@ class Settings:
     """Endpoint of its daemon; found as by `armrig.Rig` where it is left out."""
     port: int | None = None
     """On 127.0.0.1; 8807 where it is left out, or a free one if that is taken."""
+    share: str | None = None
+    """Address of this machine at which who has the other token may watch and stop."""
+    share_port: int | None = None
+    """There; 8808 where it is left out, or a free one if that is taken."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +57,10 @@ class Served:
 
     url: str
     """Of the page, with the token that may command."""
+    shared_url: str = ""
+    """For visitors, with the token that may watch and stop."""
+    fingerprint: str = ""
+    """SHA-256 of the certificate there."""
 
 
 @contextmanager
@@ -58,40 +71,77 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     ------
     RigError
         The port is taken.
+    MissingPackageError
+        It is to be shared, and what makes certificates is not installed.
     """
-    listening = _listening(settings.port)
-    port, token = listening.getsockname()[1], secrets.token_urlsafe(24)
+    _allow_many_files()
     feed = Feed()
     driver = Driver(rig=settings.rig, connect=settings.connect)
     stream = Stream(feed, driver)
-    routes = RigRoutes(feed, driver, stream)
-    recordings = RecordingRoutes(feed, settings.rig)
-    connections = Connections()
-    app = Guard(
-        application(
-            [
-                *routes.watching(connections, may_command=True),
-                *routes.commanding(),
-                *recordings.routes(),
-            ]
-        ),
-        origins=[f"http://{host}:{port}" for host in (HOST, "localhost")],
-        token=token,
-    )
-    server = _Server(uvicorn.Config(app, http=connections.protocol(), **_QUIET), listening)
+    live, recorded = RigRoutes(feed, driver, stream), RecordingRoutes(feed, settings.rig)
     listener = Listener(
         feed, rig=settings.rig, connect=settings.connect, found=driver.be_ready_to_stop
     )
-    listener.start()
-    thread = _ServerThread([server], stream)
-    try:
-        thread.begin()
-        yield Served(url=f"http://{HOST}:{port}/#token={token}")
-    finally:
-        driver.end()
-        recordings.end()
-        thread.end()
-        listener.end()
+    with ExitStack() as open_files:
+        own = _Door(_listening(HOST, PORT, settings.port), names=(HOST, "localhost"))
+        servers = [own.server([*live.commanding(), *recorded.routes()], live, may_command=True)]
+        served = Served(url=own.url)
+        if settings.share is not None:
+            made = open_files.enter_context(certificate(settings.share))
+            taken = _listening(settings.share, SHARED_PORT, settings.share_port)
+            door = _Door(taken, names=(settings.share,), certificate=made)
+            servers.append(door.server([], live, may_command=False))
+            served = replace(served, shared_url=door.url, fingerprint=made.fingerprint)
+        thread = _ServerThread(servers, stream)
+        listener.start()
+        try:
+            thread.begin()
+            yield served
+        finally:
+            driver.end()
+            recorded.end()
+            thread.end()
+            listener.end()
+
+
+class _Door:
+    """A socket, the names by which it is reached, and the token that opens it."""
+
+    def __init__(
+        self,
+        listening: socket.socket,
+        *,
+        names: tuple[str, ...],
+        certificate: Certificate | None = None,
+    ) -> None:
+        self._listening, self._certificate = listening, certificate
+        self._token = secrets.token_urlsafe(24)
+        scheme, port = "https" if certificate else "http", listening.getsockname()[1]
+        self._origins = [f"{scheme}://{name}:{port}" for name in names]
+
+    @property
+    def url(self) -> str:
+        """Where the page is; the token stands behind the #, which no browser sends."""
+        return f"{self._origins[0]}/#token={self._token}"
+
+    def server(self, more: list[Route], live: RigRoutes, *, may_command: bool) -> _Server:
+        """Return the server of who may watch and stop, and of `more`."""
+        connections = Connections()
+        app = application([*live.watching(connections, may_command=may_command), *more])
+        guard = Guard(app, origins=self._origins, token=self._token)
+        config = uvicorn.Config(guard, http=connections.protocol(), **_QUIET)
+        if self._certificate is not None:
+            config.ssl_certfile = str(self._certificate.certificate)
+            config.ssl_keyfile = str(self._certificate.key)
+        return _Server(config, self._listening)
+
+
+def _allow_many_files() -> None:
+    """Have more files than connections: else those would leave none for a stop."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _FILES if hard == resource.RLIM_INFINITY else min(_FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 _QUIET: dict[str, Any] = {
@@ -108,18 +158,18 @@ _QUIET: dict[str, Any] = {
 }
 
 
-def _listening(port: int | None) -> socket.socket:
-    """Return a socket that listens on the loopback."""
-    for tried in (PORT, 0) if port is None else (port,):
+def _listening(host: str, usual: int, port: int | None) -> socket.socket:
+    """Return a socket that listens at an address."""
+    for tried in (usual, 0) if port is None else (port,):
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            listening.bind((HOST, tried))
+            listening.bind((host, tried))
         except OSError as err:
             listening.close()
             if port is None and tried:
                 continue
-            msg = f"port {tried}: {err.strerror}; take another --port"
+            msg = f"port {tried} of {host}: {err.strerror}; take another --port"
             raise RigError(msg) from err
         return listening
     raise AssertionError

@@ -1,0 +1,110 @@
+"""The rig's streams for Foxglove and its like: they hear, and can command nothing."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+from armrig_core import protobuf
+from armrig_core.telemetry import Sample, encode_sample
+from armrig_core.topics import STREAMS, stream_key
+
+from armrig.recordings.export import imported
+from armrig.rig.client import Rig
+from armrig.rig.session import RigError
+
+HOST = "127.0.0.1"
+PORT = 8765
+_PERIOD_S = 0.02
+"""50 Hz: of samples that come faster the newest is sent."""
+_SILENT_S = 3.0
+_AGAIN_S = 0.5
+_MOST_WAITING = 100  # messages of a stream that is slower: the oldest go
+
+
+@contextmanager
+def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str]:
+    """Serve the streams on the loopback until the block ends; give the address.
+
+    No service, no parameter, no channel of a client's: what is sent to it is passed over.
+
+    Raises
+    ------
+    MissingPackageError
+        foxglove-sdk is not installed.
+    RigError
+        The port is taken.
+    """
+    sdk = imported("foxglove", "foxglove")
+    context = sdk.Context()  # of its own: what else this process logs is not served
+    channels = {
+        name: sdk.Channel(
+            f"/{stream_key(rig, name)}",
+            schema=sdk.Schema(
+                name=_message(name),
+                encoding="protobuf",
+                data=protobuf.descriptor_set(_message(name)),
+            ),
+            message_encoding="protobuf",
+            context=context,
+        )
+        for name in STREAMS
+    }
+    try:
+        server = sdk.start_server(
+            name=f"armrig, rig {rig}", host=HOST, port=port, capabilities=[], context=context
+        )
+    except Exception as err:  # of the SDK's own kind
+        msg = f"foxglove: port {port} of {HOST} cannot be had: {err}"
+        raise RigError(msg) from err
+    ends = threading.Event()
+    thread = threading.Thread(target=_send, args=(channels, rig, connect, ends), daemon=True)
+    thread.start()
+    try:
+        yield f"ws://{HOST}:{server.port}"
+    finally:
+        ends.set()
+        thread.join(5.0)
+        server.stop()
+
+
+def _message(stream: str) -> str:
+    return protobuf.SAMPLE if stream == "sample" else protobuf.OF_STREAM[stream]
+
+
+def _send(channels: dict[str, Any], rig: str, connect: str | None, ends: threading.Event) -> None:
+    """Pass on what the rig publishes, and find a daemon that came back."""
+    while not ends.is_set():
+        try:
+            with Rig(rig, connect=connect) as opened:
+                _pass_on(channels, opened, ends)
+        except (RigError, ValueError):
+            pass  # the dashboard says why
+        ends.wait(_AGAIN_S)
+
+
+def _pass_on(channels: dict[str, Any], rig: Rig, ends: threading.Event) -> None:
+    with ExitStack() as open_streams:
+        came = {name: open_streams.enter_context(rig.arrivals(name)) for name in STREAMS}
+        waiting: dict[str, deque[Any]] = {
+            name: deque(maxlen=1 if name == "sample" else _MOST_WAITING) for name in STREAMS
+        }
+        silent = 0
+        while not ends.wait(_PERIOD_S):
+            for name, messages in waiting.items():
+                messages.extend(came[name]())
+                if messages:
+                    silent = 0 if name == "sample" else silent
+                    channels[name].log(_bytes(messages.popleft()))
+            silent += 1
+            if silent * _PERIOD_S > _SILENT_S:
+                return
+
+
+def _bytes(message: Any) -> bytes:
+    if isinstance(message, Sample):
+        return encode_sample(message)
+    return bytes(message.SerializeToString())

@@ -1,0 +1,101 @@
+"""A way in for phones and visitors: another port, with TLS and a token that may watch and stop."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from armrig.recordings.export import imported
+from armrig.rig.session import RigError
+
+PORT = 8808
+_DAYS = 2
+_NOBODY = ("192.0.2.1", 9)  # an address of documents: nothing is sent to it
+
+
+class Certificate(NamedTuple):
+    """A certificate of our own making, and its key, in files that go with the block."""
+
+    certificate: Path
+    key: Path
+    fingerprint: str
+    """SHA-256, for a visitor to compare."""
+
+
+def own_address() -> str:
+    """Return the address by which this machine is reached on its network.
+
+    Raises
+    ------
+    RigError
+        It is on none.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(_NOBODY)
+        except OSError as err:
+            msg = f"--share: this machine is on no network ({err.strerror}); join one first"
+            raise RigError(msg) from err
+        return str(probe.getsockname()[0])
+
+
+@contextmanager
+def certificate(address: str) -> Iterator[Certificate]:
+    """Give a certificate for an address; it is signed by itself, and lives as long as the block.
+
+    Raises
+    ------
+    MissingPackageError
+        The package that makes it is not installed.
+    """
+    imported("cryptography", "share")
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "armrig dashboard")])
+    now = datetime.now(UTC)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - timedelta(hours=1))  # a phone's clock may be behind
+        .not_valid_after(now + timedelta(days=_DAYS))
+        .add_extension(
+            x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address(address))]),
+            critical=False,
+        )
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    pem = serialization.Encoding.PEM
+    with TemporaryDirectory(prefix="armrig-share-") as folder:  # of this user alone
+        files = Path(folder) / "certificate.pem", Path(folder) / "key.pem"
+        files[0].write_bytes(made.public_bytes(pem))
+        files[1].write_bytes(
+            key.private_bytes(pem, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+        )
+        yield Certificate(*files, made.fingerprint(hashes.SHA256()).hex(":").upper())
+
+
+def qr_code(text: str) -> str:
+    """Return a text as a QR code for a terminal, light on dark or dark on light.
+
+    Raises
+    ------
+    MissingPackageError
+        The package that draws it is not installed.
+    """
+    drawn = StringIO()
+    imported("segno", "share").make(text, error="l").terminal(out=drawn, compact=True)
+    return drawn.getvalue()

@@ -1,0 +1,164 @@
+"""What else the dashboard opens when it is asked to: a door for visitors, and one for Foxglove."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import ssl
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig.dashboard.serving import HOST, Settings, dashboard
+from armrig_core.telemetry import decode_sample
+from processes import Bench, wait_for
+from watching import Client, endpoint
+
+ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
+_LISTENS = "0A"  # TCP_LISTEN of tcp_states.h
+
+
+def _links() -> Iterator[str]:
+    for path in Path("/proc/self/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed since it was listed
+            yield str(path.readlink())
+
+
+def _ports() -> set[tuple[str, int]]:
+    """Return addresses and ports of TCP at which this process listens."""
+    inodes = {link[8:-1] for link in _links() if link.startswith("socket:[")}
+    found = set()
+    for table in ("tcp", "tcp6"):
+        for row in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = row.split()
+            if fields[3] == _LISTENS and fields[9] in inodes:
+                address, port = fields[1].split(":")
+                found.add((address, int(port, 16)))
+    return found
+
+
+@pytest.fixture
+def doors(served: Bench) -> Iterator[tuple[Client, Client]]:
+    """Give who may command, and a visitor."""
+    pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
+    before = _ports()
+    with dashboard(Settings(connect=endpoint(served), share=ADDRESS)) as found:
+        own, visitor = Client(found.url), Client(found.shared_url)
+        assert _ports() - before == {("0100007F", own.port), ("0100007F", visitor.port)}
+        wait_for(lambda: not own.first("live")["is_stale"])
+        yield own, visitor
+    assert _ports() == before
+
+
+def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench) -> None:
+    """By TLS, with his own token; the page is told that it may not command."""
+    _, visitor = doors
+    assert visitor.first("hello")["may_command"] is False
+    assert not visitor.first("live")["is_stale"]
+    with served.rig() as other:
+        other.arm("somebody")
+        other.set(1.0)
+        wait_for(lambda: served.volts() > 0)
+        assert visitor.ask("/api/stop", {"owner": "a visitor"})[0] == 200
+        wait_for(lambda: served.volts() == 0.0)
+
+
+def test_a_visitor_commands_nothing_else(doors: tuple[Client, Client], served: Bench) -> None:
+    """There is no such route at his door, and his token opens no other."""
+    own, visitor = doors
+    for command in ("arm", "release", "reset", "run", "preview", "recordings", "mcap", "identify"):
+        assert visitor.ask(f"/api/{command}", {"owner": "x"})[0] == 404
+        stolen = f"Bearer {visitor.token}"
+        assert own.ask(f"/api/{command}", {"owner": "x"}, Authorization=stolen)[0] == 403
+    assert visitor.token != own.token
+    assert served.phase() == "safe"
+
+
+def test_without_tls_there_is_no_door(doors: tuple[Client, Client]) -> None:
+    """A token is never read in the clear."""
+    _, visitor = doors
+    plain = Client(visitor.url.replace("https:", "http:"))
+    with pytest.raises(OSError):  # noqa: PT011  # reset, or closed
+        plain.ask("/api/stop", {})
+
+
+def test_the_certificate_names_the_address(served: Bench) -> None:
+    """A browser that was told to trust it finds the address in it, and the fingerprint is its."""
+    pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+
+    with dashboard(Settings(connect=endpoint(served), share=ADDRESS)) as found:
+        visitor = Client(found.shared_url)
+        pem = ssl.get_server_certificate((visitor.host, visitor.port))
+        told = found.fingerprint
+    made = x509.load_pem_x509_certificate(pem.encode())
+    names = made.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+
+    assert [str(ip) for ip in names.get_values_for_type(x509.IPAddress)] == [ADDRESS]
+    assert made.fingerprint(hashes.SHA256()).hex(":").upper() == told
+
+
+def test_alone_it_listens_on_the_loopback_only(served: Bench) -> None:
+    """Nothing else of this process hears anything."""
+    before = _ports()
+    with dashboard(Settings(connect=endpoint(served))) as found:
+        assert _ports() - before == {("0100007F", Client(found.url).port)}
+    assert HOST == "127.0.0.1"
+
+
+def _heard(link: Any, most: int) -> tuple[dict[str, Any], list[dict[str, Any]], list[bytes]]:
+    """Return greeting, channels and payloads of samples, as they come at a plain socket."""
+    greeting: dict[str, Any] = {}
+    channels: list[dict[str, Any]] = []
+    payloads: list[bytes] = []
+    sample = -1
+    while len(payloads) < most:
+        message = link.recv(timeout=20)
+        if isinstance(message, str):
+            told = json.loads(message)
+            if told["op"] == "serverInfo":
+                greeting = told
+            elif told["op"] == "advertise":
+                channels += told["channels"]
+                wanted = [c["id"] for c in told["channels"] if c["topic"] == "/rig/1/sample"]
+                if wanted:
+                    (sample,) = wanted
+                    asked = {"op": "subscribe", "subscriptions": [{"id": 7, "channelId": sample}]}
+                    link.send(json.dumps(asked))
+        elif message[:1] == b"\x01":  # message data: subscription, time, payload
+            (subscription, _) = struct.unpack_from("<IQ", message, 1)
+            assert subscription == 7
+            payloads.append(message[13:])
+    return greeting, channels, payloads
+
+
+def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
+    """At the schemas of the daemon; no capability is offered, and what is sent moves nothing."""
+    pytest.importorskip("foxglove", reason="no foxglove-sdk")
+    sync_client = pytest.importorskip("websockets.sync.client", reason="no websockets")
+    from armrig.dashboard.foxglove import foxglove
+
+    with foxglove(rig="1", connect=endpoint(served), port=0) as url:
+        protocol = sync_client.Subprotocol("foxglove.sdk.v1")
+        with sync_client.connect(url, subprotocols=[protocol], proxy=None) as link:
+            greeting, channels, payloads = _heard(link, 20)
+            for attack in (
+                {"op": "advertise", "channels": [{"id": 1, "topic": "/rig/1/cmd/arm"}]},
+                {"op": "setParameters", "parameters": [{"name": "u", "value": 5}]},
+                {"op": "subscribeConnectionGraph"},
+            ):
+                link.send(json.dumps(attack))
+            link.send(b"\x01" + struct.pack("<I", 1) + b'{"owner":"x"}')
+
+    samples = [decode_sample(payload) for payload in payloads]
+    assert greeting["capabilities"] == []
+    assert {c["topic"] for c in channels} >= {"/rig/1/sample", "/rig/1/state", "/rig/1/gap"}
+    assert all(c["schemaEncoding"] == "protobuf" for c in channels)
+    ks = [s.k for s in samples if s is not None]
+    assert len(ks) == 20
+    assert all(b - a >= 1 for a, b in itertools.pairwise(ks))
+    assert served.phase() == "safe"

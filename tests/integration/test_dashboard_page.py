@@ -1,0 +1,272 @@
+"""The dashboard as a person meets it: in a browser, over a real daemon and its emulated rig."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig.dashboard.serving import Settings, dashboard
+from driving import STOPPED_S
+from processes import Bench, wait_for
+from watching import Client, endpoint, watched
+
+playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+
+WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+_PATIENCE_MS = 20_000
+_TRIES = 3
+MARKUP = "<img src=x onerror=document.title='owned'>"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Give Debian's chromium."""
+    with playwright.sync_playwright() as started:
+        yield (made := started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"]))
+        made.close()
+
+
+@contextmanager
+def opened(browser: Any, url: str, size: dict[str, int] = WIDE, **how: Any) -> Iterator[Any]:
+    """Give a page that shows a rig that is not stale; in its console there must be no error."""
+    page = browser.new_page(viewport=size, **how)
+    page.set_default_timeout(_PATIENCE_MS)
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda told: errors.append(told.text) if told.type == "error" else None)
+    try:
+        page.goto(url)
+        page.wait_for_selector(".pill.safe")
+        yield page
+        # A server that is gone is told by the browser itself.
+        assert [text for text in errors if "Failed to load resource" not in text] == []
+    finally:
+        page.close()
+
+
+@pytest.fixture
+def client(served: Bench) -> Iterator[Client]:
+    """Give a dashboard of a rig at rest."""
+    with watched(served) as found:
+        yield found
+
+
+def show_step(page: Any, seconds: str = "20") -> None:
+    """Choose a step, and have it shown."""
+    page.select_option("#kind", "step")
+    page.fill("#field-seconds", seconds)
+    page.fill("#field-low", "1")
+    page.fill("#field-high", "4")
+    page.click("#show")
+    page.wait_for_selector("#preview:not([hidden])")
+
+
+def run_step(page: Any, bench: Bench, seconds: str = "20") -> None:
+    """Run a step from the page, and wait until the motor is driven.
+
+    Where this machine stalls the daemon refuses it, or ends it: then once more.
+    """
+    for _ in range(_TRIES):
+        show_step(page, seconds)
+        page.click("#run:enabled")
+        until(page, lambda: bench.volts() > 0 or page.get_attribute("#running-text", "class"))
+        if bench.volts() > 0:
+            return
+    raise AssertionError(text(page, "#running-text"))
+
+
+def until(page: Any, what: Callable[[], object], within_s: float = 20.0) -> None:
+    """Wait until `what` is true; the page's policy forbids a script of the browser's driver."""
+    last_s = time.monotonic() + within_s
+    while not what():
+        assert time.monotonic() < last_s, "it did not happen in time"
+        page.wait_for_timeout(30)
+
+
+def text(page: Any, selector: str) -> str:
+    """Return what stands in an element."""
+    return str(page.text_content(selector))
+
+
+def test_data_grow_and_have_an_age(browser: Any, client: Client) -> None:
+    """The values have units, and the newest are some milliseconds old."""
+    with opened(browser, client.url) as page:
+        until(page, lambda: "°" in text(page, "#value-theta_1"))
+        assert text(page, "#value-u") == "0.00 V"
+        age = re.fullmatch(r"([\d.]+) s old", text(page, "#age"))
+        assert age
+        assert float(age[1]) < 1.0
+        until(page, lambda: re.match(r"\d{3}", text(page, ".bar >> nth=0")))
+
+
+def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
+    """No run without what it does; whoever changes a figure sees it anew; then it is recorded."""
+    with opened(browser, client.url) as page:
+        show_step(page, "2")
+        assert "the chassis turns" in text(page, "#preview-lines")
+        page.fill("#field-high", "3.5")
+        assert not page.is_visible("#run")
+        assert served.voltage_changes()[-1][1] == 0.0
+        run_step(page, served, "2")
+        page.wait_for_selector("#recording:not([hidden])")
+        page.wait_for_selector("#look:not([hidden])")
+        assert "is recorded" in text(page, "#running-text")
+
+
+@pytest.mark.parametrize("focus", ["#run", "#owner-name", "#kind", "#plots", "body"])
+def test_the_space_bar_stops_wherever_the_focus_is(
+    browser: Any, client: Client, served: Bench, focus: str
+) -> None:
+    """Without a dialog, at the motor's terminals; it presses no button and writes no blank."""
+    with opened(browser, client.url) as page:
+        run_step(page, served)
+        page.wait_for_selector(".pill.active")
+        if focus not in ("#run", "body"):
+            page.focus(focus)
+        owner = page.input_value("#owner-name")
+        pressed = time.monotonic_ns()
+        page.keyboard.press("Space")
+        assert served.went_to_0_v_after(pressed) < STOPPED_S
+        assert page.input_value("#owner-name") == owner
+        until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
+
+
+def test_at_rest_a_name_takes_a_blank(browser: Any, client: Client) -> None:
+    """While nothing can turn, a text is a text."""
+    with opened(browser, client.url) as page:
+        page.fill("#owner-name", "Ada")
+        page.type("#owner-name", " L.")
+        assert page.input_value("#owner-name") == "Ada L."
+
+
+def test_another_s_markup_is_text(browser: Any, client: Client, served: Bench) -> None:
+    """An owner's name makes no element, and runs nothing."""
+    with opened(browser, client.url) as page, served.rig() as other:
+        other.arm(MARKUP)
+        until(page, lambda: text(page, "#owner") != "nobody")
+        assert text(page, "#owner") == MARKUP
+        assert page.locator("img").count() == 0
+        assert "owned" not in page.title()
+        other.disarm()
+
+
+def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) -> None:
+    """The cursor tells the values at its place, by mouse and by keys."""
+    with opened(browser, client.url) as page:
+        page.wait_for_timeout(500)
+        box = page.locator("#charts .u-over").first.bounding_box()
+        y = box["y"] + box["height"] / 2
+        page.mouse.move(box["x"] + box["width"] * 0.8, y)
+        page.mouse.down()
+        page.mouse.move(box["x"] + box["width"] * 0.95, y, steps=5)
+        page.mouse.up()
+        page.wait_for_selector("#follow:not([hidden])")
+        assert "held" in text(page, "#cursor")
+        page.focus("#plots")
+        page.keyboard.press("ArrowLeft")
+        assert "cursor at -" in text(page, "#cursor")
+        page.keyboard.press("Escape")
+        page.wait_for_selector("#follow", state="hidden")
+
+
+def test_a_recording_is_identified_and_reported(
+    browser: Any, client: Client, served: Bench, tmp_path: Path
+) -> None:
+    """From the list to its model's figures and the PDF; all by buttons."""
+    client.ask("/api/run", {"owner": "me", "experiment": {"kind": "blackbox", "seconds": 8}})
+    wait_for(lambda: client.first("run")["recording"], 40)
+    with opened(browser, client.url) as page:
+        page.keyboard.press("r")
+        page.click("#table tbody button >> nth=0")
+        page.wait_for_selector("#curves canvas")
+        page.click("text=Identify")
+        until(page, lambda: page.locator(".figures img").count() == 4, 90)
+        assert "advice" in text(page, "#model")
+        with page.expect_download(timeout=120_000) as coming:
+            page.click("text=Report")
+        coming.value.save_as(tmp_path / "report.pdf")
+        with page.expect_download() as coming:
+            page.click("text=Download MCAP")
+        coming.value.save_as(tmp_path / "run.mcap")
+    assert (tmp_path / "report.pdf").read_bytes()[:5] == b"%PDF-"
+    assert (tmp_path / "run.mcap").read_bytes()[1:5] == b"MCAP"
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+def test_it_fits_the_screen(browser: Any, client: Client, theme: str, size: dict[str, int]) -> None:
+    """Nothing to scroll sideways, and the stop in sight wherever one is."""
+    with opened(browser, client.url, size, color_scheme=theme) as page:
+        assert page.get_attribute("html", "data-theme") == theme
+        for tab in ("#tab-live", "#tab-recordings"):
+            page.click(tab)
+            page.evaluate("scrollTo(0, document.body.scrollHeight)")
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+            box = page.locator("#stop").bounding_box()
+            assert 0 <= box["y"] <= size["height"] - box["height"]
+            assert box["height"] >= (44 if size is PHONE else 36)
+
+
+def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: Bench) -> None:
+    """His page has no experiment, no arming, no recordings, no reset."""
+    pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
+    with (
+        dashboard(Settings(connect=endpoint(served), share="127.0.0.1")) as found,
+        opened(browser, found.shared_url, PHONE, ignore_https_errors=True) as page,
+    ):
+        seen = [b for b in page.locator("button").all() if b.is_visible()]
+        names = " ".join(b.text_content() for b in seen)
+        assert names == "Stop Space Live L Theme: system 5 s 30 s 5 min"
+
+
+def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> None:
+    """The page does not go on to show a fine rig, and needs no reload."""
+    bench.configure(watchdog_ms=250)
+    bench.emulate()
+    daemon = bench.serve()
+    with watched(bench) as client, opened(browser, client.url) as page:
+        daemon.kill()
+        daemon.popen.wait(10)
+        page.wait_for_selector(".pill.stale")
+        assert "it was safe" in text(page, "#stale-what")
+        until(page, lambda: "armrig lab" in text(page, "#stale-why"))
+        bench.serve()
+        page.wait_for_selector(".pill.safe")
+        assert not page.is_visible("#stale")
+
+
+def test_a_dead_server_is_stale_too(browser: Any, client: Client, served: Bench) -> None:
+    """Where the page hears nothing it says so itself."""
+    with watched(served) as short:
+        context = opened(browser, short.url)
+        page = context.__enter__()
+    page.wait_for_selector(".pill.stale")
+    assert "armrig dashboard" in text(page, "#stale-why") or "silent" in text(page, "#stale-why")
+    context.__exit__(None, None, None)
+
+
+def test_an_unplugged_device_is_a_fault_that_is_reset(browser: Any, bench: Bench) -> None:
+    """Its cause and what to do stand before the button."""
+    bench.configure(watchdog_ms=250)
+    emulator = bench.emulate()
+    bench.serve()
+    with watched(bench) as client, opened(browser, client.url) as page:
+        run_step(page, bench)
+        emulator.kill()
+        emulator.popen.wait(10)
+        page.wait_for_selector("#fault:not([hidden])")
+        assert text(page, "#fault-reason")
+        assert text(page, "#fault-remedy")
+        bench.emulate()
+        wait_for(lambda: not client.first("status")["line"], 20)
+        page.click("#reset")
+        page.wait_for_selector(".pill.safe")
+        assert not page.is_visible("#fault")
