@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from math import degrees, isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from armrig_core.printable import printable
@@ -31,13 +32,32 @@ Config = Annotated[
     Path | None,
     typer.Option("--config", metavar="TOML", help="Configuration, in place of the installed ones."),
 ]
+Page = Annotated[
+    bool, typer.Option("--dashboard/--no-dashboard", help="Show it in a browser, too.")
+]
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _STATUS_S = 0.5
 _VIEW_S = 0.1
 _BLANK = "–"
 
 
-def lab(port: Port = None, config: Config = None, rig: RigId = "1", json: Json = False) -> None:
-    """Start a rig with its daemon, and show it live until Ctrl-C.
+class _Lab(NamedTuple):
+    """What a lab is of."""
+
+    rig: str
+    """Where the rig is, or that it is emulated."""
+    url: str
+    """Of the dashboard, "" where there is none."""
+
+
+def lab(
+    port: Port = None,
+    config: Config = None,
+    rig: RigId = "1",
+    page: Page = True,
+    json: Json = False,
+) -> None:
+    """Start a rig with its daemon, and show it live until Ctrl-C, in a browser, too.
 
     Without --port the rig is an emulated one. All other commands find it, in a second terminal.
     The motor ends at 0 V.
@@ -54,15 +74,32 @@ def lab(port: Port = None, config: Config = None, rig: RigId = "1", json: Json =
     arguments = ["--rig", rig, *(["--emulate"] if port is None else ["--port", port])]
     arguments += [] if config is None else ["--config", str(config)]
     what = "an emulated rig" if port is None else port
-    with running(arguments, rig=rig, log=log) as daemon, Rig(rig) as opened:
+    with (
+        running(arguments, rig=rig, log=log) as daemon,
+        Rig(rig) as opened,
+        _page(rig) if page and not json else nullcontext("") as url,
+    ):
         try:
-            _show(opened, daemon, log, what, json=json)
+            _show(opened, daemon, log, _Lab(what, url), json=json)
         except KeyboardInterrupt:
             tell("ending: the motor goes to 0 V")
             raise
 
 
-def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, json: bool) -> None:
+@contextmanager
+def _page(rig: str) -> Iterator[str]:
+    """Serve the dashboard, and open it where there is somebody to see it."""
+    import webbrowser
+
+    from armrig.dashboard.serving import Settings, dashboard
+
+    with dashboard(Settings(rig=rig)) as served:
+        if sys.stdout.isatty() and any(name in os.environ for name in _SCREENS):
+            webbrowser.open(served.url)
+        yield served.url
+
+
+def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, json: bool) -> None:
     """Say when the rig is ready, and show what it does; on a terminal in place."""
     from armrig.rig.local_daemon import require_running
 
@@ -78,7 +115,7 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, js
                 status, asked_s = rig.status(), time.monotonic()
             sample = (newest() or [sample])[-1]
             how = f"{status.phase} {status.reason} {status.line}"
-            now = how if json else _sentence(status, what, after)
+            now = how if json else _sentence(status, lab, after)
             if now and now != told:
                 say(status if json else now)
                 told = now
@@ -88,12 +125,13 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, what: str, *, js
             time.sleep(_VIEW_S)
 
 
-def _sentence(status: StatusReport, what: str, after: str) -> str:
+def _sentence(status: StatusReport, lab: _Lab, after: str) -> str:
     """Return that the rig is ready, or what it waits for; "" for what passes by itself."""
     if status.phase == "safe":
         alone = "; its arm is taken off, says [arm] removed" if status.arm_removed else ""
+        page = f"in a browser: {lab.url}\n" if lab.url else ""
         return (
-            f"rig ready, 0 V: {what}, rig {status.rig}; Ctrl-C ends it\n"
+            f"rig ready, 0 V: {lab.rig}, rig {status.rig}; Ctrl-C ends it\n{page}"
             f"recordings go to {status.recordings}{alone}\n"
             f"in a second terminal:\n{after}"
         )
@@ -127,7 +165,9 @@ def _angle(x: float) -> str:
 def _between_words(text: str, columns: int) -> str:
     """Return the text in lines of the terminal's width; a line to copy stays whole."""
     lines = printable(text, keep="\n").splitlines()
-    return "\n".join(x if x.startswith("next: ") else folded(x, columns) for x in lines)
+    return "\n".join(
+        x if x.startswith(("next: ", "in a browser: ")) else folded(x, columns) for x in lines
+    )
 
 
 @contextmanager
