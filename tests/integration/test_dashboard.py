@@ -432,3 +432,15 @@ def test_where_no_model_fits_it_says_why(page: Client, served: Bench) -> None:
     assert status == 400
     assert told["error"]
     assert json.dumps(page.ask("/api/recording", {"file": file})[1]["curves"])
+
+
+def test_a_model_is_estimated_on_request(page: Client, served: Bench) -> None:
+    """While a run goes on, for all who watch; and no more when nobody wants it."""
+    assert page.first("timing")["model"] is None
+    assert page.ask("/api/model", {"wanted": True})[0] == 200
+    begin(page, served, {"kind": "blackbox", "seconds": 20.0})
+    wait_for(lambda: "gain" in " ".join(page.first("timing")["model"]))
+    page.ask("/api/stop", {})
+    page.ask("/api/model", {"wanted": False})
+
+    assert page.first("timing")["model"] is None

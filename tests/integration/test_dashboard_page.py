@@ -236,7 +236,7 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
         daemon.kill()
         daemon.popen.wait(10)
         page.wait_for_selector(".pill.stale")
-        assert "it was safe" in text(page, "#stale-what")
+        assert "the last phase was safe" in text(page, "#stale-what")
         until(page, lambda: "armrig lab" in text(page, "#stale-why"))
         bench.serve()
         page.wait_for_selector(".pill.safe")

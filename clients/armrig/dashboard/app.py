@@ -42,6 +42,10 @@ class _Wanted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     experiment: Experiment
 
 
+class _Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    wanted: bool
+
+
 class RigRoutes:
     """What is asked of the live rig."""
 
@@ -81,6 +85,7 @@ class RigRoutes:
                 ("reset", self._reset),
                 ("preview", self._preview),
                 ("run", self._run),
+                ("model", self._model),
             )
         ]
 
@@ -112,6 +117,11 @@ class RigRoutes:
         if self._feed.status is None:
             raise RigError(self._feed.trouble)
         return previewed(asked, self._feed.status)
+
+    def _model(self, body: bytes) -> Any:
+        asked = msgspec.json.decode(body, type=_Model)
+        self._feed.set_model(wanted=asked.wanted)
+        return {"wanted": asked.wanted}
 
     def _run(self, body: bytes) -> Any:
         asked = msgspec.json.decode(body, type=_Wanted)

@@ -14,6 +14,7 @@ from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
 
 from armrig.dashboard.bins import COLUMNS, RATE_S, Rows, binned, coarser, rate, signals
+from armrig.dashboard.live_model import LiveModel
 from armrig.rig.live_gaps import MOST_TOLD, gaps_between
 
 HISTORY_S = 300.0
@@ -74,6 +75,7 @@ class Feed:
         self._timing = Timing()
         self.status: StatusReport | None = None
         """Of the daemon; the newest that it gave."""
+        self._model: LiveModel | None = None
         self.trouble = "looking for the rig's daemon"
         """Why there is no daemon now; "" where there is one."""
 
@@ -92,6 +94,10 @@ class Feed:
             Ts = self.status.Ts if self.status else _TS
             n = max(1, round(RATE_S / Ts))
             made = binned(found, rate(self._tail, found, n))
+            if self._model is not None and live:
+                if self._model.Ts != Ts:
+                    self._model = LiveModel(Ts)
+                self._model.take(found)
             self._tail = np.concatenate([self._tail, found])[-n:]
             self._newest = samples[-1]
             if live:
@@ -124,6 +130,17 @@ class Feed:
             "link_p99_us": link.p99,
             "cpu_pressure_percent": report.cpu_pressure_percent,
         }
+
+    def set_model(self, *, wanted: bool) -> None:
+        """Have a model estimated while samples come, or no more."""
+        with self._lock:
+            if wanted != (self._model is not None):
+                self._model = LiveModel(self.status.Ts if self.status else _TS) if wanted else None
+
+    def model_lines(self) -> list[str] | None:
+        """Return what the live model says, None where none is wanted."""
+        with self._lock:
+            return None if self._model is None else self._model.lines()
 
     def history(self) -> Rows:
         """Return the last five minutes, what is older than `FINE_S` in wider bins."""

@@ -101,6 +101,7 @@ class Stream:
             "last_gap": timing.last_gap,
             "report": timing.report,
             "viewers": len(self.viewers),
+            "model": self._feed.model_lines(),
         }
         return event("timing", facts)
 

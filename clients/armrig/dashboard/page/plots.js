@@ -76,12 +76,7 @@ export class Rows {
       const t = this.at(i, 0);
       let least = this.at(i, column);
       let largest = this.at(i, column + 1);
-      const turns = SIGNALS[signal].key === "theta_1" && Math.abs(least - valueBefore) > 180;
-      if (t - before > 0.25 + 3 * width || turns) {
-        x.push(before - zero + 1e-4);
-        low.push(null);
-        high.push(null);
-      }
+      const begins = t - before > 0.25 + 3 * width;
       let j = i + 1;
       for (; j < last && this.at(j, 0) < t + width; j++) {
         const a = this.at(j, column);
@@ -90,8 +85,14 @@ export class Rows {
         if (!(least <= a)) least = Number.isNaN(a) ? least : a;
         if (!(largest >= b)) largest = Number.isNaN(b) ? largest : b;
       }
+      const turns = SIGNALS[signal].key === "theta_1" && Math.abs(least - valueBefore) > 180;
+      if (begins || turns) {
+        x.push(Math.min(before + 1e-4, t - 1e-4) - zero);
+        low.push(null);
+        high.push(null);
+      }
       before = this.at(j - 1, 0);
-      valueBefore = largest;
+      if (!Number.isNaN(largest)) valueBefore = largest;
       x.push(t - zero);
       low.push(Number.isNaN(least) ? null : least);
       high.push(Number.isNaN(largest) ? null : largest);

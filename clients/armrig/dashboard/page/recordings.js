@@ -33,7 +33,7 @@ export async function listRecordings(file) {
       "tr",
       {},
       make("td", {}, button, outcome ? make("div", { className: "warn-text", textContent: outcome }) : ""),
-      make("td", { textContent: one.started.slice(0, 16).replace("T", " ") }),
+      make("td", { textContent: one.started.slice(0, 16).replace("T", " "), className: "n" }),
       make("td", { className: "n", textContent: `${one.seconds.toPrecision(4) * 1} s` }),
       make("td", { className: `n ${one.missing ? "warn-text" : ""}`, textContent: one.missing }),
     );
@@ -70,7 +70,7 @@ async function look(file) {
   seconds = found.seconds;
   seen = null;
   const heading = make("h2", { textContent: file });
-  const verdict = make("p", { className: found.usable ? "good-text" : "bad-text", textContent: found.summary });
+  const verdict = make("p", { className: rank(found), textContent: found.summary });
   const facts = make("dl", {}, ...pairs(found.about));
   const findings = make(
     "ul",
@@ -84,6 +84,11 @@ async function look(file) {
   where.addEventListener("dblclick", () => attempt(() => zoom(null)));
   draw(found.curves);
 }
+
+const rank = (found) => {
+  if (!found.usable) return "bad-text";
+  return found.findings.every(([level]) => level === "good") ? "good-text" : "warn-text";
+};
 
 const pairs = (rows) => rows.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]);
 

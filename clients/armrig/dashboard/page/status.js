@@ -65,7 +65,7 @@ const seconds = (s) => (s < 10 ? `${s.toFixed(2)} s` : `${Math.round(s)} s`);
 function setStale(now, what, why) {
   show("stale", now);
   if (now) {
-    setText("stale-what", status.phase ? `Stale: ${what}, it was ${status.phase}.` : `Stale: ${what}.`);
+    setText("stale-what", status.phase ? `Stale: ${what}; the last phase was ${status.phase}.` : `Stale: ${what}.`);
     setText("stale-why", why || "");
   }
   if (now !== stale) {
@@ -98,13 +98,21 @@ export function showTiming(timing) {
   if (timing.last_gap) missing.push(`the last: ${timing.last_gap}`);
   if (timing.unheard) missing.push(`${timing.unheard} did not reach this page's server; recordings have them`);
   setText("missing", missing.join("; "));
+  showModel(timing.model);
   byId("missing").className = timing.missing ? "warn-text" : "";
+}
+
+function showModel(lines) {
+  byId("model-wanted").setAttribute("aria-pressed", String(Boolean(lines)));
+  byId("model-lines").replaceChildren(...(lines || []).map((line) => make("li", { textContent: line })));
 }
 
 const micros = (us) => (us < 1000 ? `${us < 10 ? us.toFixed(1) : Math.round(us)} µs` : `${(us / 1000).toFixed(1)} ms`);
 const short = (us) => (us < 1000 ? `${us}µs` : `${us / 1000}ms`);
 
 export function setUpStatus() {
+  const wanted = byId("model-wanted");
+  wanted.addEventListener("click", () => attempt(() => askJson("model", { wanted: wanted.getAttribute("aria-pressed") !== "true" })));
   byId("reset").addEventListener("click", () =>
     attempt(async () => {
       const told = await askJson("reset", {});

@@ -1,0 +1,67 @@
+"""A model sample by sample finds what moves the chassis."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from armrig.dashboard.live_model import LiveModel
+from armrig.excitation import telegraph
+from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+
+TS = 0.01
+
+
+def _samples(N: int) -> np.ndarray:
+    """Return samples of the handout's arm under a telegraph, without noise: (N, 5)."""
+    A, B, _ = arm_matrices(ArmParameters())
+    Phi, Gamma = zero_order_hold(A, B, TS)
+    u, x = telegraph(N, 0.05, 0.5, 4.5, 1), np.zeros(4)
+    rows = []
+    for k in range(N):
+        angle = np.degrees(x[:2])
+        rows.append((k, k * TS, u[k], angle[0] % 360, angle[1]))
+        x = Phi @ x + Gamma[:, 0] * u[k]
+    return np.array(rows)
+
+
+def _poles() -> list[complex]:
+    A, _, _ = arm_matrices(ArmParameters())
+    return [complex(s) for s in np.linalg.eigvals(A) if abs(s) > 1e-6]
+
+
+def test_it_finds_the_swing_of_the_arm() -> None:
+    """Frequency and time constant of the handout's arm, across the turns of the chassis."""
+    model = LiveModel(TS)
+    model.take(_samples(1500))
+    said = " ".join(model.lines())
+    swing = max(abs(s) for s in _poles() if s.imag) / (2 * np.pi)
+    slow = min(-s.real for s in _poles() if not s.imag)
+
+    found = re.search(r"([\d.]+) Hz", said)
+    constant = re.search(r"time constant ([\d.]+) s", said)
+    assert found
+    assert constant
+    assert abs(float(found[1]) / swing - 1) < 0.02
+    assert abs(float(constant[1]) * slow - 1) < 0.02
+
+
+def test_a_missing_sample_spoils_nothing() -> None:
+    """The model is that of the samples that there are."""
+    whole, some = LiveModel(TS), LiveModel(TS)
+    samples = _samples(1500)
+    whole.take(samples)
+    some.take(np.delete(samples, [400, 401, 900], axis=0))
+
+    assert [line[:12] for line in some.lines()] == [line[:12] for line in whole.lines()]
+    assert some.lines()[1:] == whole.lines()[1:]
+
+
+def test_at_rest_it_says_that_it_knows_nothing() -> None:
+    """And what to do."""
+    model = LiveModel(TS)
+    assert "play an input" in model.lines()[0]
+    rest = np.zeros((200, 5))
+    rest[:, 0] = np.arange(200)
+    model.take(rest)
+    assert "play an input" in model.lines()[0]
