@@ -23,7 +23,8 @@ from armrig.dashboard.app import Answer, error, value
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.study_of_one import csv, curves, facts, identified, report
 from armrig.recordings.catalogue import Catalogue, catalogue
-from armrig.recordings.recording_summary import facts_of, shown_path
+from armrig.recordings.catalogue_columns import facts_of
+from armrig.recordings.recording_summary import shown_path
 
 _MOST_LISTED = 200
 _Seconds = Annotated[float, Meta(ge=0, le=1e7)]
