@@ -1,8 +1,9 @@
 """What the dashboard costs, and how fast its stop is.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/dashboard.py stop|viewers|memory`
+`PYTHONPATH=tests/integration python tests/benchmarks/dashboard.py stop|stale|viewers|memory`
 
-- stop: from the space bar in chromium to 0 V at the emulated terminals, N times.
+- stop: from the space bar in chromium to 0 V at the emulated terminals, N times, and by stages.
+- stale: from the death of the daemon to a page that says so, N times.
 - viewers: lateness of the loop and from sample to subscriber, with ten viewers (one of which never
   reads) and without, in turn.
 - memory: heap of the page and resident memory of the server, for MINUTES.
@@ -10,6 +11,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shutil
 import socket
@@ -21,16 +23,21 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
+from armrig.dashboard.driver import Driver
 from armrig_core.telemetry import Sample
+from driving import at_rest
 from playwright.sync_api import sync_playwright
 from processes import Bench, wait_for
 from watching import Client, watched
 
 N = 20
+_TRIES = 5
 ROUNDS = 3
-ROUND_S = 20.0
+ROUND_S = float(os.environ.get("ROUND_S", "20"))
 MINUTES = float(os.environ.get("MINUTES", "10"))
 VIEWERS = 10
 STEP = {"kind": "step", "seconds": 60.0, "at": 0.1, "low": 1.0, "high": 4.0}
@@ -58,29 +65,84 @@ def told(name: str, values: list[float], unit: str) -> None:
     print(f"{name}: n {len(values)}, p50 {q[0]:.1f}, p90 {q[1]:.1f}, max {q[2]:.1f} {unit}")
 
 
-def stop() -> None:
-    """Measure the way of a stop."""
-    times: list[float] = []
-    with served() as (bench, client), sync_playwright() as started:
+@contextmanager
+def _page(client: Client, *arguments: str) -> Iterator[Any]:
+    """Give a page in chromium that shows a rig at rest."""
+    with sync_playwright() as started:
         browser = started.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", *arguments]
         )
         page = browser.new_page()
         page.goto(client.url)
         page.wait_for_selector(".pill.safe")
-        while len(times) < N:
-            client.ask("/api/run", {"owner": "a benchmark", "experiment": STEP})
-            try:
-                wait_for(lambda: bench.volts() > 0, 5)
-            except AssertionError:  # refused, as this machine stalls
-                continue
+        yield page
+        browser.close()
+
+
+def _begin(bench: Bench, client: Client) -> None:
+    """Drive the motor; again from rest where this machine stalls, and the run is ended for it."""
+    for _ in range(_TRIES):
+        client.ask("/api/run", {"owner": "a benchmark", "experiment": STEP})
+        wait_for(lambda: bench.volts() > 0 or client.first("run")["error"], 20)
+        if bench.volts() > 0:
+            return
+        with bench.rig() as rig:
+            at_rest(rig)
+    sys.exit(f"no run begins: {client.first('run')['error']}")
+
+
+STAGES = ("key to 0 V", "key to the page", "page to the server", "server to 0 V")
+
+
+def stop() -> None:
+    """Measure the way of a stop, from what is asked of chromium on."""
+    times: list[list[float]] = [[] for _ in STAGES]
+    at_server = [0]
+    stopped = Driver.stop
+
+    def noted(driver: Driver, by: str) -> None:
+        at_server[0] = time.monotonic_ns()
+        stopped(driver, by)
+
+    with served() as (bench, client), _page(client) as page, patch.object(Driver, "stop", noted):
+        devtools = page.context.new_cdp_session(page)
+        devtools.send("Runtime.evaluate", {"expression": _NOTES_KEY})
+        for _ in range(N):
+            _begin(bench, client)
             page.wait_for_timeout(300)
             pressed = time.monotonic_ns()
             page.keyboard.press("Space")
-            times.append(bench.went_to_0_v_after(pressed) * 1e3)
+            total_s = bench.went_to_0_v_after(pressed)
+            answer = devtools.send("Runtime.evaluate", {"expression": "keyAt"})
+            at_page = answer["result"]["value"] * 1e6 - time.time_ns() + time.monotonic_ns()
+            at_end = pressed + total_s * 1e9
+            marks = (pressed, at_page, at_server[0], at_end)
+            stages = [b - a for a, b in itertools.pairwise(marks)]
+            for kept, ns in zip(times, (at_end - pressed, *stages), strict=True):
+                kept.append(ns / 1e6)
             wait_for(lambda: not client.first("run")["is_going"])
-        browser.close()
-    told("key to 0 V", times, "ms")
+    for name, kept in zip(STAGES, times, strict=True):
+        told(name, kept, "ms")
+
+
+_NOTES_KEY = """
+let keyAt = 0;
+addEventListener("keydown", () => (keyAt = performance.timeOrigin + performance.now()), true);
+"""
+
+
+def stale() -> None:
+    """Measure how long a page takes to say that its daemon is dead."""
+    times: list[float] = []
+    with served() as (bench, client), _page(client) as page:
+        for _ in range(N // 4):
+            died = bench.processes[-1].kill()
+            page.wait_for_selector(".pill.stale")
+            times.append((time.monotonic_ns() - died) / 1e6)
+            bench.processes[-1].popen.wait(10)
+            bench.serve()
+            page.wait_for_selector(".pill.safe", timeout=60_000)
+    told("death of the daemon to stale", times, "ms")
 
 
 def _round(bench: Bench) -> tuple[float, float]:
@@ -131,22 +193,15 @@ def viewers() -> None:
 
 def memory() -> None:
     """Tell heap and resident memory once a minute."""
-    with served() as (_, client), sync_playwright() as started:
-        browser = started.chromium.launch(
-            executable_path=shutil.which("chromium"),
-            args=["--no-sandbox", "--enable-precise-memory-info", "--js-flags=--expose-gc"],
-        )
-        page = browser.new_page()
-        page.goto(client.url)
-        link = page.context.new_cdp_session(page)
+    with served() as (_, client), _page(client) as page:
+        devtools = page.context.new_cdp_session(page)
         for minute in range(int(MINUTES) + 1):
             page.wait_for_timeout(60_000 if minute else 2_000)
-            link.send("HeapProfiler.collectGarbage")
-            heap = link.send("Runtime.getHeapUsage")["usedSize"] / 1e6
+            devtools.send("HeapProfiler.collectGarbage")
+            heap = devtools.send("Runtime.getHeapUsage")["usedSize"] / 1e6
             resident = int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
             print(f"{minute} min: page {heap:.2f} MB, server {resident:.1f} MB", flush=True)
-        browser.close()
 
 
 if __name__ == "__main__":
-    {"stop": stop, "viewers": viewers, "memory": memory}[sys.argv[1]]()
+    {"stop": stop, "stale": stale, "viewers": viewers, "memory": memory}[sys.argv[1]]()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 import shutil
 import socket
@@ -11,11 +12,14 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import armrig
 import pytest
 import zenoh
 from armrig.cli import main
+from armrig.dashboard.foxglove import foxglove
+from armrig.dashboard.serving import Settings, dashboard
 from armrig.rig import pki
 from armrig.rig.client import RefusedError, Rig, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
@@ -34,6 +38,7 @@ from laboratory import (
     free_port,
 )
 from processes import WITHIN_S, Bench, wait_for
+from sockets import sockets
 
 NOT_HELD = "not the lease in force: arm first"
 
@@ -239,25 +244,6 @@ def test_a_daemon_that_cannot_listen_as_it_should_does_not_start(
     assert bench.volts() == 0.0
 
 
-_LISTENS = "0A"  # TCP_LISTEN of tcp_states.h
-_INODE = {"tcp": 9, "tcp6": 9, "udp": 9, "udp6": 9, "raw": 9, "raw6": 9, "packet": 8}
-
-
-def _sockets(pid: int) -> dict[str, list[str]]:
-    """Return where a process hears what is sent to it: ports of TCP that listen, and all others."""
-    links = []
-    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(FileNotFoundError):  # closed since it was listed
-            links.append(str(descriptor.readlink()))
-    inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
-    found = {}
-    for table, inode in _INODE.items():
-        rows = [row.split() for row in Path(f"/proc/net/{table}").read_text().splitlines()[1:]]
-        own = [row for row in rows if row[inode] in inodes]
-        found[table] = [r[1] for r in own if not table.startswith("tcp") or r[3] == _LISTENS]
-    return {table: where for table, where in found.items() if where}
-
-
 @pytest.mark.parametrize("level", ["socket", "certificate", "password"])
 def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
     """A1: nothing, or one port of TCP; no multicast, no gossip, no second port."""
@@ -271,8 +257,38 @@ def test_nothing_listens_but_what_is_said(bench: Bench, level: str) -> None:
     daemon = bench.serve()
 
     expected = {} if level == "socket" else {"tcp": [f"0100007F:{port:04X}"]}
-    assert _sockets(daemon.popen.pid) == expected
-    assert _sockets(bench.loop_pid(daemon)) == {}
+    assert sockets(daemon.popen.pid) == expected
+    assert sockets(bench.loop_pid(daemon)) == {}
+
+
+@pytest.mark.parametrize(
+    "more", [(), ("visitors",), ("foxglove",), ("visitors", "foxglove")], ids=str
+)
+def test_a_dashboard_listens_on_the_ports_that_it_says_alone(
+    lab: Laboratory, more: tuple[str, ...]
+) -> None:
+    """A4: the page on the loopback; a port more for visitors and for Foxglove, if asked for."""
+    here = f"unixsock-stream/{lab.bench.folder}/armrig/1.sock"
+    share = "127.0.0.2" if "visitors" in more else None  # an address of its own, as a network's
+    before = sockets(os.getpid())
+    with contextlib.ExitStack() as opened:
+        served = opened.enter_context(dashboard(Settings(connect=here, share=share)))
+        said = [served.url, *([served.shared_url] if share else [])]
+        if "foxglove" in more:
+            pytest.importorskip("foxglove", reason="no foxglove-sdk")
+            said.append(opened.enter_context(foxglove(rig="1", connect=here, port=0)))
+        heard = sockets(os.getpid())
+
+    assert {table for table in heard if heard[table] != before.get(table, [])} == {"tcp"}
+    assert sorted(set(heard["tcp"]) - set(before.get("tcp", []))) == sorted(map(_as_hex, said))
+    assert sockets(os.getpid()) == before
+
+
+def _as_hex(url: str) -> str:
+    """Return address and port as /proc/net/tcp writes them."""
+    where = urlsplit(url)
+    address = bytes(map(int, str(where.hostname).split(".")))[::-1].hex().upper()
+    return f"{address}:{where.port:04X}"
 
 
 def _connected(lab: Laboratory, who: str, zid: str) -> zenoh.Session:

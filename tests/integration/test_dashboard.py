@@ -430,22 +430,6 @@ def test_a_recording_is_looked_at(page: Client, served: Bench) -> None:
     assert whole == (served.recordings / file).read_bytes()
 
 
-def test_a_model_and_a_report_of_a_recording(page: Client, served: Bench) -> None:
-    """An OE model of the orders that the data suggest, with its figures; and the PDF."""
-    begin(page, served, {"kind": "blackbox", "seconds": 8.0})
-    wait_for(lambda: not page.first("run")["is_going"], 30)
-    file = page.first("run")["recording"]
-
-    status, found = page.ask("/api/identify", {"file": file})
-    _, pdf = page.ask("/api/report", {"file": file})
-
-    assert status == 200, found
-    assert found["model"].startswith("OE[")
-    titles = [title for title, svg in found["figures"] if "<svg" in svg]
-    assert len(titles) == 4
-    assert pdf[:5] == b"%PDF-"
-
-
 def test_where_no_model_fits_it_says_why(page: Client, served: Bench) -> None:
     """And the curves are there all the same."""
     begin(page, served, {"kind": "csv", "text": "u\n" + "1\n" * 60, "file": "flat.csv"})

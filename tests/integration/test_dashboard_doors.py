@@ -7,50 +7,25 @@ import json
 import ssl
 import struct
 from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig.dashboard.serving import HOST, Settings, dashboard
+from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.telemetry import decode_sample
 from processes import Bench, wait_for
 from watching import Client, endpoint
 
 ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
-_LISTENS = "0A"  # TCP_LISTEN of tcp_states.h
-
-
-def _links() -> Iterator[str]:
-    for path in Path("/proc/self/fd").iterdir():
-        with suppress(FileNotFoundError):  # closed since it was listed
-            yield str(path.readlink())
-
-
-def _ports() -> set[tuple[str, int]]:
-    """Return addresses and ports of TCP at which this process listens."""
-    inodes = {link[8:-1] for link in _links() if link.startswith("socket:[")}
-    found = set()
-    for table in ("tcp", "tcp6"):
-        for row in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            fields = row.split()
-            if fields[3] == _LISTENS and fields[9] in inodes:
-                address, port = fields[1].split(":")
-                found.add((address, int(port, 16)))
-    return found
 
 
 @pytest.fixture
 def doors(served: Bench) -> Iterator[tuple[Client, Client]]:
     """Give who may command, and a visitor."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
-    before = _ports()
     with dashboard(Settings(connect=endpoint(served), share=ADDRESS)) as found:
         own, visitor = Client(found.url), Client(found.shared_url)
-        assert _ports() - before == {("0100007F", own.port), ("0100007F", visitor.port)}
         wait_for(lambda: not own.first("live")["is_stale"])
         yield own, visitor
-    assert _ports() == before
 
 
 def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench) -> None:
@@ -102,14 +77,6 @@ def test_the_certificate_names_the_address(served: Bench) -> None:
     assert made.fingerprint(hashes.SHA256()).hex(":").upper() == told
 
 
-def test_alone_it_listens_on_the_loopback_only(served: Bench) -> None:
-    """Nothing else of this process hears anything."""
-    before = _ports()
-    with dashboard(Settings(connect=endpoint(served))) as found:
-        assert _ports() - before == {("0100007F", Client(found.url).port)}
-    assert HOST == "127.0.0.1"
-
-
 def _heard(link: Any, most: int) -> tuple[dict[str, Any], list[dict[str, Any]], list[bytes]]:
     """Return greeting, channels and payloads of samples, as they come at a plain socket."""
     greeting: dict[str, Any] = {}
@@ -142,6 +109,7 @@ def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
     sync_client = pytest.importorskip("websockets.sync.client", reason="no websockets")
     from armrig.dashboard.foxglove import foxglove
 
+    before = served.voltage_changes()
     with foxglove(rig="1", connect=endpoint(served), port=0) as url:
         protocol = sync_client.Subprotocol("foxglove.sdk.v1")
         with sync_client.connect(url, subprotocols=[protocol], proxy=None) as link:
@@ -153,6 +121,7 @@ def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
             ):
                 link.send(json.dumps(attack))
             link.send(b"\x01" + struct.pack("<I", 1) + b'{"owner":"x"}')
+            _heard(link, 20)  # by now all that was read
 
     samples = [decode_sample(payload) for payload in payloads]
     assert greeting["capabilities"] == []
@@ -162,3 +131,4 @@ def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
     assert len(ks) == 20
     assert all(b - a >= 1 for a, b in itertools.pairwise(ks))
     assert served.phase() == "safe"
+    assert served.voltage_changes() == before

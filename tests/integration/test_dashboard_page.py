@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shutil
 import time
@@ -21,8 +22,10 @@ CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
 
 WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+SMALL = {"width": 640, "height": 480}  # to draw it costs a third
 _PATIENCE_MS = 20_000
 _TRIES = 3
+_CONNECTIONS = 6
 MARKUP = "<img src=x onerror=document.title='owned'>"
 
 
@@ -35,7 +38,7 @@ def browser() -> Iterator[Any]:
 
 
 @contextmanager
-def opened(browser: Any, url: str, size: dict[str, int] = WIDE, **how: Any) -> Iterator[Any]:
+def opened(browser: Any, url: str, size: dict[str, int] = SMALL, **how: Any) -> Iterator[Any]:
     """Give a page that shows a rig that is not stale; in its console there must be no error."""
     page = browser.new_page(viewport=size, **how)
     page.set_default_timeout(_PATIENCE_MS)
@@ -52,11 +55,17 @@ def opened(browser: Any, url: str, size: dict[str, int] = WIDE, **how: Any) -> I
         page.close()
 
 
-@pytest.fixture
-def client(served: Bench) -> Iterator[Client]:
-    """Give a dashboard of a rig at rest."""
-    with watched(served) as found:
+@pytest.fixture(scope="module")
+def _client(_serving: Bench) -> Iterator[Client]:
+    with watched(_serving) as found:
         yield found
+
+
+@pytest.fixture
+def client(served: Bench, _client: Client) -> Client:
+    """Give a dashboard of a rig at rest, which does nothing."""
+    wait_for(lambda: not _client.first("run")["is_going"], 30)
+    return _client
 
 
 def show_step(page: Any, seconds: str = "20") -> None:
@@ -72,18 +81,34 @@ def show_step(page: Any, seconds: str = "20") -> None:
 def run_step(page: Any, bench: Bench, seconds: str = "20") -> None:
     """Run a step from the page, and wait until the motor is driven.
 
-    Where this machine stalls the daemon refuses it, or ends it: then once more.
+    Where this machine stalls the rig faults, before the run or in it: then once more, from rest. A
+    rig in a fault has no Run that can be pressed until somebody resets it.
     """
     for _ in range(_TRIES):
         show_step(page, seconds)
-        page.evaluate("document.querySelector('#running-text').className = ''")  # of the last try
-        page.click("#run:enabled")
-        until(page, lambda: bench.volts() > 0 or page.get_attribute("#running-text", "class"))
+        until(page, lambda: page.is_enabled("#run") or page.is_visible("#fault"))
+        if page.is_enabled("#run"):
+            page.evaluate("document.querySelector('#running-text').className = ''")  # of before
+            page.click("#run")
+            until(page, lambda: bench.volts() > 0 or page.get_attribute("#running-text", "class"))
+            if bench.volts() > 0:
+                return
+        with bench.rig() as rig:
+            at_rest(rig)
+    raise AssertionError(f"{text(page, '#fault')} {text(page, '#running-text')}")
+
+
+def run_by_another(client: Client, bench: Bench) -> None:
+    """Run a step that no page shown here began; once more where this machine stalls."""
+    step = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
+    for _ in range(_TRIES):
+        client.ask("/api/run", {"owner": "another", "experiment": step})
+        wait_for(lambda: bench.volts() > 0 or not client.first("run")["is_going"], 20)
         if bench.volts() > 0:
             return
         with bench.rig() as rig:
             at_rest(rig)
-    raise AssertionError(text(page, "#running-text"))
+    raise AssertionError(client.first("run")["error"])
 
 
 def until(page: Any, what: Callable[[], object], within_s: float = 20.0) -> None:
@@ -124,22 +149,43 @@ def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, serv
         assert "is recorded" in text(page, "#running-text")
 
 
-@pytest.mark.parametrize("focus", ["#run", "#owner-name", "#kind", "#plots", "body"])
 def test_the_space_bar_stops_wherever_the_focus_is(
-    browser: Any, client: Client, served: Bench, focus: str
+    browser: Any, client: Client, served: Bench
 ) -> None:
     """Without a dialog, at the motor's terminals; it presses no button and writes no blank."""
     with opened(browser, client.url) as page:
-        run_step(page, served)
-        page.wait_for_selector(".pill.active")
-        if focus not in ("#run", "body"):
-            page.focus(focus)
-        owner = page.input_value("#owner-name")
-        pressed = time.monotonic_ns()
-        page.keyboard.press("Space")
-        assert served.went_to_0_v_after(pressed) < STOPPED_S
-        assert page.input_value("#owner-name") == owner
-        until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
+        for focus in ("#run", "#owner-name", "#kind", "#plots", "body"):
+            run_step(page, served)
+            page.wait_for_selector(".pill.active")
+            if focus not in ("#run", "body"):
+                page.focus(focus)
+            owner = page.input_value("#owner-name")
+            pressed = time.monotonic_ns()
+            page.keyboard.press("Space")
+            assert served.went_to_0_v_after(pressed) < STOPPED_S, focus
+            assert page.input_value("#owner-name") == owner
+            until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
+            with served.rig() as rig:
+                at_rest(rig)
+
+
+def test_more_tabs_than_a_browser_has_connections_hold_up_no_stop(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """It has six to a server, and each tab's stream takes one: ours gives its own to the stop."""
+    context = browser.new_context(viewport=SMALL)
+    try:
+        tabs = [context.new_page() for _ in range(_CONNECTIONS)]
+        for tab in tabs:
+            tab.goto(client.url)
+        until(tabs[-1], lambda: client.first("timing")["viewers"] >= _CONNECTIONS)
+        run_by_another(client, served)
+        tabs[-1].keyboard.press("Space")
+        until(tabs[-1], lambda: served.volts() == 0.0)
+        wait_for(lambda: not client.first("run")["is_going"])
+        assert "stopped by dashboard" in client.first("run")["error"]
+    finally:
+        context.close()
 
 
 def test_at_rest_a_name_takes_a_blank(browser: Any, client: Client) -> None:
@@ -203,19 +249,20 @@ def test_a_recording_is_identified_and_reported(
     assert (tmp_path / "run.mcap").read_bytes()[1:5] == b"MCAP"
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
-def test_it_fits_the_screen(browser: Any, client: Client, theme: str, size: dict[str, int]) -> None:
-    """Nothing to scroll sideways, and the stop in sight wherever one is."""
-    with opened(browser, client.url, size, color_scheme=theme) as page:
-        assert page.get_attribute("html", "data-theme") == theme
-        for tab in ("#tab-live", "#tab-recordings"):
-            page.click(tab)
-            page.evaluate("scrollTo(0, document.body.scrollHeight)")
-            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
-            box = page.locator("#stop").bounding_box()
-            assert 0 <= box["y"] <= size["height"] - box["height"]
-            assert box["height"] >= (44 if size is PHONE else 36)
+def test_it_fits_the_screen(browser: Any, client: Client) -> None:
+    """Nothing to scroll sideways, and the stop in sight wherever one is; in both themes."""
+    with opened(browser, client.url) as page:
+        for theme, size in itertools.product(("light", "dark"), (WIDE, PHONE)):
+            page.emulate_media(color_scheme=theme)
+            page.set_viewport_size(size)
+            assert page.get_attribute("html", "data-theme") == theme
+            for tab in ("#tab-live", "#tab-recordings"):
+                page.click(tab)
+                page.evaluate("scrollTo(0, document.body.scrollHeight)")
+                assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+                box = page.locator("#stop").bounding_box()
+                assert 0 <= box["y"] <= size["height"] - box["height"]
+                assert box["height"] >= (44 if size is PHONE else 36)
 
 
 def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: Bench) -> None:
@@ -239,7 +286,12 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
         daemon.kill()
         daemon.popen.wait(10)
         page.wait_for_selector(".pill.stale")
-        assert "the last phase was" in text(page, "#stale-what")
+        # The last that the server knows: a machine that stalls may have made it another than safe.
+        last = client.first("status")["phase"]
+        assert f"the last phase was {last}." in text(page, "#stale-what")
+        assert text(page, "#phase") == "stale"
+        assert page.title().startswith("stale")
+        assert not page.is_enabled("#arm")
         until(page, lambda: "armrig lab" in text(page, "#stale-why"))
         bench.serve()
         page.wait_for_selector(".pill.safe")

@@ -17,9 +17,10 @@ from starlette.routing import Route
 
 from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import BusyDriverError, Driver
-from armrig.dashboard.experiments import Experiment, plan_of, previewed
+from armrig.dashboard.experiments import Experiment, plan_of
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.page_files import PAGE_FILES, PageFile
+from armrig.dashboard.preview import previewed
 from armrig.dashboard.stream import Stream
 from armrig.dashboard.viewers import TooManyViewersError, Viewer
 from armrig.rig.session import RigError

@@ -58,8 +58,7 @@ def binned(found: NDArray[np.float64], slope: NDArray[np.float64]) -> Rows:
     if not found.shape[0]:
         return np.zeros((0, COLUMNS))
     bins = np.floor(found[:, 1] / WIDTH_S + 1e-6)
-    wraps = np.abs(np.diff(found[:, 3], prepend=found[0, 3])) > _TURN / 2  # NaN does not
-    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | wraps)
+    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | _wraps(found[:, 3]))
     values = np.column_stack([found[:, 2], found[:, 3], slope, found[:, 4]])
     rows = np.empty((first.size, COLUMNS))
     rows[:, 0] = found[first, 1]
@@ -74,13 +73,20 @@ def coarser(rows: Rows, width_s: float) -> Rows:
     if not rows.shape[0]:
         return rows
     bins = np.floor(rows[:, 0] / width_s + 1e-6)
-    wraps = np.abs(np.diff(rows[:, 3], prepend=rows[0, 3])) > _TURN / 2
-    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | wraps)
+    first = np.flatnonzero((np.diff(bins, prepend=np.nan) != 0) | _wraps(rows[:, 3]))
     made = np.empty((first.size, COLUMNS))
     made[:, 0] = rows[first, 0]
     made[:, 1::2] = np.fmin.reduceat(rows[:, 1::2], first)
     made[:, 2::2] = np.fmax.reduceat(rows[:, 2::2], first)
     return made
+
+
+def _wraps(theta_1: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell where an angle is more than half a turn from the last one known, (n,)."""
+    n = np.arange(theta_1.size)
+    # The potentiometer wraps inside its dead band, where nothing is known: that is passed over.
+    known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))
+    return np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # NaN is not
 
 
 def as_lists(rows: Rows) -> list[list[float | None]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,7 @@ from typing import Any
 import msgspec
 
 from armrig.rig.client import Progress, Rig
-from armrig.rig.collection import Plan, collect, with_reset_command
+from armrig.rig.collection import Plan, collect
 from armrig.rig.session import NoReplyError, RigError
 
 
@@ -135,10 +136,6 @@ class Driver:
             self._give_back()
         self._close_stopper()
 
-    def reason(self, err: Exception) -> str:
-        """Return a refusal with the whole command in place of a bare `reset`."""
-        return with_reset_command(str(err), self._rig, self._connect)
-
     def _played(self, plan: Plan) -> None:
         try:
             self._give_back()
@@ -148,7 +145,7 @@ class Driver:
             verdict = done.verdict.summary if done.verdict else ""
             self._note(done=done.samples, recording=done.path.name, verdict=verdict)
         except Exception as err:  # told on the page, whatever it is
-            self._note(error=self.reason(err) or repr(err))
+            self._note(error=_on_the_page(str(err)) or repr(err))
         finally:
             self._note(is_going=False)
             self._one.release()
@@ -190,6 +187,11 @@ class Driver:
         stopper, self._stopper = self._stopper, None
         if stopper is not None:
             stopper.__exit__()
+
+
+def _on_the_page(error: str) -> str:
+    """Return an error with the page's button in place of a command to type."""
+    return re.sub(r"then (`armrig reset[^`]*`|`?reset\b`?)", "then press Reset", error)
 
 
 _BUSY = "this page does something to the rig already: wait for its end, or stop it"

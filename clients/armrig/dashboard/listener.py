@@ -64,9 +64,9 @@ class Listener:
             rig.arrivals("state") as states,
         ):
             feed.status = status = rig.status()
+            feed.trouble = ""
             self._found()
             self._take_past()
-            feed.trouble = ""
             asked_s = heard_s = time.monotonic()
             while not self._ends.wait(_LOOK_S):
                 feed.add_gaps(gaps())

@@ -5,30 +5,17 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator
-from math import degrees, isfinite
 from typing import Any
-
-import msgspec
-from armrig_core.commands import StatusReport
-from armrig_core.telemetry import Sample
 
 from armrig.dashboard.bins import as_lists
 from armrig.dashboard.driver import Driver
-from armrig.dashboard.experiments import run_facts
 from armrig.dashboard.feed import LATE_US, Feed
+from armrig.dashboard.messages import event, live_facts, status_facts, timing_facts
 from armrig.dashboard.viewers import Viewer, Viewers
-from armrig.rig.status_rows import status_rows
 
 PERIOD_S = 0.05
 _TIMING_S = 1.0
-_STALE_S = 0.5
-"""And two sampling times: without a sample for so long the data are stale."""
 _PIECE = 500  # rows of history in a message
-
-
-def event(name: str, value: Any) -> bytes:
-    """Return a server-sent event; JSON has no line breaks in it."""
-    return b"event: %s\ndata: %s\n\n" % (name.encode(), msgspec.json.encode(value))
 
 
 class Stream:
@@ -46,8 +33,8 @@ class Stream:
         while True:
             due = max(due + PERIOD_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
-            self.viewers.send(event("live", self._live()))
-            self._send_changed("status", _status(self._feed))
+            self.viewers.send(event("live", live_facts(self._feed.news(), self._feed.status)))
+            self._send_changed("status", status_facts(self._feed))
             self._send_changed("run", self._driver.run)
             if due >= timing_due:
                 self.viewers.send(self._timing())
@@ -67,7 +54,7 @@ class Stream:
             past = self._feed.history()
             first = [
                 event("hello", {"may_command": may_command, "late_us": LATE_US}),
-                event("status", _status(self._feed)),
+                event("status", status_facts(self._feed)),
                 event("run", self._driver.run),
                 self._timing(),
             ]
@@ -82,27 +69,9 @@ class Stream:
         finally:
             self.viewers.remove(viewer)
 
-    def _live(self) -> dict[str, Any]:
-        news, status = self._feed.news(), self._feed.status
-        limit_s = _STALE_S + 2 * (status.Ts if status else 0.0)
-        return {
-            "age_s": round(news.age_s, 3) if isfinite(news.age_s) else None,
-            "is_stale": not news.age_s <= limit_s,
-            "rows": as_lists(news.rows) if news.rows.size else [],
-            "newest": _newest(news.newest),
-        }
-
     def _timing(self) -> bytes:
-        timing = self._feed.timing()
-        facts = {
-            "late": timing.late,
-            "missing": timing.missing,
-            "unheard": timing.unheard,
-            "last_gap": timing.last_gap,
-            "report": timing.report,
-            "viewers": len(self.viewers),
-            "model": self._feed.model_lines(),
-        }
+        facts = timing_facts(self._feed.timing())
+        facts |= {"viewers": len(self.viewers), "model": self._feed.model_lines()}
         return event("timing", facts)
 
     def _send_changed(self, name: str, value: Any) -> None:
@@ -110,36 +79,3 @@ class Stream:
         if self._told.get(name) != message:
             self._told[name] = message
             self.viewers.send(message)
-
-
-def _newest(sample: Sample | None) -> dict[str, float | None] | None:
-    if sample is None:
-        return None
-    theta_1, alpha = sample.theta_1_rad, sample.alpha_rad
-    return {
-        "u": sample.u_applied_v,
-        "theta_1": round(degrees(theta_1), 2) if isfinite(theta_1) else None,
-        "alpha": round(degrees(alpha), 2) if isfinite(alpha) else None,
-    }
-
-
-def _status(feed: Feed) -> dict[str, Any]:
-    status: StatusReport | None = feed.status
-    if status is None:
-        return {"trouble": feed.trouble, "rows": []}
-    return {
-        "trouble": feed.trouble,
-        "rows": status_rows(status),
-        "rig": status.rig,
-        "phase": status.phase,
-        "fault": status.fault,
-        "reason": status.reason,
-        "remedy": status.remedy,
-        "line": status.line,
-        "owner": status.owner,
-        "Ts": status.Ts,
-        "u_min": status.u_min,
-        "u_max": status.u_max,
-        "arm_removed": status.arm_removed,
-        "last_run": run_facts(status.last_run),
-    }

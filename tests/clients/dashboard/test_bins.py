@@ -56,6 +56,17 @@ def test_a_wrap_ends_a_bin() -> None:
     assert rows[:, 4].round().tolist() == [359, 2]
 
 
+def test_a_wrap_inside_of_the_dead_band_ends_a_bin() -> None:
+    """Where the potentiometer wraps it shows no angle."""
+    nan = float("nan")
+    rows = _binned(_samples([358, 359, nan, nan, 1, 2]))
+    wide = coarser(_binned(_samples([358, 359, nan, nan, 1, 2], Ts=0.01)), 0.1)
+
+    for found in (rows, wide):
+        assert found[:, 3].round().tolist() == [358, 1]
+        assert found[:, 4].round().tolist() == [359, 2]
+
+
 def test_what_is_not_known_hides_nothing() -> None:
     """In a bin with one known angle that is shown; in one with none there is no value."""
     nan = float("nan")

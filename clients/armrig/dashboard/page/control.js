@@ -1,7 +1,7 @@
 // What is done to the rig: arm, release, an experiment shown before it runs.
 
+import { chart } from "./chart.js";
 import { askJson, attempt, byId, make, notice, owner, setText, show } from "./elements.js";
-import { chart } from "./plots.js";
 
 const LEVELS = ["low", "high"];
 const RANDOM = ["input", "seconds", ...LEVELS, "a", "seed"];
@@ -110,13 +110,16 @@ async function preview() {
   plot = chart(where, { signal, height: 130, xLabel: "s", stepped: true });
   plot.wanted = [0, found.seconds];
   plot.setData([found.t, found.u, found.u], true);
-  setText("preview-told", `${found.experiment}: ${found.N} samples, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`);
-  const lines = [found.rehearsal];
-  if (found.deviations.length) lines.push(`it would teach, by the handout's figures and a converter's noise: ${found.deviations.join(", ")}`);
-  byId("preview-lines").replaceChildren(...[...lines, ...found.notes].map((text) => make("li", { textContent: text })));
+  setText("preview-told", unbroken(`${found.experiment}: ${found.N} samples, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`));
+  const lines = [`${found.rehearsal}.`];
+  if (found.deviations.length) lines.push(`by the handout's figures and a converter's noise it would teach ${found.deviations.join(", ")}.`);
+  byId("preview-lines").replaceChildren(...[...lines, ...found.notes].map((text) => make("li", { textContent: unbroken(text) })));
   allow();
   byId("run").focus();
 }
+
+// A number and its unit stay on one line.
+const unbroken = (text) => text.replaceAll(/(\d) (?=(?:%|s|V)(?:\W|$))/g, "$1\u00a0");
 
 async function run() {
   if (!shown) return;

@@ -27,7 +27,9 @@ const headers = () => ({ Authorization: `Bearer ${token}` });
 
 // Ask the server; an answer that is no success is an Error with its line.
 export async function ask(path, body, signal) {
-  const how = { headers: headers(), cache: "no-store", signal };
+  // Of what waits for a connection a stop goes first.
+  const priority = path === "stop" ? "high" : "low";
+  const how = { headers: headers(), cache: "no-store", priority, signal };
   if (body !== undefined) Object.assign(how, { method: "POST", body: JSON.stringify(body) });
   let answer;
   try {

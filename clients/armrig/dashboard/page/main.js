@@ -1,33 +1,39 @@
 // The page: what comes from the stream goes to its places; keys; the theme.
 
-import { ask, askJson, attempt, byId, notice, owner, token } from "./elements.js";
+import { redrawCharts } from "./chart.js";
 import { setUpControl, showRun, showControl } from "./control.js";
-import { LivePlots } from "./plots.js";
-import { listRecordings, setUpRecordings, redrawRecording } from "./recordings.js";
+import { ask, attempt, byId, notice, owner, token } from "./elements.js";
+import { LivePlots } from "./live_plots.js";
+import { listRecordings, setUpRecordings } from "./recordings.js";
 import { setEdges, setUpStatus, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
 import { Stream } from "./stream.js";
 
 const THEMES = ["system", "light", "dark"];
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
+const CONNECTION_MS = 60; // a stop that has one is answered sooner
 let plots = null;
+let stream = null;
 
 function useTheme() {
   const wanted = localStorage.getItem("armrig-theme") || "system";
   const dark = wanted === "dark" || (wanted === "system" && systemDark.matches);
   document.documentElement.dataset.theme = dark ? "dark" : "light";
   byId("theme").textContent = `Theme: ${wanted}`;
-  for (const chart of plots?.charts ?? []) chart.redraw(false, true);
-  redrawRecording();
+  redrawCharts();
 }
 
 // At once, and beside all else: nothing is asked, and no earlier answer is waited for.
 async function stop() {
-  byId("stop").classList.add("pressed");
+  // A browser has six connections to a server, for all its tabs. Where they are taken, our stream
+  // gives its own to the stop, and comes back.
+  const waits = setTimeout(() => stream.open(), CONNECTION_MS);
   try {
     await ask("stop", { owner: owner() });
     notice("told the rig to stop: 0 V");
   } catch (error) {
     notice(`STOP was not taken: ${error.message}`);
+  } finally {
+    clearTimeout(waits);
   }
 }
 
@@ -80,7 +86,7 @@ function begin() {
   });
   setUpRecordings();
   if (!token) notice("open the address that `armrig dashboard` printed: it ends with a token");
-  new Stream(
+  stream = new Stream(
     {
       hello: (hello) => {
         plots.rows.clear();

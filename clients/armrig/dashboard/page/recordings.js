@@ -1,23 +1,13 @@
-// What was recorded: the list, one recording with its verdict and curves, a model, a report.
+// The list of what was recorded.
 
-import { ask, askJson, attempt, byId, make, notice, setText } from "./elements.js";
-import { chart } from "./plots.js";
-
-const SIGNALS = [
-  { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 3 },
-  { key: "theta_1", name: "θ₁, turns counted", unit: "°", range: null, least: 1, digits: 2 },
-  { key: "alpha", name: "α", unit: "°", range: null, least: 1, digits: 2 },
-];
+import { askJson, attempt, byId, make, setText } from "./elements.js";
+import { look, setUpRecording } from "./recording.js";
 
 let chosen = ""; // the file
-let seconds = 0;
-let seen = null; // [from, to] in s while zoomed
-let charts = [];
-let request = 0; // of the newest curves: an older answer is passed over
 
 export function setUpRecordings() {
   byId("again").addEventListener("click", () => attempt(() => listRecordings()));
-  new ResizeObserver(resize).observe(byId("one"));
+  setUpRecording();
 }
 
 export async function listRecordings(file) {
@@ -26,184 +16,37 @@ export async function listRecordings(file) {
   setText("folder", `in ${found.folder}${more}`);
   const rows = found.recordings.map((one) => {
     const button = make("button", { type: "button", textContent: `${one.experiment}${one.name ? ` ${one.name}` : ""}${one.validation ? ", validation" : ""}`, title: one.file });
-    button.addEventListener("click", () => attempt(() => look(one.file)));
+    button.addEventListener("click", () => attempt(() => choose(one.file)));
     button.dataset.file = one.file;
     const outcome = one.outcome === "complete" ? "" : one.outcome;
     return make(
       "tr",
       {},
       make("td", {}, button, outcome ? make("div", { className: "warn-text", textContent: outcome }) : ""),
-      make("td", { textContent: one.started.slice(0, 16).replace("T", " "), className: "n" }),
+      make("td", { title: one.started, textContent: one.started.slice(0, 16).replace("T", " "), className: "n" }),
       make("td", { className: "n", textContent: `${one.seconds.toPrecision(4) * 1} s` }),
       make("td", { className: `n ${one.missing ? "warn-text" : ""}`, textContent: one.missing }),
     );
   });
-  const head = ["recording", "started", "length", "missing"].map((text, i) => make("th", { className: i > 1 ? "n" : "", textContent: text }));
+  const head = ["recording", "started", "length", "missing"].map((text, i) => make("th", { className: i > 0 ? "n" : "", textContent: text }));
   byId("table").replaceChildren(
     rows.length
       ? make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...rows))
-      : make("p", { textContent: "there are no recordings yet; run an experiment" }),
+      : make("p", { textContent: "There are no recordings yet: run an experiment on the page Live." }),
     ...found.left_out.map((text) => make("p", { className: "warn-text", textContent: `not whole: ${text}` })),
   );
-  if (file) await look(file);
+  if (file) await choose(file);
   else mark();
+}
+
+async function choose(file) {
+  chosen = file;
+  mark();
+  await look(file);
 }
 
 function mark() {
   for (const button of byId("table").querySelectorAll("button")) {
     button.setAttribute("aria-pressed", String(button.dataset.file === chosen));
   }
-}
-
-async function look(file) {
-  chosen = file;
-  mark();
-  byId("one").replaceChildren(make("p", { textContent: `reading ${file} …` }));
-  let found;
-  try {
-    found = await askJson("recording", { file });
-  } catch (error) {
-    byId("one").replaceChildren(make("p", { className: "bad-text", textContent: error.message }));
-    return;
-  }
-  if (file !== chosen) return;
-  seconds = found.seconds;
-  seen = null;
-  const heading = make("h2", { textContent: file });
-  const verdict = make("p", { className: rank(found), textContent: found.summary });
-  const facts = make("dl", {}, ...pairs(found.about));
-  const findings = make(
-    "ul",
-    {},
-    ...found.findings.filter(([level]) => level !== "good").map(([level, about, text]) => make("li", { className: level === "unusable" ? "bad-text" : "warn-text", textContent: `${about}: ${text}` })),
-  );
-  const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${count} samples missing: ${reason}` }));
-  const where = make("div", { id: "curves" });
-  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, make("h3", { textContent: "About it" }), facts, ...(gaps.length ? [make("h3", { textContent: "Missing samples" }), make("ul", {}, ...gaps)] : []), make("div", { id: "model" }));
-  charts = SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1));
-  where.addEventListener("dblclick", () => attempt(() => zoom(null)));
-  draw(found.curves);
-}
-
-const rank = (found) => {
-  if (!found.usable) return "bad-text";
-  return found.findings.every(([level]) => level === "good") ? "good-text" : "warn-text";
-};
-
-const pairs = (rows) => rows.flatMap(([name, value]) => [make("dt", { textContent: name }), make("dd", { textContent: value })]);
-
-function buttons() {
-  const output = make("select", { id: "output" }, make("option", { value: "theta_1", textContent: "θ₁" }), make("option", { value: "alpha", textContent: "α" }));
-  output.setAttribute("aria-label", "Output of the model");
-  return make(
-    "p",
-    { className: "tools" },
-    button("Download MCAP", () => download("mcap", { file: chosen }, chosen)),
-    button("CSV of what is seen", () => download("csv", { file: chosen, ...(seen ? { start: seen[0], stop: seen[1] } : {}) }, chosen.replace(/mcap$/, "csv"))),
-    button("Whole length", () => zoom(null)),
-    output,
-    button("Identify", identify, "go"),
-    button("Report", () => download("report", { file: chosen }, chosen.replace(/mcap$/, "pdf"))),
-  );
-}
-
-function button(text, does, className = "") {
-  const made = make("button", { type: "button", textContent: text, className });
-  made.addEventListener("click", () =>
-    attempt(async () => {
-      made.disabled = true;
-      try {
-        await does();
-      } finally {
-        made.disabled = false;
-      }
-    }),
-  );
-  return made;
-}
-
-function curve(where, signal, last) {
-  const value = make("span", { className: "value" });
-  const place = make("div", { className: "chart" }, make("div", { className: "chart-head" }, make("span", { className: `swatch ${signal.key}` }), make("span", { textContent: signal.name }), value));
-  where.append(place);
-  return chart(place, {
-    signal,
-    height: last ? 190 : 150,
-    xLabel: last ? "s" : "",
-    sync: "recording",
-    stepped: signal.key === "u",
-    onZoom: (from, to) => attempt(() => zoom([Math.max(0, from), to])),
-    onCursor: (x, u) => (value.textContent = valueAt(u, signal, x)),
-  });
-}
-
-function valueAt(u, signal, x) {
-  const i = u.cursor.idx;
-  if (x === null || i === null || i === undefined || u.data[1][i] == null) return "";
-  const [least, largest] = [u.data[1][i], u.data[2][i]].map((value) => value.toFixed(signal.digits));
-  return `${least === largest ? least : `${least} … ${largest}`} ${signal.unit} at ${u.data[0][i].toFixed(3)} s`;
-}
-
-async function zoom(range) {
-  const mine = ++request;
-  const [start, stop] = range || [0, seconds];
-  const found = await askJson("curves", { file: chosen, start, stop });
-  if (mine !== request) return;
-  seen = range;
-  draw(found);
-}
-
-function draw(found) {
-  const [from, to] = seen || [0, seconds];
-  setText("seen", seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot to zoom");
-  SIGNALS.forEach((signal, i) => {
-    charts[i].wanted = [from, to];
-    charts[i].setData(found[signal.key], true);
-  });
-}
-
-export function redrawRecording() {
-  for (const one of charts) one.redraw(false, true);
-}
-
-function resize() {
-  const width = byId("curves")?.clientWidth;
-  if (!width) return;
-  for (const one of charts) if (one.width !== width) one.setSize({ width, height: one.height });
-}
-
-async function download(what, body, name) {
-  notice(what === "report" ? "typesetting the report …" : `fetching ${name} …`);
-  const data = await (await ask(what, body)).blob();
-  const link = make("a", { href: URL.createObjectURL(data), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 60000);
-  notice(`${name}: ${data.size} B`);
-}
-
-async function identify() {
-  const file = chosen;
-  const output = byId("output").value;
-  byId("model").replaceChildren(make("p", { textContent: "estimating …", role: "status" }));
-  try {
-    const found = await askJson("identify", { file, output });
-    if (file === chosen) showModel(found);
-  } catch (error) {
-    // The data are plotted above, whether a model fits or not.
-    byId("model").replaceChildren(make("p", { className: "bad-text", role: "alert", textContent: `no model: ${error.message}` }));
-  }
-}
-
-function showModel(found) {
-  const figures = found.figures.map(([title, svg]) => {
-    const url = URL.createObjectURL(new Blob([svg], { type: "image/svg+xml" }));
-    const image = make("img", { src: url, alt: title });
-    image.addEventListener("load", () => URL.revokeObjectURL(url));
-    return make("figure", {}, make("figcaption", { textContent: title }), image);
-  });
-  const texts = found.texts.map(([title, text], i) => {
-    const part = make("details", { open: i === 0 || title === "advice" }, make("summary", { textContent: title }), make("pre", { textContent: text }));
-    return part;
-  });
-  byId("model").replaceChildren(make("h2", { textContent: `${found.model}, judged on ${found.judged}` }), ...texts, make("div", { className: "figures" }, ...figures));
 }

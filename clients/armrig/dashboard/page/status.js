@@ -24,7 +24,7 @@ export function showStatus(found) {
   const faulty = Boolean(found.reason);
   show("fault", faulty);
   if (faulty) {
-    setText("fault-name", `fault ${found.fault}:`);
+    setText("fault-name", `Fault ${found.fault}:`);
     setText("fault-reason", found.reason);
     setText("fault-remedy", found.remedy || "mend it");
   }
@@ -80,8 +80,8 @@ export function showTiming(timing) {
   const report = timing.report;
   const parts = [];
   if (report.late_p99_us !== undefined) {
-    parts.push(`host late p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, at most ${micros(report.late_max_us)}`);
-    parts.push(`device's ticks p99 ${micros(report.device_p99_us)}; link p99 ${micros(report.link_p99_us)}`);
+    parts.push(`the host woke late by p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, at most ${micros(report.late_max_us)}`);
+    parts.push(`the device's period was off by p99 ${micros(report.device_p99_us)}; round trip p99 ${micros(report.link_p99_us)}`);
   }
   setText("timing-text", parts.join("; ") || "no report yet");
   const most = Math.max(1, ...timing.late);
@@ -90,8 +90,9 @@ export function showTiming(timing) {
       const bar = make("i");
       // On a scale of logarithms: one late sample among thousands is seen.
       bar.style.height = `${count ? 8 + 72 * (Math.log1p(count) / Math.log1p(most)) : 0}%`;
-      const edge = i < edges.length ? `≤${short(edges[i])}` : "more";
-      return make("div", { className: "bar", title: `${count} samples, ${edge}` }, `${count || ""}`, bar, edge);
+      const edge = i < edges.length ? `${edges[i] / 1000}` : "more";
+      const title = `${count} samples, ${i < edges.length ? `at most ${micros(edges[i])} late` : "later"}`;
+      return make("div", { className: "bar", title }, `${count || ""}`, bar, edge);
     }),
   );
   const missing = [`missing: ${timing.missing} samples since this dashboard was started`];
@@ -108,7 +109,6 @@ function showModel(lines) {
 }
 
 const micros = (us) => (us < 1000 ? `${us < 10 ? us.toFixed(1) : Math.round(us)} µs` : `${(us / 1000).toFixed(1)} ms`);
-const short = (us) => (us < 1000 ? `${us}µs` : `${us / 1000}ms`);
 
 export function setUpStatus() {
   const wanted = byId("model-wanted");

@@ -3,7 +3,7 @@
 import { ask } from "./elements.js";
 
 const SILENT_MS = 700; // 20 messages a second come: without one for so long the server is gone
-const AGAIN_MS = 500;
+const AGAIN_MS = 250;
 
 export class Stream {
   constructor(handlers, lost) {
@@ -15,6 +15,11 @@ export class Stream {
     this.#run();
   }
 
+  // Open it anew.
+  open() {
+    this.abort?.abort();
+  }
+
   get silence() {
     return performance.now() - this.heard;
   }
@@ -22,7 +27,7 @@ export class Stream {
   #look() {
     if (this.silence > SILENT_MS) {
       this.lost(this.silence, this.why || "the dashboard's server is silent");
-      if (this.silence > 5000) this.abort?.abort();
+      if (this.silence > 5000) this.open();
     }
   }
 

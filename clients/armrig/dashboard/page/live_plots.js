@@ -1,151 +1,17 @@
-// The live plots: least and largest value of each pixel's samples, with zoom and cursor.
+// The live plots: four charts of the last seconds or minutes, with zoom and cursor.
 
+import { chart } from "./chart.js";
 import { byId, make, setText, show } from "./elements.js";
+import { KEPT_S, Rows } from "./rows.js";
 
-const COLUMNS = 9; // t, then least and largest of each signal
-const MOST = 40000; // rows kept: five minutes
-const KEPT_S = 300;
 const SPANS = [5, 30, 300];
 
-export const SIGNALS = [
+const SIGNALS = [
   { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 2 },
-  { key: "theta_1", name: "θ₁", unit: "°", range: [0, 360], pad: 10, digits: 1, splits: [0, 90, 180, 270, 360] },
+  { key: "theta_1", name: "θ₁", unit: "°", range: [0, 360], pad: 10, digits: 1, splits: [0, 90, 180, 270, 360], wraps: true },
   { key: "rate", name: "rate of θ₁", unit: "°/s", range: null, least: 40, digits: 0 },
   { key: "alpha", name: "α", unit: "°", range: null, least: 4, digits: 1 },
 ];
-
-export class Rows {
-  #values = new Float64Array(MOST * COLUMNS);
-  length = 0;
-
-  add(rows) {
-    for (const row of rows) {
-      if (this.length && row[0] <= this.newest) {
-        if (row[0] > this.newest - KEPT_S) continue; // told already
-        this.length = 0; // another clock
-      }
-      if (this.length === MOST) this.#forget(MOST / 4);
-      const at = this.length * COLUMNS;
-      for (let i = 0; i < COLUMNS; i++) this.#values[at + i] = row[i] === null ? NaN : row[i];
-      this.length += 1;
-    }
-    if (this.length && this.newest - this.at(0, 0) > KEPT_S * 1.1) this.#forget(this.find(this.newest - KEPT_S));
-  }
-
-  clear() {
-    this.length = 0;
-  }
-
-  at(row, column) {
-    return this.#values[row * COLUMNS + column];
-  }
-
-  get newest() {
-    return this.length ? this.at(this.length - 1, 0) : NaN;
-  }
-
-  // The first row at t or later.
-  find(t) {
-    let low = 0;
-    let high = this.length;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (this.at(middle, 0) < t) low = middle + 1;
-      else high = middle;
-    }
-    return low;
-  }
-
-  #forget(n) {
-    this.#values.copyWithin(0, n * COLUMNS, this.length * COLUMNS);
-    this.length -= n;
-  }
-
-  // x, least, largest for uPlot: at most a few points a pixel, null where there is a break.
-  drawn(signal, from, to, pixels, zero) {
-    const column = 1 + 2 * signal;
-    const first = Math.max(0, this.find(from) - 1);
-    const last = Math.min(this.length, this.find(to) + 1);
-    const width = (to - from) / Math.max(50, pixels);
-    const x = [];
-    const low = [];
-    const high = [];
-    let before = NaN;
-    let valueBefore = NaN;
-    for (let i = first; i < last; ) {
-      const t = this.at(i, 0);
-      let least = this.at(i, column);
-      let largest = this.at(i, column + 1);
-      const begins = t - before > 0.25 + 3 * width;
-      let j = i + 1;
-      for (; j < last && this.at(j, 0) < t + width; j++) {
-        const a = this.at(j, column);
-        const b = this.at(j, column + 1);
-        if (SIGNALS[signal].key === "theta_1" && Math.abs(a - largest) > 180) break;
-        if (!(least <= a)) least = Number.isNaN(a) ? least : a;
-        if (!(largest >= b)) largest = Number.isNaN(b) ? largest : b;
-      }
-      const turns = SIGNALS[signal].key === "theta_1" && Math.abs(least - valueBefore) > 180;
-      if (begins || turns) {
-        x.push(Math.min(before + 1e-4, t - 1e-4) - zero);
-        low.push(null);
-        high.push(null);
-      }
-      before = this.at(j - 1, 0);
-      if (!Number.isNaN(largest)) valueBefore = largest;
-      x.push(t - zero);
-      low.push(Number.isNaN(least) ? null : least);
-      high.push(Number.isNaN(largest) ? null : largest);
-      i = j;
-    }
-    return [x, low, high];
-  }
-}
-
-export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-
-// A chart of least and largest values in the page's colours.
-export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped }) {
-  const ink = () => colour("soft");
-  const stroke = () => colour(signal.key);
-  const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: "12px system-ui, DejaVu Sans, sans-serif" };
-  const paths = stepped ? uPlot.paths.stepped({ align: 1 }) : undefined;
-  const series = { stroke, width: 1.4, points: { show: false }, spanGaps: false, paths };
-  const range = (u, least, largest) => {
-    if (signal.range) return [signal.range[0] - signal.pad, signal.range[1] + signal.pad];
-    if (least === null || !Number.isFinite(least)) return [-signal.least, signal.least];
-    const middle = (least + largest) / 2;
-    const half = Math.max(signal.least / 2, ((largest - least) / 2) * 1.1);
-    return [middle - half, middle + half];
-  };
-  const made = new uPlot(
-    {
-      width: where.clientWidth || 300,
-      height,
-      legend: { show: false },
-      cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false }, y: false, sync: sync ? { key: sync, setSeries: false } : undefined },
-      scales: { x: { time: false, range: (u, a, b) => u.wanted || [a, b] }, y: { range } },
-      axes: [
-        { ...axis, size: xLabel ? 30 : 8, values: (u, splits) => splits.map((x, i) => (xLabel ? `${+x.toFixed(3)}${i === splits.length - 1 ? ` ${xLabel}` : ""}` : "")) },
-        { ...axis, size: 54, ...(signal.splits ? { splits: () => signal.splits } : {}) },
-      ],
-      series: [{}, series, { ...series }],
-      bands: [{ series: [2, 1], fill: () => `${stroke()}55` }],
-      hooks: {
-        setSelect: [
-          (u) => {
-            if (u.select.width > 4) onZoom?.(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
-            u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
-          },
-        ],
-        setCursor: [(u) => onCursor?.(u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null, u)],
-      },
-    },
-    [[], [], []],
-    where,
-  );
-  return made;
-}
 
 // Four plots fill a screen where it is wide; on a phone each is as high as can be read.
 const heightOf = (last) => (innerWidth > 900 ? Math.max(115, Math.min(210, (innerHeight - 330) / 4)) : 105) + (last ? 22 : 0);
@@ -237,7 +103,8 @@ export class LivePlots {
     const [from, to] = this.frozen ? [this.frozen.from, this.frozen.to] : [-this.span, 0];
     this.charts.forEach((u, i) => {
       u.wanted = [from, to];
-      u.setData(this.rows.drawn(i, zero + from, zero + to, u.bbox.width / devicePixelRatio, zero), true);
+      const pixels = u.bbox.width / devicePixelRatio;
+      u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: SIGNALS[i].wraps }), true);
     });
     this.#tell();
   }

@@ -1,0 +1,94 @@
+"""uvicorn's servers, several of them in one thread."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import uvicorn
+
+from armrig.dashboard.stream import Stream
+from armrig.rig.session import RigError
+
+_START_S = 20.0
+_ENDS_S = 2
+QUIET: dict[str, Any] = {
+    "log_config": None,
+    "access_log": False,
+    "lifespan": "off",
+    "ws": "none",
+    "server_header": False,
+    "date_header": False,
+    "proxy_headers": False,
+    "timeout_graceful_shutdown": _ENDS_S,
+    "timeout_keep_alive": 30,
+    "h11_max_incomplete_event_size": 16_384,
+}
+"""How uvicorn is set: it prints nothing, says nothing of itself, and ends soon."""
+
+
+class Server(uvicorn.Server):
+    """uvicorn's server, which leaves the signals to who calls."""
+
+    def __init__(self, config: uvicorn.Config, listening: socket.socket) -> None:
+        super().__init__(config)
+        self._listening = listening
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none: the command line ends us."""
+        yield
+
+    async def run_here(self) -> None:
+        """Serve until `should_exit`."""
+        await self.serve([self._listening])
+
+
+class ServerThread:
+    """The loop of all servers, in a thread: the caller's may wait for a terminal."""
+
+    def __init__(self, servers: list[Server], stream: Stream) -> None:
+        self._servers, self._stream = servers, stream
+        self._thread = threading.Thread(target=self._run, name="server", daemon=True)
+
+    def begin(self) -> None:
+        """Begin, and wait until it listens."""
+        self._thread.start()
+        pause = threading.Event()
+        for _ in range(int(_START_S / 0.01)):
+            if all(s.started for s in self._servers):
+                return
+            pause.wait(0.01)
+        msg = "the server does not start"
+        raise RigError(msg)
+
+    def end(self) -> None:
+        """End, and wait for it."""
+        for server in self._servers:
+            server.should_exit = True
+        self._thread.join(_ENDS_S + 5.0)
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        filling = asyncio.create_task(self._stream.fill())
+        ending = asyncio.create_task(self._end_streams())
+        try:
+            await asyncio.gather(*(s.run_here() for s in self._servers))
+        finally:
+            for task in (filling, ending):
+                task.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await task
+
+    async def _end_streams(self) -> None:
+        """End the streams as soon as a server is to end, which waits for them."""
+        while not any(s.should_exit for s in self._servers):
+            await asyncio.sleep(0.05)
+        self._stream.viewers.end()

@@ -1,0 +1,100 @@
+"""What the page keeps of the rows that it is sent, and what it draws of them; in node."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import armrig.dashboard
+import pytest
+
+NODE = shutil.which("node")
+pytestmark = pytest.mark.skipif(NODE is None, reason="no node")
+ROWS = Path(armrig.dashboard.__file__).parent / "page" / "rows.js"
+THETA_1 = 1  # its place among the signals
+
+
+def _run(script: str) -> Any:
+    """Return what a script says as JSON, which has the module as `rows`."""
+    source = base64.b64encode(ROWS.read_bytes()).decode()
+    program = f'const rows = await import("data:text/javascript;base64,{source}");\n{script}'
+    command = [str(NODE), "--input-type=module", "-e", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return json.loads(done.stdout)
+
+
+def _drawn(theta_1: list[float | None], *, pixels: int, wraps: bool = True) -> Any:
+    """Return x, least and largest of samples 10 ms apart, on so many pixels."""
+    sent = [[k / 100, 0, 0, y, y, 0, 0, 0, 0] for k, y in enumerate(theta_1)]
+    view = {"from": 0, "to": len(sent) / 100, "pixels": pixels, "zero": 0, "wraps": wraps}
+    return _run(
+        f"const kept = new rows.Rows(); kept.add({json.dumps(sent)});"
+        f"console.log(JSON.stringify(kept.drawn({THETA_1}, {json.dumps(view)})));"
+    )
+
+
+@pytest.mark.parametrize("dead_band", [0, 1, 3])
+@pytest.mark.parametrize("turn", [1, -1])
+@pytest.mark.parametrize("pixels", [50, 400])
+def test_a_wrap_breaks_the_line(dead_band: int, turn: int, pixels: int) -> None:
+    """No point holds both ends of the range, and between them the pen is up."""
+    turned = [float((350 + turn * 3 * k) % 360) for k in range(-60, 60)]
+    at = next(k for k in range(1, 120) if abs(turned[k] - turned[k - 1]) > 180)
+    angles: list[float | None] = [*turned]
+    angles[at : at + dead_band] = [None] * dead_band
+    x, low, high = _drawn(angles, pixels=pixels)
+
+    assert x == sorted(x)
+    known = [(a, b) for a, b in zip(low, high, strict=True) if a is not None]
+    assert all(b - a < 180 for a, b in known)
+    for i in range(1, len(x)):
+        if low[i] is not None and low[i - 1] is not None:
+            assert abs(low[i] - low[i - 1]) < 180
+    assert None in low
+
+
+def test_what_does_not_wrap_may_jump() -> None:
+    """A rate that jumps by more than 180 °/s is one line."""
+    _, low, _ = _drawn([0.0] * 50 + [300.0] * 50, pixels=400, wraps=False)
+
+    assert None not in low
+
+
+def test_a_pixel_holds_the_least_and_the_largest() -> None:
+    """A peak of one sample among a thousand is drawn."""
+    peak = [10.0] * 500 + [90.0] + [10.0] * 499
+    x, _, high = _drawn(peak, pixels=60)
+
+    assert len(x) < 200
+    assert max(high) == 90.0
+
+
+def test_a_row_that_is_there_is_passed_over_and_an_older_clock_begins_anew() -> None:
+    """What is sent again after a break adds nothing; a machine that was started anew does."""
+    lengths = _run(
+        "const kept = new rows.Rows(); const row = (t) => [t, 0, 0, 0, 0, 0, 0, 0, 0];"
+        "kept.add([1000, 1001, 1002].map(row)); const a = kept.length;"
+        "kept.add([1001, 1002, 1003].map(row)); const b = kept.length;"
+        "kept.add([1, 2].map(row)); console.log(JSON.stringify([a, b, kept.length]));"
+    )
+
+    assert lengths == [3, 4, 2]
+
+
+def test_five_minutes_are_kept_and_no_more() -> None:
+    """At any rate of rows: the page's memory has a bound."""
+    spans = _run(
+        "const kept = new rows.Rows();"
+        "for (let t = 0; t < 1000; t += 0.5) kept.add([[t, 0, 0, 0, 0, 0, 0, 0, 0]]);"
+        "const slow = [kept.length, kept.newest - kept.at(0, 0)]; kept.clear();"
+        "for (let i = 0; i < 100000; i += 1) kept.add([[i / 1000, 0, 0, 0, 0, 0, 0, 0, 0]]);"
+        "console.log(JSON.stringify([...slow, kept.length]));"
+    )
+
+    assert spans[0] <= 2 * 330
+    assert spans[1] >= 300 - 1
+    assert spans[2] <= 40_000
