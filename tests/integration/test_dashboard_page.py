@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 import shutil
 import time
@@ -15,7 +16,7 @@ import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from driving import STOPPED_S, at_rest
 from processes import Bench, wait_for
-from watching import Client, endpoint, watched
+from watching import STEP, Client, begin, endpoint, watched
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
 CHROMIUM = shutil.which("chromium")
@@ -98,19 +99,6 @@ def run_step(page: Any, bench: Bench, seconds: str = "20") -> None:
     raise AssertionError(f"{text(page, '#fault')} {text(page, '#running-text')}")
 
 
-def run_by_another(client: Client, bench: Bench) -> None:
-    """Run a step that no page shown here began; once more where this machine stalls."""
-    step = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
-    for _ in range(_TRIES):
-        client.ask("/api/run", {"owner": "another", "experiment": step})
-        wait_for(lambda: bench.volts() > 0 or not client.first("run")["is_going"], 20)
-        if bench.volts() > 0:
-            return
-        with bench.rig() as rig:
-            at_rest(rig)
-    raise AssertionError(client.first("run")["error"])
-
-
 def until(page: Any, what: Callable[[], object], within_s: float = 20.0) -> None:
     """Wait until `what` is true; the page's policy forbids a script of the browser's driver."""
     last_s = time.monotonic() + within_s
@@ -179,7 +167,7 @@ def test_more_tabs_than_a_browser_has_connections_hold_up_no_stop(
         for tab in tabs:
             tab.goto(client.url)
         until(tabs[-1], lambda: client.first("timing")["viewers"] >= _CONNECTIONS)
-        run_by_another(client, served)
+        begin(client, served)
         tabs[-1].keyboard.press("Space")
         until(tabs[-1], lambda: served.volts() == 0.0)
         wait_for(lambda: not client.first("run")["is_going"])
@@ -197,14 +185,47 @@ def test_at_rest_a_name_takes_a_blank(browser: Any, client: Client) -> None:
 
 
 def test_another_s_markup_is_text(browser: Any, client: Client, served: Bench) -> None:
-    """An owner's name makes no element, and runs nothing."""
+    """In the names of an owner, of who stops, of a CSV and of a file: no element, no script."""
+    begin(client, served, {"kind": "csv", "text": "u\n" + "1\n" * 12_000, "file": MARKUP})
+    client.ask("/api/stop", {"owner": MARKUP})
+    wait_for(lambda: not client.first("run")["is_going"])
+    (served.recordings / f"{MARKUP}.mcap").write_bytes(b"")
     with opened(browser, client.url) as page, served.rig() as other:
         other.arm(MARKUP)
-        until(page, lambda: text(page, "#owner") != "nobody")
-        assert text(page, "#owner") == MARKUP
+        until(page, lambda: text(page, "#owner") == MARKUP)
+        other.disarm()
+        assert MARKUP in text(page, "#running-text")
+        page.click("#tab-recordings")
+        until(page, lambda: MARKUP in text(page, "#table"))
+        page.click("#table tbody button >> nth=0")
+        page.wait_for_selector("#curves canvas")
         assert page.locator("img").count() == 0
         assert "owned" not in page.title()
-        other.disarm()
+
+
+def test_another_origin_s_page_commands_nothing(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """Neither without asking (no-cors) nor with the token, for which a browser asks first."""
+    wanted = json.dumps({"owner": "evil", "experiment": STEP})
+    answers = []
+    page = browser.new_page()  # about:blank, whose origin is null
+    for how in ({"mode": "no-cors"}, {"headers": {"Authorization": f"Bearer {client.token}"}}):
+        for path in ("arm", "run", "stop", "reset"):
+            address = f"http://{client.host}:{client.port}/api/{path}"
+            asked = {"method": "POST", "body": wanted, **how}
+            answers.append(
+                page.evaluate(
+                    "([address, asked]) => fetch(address, asked).then((a) => a.status, () => -1)",
+                    [address, asked],
+                )
+            )
+    page.close()
+
+    assert set(answers) <= {0, -1}  # nothing of an answer is shown to that page
+    assert client.first("status")["owner"] == ""
+    assert client.first("run")["experiment"] == "" or not client.first("run")["is_going"]
+    assert served.phase() == "safe"
 
 
 def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) -> None:

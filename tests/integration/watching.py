@@ -11,9 +11,14 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from armrig.dashboard.serving import Settings, dashboard
-from processes import Bench
+from driving import at_rest
+from processes import Bench, wait_for
 
+STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
+"""An experiment that lasts until it is stopped."""
 _ANSWER_S = 20.0
+_BEGINS_S = 20.0
+_TRIES = 3
 
 
 class Client:
@@ -88,3 +93,20 @@ def watched(bench: Bench) -> Iterator[Client]:
     """Serve a dashboard of the bench's rig."""
     with dashboard(Settings(connect=endpoint(bench))) as served:
         yield Client(served.url)
+
+
+def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> None:
+    """Have a dashboard run an experiment, and wait until the motor is driven.
+
+    Where this machine stalls the daemon refuses it, or ends it: then once more, from rest.
+    """
+    for _ in range(_TRIES):
+        status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
+        assert status == 200, told
+        wait_for(lambda: bench.volts() > 0 or client.first("run")["error"], _BEGINS_S)
+        if bench.volts() > 0:
+            return
+        with bench.rig() as rig:
+            at_rest(rig)
+        wait_for(lambda: not client.first("run")["is_going"], _BEGINS_S)
+    raise AssertionError(client.first("run")["error"])
