@@ -273,22 +273,22 @@ def test_a_dashboard_listens_on_the_ports_that_it_says_alone(
     before = sockets(os.getpid())
     with contextlib.ExitStack() as opened:
         served = opened.enter_context(dashboard(Settings(connect=here, share=share)))
-        said = [served.url, *([served.shared_url] if share else [])]
+        said = [_listening("127.0.0.1", served.url)]
+        said += [_listening(share, served.shared_url)] if share else []
         if "foxglove" in more:
             pytest.importorskip("foxglove", reason="no foxglove-sdk")
-            said.append(opened.enter_context(foxglove(rig="1", connect=here, port=0)))
+            url = opened.enter_context(foxglove(rig="1", connect=here, port=0))
+            said.append(_listening("127.0.0.1", url))
         heard = sockets(os.getpid())
 
     assert {table for table in heard if heard[table] != before.get(table, [])} == {"tcp"}
-    assert sorted(set(heard["tcp"]) - set(before.get("tcp", []))) == sorted(map(_as_hex, said))
+    assert sorted(set(heard["tcp"]) - set(before.get("tcp", []))) == sorted(said)
     assert sockets(os.getpid()) == before
 
 
-def _as_hex(url: str) -> str:
-    """Return address and port as /proc/net/tcp writes them."""
-    where = urlsplit(url)
-    address = bytes(map(int, str(where.hostname).split(".")))[::-1].hex().upper()
-    return f"{address}:{where.port:04X}"
+def _listening(address: str, url: str) -> str:
+    """Return an address, and a URL's port, as /proc/net/tcp writes them."""
+    return f"{bytes(map(int, address.split('.')))[::-1].hex().upper()}:{urlsplit(url).port:04X}"
 
 
 def _connected(lab: Laboratory, who: str, zid: str) -> zenoh.Session:

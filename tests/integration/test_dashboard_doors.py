@@ -24,7 +24,7 @@ def doors(served: Bench) -> Iterator[tuple[Client, Client]]:
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with dashboard(Settings(connect=endpoint(served), share=ADDRESS)) as found:
         own, visitor = Client(found.url), Client(found.shared_url)
-        wait_for(lambda: not own.first("live")["is_stale"])
+        own.wait("live", lambda seen: not seen["is_stale"])
         yield own, visitor
 
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 import http.client
 import json
 import ssl
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
 from armrig.dashboard.serving import Settings, dashboard
 from driving import at_rest
-from processes import Bench, wait_for
+from processes import Bench
 
 STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
 """An experiment that lasts until it is stopped."""
+WAIT_S = 20.0
 _ANSWER_S = 20.0
-_BEGINS_S = 20.0
 _TRIES = 3
 
 
@@ -78,6 +79,18 @@ class Client:
             self.host, self.port, timeout=_ANSWER_S, context=trusting
         )
 
+    def wait(self, wanted: str, what: Callable[[Any], object], within_s: float = WAIT_S) -> Any:
+        """Return the first event of a name of which `what` is true; else an assertion fails.
+
+        On one stream: to ask anew is to be sent all of the past each time.
+        """
+        last_s = time.monotonic() + within_s
+        for name, value in self.events():
+            if name == wanted and what(value):
+                return value
+            assert time.monotonic() < last_s, f"{wanted} did not become so in time"
+        raise AssertionError("the stream has ended")
+
     def first(self, wanted: str) -> Any:
         """Return the first event of a name."""
         return next(value for name, value in self.events() if name == wanted)
@@ -103,10 +116,14 @@ def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> No
     for _ in range(_TRIES):
         status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
         assert status == 200, told
-        wait_for(lambda: bench.volts() > 0 or client.first("run")["error"], _BEGINS_S)
-        if bench.volts() > 0:
+        error = ""
+        for name, value in client.events():  # 20 a second
+            error = value["error"] if name == "run" else error
+            if error or bench.volts() > 0:
+                break
+        if not error:
             return
         with bench.rig() as rig:
             at_rest(rig)
-        wait_for(lambda: not client.first("run")["is_going"], _BEGINS_S)
-    raise AssertionError(client.first("run")["error"])
+        client.wait("run", lambda seen: not seen["is_going"])
+    raise AssertionError(error)

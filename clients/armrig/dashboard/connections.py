@@ -43,6 +43,11 @@ class Connections:
         if protocol is not None:
             protocol.transport.abort()
 
+    def end(self) -> None:
+        """Close all that are left."""
+        for address in [*self._open]:
+            self.abort(address)
+
     def protocol(self) -> type[BoundedProtocol]:
         """Return the class of protocol that uvicorn is to make for each connection."""
         return type("_Bounded", (BoundedProtocol,), {"all_open": self})

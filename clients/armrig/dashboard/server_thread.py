@@ -12,6 +12,7 @@ from typing import Any
 
 import uvicorn
 
+from armrig.dashboard.connections import Connections
 from armrig.dashboard.stream import Stream
 from armrig.rig.session import RigError
 
@@ -35,9 +36,11 @@ QUIET: dict[str, Any] = {
 class Server(uvicorn.Server):
     """uvicorn's server, which leaves the signals to who calls."""
 
-    def __init__(self, config: uvicorn.Config, listening: socket.socket) -> None:
+    def __init__(
+        self, config: uvicorn.Config, listening: socket.socket, connections: Connections
+    ) -> None:
         super().__init__(config)
-        self._listening = listening
+        self._listening, self._connections = listening, connections
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -47,6 +50,9 @@ class Server(uvicorn.Server):
     async def run_here(self) -> None:
         """Serve until `should_exit`."""
         await self.serve([self._listening])
+        # Who does not read his last messages would keep his connection open.
+        self._connections.end()
+        await asyncio.sleep(0)  # they are closed in the loop's next turn
 
 
 class ServerThread:

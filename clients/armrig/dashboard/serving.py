@@ -128,7 +128,7 @@ class _Door:
         if self._certificate is not None:
             config.ssl_certfile = str(self._certificate.certificate)
             config.ssl_keyfile = str(self._certificate.key)
-        return Server(config, self._listening)
+        return Server(config, self._listening, connections)
 
 
 def _allow_many_files() -> None:
