@@ -29,10 +29,9 @@ from unittest.mock import patch
 import numpy as np
 from armrig.dashboard.driver import Driver
 from armrig_core.telemetry import Sample
-from driving import at_rest
 from playwright.sync_api import sync_playwright
 from processes import Bench, wait_for
-from watching import Client, watched
+from watching import Client, bring_to_rest, watched
 
 N = 20
 _TRIES = 5
@@ -86,8 +85,7 @@ def _begin(bench: Bench, client: Client) -> None:
         wait_for(lambda: bench.volts() > 0 or client.first("run")["error"], 20)
         if bench.volts() > 0:
             return
-        with bench.rig() as rig:
-            at_rest(rig)
+        bring_to_rest(bench)
     sys.exit(f"no run begins: {client.first('run')['error']}")
 
 
@@ -188,7 +186,9 @@ def viewers() -> None:
             alone = _round(bench)
             with _watching(client):
                 watched_by_ten = _round(bench)
+                left = client.first("timing")["viewers"] - 1  # without who asks
             print(f"p99 of lateness, to subscriber [µs]: alone {alone}, ten {watched_by_ten}")
+            print(f"of {VIEWERS} viewers {left} are left: who does not read is dropped")
 
 
 def memory() -> None:

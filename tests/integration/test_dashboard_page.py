@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
-from driving import STOPPED_S, at_rest
+from driving import STOPPED_S
 from processes import Bench
-from watching import STEP, Client, begin, endpoint, watched
+from watching import STEP, Client, begin, bring_to_rest, endpoint, watched
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
 CHROMIUM = shutil.which("chromium")
@@ -94,8 +94,7 @@ def run_step(page: Any, bench: Bench, seconds: str = "20") -> None:
             until(page, lambda: bench.volts() > 0 or page.get_attribute("#running-text", "class"))
             if bench.volts() > 0:
                 return
-        with bench.rig() as rig:
-            at_rest(rig)
+        bring_to_rest(bench)
     raise AssertionError(f"{text(page, '#fault')} {text(page, '#running-text')}")
 
 
@@ -153,8 +152,7 @@ def test_the_space_bar_stops_wherever_the_focus_is(
             assert served.went_to_0_v_after(pressed) < STOPPED_S, focus
             assert page.input_value("#owner-name") == owner
             until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
-            with served.rig() as rig:
-                at_rest(rig)
+            bring_to_rest(served)
 
 
 def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
@@ -250,7 +248,7 @@ def test_a_recording_is_identified_and_reported(
     browser: Any, client: Client, served: Bench, tmp_path: Path
 ) -> None:
     """From the list to its model's figures and the PDF; all by buttons."""
-    client.ask("/api/run", {"owner": "me", "experiment": {"kind": "blackbox", "seconds": 8}})
+    client.ask("/api/run", {"owner": "me", "experiment": {"kind": "blackbox", "seconds": 5}})
     client.wait("run", lambda seen: seen["recording"], 40)
     with opened(browser, client.url) as page:
         page.keyboard.press("r")

@@ -7,18 +7,20 @@ import json
 import ssl
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
 from armrig.dashboard.serving import Settings, dashboard
+from armrig.rig.session import RigError
 from driving import at_rest
-from processes import Bench
+from processes import Bench, wait_for
 
 STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
 """An experiment that lasts until it is stopped."""
 WAIT_S = 20.0
 _ANSWER_S = 20.0
+_BACK_S = 60.0
 _TRIES = 3
 
 
@@ -108,6 +110,18 @@ def watched(bench: Bench) -> Iterator[Client]:
         yield Client(served.url)
 
 
+def bring_to_rest(bench: Bench) -> None:
+    """Stop and reset a rig that a stall of this machine has stopped, once its device is back."""
+    wait_for(lambda: _rests(bench), _BACK_S)
+
+
+def _rests(bench: Bench) -> bool:
+    with suppress(RigError), bench.rig() as rig:
+        at_rest(rig)
+        return True
+    return False
+
+
 def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> None:
     """Have a dashboard run an experiment, and wait until the motor is driven.
 
@@ -123,7 +137,6 @@ def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> No
                 break
         if not error:
             return
-        with bench.rig() as rig:
-            at_rest(rig)
+        bring_to_rest(bench)
         client.wait("run", lambda seen: not seen["is_going"])
     raise AssertionError(error)
