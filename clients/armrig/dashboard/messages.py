@@ -14,7 +14,7 @@ from armrig.dashboard.bins import as_lists
 from armrig.dashboard.feed import Feed, News, Timing
 from armrig.rig.status_rows import status_rows
 
-_STALE_S = 0.5
+_STALE_S = 0.3
 """And two sampling times: without a sample for so long the data are stale."""
 
 
