@@ -14,7 +14,7 @@ import pytest
 from armrig.batch.progress import SUFFIX
 from numpy.typing import NDArray
 
-SHORT, LONG = 400, 8000
+SHORT, LONG = 400, 5000
 """Samples; an OE model of the long ones takes a second or more."""
 
 

@@ -177,6 +177,7 @@ def of_the_arm(
     seed: int = 1,
     missing: slice | None = None,
     start: float = 0.0,
+    rig: str = "1",
 ) -> bytes:
     """Return a recording of the handout's arm driven by `u`: 10-bit readings, dead band, jitter.
 
@@ -210,7 +211,8 @@ def of_the_arm(
                 )
             )
         x = Phi @ x + Gamma[:, 0] * volts
-    about = manifest(experiment=experiment, samples=u.size, details={"seed": seed, "a": 0.05})
+    details = {"seed": seed, "a": 0.05}
+    about = manifest(rig=rig, experiment=experiment, samples=u.size, details=details)
     ended = Outcome(outcome="complete", samples=u.size - len(lost), missing=len(lost))
     return recorded(messages, manifest=about, outcome=ended)
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,22 +39,20 @@ OTHER_RIG, BROKEN, CUT, STEP = "m-other-rig.mcap", "m-broken.mcap", "m-cut.mcap"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return forty recordings, among them what a lab has among them."""
     made = tmp_path_factory.mktemp("recordings")
-    whole = made_recordings.of_the_arm(telegraph(1))
     for n in range(MANY):
         (made / f"a-{n:02}.mcap").write_bytes(made_recordings.of_the_arm(telegraph(n), seed=n))
     (made / BROKEN).write_bytes(b"no recording at all")
     in_chunks = made_recordings.of_the_arm(telegraph(1, 3000))
     (made / CUT).write_bytes(in_chunks[: len(in_chunks) * 3 // 4])
-    (made / OTHER_RIG).write_bytes(
-        whole.replace(b"\x03\0\0\0rig\x01\0\0\0001", b"\x03\0\0\0rig\x01\0\0\0002")
-    )
+    of_another = made_recordings.of_the_arm(telegraph(1), rig="2")
+    (made / OTHER_RIG).write_bytes(of_another)
     (made / STEP).write_bytes(made_recordings.of_the_arm(np.full(SHORT, 2.0), experiment="step"))
     return made
 
 
 def done(folder: Path, task: Task, table: Path, **options: Any) -> list[dict[str, Any]]:
-    """Do a task with two processes and return the table's rows."""
-    batch(folder, task, table, open_executor=partial(workers.processes, 2), at_once=4, **options)
+    """Do a task and return the table's rows; in one thread, where nothing is killed."""
+    batch(folder, task, table, open_executor=partial(ThreadPoolExecutor, 1), at_once=4, **options)
     return rows_of(table)
 
 
@@ -113,9 +112,7 @@ def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
     assert not names & {OTHER_RIG, BROKEN, CUT}
 
 
-def test_a_recording_of_another_rig_is_told_of_beside_a_models_own(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_row_says_of_which_rig_a_recording_is(folder: Path, tmp_path: Path) -> None:
     """A model of rig 1 judged by data of rig 2 is a row with its rig: whose it is can be seen."""
     fit = armrig.arx(armrig.load(folder / "a-01.mcap").dataset(), na=4, nb=4)
     rows = {
