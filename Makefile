@@ -9,9 +9,10 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
-# Two side by side; then what is timed, alone, and also where something before it failed.
+# Two side by side; then what is timed, alone, and also where something before it failed. LESS=… is
+# what .ci/run leaves to the wheel.
 test: .venv/dev
-	$(BIN)/pytest -m "not timed and not machine" -n 2 --dist worksteal; \
+	$(BIN)/pytest -m "not timed and not machine" -n 2 --dist worksteal $(LESS); \
 	  beside=$$?; $(BIN)/pytest -m timed tests/integration && exit $$beside
 
 # As root: the service under a systemd, and strangers on a network, each in a machine of its own.
