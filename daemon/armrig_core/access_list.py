@@ -11,13 +11,14 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.bounded import TextError, read_text
-from armrig_core.credential import check_name
+from armrig_core.credential import RIG_PREFIX, check_name
 
 LIMIT = 1 << 20
 """Longest access list, in B."""
 _HEADING = """\
 # Who may do what with the rigs, by the name in the certificate (or of the user with a password).
-# `armrig pki` writes it; armrigd reads it at its start: start it anew after each change.
+# `armrig pki` writes it; armrigd and `armrig router` read it at their start: start them anew after
+# each change.
 """
 
 _Names = Annotated[tuple[str, ...], Meta(max_length=10_000)]
@@ -28,23 +29,29 @@ class AccessListError(ValueError):
 
 
 class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Names, each in one list at most; whoever is in none of the first two may do nothing."""
+    """Names, each in one list at most; whoever is in none of the first three may do nothing."""
 
     operators: _Names = ()
     """Who may drive the rigs, and watch."""
     observers: _Names = ()
     """Who may watch."""
+    rigs: _Names = ()
+    """Names in the rigs' certificates, such as rig-1: each may be that rig at a router."""
     revoked: _Names = ()
     """Who may do nothing any more, and whose name is not given again."""
 
     def __post_init__(self) -> None:
         """Refuse what is no name, and a name that stands twice."""
         seen: set[str] = set()
-        for name in (*self.operators, *self.observers, *self.revoked):
+        for name in (*self.operators, *self.observers, *self.rigs, *self.revoked):
             if check_name(name) in seen:
                 msg = f"{name!r} stands there twice: once is allowed"
                 raise ValueError(msg)
             seen.add(name)
+        for name in self.rigs:
+            if not name.startswith(RIG_PREFIX):
+                msg = f"{name!r} among the rigs: the name in a rig's certificate is needed, such "
+                raise ValueError(f"{msg}as {RIG_PREFIX}1")
 
     def role(self, name: str) -> str:
         """Return the list that a name stands in; "" where it is in none."""

@@ -19,10 +19,20 @@ from typing import Any, Literal
 from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
 from armrig_core.printable import printable
 
-Purpose = Literal["rig", "client"]
-"""What a certificate is for: a rig is served with it, or a client asks with it."""
+Purpose = Literal["rig", "client", "router", "rig at a router"]
+"""What a certificate is for: a rig or a router is served with it, or somebody connects with it."""
+ROUTER = "router"
+"""Name in the certificate of a router."""
+RIG_PREFIX = "rig-"
+"""How the name in a rig's certificate begins."""
 
-_MADE_BY = {"rig": "armrig pki rig", "client": "armrig pki operator"}
+_MADE_BY = {
+    "rig": "armrig pki rig",
+    "client": "armrig pki operator",
+    "router": "armrig pki router",
+    "rig at a router": "armrig pki rig",
+}
+_SERVED = ("rig", "router")
 _BLOCK = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----.*?-----END \1-----\n?", re.DOTALL)
 _NAME = re.compile(r"[a-z0-9-]{1,40}")
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
@@ -72,6 +82,11 @@ def check_name(name: str) -> str:
     return name
 
 
+def rig_name(rig: str) -> str:
+    """Return the name in the certificate of a rig, such as rig-1."""
+    return f"{RIG_PREFIX}{rig}"
+
+
 def read_credential(path: Path, purpose: Purpose) -> Credential:
     """Return the credential in a file, which must be good for `purpose`, and now.
 
@@ -102,8 +117,11 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
     except (ssl.SSLError, ValueError) as err:
         raise CredentialError(f"{path}: {_what_is_wrong(err, purpose)}") from err
     ends = (_end(certificate) for certificate in (shown, *authorities))
+    name = _common_name(path, shown)
+    if purpose == "client" and name.startswith(RIG_PREFIX):  # it connects to a router
+        raise CredentialError(f"{path}: {_other_purpose(purpose)}")
     return Credential(
-        name=_common_name(path, shown),
+        name=name,
         expires=min(ends),
         key=keys[0],
         certificate=b"".join(certificates[:-1]),
@@ -139,7 +157,7 @@ def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
     client.check_hostname, client.verify_mode = False, ssl.CERT_NONE
     for context in (server, client):
         context.load_cert_chain(path, password=lambda: "")  # it must never ask a terminal
-    judge = client if purpose == "rig" else server
+    judge = client if purpose in _SERVED else server
     judge.load_verify_locations(cadata=authority.decode("ascii"))
     judge.verify_mode = ssl.CERT_REQUIRED
     there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -179,12 +197,16 @@ def _what_is_wrong(err: ssl.SSLError | ValueError, purpose: Purpose) -> str:
         return {
             _EXPIRED: "the certificate has expired: `armrig pki renew` makes a new one",
             _NOT_YET: "the certificate is not valid yet: see that the clock of this machine is set",
-            _PURPOSE: f"the certificate is for another purpose: `{_MADE_BY[purpose]}` makes the "
-            "one that is needed",
+            _PURPOSE: _other_purpose(purpose),
         }.get(err.verify_code, f"not signed by the authority in the file ({err.verify_message})")
     if isinstance(err, ssl.SSLError) and err.reason == "KEY_VALUES_MISMATCH":
         return "the key is not that of the certificate"
     return "damaged: its key or a certificate cannot be read"
+
+
+def _other_purpose(purpose: Purpose) -> str:
+    made_by = _MADE_BY[purpose]
+    return f"the certificate is for another purpose: `{made_by}` makes the one that is needed"
 
 
 def _base64(data: bytes) -> str:

@@ -9,15 +9,22 @@ STREAMS = ("sample", "gap", "event", "timing", "clock", "state")
 RECORDED = (*STREAMS, "trace")
 """What a recording holds: the steps of the core, too, for replay."""
 
+EVERY_RIG = "*"
+"""In place of a rig's id in a key: all of them."""
 _LONGEST = 40
 PLAYED = "played-"
 """How the id begins under which a recording is played again; no rig's id begins so."""
 
 
+def is_rig_id(text: str) -> bool:
+    """Return whether a text can be a rig's id."""
+    return re.fullmatch(rf"[a-z0-9-]{{1,{_LONGEST}}}", text) is not None
+
+
 def check_rig_id(rig: str) -> str:
     """Return `rig`, or raise ValueError where it cannot be part of a key."""
     _require_text(rig)
-    if not re.fullmatch(rf"[a-z0-9-]{{1,{_LONGEST}}}", rig):
+    if not is_rig_id(rig):
         msg = f"rig id {rig!r}: 1 to {_LONGEST} of a-z, 0-9 and - are allowed"
         raise ValueError(msg)
     return rig
@@ -69,6 +76,14 @@ def history_key(rig: str) -> str:
 def alive_key(rig: str) -> str:
     """Return the key of the liveliness token."""
     return f"rig/{rig}/alive"
+
+
+def rig_of_alive(key: str) -> str:
+    """Return the rig whose liveliness token has this key, "" where it is none."""
+    parts = key.split("/")
+    return (
+        parts[1] if len(parts) == 3 and is_rig_id(parts[1]) and key == alive_key(parts[1]) else ""
+    )
 
 
 def topic(rig: str, stream: str) -> str:

@@ -88,12 +88,23 @@ def run(
     os.umask(0o027)  # the group may read a recording, and nobody but us change it
     of_systemd = notifier, load if notifier.is_asked else None
     if not emulate:
-        raise typer.Exit(Service(loaded, where, directory, None, *of_systemd).run())
+        _end(Service(loaded, where, directory, None, *of_systemd).run())
     try:
         with emulated(loaded, _socket_directory()) as (device, stalls_fd):
-            raise typer.Exit(Service(device, where, directory, stalls_fd, *of_systemd).run())
+            code = Service(device, where, directory, stalls_fd, *of_systemd).run()
     except EmulatorError as err:
         _refuse(str(err))
+    _end(code)
+
+
+def _end(code: int) -> NoReturn:
+    """End the process at once: all is closed.
+
+    zenoh's threads may still let go of what is Python's, and abort where the interpreter has ended.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 @app.command()

@@ -20,7 +20,7 @@ import msgspec
 from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
-from armrig_core.endpoint import anchored, check_listen
+from armrig_core.endpoint import anchored, check_listen, network_address
 from armrig_core.printable import printable
 from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
 from armrig_core.topics import check_own_id
@@ -203,16 +203,21 @@ class Access(Table, frozen=True, kw_only=True):
     listen: str = ""
     """Where to listen beside the Unix socket, such as tls/0.0.0.0:7447; empty is nowhere."""
     certificate: str = ""
-    """The rig's credential, which `armrig pki rig` writes; what tls/ listens with."""
+    """The rig's credential, which `armrig pki rig` writes; for tls/ and for a router."""
     names: str = ""
     """The access list, which `armrig pki` writes: who may drive the rig, and who may watch."""
     passwords: str = ""
     """File with a line user:password for each user of tcp/, which is for this machine alone."""
+    router: str = ""
+    """Router of the lab to connect to, such as tls/lab.example.edu:7447; empty is none."""
 
     def __post_init__(self) -> None:
         """Refuse to listen without a certificate where others could hear what is said."""
         if self.listen:
             check_listen(self.listen)
+        if self.router and not (self.router.startswith("tls/") and network_address(self.router)):
+            msg = f"router = {self.router!r} must be tls/HOST:PORT, such as tls/lab.local:7447"
+            raise ValueError(msg)
 
 
 class Client(Table, frozen=True, kw_only=True):

@@ -33,6 +33,8 @@ def test_a_name_moves_from_list_to_list() -> None:
         ('operators = ["Alice"]', "name 'Alice': 1 to 40 of a-z"),
         ('operators = ["*"]', r"name '\*': 1 to 40 of a-z"),
         ('operators = ["a/b"]', "name 'a/b': 1 to 40 of a-z"),
+        ('rigs = ["1"]', "the name in a rig's certificate is needed, such as rig-1"),
+        ('operators = ["rig-1"]\nrigs = ["rig-1"]', "'rig-1' stands there twice"),
         ('operators = "alice"', "Expected `array`"),
         ('operator = ["alice"]', "unknown field `operator`"),
         ("operators = [", "Invalid value"),

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from armrig_core import access_control
 from armrig_core.credential import Credential
 from armrig_daemon.__main__ import main
-from armrig_daemon.service import access_control
 
 _tls = Credential.tls
 

@@ -24,9 +24,9 @@ from armrig.rig import pki
 from armrig.rig.client import RefusedError, Rig, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.credential import Credential, read_credential
+from armrig_core.open_files import MOST
 from armrig_daemon.config import MEND
 from armrig_daemon.service.network_guard import MANY
-from armrig_daemon.service.open_files import MOST
 from driving import samples, whole_run
 from laboratory import (
     PASSWORD,

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import armrig
 import pytest
 from armrig.rig.session import NoReplyError
-from armrig_daemon.service.access_control import MOST_LOCAL_BYTES
+from armrig_core.access_control import MOST_LOCAL_BYTES
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
 from processes import Bench
 

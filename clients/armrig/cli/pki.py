@@ -47,17 +47,40 @@ def ca(
 def rig(
     name: Annotated[str, typer.Argument(metavar="ID", help="Id of the rig.")],
     host: Annotated[
-        list[str], typer.Option("--host", help="Name or address under which clients reach it.")
+        list[str] | None,
+        typer.Option(
+            "--host",
+            help="Name or address under which clients reach it.",
+            show_default="none, only through a router",
+        ),
+    ] = None,
+    directory: Directory = _PKI,
+    days: Days = 365,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Make the certificate that a rig's daemon shows, to clients and to a router."""
+    from armrig.rig.pki import issue_to_rig
+
+    issued = issue_to_rig(directory, name, host or (), days=days, force=force)
+    _say(issued, "[access] certificate", json)
+
+
+@app.command(context_settings=_HELP)
+def router(
+    host: Annotated[
+        list[str],
+        typer.Option("--host", help="Name or address under which rigs and people reach it."),
     ],
     directory: Directory = _PKI,
     days: Days = 365,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Make the certificate that a rig's daemon shows."""
-    from armrig.rig.pki import issue_to_rig
+    """Make the certificate that a lab's router shows."""
+    from armrig.rig.pki import issue_to_router
 
-    _say(issue_to_rig(directory, name, host, days=days, force=force), "[access] certificate", json)
+    _say(issue_to_router(directory, host, days=days, force=force), "armrig router's", json)
 
 
 @app.command(context_settings=_HELP)
@@ -97,12 +120,12 @@ def renew(
     days: Days = 365,
     json: Json = False,
 ) -> None:
-    """Make a new key and certificate for a rig or a person before the old one expires."""
+    """Make a new key and certificate for a rig, router or person before the old one expires."""
     from armrig.rig.pki import renew as renewed
 
     issued = renewed(directory, name, days=days)
-    where = "[access]" if issued.role == "rig" else "[client]"
-    _say(issued, f"{where} certificate", json)
+    where = {"rig": "[access] certificate", "router": "armrig router's"}
+    _say(issued, where.get(issued.role, "[client] certificate"), json)
 
 
 @app.command(context_settings=_HELP)
@@ -141,7 +164,8 @@ def _say(issued: Issued, key: str, json: bool) -> None:
         print_json({**issued._asdict(), "path": str(issued.path)})
         return
     echo(f"{issued.path}: {issued.name}, {issued.role}, until {_day(issued.expires)}")
-    echo(f"it holds the key: only its owner may read it; name it as {key}")
+    named = f"name it as {key}" if key.startswith("[") else f"give it as {key} --certificate"
+    echo(f"it holds the key: only its owner may read it; {named}")
 
 
 def _day(when: datetime) -> str:

@@ -1,8 +1,9 @@
 """A small certificate authority: keys and certificates for rigs and those who use them.
 
 Keys on P-256 and signatures by ECDSA with SHA-256, which all that speak TLS 1.3 know. What a
-certificate is for stands in it: a rig's does not pass for an operator's, nor an operator's for a
-rig's, and neither signs others.
+certificate is for stands in it: an operator's does not pass for that of a rig or a router where
+these are connected to, and none signs others. A rig's connects to a router, and is on no list of
+those who may drive or watch.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from armrig_core.access_list import AccessList, read_access_list
-from armrig_core.credential import check_name
+from armrig_core.credential import RIG_PREFIX, ROUTER, check_name, rig_name
 from armrig_core.topics import check_rig_id
 
 Role = Literal["operators", "observers"]
@@ -37,7 +38,7 @@ class Issued(NamedTuple):
 
     name: str
     role: str
-    """`rig`, or the access list's word."""
+    """`rig`, `router`, or the access list's word."""
     expires: datetime
     path: Path
 
@@ -74,18 +75,37 @@ def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool =
 def issue_to_rig(
     directory: Path, rig: str, hosts: Sequence[str], *, days: int = RIG_DAYS, force: bool = False
 ) -> Issued:
-    """Make the credential of a rig's daemon, which clients reach under the names in `hosts`.
+    """Make the credential of a rig's daemon, and put the rig on the access list.
+
+    Clients reach it under the names in `hosts`; without any it is good for a router alone.
 
     Raises
     ------
     PkiError
-        There is no authority, or the rig has a credential already; or a host is no name.
+        There is no authority; the rig was revoked, or has a credential already; or a host is no
+        name.
     """
-    name = f"rig-{check_rig_id(rig)}"
+    name = check_name(rig_name(check_rig_id(rig)))
+    _refuse_revoked(directory, name)
+    issued = _issue(directory, name, "rig", [_host(host) for host in hosts], days, force=force)
+    _put_on_list(directory, name, "rigs")
+    return issued
+
+
+def issue_to_router(
+    directory: Path, hosts: Sequence[str], *, days: int = RIG_DAYS, force: bool = False
+) -> Issued:
+    """Make the credential of a router, which rigs and people reach under the names in `hosts`.
+
+    Raises
+    ------
+    PkiError
+        There is no authority, or there is such a credential already; or a host is no name.
+    """
     if not hosts:
-        msg = f"rig {rig}: name the hosts under which it is reached, such as --host lab-1.local"
+        msg = "name the hosts under which the router is reached, such as --host lab.local"
         raise PkiError(msg)
-    return _issue(directory, name, "rig", [_host(host) for host in hosts], days, force=force)
+    return _issue(directory, ROUTER, ROUTER, [_host(host) for host in hosts], days, force=force)
 
 
 def issue_to_person(
@@ -98,21 +118,17 @@ def issue_to_person(
     PkiError
         There is no authority; the name is not allowed, was revoked, or has a credential already.
     """
-    people = read_access_list(directory / ACCESS_LIST)
-    if people.role(check_name(name)) == "revoked":
-        msg = f"{name!r} was revoked: the stolen certificate would count again; take another "
-        msg += f"name, such as {name[:38]}-2"
-        raise PkiError(msg)
-    if name.startswith("rig-") or name == "authority":
-        msg = f"{name!r} would be taken for a rig's: take another name"
+    _refuse_revoked(directory, name)
+    if name.startswith(RIG_PREFIX) or name in ("authority", ROUTER):
+        msg = f"{name!r} would be taken for a rig's or a router's: take another name"
         raise PkiError(msg)
     issued = _issue(directory, name, role, [], days, force=force)
-    _write(directory / ACCESS_LIST, people.with_name(name, role).toml().encode(), 0o644)
+    _put_on_list(directory, name, role)
     return issued
 
 
 def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
-    """Give a rig or a person a new key and certificate, with the hosts and the role of the old.
+    """Give a rig, a router or a person a new key and certificate, for hosts and role of the old.
 
     Raises
     ------
@@ -127,12 +143,17 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
     role = read_access_list(directory / ACCESS_LIST).role(name)
     if role in ("operators", "observers"):
         return issue_to_person(directory, name, role, days=days, force=True)  # type: ignore[arg-type]
-    if role == "revoked" or not name.startswith("rig-"):
+    if role == "revoked" or not (name.startswith(RIG_PREFIX) or name == ROUTER):
         msg = f"{name!r} was revoked, or is not on the access list: nothing is renewed"
         raise PkiError(msg)
-    old = _read_certificates(path)[0]
-    hosts = list(old.extensions.get_extension_for_class(x509.SubjectAlternativeName).value)
-    return _issue(directory, name, "rig", hosts, days, force=True)
+    hosts: list[Any] = []
+    with suppress(x509.ExtensionNotFound):
+        old = _read_certificates(path)[0].extensions
+        hosts = list(old.get_extension_for_class(x509.SubjectAlternativeName).value)
+    issued = _issue(directory, name, ROUTER if name == ROUTER else "rig", hosts, days, force=True)
+    if name != ROUTER:
+        _put_on_list(directory, name, "rigs")
+    return issued
 
 
 def revoke(directory: Path, name: str) -> None:
@@ -144,8 +165,9 @@ def revoke(directory: Path, name: str) -> None:
         The name is on no list.
     """
     people = read_access_list(directory / ACCESS_LIST)
-    if people.role(check_name(name)) not in ("operators", "observers"):
-        msg = f"{name!r} is neither an operator nor an observer; `armrig pki list` shows who is"
+    if people.role(check_name(name)) not in ("operators", "observers", "rigs"):
+        msg = f"{name!r} is neither an operator nor an observer nor a rig, such as rig-1; "
+        msg += "`armrig pki list` shows who is"
         raise PkiError(msg)
     _write(directory / ACCESS_LIST, people.with_name(name, "revoked").toml().encode(), 0o644)
 
@@ -156,11 +178,27 @@ def issued(directory: Path) -> list[Issued]:
     found = []
     for path in sorted(directory.glob("*.pem")):
         name = path.stem
-        role = "rig" if name.startswith("rig-") else people.role(name)
+        role = people.role(name)
+        if role != "revoked" and name.startswith(RIG_PREFIX):
+            role = "rig"
+        elif name == ROUTER:
+            role = ROUTER
         if name != Path(_CERTIFICATE).stem:
             expires = _read_certificates(path)[0].not_valid_after_utc
             found.append(Issued(name, role or "on no list", expires, path))
     return found
+
+
+def _refuse_revoked(directory: Path, name: str) -> None:
+    if read_access_list(directory / ACCESS_LIST).role(check_name(name)) == "revoked":
+        msg = f"{name!r} was revoked: the stolen certificate would count again; take another "
+        msg += f"name, such as {name[:38]}-2"
+        raise PkiError(msg)
+
+
+def _put_on_list(directory: Path, name: str, role: str) -> None:
+    people = read_access_list(directory / ACCESS_LIST)
+    _write(directory / ACCESS_LIST, people.with_name(name, role).toml().encode(), 0o644)
 
 
 def _issue(
@@ -178,14 +216,13 @@ def _issue(
         msg = f"{err.filename}: there is no authority here; `armrig pki ca` makes one"
         raise PkiError(msg) from err
     key = ec.generate_private_key(ec.SECP256R1())
-    purpose = (
-        x509.ExtendedKeyUsageOID.SERVER_AUTH if hosts else x509.ExtendedKeyUsageOID.CLIENT_AUTH
-    )
+    serves, connects = x509.ExtendedKeyUsageOID.SERVER_AUTH, x509.ExtendedKeyUsageOID.CLIENT_AUTH
+    purposes = ([serves] if hosts else []) + ([connects] if role != ROUTER else [])
     builder = (
         _builder(_name(name), authority.subject, key.public_key(), days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_key_usage(signs_certificates=False), critical=True)
-        .add_extension(x509.ExtendedKeyUsage([purpose]), critical=False)
+        .add_extension(x509.ExtendedKeyUsage(purposes), critical=False)
         .add_extension(
             x509.AuthorityKeyIdentifier.from_issuer_public_key(signing.public_key()), critical=False
         )

@@ -1,20 +1,20 @@
-"""The way in over a network, from `[access]`: judged before the motor's loop is started."""
+"""The ways in over a network, from `[access]`: judged before the motor's loop is started."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from armrig_core import access_control
 from armrig_core.access_list import AccessList, AccessListError, read_access_list
 from armrig_core.bounded import TextError
-from armrig_core.credential import Credential, CredentialError, read_credential
+from armrig_core.credential import Credential, CredentialError, read_credential, rig_name
 from armrig_core.endpoint import check_listen
 from armrig_core.passwords import PasswordError, read_passwords
 
 from armrig_daemon.config import Access, Config
-from armrig_daemon.service import access_control
 
 
 class AccessError(ValueError):
@@ -23,9 +23,10 @@ class AccessError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Network:
-    """Where to listen beside the Unix socket, and who may do what there."""
+    """A way in beside the Unix socket, and who may do what there."""
 
     endpoint: str
+    """Where to listen, or the router to connect to."""
     known_by: str
     """What a name that has asked is that of: `certificate` or `user`."""
     access_control: dict[str, Any]
@@ -36,10 +37,65 @@ class Network:
     observers: int
     expires: datetime | None
     """When the rig's certificate ends; None without one."""
+    is_router: bool = False
+    """Whether this is a router, to which the daemon connects; who comes is known to that."""
+
+
+class Networks(NamedTuple):
+    """The ways in that a configuration opens; None is one that it does not."""
+
+    own: Network | None
+    """Where the daemon listens itself."""
+    router: Network | None
+
+
+def networks_of(config: Config) -> Networks:
+    """Return the ways in over a network that a configuration opens.
+
+    Raises
+    ------
+    AccessError
+        A key is missing or does not fit the others, or a file cannot be used.
+    """
+    return Networks(network_of(config), router_of(config))
+
+
+def router_of(config: Config) -> Network | None:
+    """Return the way in through a router, None where the configuration names none.
+
+    Raises
+    ------
+    AccessError
+        The rig's certificate is missing or cannot be used.
+    """
+    access, rig = config.access, config.rig.id
+    if not access.router:
+        return None
+    if not access.certificate:
+        msg = f"[access] router = {access.router!r}: needs certificate, too; "
+        raise AccessError(msg + "`armrig pki rig` makes one")
+    try:
+        credential = read_credential(Path(access.certificate), "rig at a router")
+    except CredentialError as err:
+        raise AccessError(f"[access] {err}") from err
+    if credential.name != rig_name(rig):
+        msg = f"[access] {access.certificate}: is that of {credential.name}; the router takes this "
+        raise AccessError(f"{msg}rig by that of {rig_name(rig)} alone")
+    return Network(
+        endpoint=access.router,
+        known_by="certificate",
+        access_control=access_control.at_router(rig),
+        low_pass_filter=access_control.size_limits(rig),
+        transport={"link": {"tls": credential.tls("connect")}},
+        operators=0,
+        observers=0,
+        expires=credential.expires,
+        is_router=True,
+    )
 
 
 def network_of(config: Config) -> Network | None:
-    """Return the way in over a network that a configuration opens, None where it opens none.
+    """Return where the daemon listens on a network itself, None where it does not.
 
     Raises
     ------
@@ -64,6 +120,8 @@ def network_of(config: Config) -> Network | None:
 def _check_keys(access: Access) -> None:
     given = [key for key in ("certificate", "names", "passwords") if getattr(access, key)]
     if not access.listen:
+        if access.router:
+            given = [key for key in given if key != "certificate"]
         if given:
             msg = f"[access] {given[0]} is given and listen is not: nobody could connect; give "
             msg += "listen, such as tls/0.0.0.0:7447"

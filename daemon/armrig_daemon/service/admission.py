@@ -6,17 +6,13 @@ is let in is judged anew, by the service and by the core; the core alone decides
 
 from __future__ import annotations
 
-from armrig_core.calibration_file import RAW_LIMIT
+from armrig_core.access_control import MOST_BYTES, MOST_OF_CALIBRATION
 from armrig_core.commands import REQUESTS, Calibrate, Leased, Run
 
 from armrig_daemon.core.orders import NOT_HELD
 
 LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, Leased))
 """Names of the commands that carry a lease."""
-MOST_BYTES = 4096
-"""Longest payload of any command but a run and a calibration."""
-MOST_OF_CALIBRATION = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
-"""Longest payload of `calibrate`: its samples in base64, and its figures."""
 
 
 def refusal(name: str, payload: bytes, lease: bytes) -> str:

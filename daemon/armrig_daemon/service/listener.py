@@ -1,7 +1,8 @@
-"""One zenoh session of the service, which listens at one endpoint: streams out, commands in.
+"""One zenoh session of the service, at one endpoint: streams out, commands in.
 
-Each way in has a session of its own: what a network does to its listener (a password asked for,
-all places taken, a limit of questions used up) is nothing to whoever comes by the Unix socket.
+It listens there, or is connected to a router. Each way in has a session of its own: what a network
+does to its listener (a password asked for, all places taken, a limit of questions used up) is
+nothing to whoever comes by the Unix socket.
 """
 
 from __future__ import annotations
@@ -14,10 +15,17 @@ from typing import Any
 
 import msgspec
 import zenoh
-from armrig_core import protobuf
+from armrig_core import access_control, protobuf
 from armrig_core.commands import REQUESTS, Refused, Renew, Stop, json_schema
 from armrig_core.history import HistoryRequest
-from armrig_core.owned_session import owned_session
+from armrig_core.owned_session import (
+    NOT_FOUND,
+    ROUTED_US,
+    listening,
+    owned_session,
+    strangers,
+    transport,
+)
 from armrig_core.topics import (
     STREAMS,
     alive_key,
@@ -27,7 +35,7 @@ from armrig_core.topics import (
     stream_key,
 )
 
-from armrig_daemon.service import access_control, admission, token_bucket
+from armrig_daemon.service import admission, token_bucket
 from armrig_daemon.service.access import Network
 
 URGENT = (Stop.name, Renew.name)
@@ -36,24 +44,39 @@ _SCHEMA, _HISTORY = "schema", "history"
 _COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
 MOST_LINKS = 250
 """Over a network, at a time."""
-_ACCEPT_MS = 3000  # how long somebody may take to say who he is; zenoh has 10 s for each step
-_HANDSHAKE = f"#tls_handshake_timeout_ms={_ACCEPT_MS}"
+_AGAIN_MS = 1000  # at the latest, a router that went away is looked for again
 _LONGEST_QUESTION = 64  # B, for a history
 
 
 def session_config(endpoint: str, network: Network | None = None) -> zenoh.Config:
-    """Return the configuration of a session that only listens at `endpoint`, found by nobody."""
+    """Return the configuration of a session at `endpoint` and nowhere else, found by nobody."""
+    if network is not None and network.is_router:
+        return zenoh.Config.from_json5(json.dumps(_router_config(network)))
     if network is None:
         config = owned_session(endpoint, most_received=access_control.MOST_LOCAL_BYTES)
     else:
-        where = f"{endpoint}{_HANDSHAKE}" if endpoint.startswith("tls/") else endpoint
-        config = owned_session(where, most_received=access_control.MOST_IN_A_MESSAGE)
-        config["transport"]["unicast"] = {"accept_timeout": _ACCEPT_MS, "max_sessions": MOST_LINKS}
+        config = owned_session(endpoint, most_received=access_control.MOST_IN_A_MESSAGE)
+        config |= listening(endpoint)
+        config["transport"]["unicast"] = strangers(MOST_LINKS)
         config["access_control"] = network.access_control
         config["low_pass_filter"] = network.low_pass_filter
         config["transport"]["link"] |= network.transport.get("link", {})
         config["transport"] |= {"auth": network.transport.get("auth", {})}
     return zenoh.Config.from_json5(json.dumps(config))
+
+
+def _router_config(network: Network) -> dict[str, Any]:
+    """Return the configuration of a client of a router, which connects again by itself."""
+    config = {
+        "mode": "client",
+        "connect": {"endpoints": [network.endpoint], "retry": {"period_max_ms": _AGAIN_MS}},
+        **NOT_FOUND,
+        "access_control": network.access_control,
+        "low_pass_filter": network.low_pass_filter,
+        "transport": transport(access_control.MOST_IN_A_MESSAGE, answer_us=ROUTED_US),
+    }
+    config["transport"]["link"] |= network.transport["link"]
+    return config
 
 
 class Command:
@@ -83,7 +106,7 @@ class Command:
 
 
 class Listener:
-    """An open session at one endpoint."""
+    """An open session at one endpoint, or of one router."""
 
     def __init__(
         self,
@@ -93,7 +116,7 @@ class Listener:
         past: Callable[[int, int], bytes],
         network: Network | None = None,
     ) -> None:
-        """Listen.
+        """Listen, or connect.
 
         Parameters
         ----------
@@ -108,7 +131,7 @@ class Listener:
         Raises
         ------
         zenoh.ZError
-            The endpoint is taken or cannot be made.
+            The endpoint is taken or cannot be made, or there is no such router now.
         """
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
@@ -128,17 +151,25 @@ class Listener:
         for name in REQUESTS:
             self._served[schema_key(rig, f"cmd/{name}")] = json_schema(name)
         self._past, self._history_key = past, history_key(rig)
-        self._session.declare_queryable(self._history_key, self._serve_history)
-        self._session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
         asker = "*" if network is not None else ""
-        self._session.declare_queryable(command_key(rig, "*", asker), self._receive)
-        for name in URGENT:
-            self._session.declare_queryable(command_key(rig, name, asker), self._receive_urgent)
+        served = {
+            self._history_key: self._serve_history,
+            schema_key(rig, "**"): self._serve_schema,
+            command_key(rig, "*", asker): self._receive,
+            **{command_key(rig, name, asker): self._receive_urgent for name in URGENT},
+        }
+        for key, answer in served.items():
+            self._session.declare_queryable(key, answer)
         self._alive = self._session.liveliness().declare_token(alive_key(rig))
 
     def close(self) -> None:
         """Close; an open session would never let the interpreter end."""
         self._session.close()
+
+    @property
+    def has_router(self) -> bool:
+        """Whether a router is connected now."""
+        return bool(self._session.info.routers_zid())
 
     def put(self, stream: str, data: bytes) -> None:
         """Publish; dropped by zenoh where a subscriber does not keep up."""

@@ -8,6 +8,7 @@ import secrets
 import threading
 from collections.abc import Callable, Iterator
 from enum import Enum
+from functools import partial
 from typing import Self
 
 import zenoh
@@ -17,6 +18,7 @@ from armrig_daemon.service import admission
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.history import History
 from armrig_daemon.service.listener import Command, Listener
+from armrig_daemon.service.uplink import Uplink
 
 MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
@@ -49,7 +51,12 @@ class Session:
     """Open listeners; use it in a `with` block."""
 
     def __init__(
-        self, endpoint: str, rig: str, wake: Callable[[], None], network: Network | None = None
+        self,
+        endpoint: str,
+        rig: str,
+        wake: Callable[[], None],
+        network: Network | None = None,
+        router: Network | None = None,
     ) -> None:
         """Listen; `wake` is called, from a thread of zenoh's, when a command has come.
 
@@ -59,6 +66,8 @@ class Session:
             Of the Unix socket.
         network : Network, optional
             Where to listen, too.
+        router : Network, optional
+            Where to connect to, too, as soon as it is there.
 
         Raises
         ------
@@ -82,6 +91,11 @@ class Session:
             except NetworkError:
                 self._listeners[0].close()
                 raise
+        self.uplink: Uplink | None = None
+        """The way through a router, if there is to be one."""
+        if router is not None:
+            way = partial(Listener, router.endpoint, rig, self._admit, self._past, router)
+            self.uplink = Uplink(router.endpoint, way)
 
     def __enter__(self) -> Self:
         """Return itself, open."""
@@ -91,6 +105,8 @@ class Session:
         """Close."""
         for listener in self._listeners:
             listener.close()
+        if self.uplink is not None:
+            self.uplink.close()
 
     def open_network(self) -> None:
         """Listen at the endpoint of the network, too.
@@ -119,6 +135,8 @@ class Session:
         """Publish; dropped by zenoh where a subscriber does not keep up, and kept for a while."""
         for listener in self._listeners:
             listener.put(stream, data)
+        if self.uplink is not None:
+            self.uplink.put(stream, data)
         self._history.add(stream, data)
 
     def waiting(self, kind: Kind, most: int = MOST_WAITING) -> Iterator[Command]:

@@ -38,7 +38,7 @@ def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
 
 
 def unreachable(endpoint: str, devices: str) -> str:
-    """Return why nobody can reach us at the endpoint of a network, or nothing.
+    """Return why nobody can reach us by a network, or nothing.
 
     Parameters
     ----------
@@ -53,15 +53,17 @@ def unreachable(endpoint: str, devices: str) -> str:
     if interfaces - {"lo"}:
         return ""
     return (
-        f"[access] listen = {endpoint!r}: there is no interface but the loopback: nobody can "
-        "connect; in a service PrivateNetwork=no is missing, see docs/access.md"
+        f"[access] {endpoint}: there is no interface but the loopback: nobody can connect; in a "
+        "service PrivateNetwork=no is missing, see docs/access.md"
     )
 
 
-def listening(network: Network, now: datetime) -> tuple[str, str]:
+def reached(network: Network, now: datetime) -> tuple[str, str]:
     """Return, with its level, who may come over a network, and until when."""
     who = f"{network.operators} may drive and {network.observers} may watch, by {network.known_by}"
     text = f"also at {network.endpoint}: {who}"
+    if network.is_router:
+        text = f"also through the router {network.endpoint}: whom that lets in, by certificate"
     if network.expires is None:
         return "info", text
     text += f"; the rig's certificate counts until {network.expires:%Y-%m-%d}"

@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 
 import zenoh
+from armrig_core import open_files
 from armrig_core.held_up import held_up
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
@@ -44,8 +45,8 @@ from armrig_daemon.pipe import (
     Timing,
     Trace,
 )
-from armrig_daemon.service import child, open_files, pressure
-from armrig_daemon.service.access import AccessError, network_of
+from armrig_daemon.service import child, pressure
+from armrig_daemon.service.access import AccessError, networks_of
 from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.left_over import LeftOver
 from armrig_daemon.service.network_guard import NetworkGuard
@@ -55,9 +56,9 @@ from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.sentences import (
     endpoint_error,
-    listening,
     network_error,
     print_line,
+    reached,
     served,
     state_sentence,
     unreachable,
@@ -124,7 +125,7 @@ class Service:
         """Run until SIGTERM, SIGINT or the loop's end."""
         config = self._config
         try:
-            network = network_of(config)
+            network, router = networks_of(config)
         except AccessError as err:
             print_line("error", str(err))
             return MEND
@@ -143,14 +144,14 @@ class Service:
             has_left = realtime.leave_fifo()
             sys.setswitchinterval(_SWITCH_S)
             open_files.raise_limit()
-            with Session(self._endpoint, config.rig.id, self._wake, network) as session:
+            with Session(self._endpoint, config.rig.id, self._wake, network, router) as session:
                 self._connect(loop, session)
                 if not has_left:
                     self._say("warning", _AT_FIFO)
                 self._say("info", f"rig {config.rig.id} at {self._endpoint}")
-                if network is not None:
-                    self._say(*listening(network, datetime.now(UTC)))
-                    if told := unreachable(network.endpoint, Path("/proc/net/dev").read_text()):
+                for way in filter(None, (network, router)):
+                    self._say(*reached(way, datetime.now(UTC)))
+                    if told := unreachable(way.endpoint, Path("/proc/net/dev").read_text()):
                         self._say("warning", told)
                 by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
                 self._say("info", served(config, by))
@@ -362,7 +363,7 @@ class Service:
             self._say("warning", f"configuration not read anew: {who}; reload when it is free")
             return
         try:
-            network_of(check_configuration())
+            networks_of(check_configuration())
         except ValueError as err:  # AccessError is one
             self._say("error", f"configuration not read anew, the one in force stays: {err}")
             return
@@ -382,6 +383,8 @@ class Service:
             told = self._guard.look(time.monotonic(), is_busy=self._is_busy)
             if told is not None:
                 self._say(*told)
+        if self._session.uplink is not None and (told := self._session.uplink.look()):
+            self._say(*told)
         if self._runs.is_idle:
             self._left_over.go_on()
         self._runs.add(self._published(self._thinning.due(realtime.now_ns())))

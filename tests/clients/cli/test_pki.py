@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from armrig.cli import main
 from armrig_core.access_list import read_access_list
-from armrig_core.credential import read_credential
+from armrig_core.credential import CredentialError, read_credential
 from cryptography import x509
 
 
@@ -137,12 +137,31 @@ def test_a_name_that_was_revoked_is_given_to_nobody(
     assert main(["pki", "operator", "alice-2"]) == 0
 
 
+def test_a_router_and_its_rigs(here: Path) -> None:
+    """A rig goes onto the list; one without a host connects, and is connected to by nobody."""
+    assert main(["pki", "router", "--host", "localhost"]) == 0
+    assert main(["pki", "rig", "7"]) == 0
+    assert main(["pki", "renew", "rig-7"]) == 0
+    assert main(["pki", "renew", "router"]) == 0
+
+    assert read_credential(here / "router.pem", "router").name == "router"
+    assert read_credential(here / "rig-7.pem", "rig at a router").name == "rig-7"
+    assert read_access_list(here / "access.toml").rigs[-1] == "rig-7"
+    for path, purpose in (("router.pem", "rig at a router"), ("rig-7.pem", "rig")):
+        with pytest.raises(CredentialError, match="for another purpose"):
+            read_credential(here / path, purpose)  # type: ignore[arg-type]
+    assert main(["pki", "revoke", "rig-7"]) == 0
+    assert main(["pki", "rig", "7", "--force"]) == 1
+    assert read_access_list(here / "access.toml").revoked == ("rig-7",)
+
+
 @pytest.mark.parametrize(
     ("command", "says"),
     [
         (["operator", "Alice"], "name 'Alice': 1 to 40 of a-z, 0-9 and - are allowed"),
         (["operator", "../alice"], "name '../alice': 1 to 40 of a-z"),
         (["operator", "rig-1"], "'rig-1' would be taken for a rig's"),
+        (["observer", "router"], "'router' would be taken for a rig's or a router's"),
         (["rig", "1", "--host", "*.example.edu"], "a name such as lab-1.example.edu or an address"),
         (["rig", "A/B", "--host", "localhost"], "rig id 'A/B': 1 to 40 of a-z"),
         (["renew", "alice"], "there is nothing to renew"),
@@ -167,7 +186,7 @@ def test_without_an_authority_nothing_is_signed(
     monkeypatch.chdir(tmp_path)
 
     assert main(["pki", "rig", "1", "--host", "localhost"]) == 1
-    assert "there is no authority here; `armrig pki ca` makes one" in capsys.readouterr().err
+    assert "there is no such file; `armrig pki ca` writes one" in capsys.readouterr().err
 
 
 def test_programs_get_json(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 from armrig.rig import pki
+from armrig_core.access_control import at_router, of_router, remote
 from armrig_core.access_list import AccessList
 from armrig_daemon.config import Access, Config, ConfigError, load
-from armrig_daemon.service.access import AccessError, network_of
-from armrig_daemon.service.access_control import remote
+from armrig_daemon.service.access import AccessError, network_of, router_of
 
 TLS, TCP = "tls/0.0.0.0:7447", "tcp/127.0.0.1:7447"
 
@@ -185,3 +185,70 @@ def test_what_is_not_allowed_is_denied() -> None:
         "bob asks": ["rig/1/cmd/status/bob"],
     }
     assert "'eve'" not in str(control)
+
+
+def test_a_rig_at_a_router_is_itself_alone() -> None:
+    """What it may publish and answer has its id; who was revoked is in no rule."""
+    people = AccessList(operators=("alice",), rigs=("rig-1", "rig-2"), revoked=("rig-3",))
+
+    control = of_router(people)
+
+    assert (control["enabled"], control["default_permission"]) == (True, "deny")
+    rules = {rule["id"]: rule for rule in control["rules"]}
+    [policy] = [policy for policy in control["policies"] if policy["subjects"] == ["rig-2"]]
+    said = {
+        key
+        for rule in map(rules.__getitem__, policy["rules"])
+        if rule["flows"] == ["ingress"]
+        for key in rule["key_exprs"]
+    }
+    assert {key.split("/")[1] for key in said} == {"2"}
+    assert {"rig/2/sample", "rig/2/history", "rig/2/alive", "rig/2/cmd/*/*"} <= said
+    assert "rig-3" not in str(control)
+
+
+def test_a_router_asks_a_rig_and_tells_it_nothing() -> None:
+    """Questions come in, about this rig alone; no sample, no answer, no command of another."""
+    control = at_router("1")
+
+    assert control["default_permission"] == "deny"
+    assert {subject["id"] for subject in control["subjects"]} == {"router"}
+    taken = {
+        message: rule["key_exprs"]
+        for rule in control["rules"]
+        if rule["flows"] == ["ingress"]
+        for message in rule["messages"]
+    }
+    assert taken == {
+        "declare_subscriber": ["rig/*/*"],
+        "query": ["rig/1/schema/**", "rig/1/history", "rig/1/cmd/*/*"],
+    }
+
+
+def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_path: Path) -> None:
+    """And no access list, which is the router's; it may stand beside an endpoint of our own."""
+    other = str(pki.issue_to_rig(tmp_path, "2", []).path)
+    router = "tls/lab.local:7447"
+
+    found = router_of(Config(access=Access(router=router, certificate=files["certificate"])))
+
+    assert found is not None
+    assert (found.endpoint, found.is_router) == (router, True)
+    assert _network(router=router, certificate=files["certificate"]) is None
+    assert _network(router=router, listen=TLS, **_chosen(files, "certificate", "names")) is not None
+    for certificate, says in (
+        ("", "needs certificate, too; `armrig pki rig` makes one"),
+        (other, "is that of rig-2; the router takes this rig by that of rig-1 alone"),
+        (str(tmp_path / "router.pem"), "there is no such file; `armrig pki rig` writes one"),
+    ):
+        with pytest.raises(AccessError, match=says):
+            router_of(Config(access=Access(router=router, certificate=certificate)))
+    with pytest.raises(AccessError, match="names is given and listen is not"):
+        _network(router=router, **_chosen(files, "certificate", "names"))
+
+
+@pytest.mark.parametrize("router", ["tcp/127.0.0.1:7447", "tls/lab.local", "lab.local:7447"])
+def test_a_router_is_reached_by_tls(router: str) -> None:
+    """By host and port."""
+    with pytest.raises(ConfigError, match="must be tls/HOST:PORT"):
+        load([], {"ARMRIG_ACCESS_ROUTER": router}, {})
