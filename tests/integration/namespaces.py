@@ -34,7 +34,7 @@ def missing() -> str:
     made = subprocess.run(["ip", "netns", "add", trial], capture_output=True, check=False)
     if made.returncode != 0:
         return "no network namespace can be made here: " + made.stderr.decode().strip()
-    _run("ip", "netns", "delete", trial)
+    run("ip", "netns", "delete", trial)
     return ""
 
 
@@ -46,19 +46,20 @@ def connected() -> Iterator[Namespaces]:
     ends: dict[Side, str] = {"rig": f"ar{own}", "stranger": f"as{own}"}  # 15 characters at most
     try:
         for name in both:
-            _run("ip", "netns", "add", name)
-        _run("ip", "link", "add", ends["rig"], "type", "veth", "peer", "name", ends["stranger"])
+            run("ip", "netns", "add", name)
+        run("ip", "link", "add", ends["rig"], "type", "veth", "peer", "name", ends["stranger"])
         for side, end in ends.items():
-            _run("ip", "link", "set", end, "netns", getattr(both, side))
-            _run(*both.command(side, "ip", "address", "add", f"{ADDRESSES[side]}/24", "dev", end))
-            _run(*both.command(side, "ip", "link", "set", end, "up"))
-            _run(*both.command(side, "ip", "link", "set", "lo", "up"))
+            run("ip", "link", "set", end, "netns", getattr(both, side))
+            run(*both.command(side, "ip", "address", "add", f"{ADDRESSES[side]}/24", "dev", end))
+            run(*both.command(side, "ip", "link", "set", end, "up"))
+            run(*both.command(side, "ip", "link", "set", "lo", "up"))
         yield both
     finally:
         for name in both:
             with suppress(subprocess.CalledProcessError):
-                _run("ip", "netns", "delete", name)
+                run("ip", "netns", "delete", name)
 
 
-def _run(*command: str) -> None:
+def run(*command: str) -> None:
+    """Run a command of iproute2."""
     subprocess.run(command, check=True, capture_output=True, timeout=20)

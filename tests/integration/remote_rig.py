@@ -12,6 +12,7 @@ from typing import Any
 
 from namespaces import Namespaces
 from processes import Bench, wait_for
+from star import Star
 
 HERE = Path(__file__).parent
 GUARDED = ("-m", "armrig_daemon")
@@ -43,7 +44,7 @@ def started(line: Namespaces, bench: Bench, *program: str) -> Iterator[Path]:
 
 
 def stranger(
-    line: Namespaces, where: str, made: Path, who: str, pem: str, program: Path = STRANGER
+    line: Namespaces | Star, where: str, made: Path, who: str, pem: str, program: Path = STRANGER
 ) -> subprocess.Popen[str]:
     """Start a program of somebody's on the strangers' side."""
     credential = [str(made / pem)] if pem else []
@@ -60,7 +61,7 @@ def stranger(
 
 
 @contextmanager
-def watching(line: Namespaces, where: str, made: Path) -> Iterator[subprocess.Popen[str]]:
+def watching(line: Namespaces | Star, where: str, made: Path) -> Iterator[subprocess.Popen[str]]:
     """Have an operator listen, from the strangers' side, until the block ends."""
     watcher = stranger(line, where, made, "watch", "carol.pem")
     assert watcher.stdout is not None

@@ -39,6 +39,7 @@ from armrig.cli import (
     recovery,
     reporting,
     rig,
+    router,
     service,
     validation,
 )
@@ -106,6 +107,7 @@ for _command, _example in (
     (host.conformance, "--device /dev/ttyACM0"),
     (service.app, "service"),
     (pki.app, "pki"),
+    (router.router, "--certificate pki/router.pem --names pki/access.toml"),
 ):
     if isinstance(_command, typer.Typer):
         app.add_typer(_command, name=_example, context_settings=_HELP)

@@ -1,4 +1,4 @@
-"""The command that lists the recordings: ls."""
+"""The command that lists the recordings, and the rigs that are there: ls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armrig.cli.chosen_recording import (
     short_name,
 )
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, echo, print_json, tell
+from armrig.cli.options import Connect, Json, echo, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Count = Annotated[int, typer.Option("--count", min=1, help="How many of the newest.")]
 All = Annotated[bool, typer.Option("--all", help="All of them.")]
+Live = Annotated[bool, typer.Option("--live", help="The rigs that are there now.")]
 Folder = Annotated[
     Path | None,
     typer.Argument(
@@ -41,12 +42,29 @@ _WIDEST = 60  # characters of a column
 _HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "validates")
 
 
-def ls(where: Folder = None, count: Count = _COUNT, every: All = False, json: Json = False) -> None:
-    """List the recordings, newest first.
+def ls(
+    where: Folder = None,
+    count: Count = _COUNT,
+    every: All = False,
+    live: Live = False,
+    connect: Connect = None,
+    json: Json = False,
+) -> None:
+    """List the recordings, newest first; with --live the rigs that are there now.
 
     With the names that other commands take for files, such as @last; of another folder than that
-    of the recordings the files themselves.
+    of the recordings the files themselves. The rigs are those at an endpoint, of a router or a
+    daemon; without one all of this machine.
     """
+    if live and (where is not None or every):
+        msg = "--live lists rigs: a folder or --all of recordings does not go with it"
+        raise ValueError(msg)
+    if connect and not live:
+        msg = f"--connect {connect}: recordings lie on a disk; --live lists the rigs there"
+        raise ValueError(msg)
+    if live:
+        _list_rigs(connect, json=json)
+        return
     from armrig.recordings.catalogue import catalogue
     from armrig.recordings.catalogue_columns import facts_of
     from armrig.recordings.recording_summary import shown_path
@@ -86,6 +104,36 @@ def ls(where: Folder = None, count: Count = _COUNT, every: All = False, json: Js
     if shown:
         newest = shown[0]
         say_next("ls", file=typed(newest.path) if where else short_name(newest, answering))
+
+
+def _list_rigs(connect: str | None, *, json: bool) -> None:
+    """List the rigs that are there now."""
+    from armrig.rig.live_rigs import live_rigs
+
+    where, found = live_rigs(connect)
+    if json:
+        rigs = [
+            {"rig": r.rig, "endpoint": r.endpoint, "status": r.status, "why": r.why} for r in found
+        ]
+        print_json({"where": where, "rigs": rigs})
+        return
+    if not found:
+        tell(
+            f"no rig is alive at {where}: start one with `armrig lab` or `armrigd run`; one of "
+            "another machine is found at its router: --connect tls/HOST:PORT"
+        )
+        return
+    rows = [
+        (r.rig, s.phase, f"{s.Ts:g} s", s.owner or "nobody", s.reason or s.line)
+        if (s := r.status) is not None
+        else (r.rig, "", "", "", r.why)
+        for r in found
+    ]
+    echo(
+        _table(
+            [("rig", "phase", "Ts", "who has it", ""), *(tuple(map(printable, r)) for r in rows)]
+        )
+    )
 
 
 def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tuple[str, ...]:

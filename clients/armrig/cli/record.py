@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import os
-import signal
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
-from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from armrig.cli.chosen_recording import COMPLETE
+from armrig.cli.fleet import default_name, record_many
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, RigId, echo, print_json, tell
+from armrig.cli.options import Json, echo, print_json, tell
+from armrig.cli.until_signal import until_signal
 
 if TYPE_CHECKING:
     from armrig.rig.remote_recording import RemoteRecording
-    from armrig.rig.remote_source import RemoteSource
 
 Source = Annotated[
     str | None,
@@ -27,33 +23,39 @@ Source = Annotated[
         "--from",
         "--connect",
         metavar="ENDPOINT",
-        help="zenoh endpoint of the daemon.",
+        help="zenoh endpoint of the daemon, or of a router.",
         show_default="this user's daemon",
     ),
 ]
 Out = Annotated[
     Path | None,
     typer.Option(
-        "-o", metavar="FILE", help="File to write.", show_default="RIG-remote-TIME.mcap, here"
+        "-o",
+        metavar="FILE",
+        help="File to write; of several rigs the folder.",
+        show_default="RIG-remote-TIME.mcap, here",
     ),
 ]
+Rigs = Annotated[list[str] | None, typer.Option("--rig", help="Id of the rig.", show_default="1")]
+Every = Annotated[bool, typer.Option("--all", help="Every rig that is there, and that comes.")]
 Seconds = Annotated[
     float | None,
     typer.Option("--seconds", metavar="S", help="End after so long.", show_default="Ctrl-C"),
 ]
-_ASK_S = 0.2
-_SILENCE_S = 2.0
-_MOST_PIECES = 64
 
 
 def record(
     source: Source = None,
-    rig: RigId = "1",
+    rigs: Rigs = None,
+    every: Every = False,
     out: Out = None,
     seconds: Seconds = None,
     json: Json = False,
 ) -> None:
     """Record all that a rig publishes, from anywhere that reaches its daemon, until Ctrl-C.
+
+    With --all, or --rig several times, that of many rigs, each into files of its own: those that
+    come later are taken in, and what becomes of one does not touch the others.
 
     It begins with what the daemon keeps, the last 24 s at 1 kHz, and loses nothing while the way
     is interrupted for less than that; what is lost beyond is a gap in the file. A daemon that is
@@ -62,28 +64,39 @@ def record(
     """
     from armrig_core.topics import check_own_id
 
-    from armrig.rig.remote_recording import RemoteRecording
-    from armrig.rig.remote_source import RemoteSource
-    from armrig.rig.session import configured_endpoint, no_reply, open_session
-
-    check_own_id(rig)
     if seconds is not None and not seconds > 0:
         msg = f"--seconds {seconds:g}: a number above 0 is needed"
         raise ValueError(msg)
+    for name in rigs or ():
+        check_own_id(name)
+    if every and rigs:
+        msg = f"--all and --rig {rigs[0]}: one of both; --all takes every rig that is there"
+        raise ValueError(msg)
+    if every or len(rigs or ()) > 1:
+        record_many(source, rigs, out, seconds, json=json)
+    else:
+        _record_one(source, (rigs or ["1"])[0], out, seconds, json=json)
+
+
+def _record_one(
+    source: str | None, rig: str, out: Path | None, seconds: float | None, *, json: bool
+) -> None:
+    from armrig.rig.remote_recorder import RemoteRecorder
+    from armrig.rig.remote_recording import RemoteRecording
+    from armrig.rig.session import configured_endpoint, no_reply, open_session
+
     where = source or configured_endpoint(rig)
-    path = _checked(out or Path(f"{rig}-remote-{time.strftime('%Y%m%dT%H%M%S')}.mcap"))
+    path = _checked(out or Path(default_name(rig)))
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
     outcome = COMPLETE
     with open_session(source, rig=rig) as session:
-        row = RemoteSource(session, rig)
-        if (piece := row.next_piece()) is None:
-            raise no_reply(rig, where)
-        with _ended() as ended:
+        recorder = RemoteRecorder(session, recording)
+        with until_signal() as ended:
             try:
-                recording.add(piece)
+                if not recorder.begin():
+                    raise no_reply(rig, where)
                 tell(f"recording rig {rig} from {where}; Ctrl-C ends it")
-                _record(row, recording, rig, seconds, ended)
-                _catch_up(row, recording)
+                recorder.record(ended, seconds)
             except (RuntimeError, OSError) as err:
                 outcome = f"the recorder ended: {err}"
                 raise
@@ -118,78 +131,6 @@ def _checked(path: Path) -> Path:
             msg = f"-o {path}: {taken.name} is there already; give another name"
             raise ValueError(msg)
     return path
-
-
-@contextmanager
-def _ended() -> Iterator[Event]:
-    """Give what Ctrl-C sets, or another signal that ends us; a second one interrupts.
-
-    The first does not, as it may come between a message that was received and its file.
-    """
-    ended, received = Event(), []
-
-    def note(number: int, _: object) -> None:
-        if ended.is_set():
-            raise KeyboardInterrupt
-        received.append(number)
-        ended.set()
-
-    # Not every system has SIGHUP; and what nohup ignores stays ignored.
-    numbers = [getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
-    before = {
-        number: handler
-        for number in numbers
-        if number is not None and callable(handler := signal.getsignal(number))
-    }
-    for number in before:
-        signal.signal(number, note)
-    try:
-        yield ended
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for number in received:
-            if number != signal.SIGINT:  # the way to end it; of the others the exit code tells
-                with suppress(KeyboardInterrupt):
-                    before[number](number, None)
-
-
-def _record(
-    row: RemoteSource,
-    recording: RemoteRecording,
-    rig: str,
-    seconds: float | None,
-    ended: Event,
-) -> None:
-    """Ask and write, until the time is over."""
-    begun = heard = time.monotonic()
-    silent = False
-    while not ended.is_set() and (seconds is None or time.monotonic() - begun < seconds):
-        piece = row.next_piece()
-        now = time.monotonic()
-        if piece is None:
-            if now - heard > _SILENCE_S and not silent:
-                tell(f"rig {rig} does not answer; waiting for it")
-                silent = True
-            ended.wait(_ASK_S)
-            continue
-        if silent:
-            tell(f"rig {rig} answers again, after {now - heard:.1f} s")
-        heard, silent = now, False
-        recording.add(piece)
-        if not piece.is_full:  # else there is more
-            ended.wait(_ASK_S)
-
-
-def _catch_up(row: RemoteSource, recording: RemoteRecording) -> None:
-    """Record what has been published up to now; no more than a daemon keeps."""
-    for _ in range(_MOST_PIECES):
-        piece = row.next_piece()
-        if piece is None:
-            break
-        recording.add(piece)
-        if not piece.is_full:
-            break
 
 
 def _say(recording: RemoteRecording, *, json: bool) -> None:

@@ -33,7 +33,8 @@ def why_not_connected(host: str, port: int, credential: Credential, path: Path) 
     except socket.gaierror:
         return f"there is no host {host}: see how it is spelt"
     except ConnectionRefusedError:
-        return f"nobody listens at port {port} of {host}: see that armrigd runs, with [access]"
+        listener = "armrigd runs, with [access], or `armrig router`"
+        return f"nobody listens at port {port} of {host}: see that {listener}"
     except TimeoutError:
         return _SILENT
     except OSError as err:

@@ -25,7 +25,7 @@ from armrig_core.endpoint import (
 from armrig_core.passwords import PasswordError, read_users
 from armrig_core.printable import printable
 from armrig_core.recording_directory import installed
-from armrig_core.topics import PLAYED, check_rig_id
+from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
 
 from armrig.rig.connection_faults import why_not_connected
 
@@ -94,6 +94,36 @@ def configured_endpoint(rig: str) -> str:
     return _settings(rig).connect or default_endpoint(rig)
 
 
+def configured_connect() -> str:
+    """Return the endpoint that `[client]` names; "" where it names none."""
+    return _settings("").connect
+
+
+def local_rigs() -> list[str]:
+    """Return the ids of which there is a socket on this machine, of this user or of a service."""
+    places = [Path(_socket_directory()), *Path(SERVICES).glob("*")]
+    names = {path.stem for place in places for path in place.glob("*.sock")}
+    return sorted(name for name in names if is_rig_id(name) and not name.startswith(PLAYED))
+
+
+def open_endpoint(where: str) -> Connection:
+    """Connect to an endpoint where there may be several rigs, as at a router.
+
+    Raises
+    ------
+    NoReplyError
+        Nobody listens there.
+    RigError
+        `where` is not an endpoint, or the credential that `[client]` names cannot be used.
+    """
+    way = _way(where, None, _settings(""))
+    try:
+        return Connection(zenoh.open(_config(way)), way.endpoint, way.name)
+    except zenoh.ZError as err:
+        fault = way.fault() or "see that `armrig router` or armrigd runs there"
+        raise NoReplyError(f"nobody answers at {where}: {fault}") from err
+
+
 def open_session(
     connect: str | None, *, rig: str, certificate: str | Path | None = None
 ) -> zenoh.Session:
@@ -157,7 +187,8 @@ def _config(way: _Way) -> zenoh.Config:
 
 
 def _settings(rig: str) -> ClientSettings:
-    check_rig_id(rig)
+    if rig:
+        check_rig_id(rig)
     try:
         return client_settings(installed(rig), os.environ)
     except ValueError as err:

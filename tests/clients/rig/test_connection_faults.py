@@ -64,7 +64,8 @@ def test_where_nobody_listens_the_daemon_is_named(made: Path) -> None:
     port = _port()
 
     assert _told(made, port) == (
-        f"nobody listens at port {port} of localhost: see that armrigd runs, with [access]"
+        f"nobody listens at port {port} of localhost: see that armrigd runs, with [access], "
+        "or `armrig router`"
     )
 
 

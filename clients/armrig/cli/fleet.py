@@ -1,0 +1,75 @@
+"""Many rigs at once, recorded from afar: what `record --all` does."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armrig.cli.options import echo, print_json, tell
+from armrig.cli.until_signal import until_signal
+
+if TYPE_CHECKING:
+    from armrig.rig.fleet_recorder import RigRecorded
+
+
+def default_name(rig: str) -> str:
+    """Return the name of a rig's file that begins now."""
+    return f"{rig}-remote-{time.strftime('%Y%m%dT%H%M%S')}.mcap"
+
+
+def record_many(
+    source: str | None,
+    rigs: list[str] | None,
+    out: Path | None,
+    seconds: float | None,
+    *,
+    json: bool,
+) -> None:
+    """Record the rigs at an endpoint, into files in the folder `out`; None are all of them."""
+    from armrig.rig.fleet_recorder import FleetRecorder
+    from armrig.rig.session import configured_connect, open_endpoint
+
+    where = source or configured_connect()
+    if not where:
+        msg = "--from is missing: where are the rigs? Give a router, such as tls/lab.local:7447"
+        raise ValueError(msg)
+    folder = out or Path()
+    folder.mkdir(parents=True, exist_ok=True)
+    with open_endpoint(where).session as session, until_signal() as ended:
+        recorder = FleetRecorder(session, where, lambda rig: folder / default_name(rig), tell)
+        named = "all rigs" if rigs is None else f"rigs {', '.join(rigs)}"
+        tell(f"recording {named} from {where}; Ctrl-C ends it")
+        recorded = recorder.record(ended, seconds, rigs)
+    _say(recorded, where, json=json)
+
+
+def _say(recorded: list[RigRecorded], where: str, *, json: bool) -> None:
+    files = [(one.rig, file) for one in recorded for file in one.files]
+    failed = [one for one in recorded if one.why]
+    if json:
+        print_json(
+            {
+                "recordings": [
+                    {
+                        "rig": rig,
+                        "recording": str(file.path),
+                        "samples": file.samples,
+                        "missing": file.missing,
+                        "outcome": file.outcome,
+                    }
+                    for rig, file in files
+                ],
+                "failed": [{"rig": one.rig, "why": one.why} for one in failed],
+            }
+        )
+    else:
+        for _, file in files:
+            echo(f"{file.path}: {file.samples} samples, {file.missing} missing, {file.outcome}")
+    if failed:
+        names = ", ".join(one.rig for one in failed)
+        msg = f"of {len(recorded)} rigs the recording of {names} ended early; see above"
+        raise RuntimeError(msg)
+    if not files:
+        msg = f"no rig at {where} published a sample: there is nothing to record; "
+        raise RuntimeError(msg + "`armrig ls --live` shows which rigs are there")

@@ -1,0 +1,119 @@
+"""One recorder for many rigs: each in a thread and in files of its own.
+
+Whatever becomes of one, the others are recorded on.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from armrig.rig.live_rigs import ids_alive
+from armrig.rig.remote_recorder import RemoteRecorder
+from armrig.rig.remote_recording import RecordedFile, RemoteRecording, Tell
+
+_LOOK_S = 1.0
+_ASK_S = 0.2
+_COMPLETE = "complete"
+
+
+@dataclass(slots=True)
+class RigRecorded:
+    """What became of one rig."""
+
+    rig: str
+    files: list[RecordedFile]
+    why: str = ""
+    """Why its recording ended before the others; empty where it did not."""
+
+
+class FleetRecorder:
+    """Records the rigs of a session, each from when it is there."""
+
+    def __init__(
+        self, session: zenoh.Session, endpoint: str, path_of: Callable[[str], Path], tell: Tell
+    ) -> None:
+        """Record nobody yet.
+
+        Parameters
+        ----------
+        endpoint : str
+            Of the router, as the files name it.
+        path_of : callable
+            Returns the path of a rig's first file.
+        tell : callable
+            Called with a line for a person, by one thread at a time.
+        """
+        self._session, self._endpoint = session, endpoint
+        self._path_of, self._tell_person = path_of, tell
+        self._telling = threading.Lock()
+        self._ended = threading.Event()
+        self._threads: dict[str, threading.Thread] = {}
+        self._recorded: dict[str, RigRecorded] = {}
+
+    def record(
+        self, ended: threading.Event, seconds: float | None, rigs: Collection[str] | None
+    ) -> list[RigRecorded]:
+        """Record until `ended` is set, or for `seconds`; return what became of each rig.
+
+        Parameters
+        ----------
+        rigs : collection of str, optional
+            Their ids; None are all that are there, and those that come.
+        """
+        until = float("inf") if seconds is None else time.monotonic() + seconds
+        try:
+            while not ended.is_set() and (now := time.monotonic()) < until:
+                for rig in ids_alive(self._session) if rigs is None else rigs:
+                    self._begin(rig)
+                ended.wait(min(_LOOK_S, until - now))
+        finally:
+            self._ended.set()
+        for thread in self._threads.values():
+            thread.join()
+        return [self._recorded[rig] for rig in sorted(self._recorded)]
+
+    def _tell(self, text: str) -> None:
+        with self._telling:
+            self._tell_person(text)
+
+    def _begin(self, rig: str) -> None:
+        if rig in self._threads:
+            return
+        self._recorded[rig] = RigRecorded(rig, [])
+        self._threads[rig] = thread = threading.Thread(
+            target=self._record, args=(self._recorded[rig],), name=f"rig {rig}", daemon=True
+        )
+        thread.start()
+
+    def _record(self, recorded: RigRecorded) -> None:
+        rig = recorded.rig
+        recording = RemoteRecording(
+            path=self._path_of(rig),
+            rig=rig,
+            endpoint=self._endpoint,
+            tell=lambda text: self._tell(text if text.startswith("rig ") else f"rig {rig}: {text}"),
+        )
+        recorded.files = recording.done
+        outcome = _COMPLETE
+        try:
+            recorder = RemoteRecorder(self._session, recording)
+            while not recorder.begin():
+                if self._ended.wait(_ASK_S):
+                    break
+            else:
+                self._tell(f"recording rig {rig}")
+                recorder.record(self._ended)
+        except (RuntimeError, OSError) as err:
+            recorded.why = str(err)
+            outcome = f"the recorder ended: {err}"
+            self._tell(f"rig {rig}: its recording ended: {err}")
+        try:
+            recording.finish(outcome)
+        except (RuntimeError, OSError) as err:
+            recorded.why = recorded.why or str(err)

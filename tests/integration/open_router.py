@@ -1,0 +1,30 @@
+"""The router without its guard, for the control of the tests that nobody gets past it.
+
+`python open_router.py router …`: whoever speaks TLS is let in, and nothing is denied him.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from armrig.cli import main
+from armrig_core import access_control
+from armrig_core.credential import Credential
+
+_tls = Credential.tls
+
+
+def _without_mutual_tls(self: Credential, side: Any) -> dict[str, Any]:
+    return {**_tls(self, side), "enable_mtls": False}
+
+
+def _nothing_denied(*_: Any) -> dict[str, Any]:
+    return {"enabled": False, "default_permission": "allow"}
+
+
+Credential.tls = _without_mutual_tls  # type: ignore[method-assign]
+access_control.of_router = _nothing_denied  # type: ignore[assignment]
+
+if __name__ == "__main__":
+    sys.exit(main())

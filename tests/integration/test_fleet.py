@@ -1,0 +1,382 @@
+"""A lab's router, its rigs, and one recorder for all: nothing is lost, and nobody harms another."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import armrig
+import pytest
+import zenoh
+from armrig.cli import main
+from armrig.rig.client import Rig
+from armrig.rig.remote_recording import CUT_OFF
+from armrig.rig.session import RigError, open_connection
+from armrig_core.history import encode_past
+from armrig_daemon.service.history import History
+from fleet_lab import RIGS, WITHIN_S, FleetLab, Publisher, connected, publish, sample
+from processes import Bench, wait_for
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FleetLab:
+    """Return a lab in which we are bob, who may watch."""
+    lab = FleetLab(tmp_path)
+    monkeypatch.setenv("ARMRIG_CLIENT_CERTIFICATE", str(lab.made / "bob.pem"))
+    return lab
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    """Give what ends all that a test has begun."""
+    with ExitStack() as stack:
+        yield stack
+
+
+def recorded_k(path: Path) -> list[int]:
+    """Return the indices of the samples in a file."""
+    return [int(k) for k in armrig.load(path).samples["k"]]
+
+
+def test_nothing_is_lost_while_the_router_is_started_anew(lab: FleetLab, stack: ExitStack) -> None:
+    """Rigs and recorder find it again by themselves; each sample is in its rig's file, once."""
+    router = lab.router()
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
+    told: list[str] = []
+    with Publisher(*daemons) as published, lab.recorder(told.append) as recorder:
+        recorder.has_begun(*RIGS)
+        router.close()
+        published.wait_for_more(100)
+        stack.enter_context(lab.router())
+        connected(*daemons)
+        published.wait_for_more(100)
+        before = published.k
+
+    for rig in RIGS:
+        [file] = recorder.recorded[rig].files
+        ks = recorded_k(file.path)
+        assert ks == list(range(len(ks)))
+        assert len(ks) >= before
+    assert not any("lost" in line for line in told)
+
+
+def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> None:
+    """And one that goes away ends with its last sample; the others go on."""
+    stack.enter_context(lab.router())
+    first = stack.enter_context(lab.daemon("1"))
+    publish([first], range(100))
+    with lab.recorder(lambda _: None) as recorder:
+        recorder.has_begun("1")
+        with lab.daemon("2") as second:
+            publish([second], range(50))
+            recorder.has_begun("2")
+        publish([first], range(100, 200))
+
+    files = {rig: one.files[0].path for rig, one in recorder.recorded.items()}
+    assert {rig: recorded_k(path) for rig, path in files.items()} == {
+        "1": list(range(200)),
+        "2": list(range(50)),
+    }
+    assert {one.why for one in recorder.recorded.values()} == {""}
+
+
+def test_what_is_lost_beyond_the_cache_is_told_exactly(
+    lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of each rig by itself: the number on the screen, and as a gap in its file."""
+    router = lab.router()
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
+    monkeypatch.setattr(daemons[0], "_history", History(bytes(16), most_bytes=100 * 87))
+    publish(daemons, range(20))
+    told: list[str] = []
+    with lab.recorder(told.append) as recorder:
+        recorder.has_begun(*RIGS)
+        wait_for(lambda: "recording rig 1" in told, WITHIN_S)
+        router.close()
+        publish(daemons, range(20, 1000))
+        stack.enter_context(lab.router())
+        connected(*daemons)
+        files = {rig: lab.folder / "files" / f"{rig}.mcap.active" for rig in RIGS}
+        wait_for(lambda: any("lost" in line for line in told), WITHIN_S)
+        wait_for(lambda: _last(files["2"]) == _last(files["3"]) == 999, WITHIN_S)
+
+    found = {rig: armrig.load(one.files[0].path) for rig, one in recorder.recorded.items()}
+    [missing] = found["1"].gaps
+    assert missing.reason == CUT_OFF
+    assert missing.count == found["1"].missing == 1000 - found["1"].samples.size > 800
+    assert (found["2"].missing, found["3"].missing) == (0, 0)
+    [line] = [line for line in told if "lost" in line]
+    # 20 states stand in the row, too, one every 50 samples; those of the gap are lost with it.
+    states = sum(k % 50 == 0 for k in range(missing.k_first, missing.k_first + missing.count))
+    assert line == f"rig 1: {CUT_OFF}: {missing.count + states} messages are lost"
+
+
+def _last(path: Path) -> int:
+    return int(armrig.load(path).samples["k"][-1])
+
+
+def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
+    lab: FleetLab, stack: ExitStack
+) -> None:
+    """With a line that names it; what came of it until then is kept."""
+    stack.enter_context(lab.router())
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
+    publish(daemons, range(50))
+    told: list[str] = []
+    with lab.recorder(told.append) as recorder:
+        recorder.has_begun(*RIGS)
+        daemons[1].put("sample", b"\xff" * 87)
+        wait_for(lambda: any("rig 2: its recording ended" in line for line in told), WITHIN_S)
+        publish([daemons[0], daemons[2]], range(50, 100))
+
+    files = {rig: one.files[0] for rig, one in recorder.recorded.items()}
+    assert {rig: len(recorded_k(file.path)) for rig, file in files.items()} == {
+        "1": 100,
+        "2": 50,
+        "3": 100,
+    }
+    assert "no message of armrigd's" in recorder.recorded["2"].why
+    assert files["2"].outcome.startswith("the recorder ended: ")
+
+
+def test_a_rig_speaks_for_itself_alone(lab: FleetLab, stack: ExitStack) -> None:
+    """Another rig's certificate publishes, answers and stands alive under rig 1: nobody hears it.
+
+    The control: under its own id the same is passed on.
+    """
+    stack.enter_context(lab.router())
+    thief = stack.enter_context(_opened(lab, "rig-2"))
+    answer = encode_past(bytes(16), 0, 0, [("sample", sample(0))])
+    tokens = []
+    for rig in ("1", "2"):
+        thief.declare_queryable(
+            f"rig/{rig}/history", lambda query: query.reply(query.key_expr, answer)
+        )
+        tokens.append(thief.liveliness().declare_token(f"rig/{rig}/alive"))
+    heard: set[str] = set()
+    with open_connection(lab.endpoint, rig="1", certificate=lab.made / "bob.pem").session as bob:
+        bob.declare_subscriber("rig/*/sample", lambda s: heard.add(str(s.key_expr)))
+
+        def is_heard() -> bool:
+            thief.put("rig/1/sample", sample(0))
+            thief.put("rig/2/sample", sample(0))
+            return "rig/2/sample" in heard
+
+        wait_for(is_heard, WITHIN_S)
+        alive = {str(r.ok.key_expr) for r in bob.liveliness().get("rig/*/alive") if r.ok}
+        answered = {
+            rig: [r for r in bob.get(f"rig/{rig}/history", timeout=5) if r.ok] for rig in ("1", "2")
+        }
+
+    assert heard == {"rig/2/sample"}
+    assert alive == {"rig/2/alive"}
+    assert (answered["1"], len(answered["2"])) == ([], 1)
+
+
+def _opened(lab: FleetLab, who: str) -> zenoh.Session:
+    pem = str(lab.made / f"{who}.pem")
+    tls = {"root_ca_certificate": str(lab.made / "authority.pem"), "enable_mtls": True}
+    tls |= {"connect_private_key": pem, "connect_certificate": pem}
+    config = {
+        "mode": "client",
+        "connect": {"endpoints": [lab.endpoint]},
+        "scouting": {"multicast": {"enabled": False}},
+        "transport": {"link": {"tls": tls}},
+    }
+    return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+
+
+def test_the_rigs_that_are_there_are_listed(
+    lab: FleetLab, bench: Bench, stack: ExitStack, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the state of each; one that does not answer says so, and nobody tells what to do."""
+    stack.enter_context(lab.router())
+    assert main(["ls", "--live", "--connect", lab.endpoint]) == 0
+    nobody = capsys.readouterr()
+    bench.configure(watchdog_ms=250, more=lab.access("1"))
+    bench.emulate()
+    bench.serve()
+    stack.enter_context(lab.daemon("2"))
+    listing = ["ls", "--live", "--connect", lab.endpoint]
+
+    def listed() -> list[str]:
+        assert main(listing) == 0
+        return capsys.readouterr().out.splitlines()
+
+    wait_for(lambda: len(listed()) == 3, WITHIN_S)
+    heading, one, two = listed()
+    assert main([*listing, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)["rigs"]
+
+    assert nobody.out == ""
+    assert "no rig is alive" in nobody.err
+    assert "start one with `armrig lab` or `armrigd run`" in nobody.err
+    assert heading.split() == ["rig", "phase", "Ts", "who", "has", "it"]
+    assert one.split() == ["1", "safe", "0.01", "s", "nobody"]
+    assert two.split() == ["2", "does", "not", "answer"]
+    assert [(rig["rig"], rig["status"] and rig["status"]["phase"]) for rig in facts] == [
+        ("1", "safe"),
+        ("2", None),
+    ]
+
+
+_HOLDER = """
+import sys
+from armrig.rig.client import Rig
+with Rig("1", connect=sys.argv[1], certificate=sys.argv[2]) as rig:
+    rig.reset()
+    rig.arm("a test")
+    while True:
+        rig.set(2.0)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_voltage_held_through_a_router_that_dies_falls_to_0_v(
+    lab: FleetLab, bench: Bench, number: signal.Signals
+) -> None:
+    """The lease runs out, as when its holder dies; what a frozen one kept back moves nothing.
+
+    The daemon was there before its router was.
+    """
+    bench.configure(watchdog_ms=250, more=lab.access("1"))
+    bench.emulate()
+    bench.serve()
+    router = subprocess.Popen([sys.executable, "-m", "armrig", *lab.router_command()])
+    holder = None
+    try:
+        with bench.rig() as rig:
+            holder = _holding(lab, bench)
+            assert rig.status().owner == "a test (certificate alice)"
+
+            router.send_signal(number)
+            wait_for(lambda: bench.volts() == 0.0, WITHIN_S)
+            wait_for(lambda: rig.status().owner == "", WITHIN_S)
+            assert rig.status().reason.startswith("the lease ran out")
+            before = len(bench.voltage_changes())
+            if number == signal.SIGSTOP:
+                router.send_signal(signal.SIGCONT)
+                with Rig("1", connect=lab.endpoint, certificate=lab.made / "bob.pem") as bob:
+                    wait_for(lambda: _answers(bob), WITHIN_S)
+                holder.wait(WITHIN_S)
+            assert len(bench.voltage_changes()) == before
+            assert bench.volts() == 0.0
+    finally:
+        for program in filter(None, (holder, router)):
+            program.kill()
+            program.wait()
+
+
+def _answers(rig: Rig) -> bool:
+    with suppress(RigError):
+        return bool(rig.status().phase)
+    return False
+
+
+def _holding(lab: FleetLab, bench: Bench) -> subprocess.Popen[bytes]:
+    """Return alice's program once it holds 2 V, or has ended."""
+    alice = str(lab.made / "alice.pem")
+
+    def begun() -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-c", _HOLDER, lab.endpoint, alice], stderr=subprocess.DEVNULL
+        )
+
+    holder = begun()
+
+    def holds() -> bool:
+        nonlocal holder
+        if holder.poll() is not None:  # the daemon has not found its router yet
+            holder = begun()
+        return bench.volts() > 1.9
+
+    wait_for(holds, WITHIN_S)
+    return holder
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (("--listen", "tcp/127.0.0.1:7447"), "by their certificates: take tls/127.0.0.1:7447"),
+        (("--listen", "tls/192.0.2.1:7447"), "Cannot assign requested address; see that host"),
+        (("--certificate", "alice.pem"), "for another purpose: `armrig pki router` makes"),
+        (("--names", "nothing.toml"), "there is no such file; `armrig pki ca` writes one"),
+    ],
+)
+def test_a_router_that_cannot_be_says_so(
+    lab: FleetLab,
+    change: tuple[str, str],
+    says: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In a line."""
+    monkeypatch.chdir(lab.made)
+
+    assert main([*lab.router_command(), *change]) == 1
+
+    assert says in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
+    """By Ctrl-C as a success, which is the way to end it; it says first where it is."""
+    command = [sys.executable, "-m", "armrig", *lab.router_command()]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as router:
+        assert router.stderr is not None
+        said = router.stderr.readline()
+        router.send_signal(signal.SIGINT)
+        rest = router.stderr.read()
+
+    assert said == (
+        f"armrig: router at {lab.endpoint}: 3 rigs, 2 may drive and 1 may watch; Ctrl-C ends it\n"
+    )
+    assert (router.returncode, rest) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--all", "--rig", "1"], "--all and --rig 1: one of both"),
+        (["--rig", "1", "--rig", "../x"], "rig id '../x'"),
+    ],
+)
+def test_which_rigs_are_recorded_must_be_clear(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line."""
+    assert main(["record", "--from", "tls/localhost:1", *arguments]) == 1
+    assert says in capsys.readouterr().err
+
+
+def test_one_command_records_the_rigs_that_are_named(
+    lab: FleetLab, stack: ExitStack, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each into a file of its own in the folder, with one summary."""
+    stack.enter_context(lab.router())
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
+    publish(daemons, range(100))
+    connected(*daemons)
+    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "1"]
+
+    assert main(["record", "--from", lab.endpoint, *given, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+
+    assert [(f["rig"], f["samples"], f["missing"]) for f in told["recordings"]] == [
+        ("1", 100, 0),
+        ("3", 100, 0),
+    ]
+    assert {recorded_k(Path(f["recording"]))[-1] for f in told["recordings"]} == {99}
+
+
+def test_the_rig_of_a_session_is_the_client_s(lab: FleetLab, stack: ExitStack) -> None:
+    """What works at a daemon works through its router: here a stream."""
+    stack.enter_context(lab.router())
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
+    with Publisher(*daemons), Rig("3", connect=lab.endpoint) as rig:
+        connected(*daemons)
+        assert next(rig.stream("sample")).u_applied_v == 1.0
