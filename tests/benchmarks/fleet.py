@@ -23,6 +23,7 @@ from typing import Any
 import armrig
 import numpy as np
 from armrig.rig import pki
+from armrig.rig.remote_recording import CUT_OFF
 from armrig_core import protobuf
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Access, Config, Rig
@@ -215,20 +216,23 @@ def _serve(bench: Bench, rig: str, router: str, made: Path) -> None:
 
 def _judged(folder: Path, files: list[Any], ids: list[str], samples: int) -> dict[str, Any]:
     """Return how many rigs are complete, and how many samples are not there, by reading all."""
-    ks: dict[str, list[Any]] = {}
+    found: dict[str, list[armrig.Recording]] = {}
     for file in files:
-        found = armrig.load(folder / file["recording"])
-        ks.setdefault(file["rig"], []).append(found.samples["k"])
+        found.setdefault(file["rig"], []).append(armrig.load(folder / file["recording"]))
     lost = 0
     for rig in ids:
-        there = np.concatenate(ks.pop(rig, [np.array([], dtype=np.int64)]))
-        lost += samples - len(np.intersect1d(there, np.arange(samples)))
+        there = [part.samples["k"] for part in found.pop(rig, [])]
+        every = np.concatenate([*there, np.array([], dtype=np.int64)])
+        lost += samples - len(np.intersect1d(every, np.arange(samples)))
     real = {
         rig: {
-            "samples": sum(map(len, parts)),
-            "missing": sum(int(p[-1] - p[0]) + 1 - len(p) for p in parts),
+            "samples": sum(part.samples.size for part in parts),
+            "missing": sum(part.missing for part in parts),
+            "of these on the way": sum(
+                gap.count for part in parts for gap in part.gaps if gap.reason == CUT_OFF
+            ),
         }
-        for rig, parts in ks.items()
+        for rig, parts in found.items()
     }
     return {"published": samples * len(ids), "lost": lost, "real": real}
 

@@ -14,10 +14,10 @@ from armrig.cli import main
 from armrig_daemon.config import Config, load
 from armrig_daemon.service.access import network_of
 from laboratory import free_port
-from processes import Bench
+from processes import Bench, wait_for
 
 PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
-HOST = "lab-1.example.edu"
+HOST, ROUTER_HOST = "lab-1.example.edu", "lab.example.edu"
 
 
 def _blocks(language: str) -> list[str]:
@@ -37,8 +37,9 @@ def _commands(block: str) -> list[list[str]]:
     return [shlex.split(line)[1:] for line in block.splitlines()]
 
 
-ACCESS, CLIENT, ACCESS_BY_PASSWORD, CLIENT_BY_PASSWORD = _blocks("toml")
-INSTALL, MADE, _, _, _, USED, CHANGED = _blocks("sh")  # the others: tests/systemd/test_walk.py
+ACCESS, CLIENT, ACCESS_BY_PASSWORD, CLIENT_BY_PASSWORD, ACCESS_BY_ROUTER = _blocks("toml")
+# The others: tests/systemd/test_walk.py.
+INSTALL, MADE, _, _, _, USED, CHANGED, MADE_FOR_ROUTER, ROUTER, LOOKED = _blocks("sh")
 (PASSWORDS,) = _blocks("text")
 
 
@@ -123,6 +124,36 @@ def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
     assert "stop: by root (user alice)" in lab.processes[-1].said.replace(
         os.environ.get("USER", "root"), "root"
     )
+
+
+def test_a_rig_is_reached_through_a_router_as_the_page_says(
+    lab: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Line by line: certificates, the router, the rig's configuration, what alice types."""
+    port = free_port()
+    for command in _commands(MADE_FOR_ROUTER):
+        assert main([part.replace(ROUTER_HOST, "localhost") for part in command]) == 0
+    for path in (lab.folder / "pki").iterdir():
+        path.rename(lab.folder / path.name)
+    lab.configure(watchdog_ms=250, more=_at_router(f'[rig]\nid = "2"\n{ACCESS_BY_ROUTER}', port))
+    lab.emulate()
+    lab.start("armrig_daemon", "run", "--config", str(lab.config))
+    (router,) = _commands(_here(ROUTER, port))
+    lab.start("armrig", *router)
+    monkeypatch.setenv("ARMRIG_CLIENT_CERTIFICATE", str(lab.folder / "alice.pem"))
+    listing, status = _commands(_at_router(LOOKED, port))
+
+    wait_for(lambda: "safe" in _armrig(lab, *listing).stdout, 60)
+    done = _armrig(lab, *status)
+
+    assert done.returncode == 0, done.stderr
+    assert "rig          2, armrig" in done.stdout
+    assert "router at tls/127.0.0.1:" in lab.processes[-1].said
+    assert ": 2 rigs, 1 may drive and 1 may watch" in lab.processes[-1].said
+
+
+def _at_router(text: str, port: int) -> str:
+    return text.replace(ROUTER_HOST, "localhost").replace(":7447", f":{port}")
 
 
 def test_certificates_are_renewed_and_revoked_as_the_page_says(

@@ -34,7 +34,7 @@ def _blocks(page: str, language: str) -> list[str]:
 FETCH, BOARDS, EMULATE, ENABLE, JOIN, COLLECT = _blocks(SERVICE, "sh")
 *FETCHED, INSTALL = FETCH.splitlines()
 (CONFIGURATION,) = _blocks(SERVICE, "toml")
-WITH_PKI, MAKE, PUT, RESTART, KEEP, USE, CHANGE = _blocks(ACCESS, "sh")
+WITH_PKI, MAKE, PUT, RESTART, KEEP, USE, CHANGE, *_ = _blocks(ACCESS, "sh")
 LISTEN, CONNECT, *_ = _blocks(ACCESS, "toml")
 (DROP_IN,) = _blocks(ACCESS, "ini")
 
