@@ -147,7 +147,8 @@ class RemoteRecording:
         if self._file is None and self._state is not None and self._state.Ts_s > 0:
             self._begin(self._first)
         self._last = sample
-        self._told.take()
+        if self._told:
+            self._told.take()
 
     def _follow(self, first: Sample, last: Sample, sample: Sample) -> None:
         if sample.k <= last.k:
@@ -158,7 +159,7 @@ class RemoteRecording:
             self._end(f"{sample.k - last.k - 1} samples are missing behind its last")
         elif sample.k - first.k >= MOST_ROWS:
             self._end(CONTINUED)
-        else:
+        elif sample.k > last.k + 1:
             for gap in gaps_between(last, sample, self._told):
                 self._write(Outgoing("gap", gap.t_to_ns, gap.t_to_ns, 0, _gap(gap)))
 
