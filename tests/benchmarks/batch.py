@@ -2,9 +2,8 @@
 
 `python tests/benchmarks/batch.py [--files 1000] [--seconds 30] [--pairs 3]`. The recordings are of
 the arm, at Ts 10 ms, each with an input of its own; the task is `identify --integrator`, an OE
-model of four poles. Wall times are those of whole processes. How much two processes can do at once here
-is measured beside it: the same task, as two batches of one process, half of the
-recordings each, at the same time.
+model of four poles. Wall times are those of whole processes. How much two processes can do here at
+once is measured beside it: two batches of one process, half of the recordings each.
 """
 
 from __future__ import annotations
