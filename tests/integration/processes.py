@@ -186,6 +186,10 @@ class Bench:
         """Return a client."""
         return Rig("1", connect=f"unixsock-stream/{self.folder}/armrig/1.sock")
 
+    def recording(self) -> Path:
+        """Return the last finished recording; where a stall has ended a run there is one before."""
+        return max(self.recordings.glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)
+
     def phase(self) -> str:
         """Return the daemon's phase, or nothing where there is no daemon yet."""
         if not (self.folder / "armrig" / "1.sock").exists():

@@ -111,7 +111,8 @@ def test_kill_9_of_the_service(run: Run) -> None:
     left = run.left_behind()
     daemon = run.bench.serve()
     wait_for(lambda: "recovered" in daemon.said)
-    (path,) = run.bench.recordings.iterdir()
+    assert not list(run.bench.recordings.glob("*.mcap.active"))
+    path = left.path.with_suffix("")
     recording = armrig.load(path)
     assert not recording.truncated
     np.testing.assert_array_equal(recording.samples, left.samples)
@@ -126,7 +127,7 @@ def test_kill_9_of_the_loop(run: Run) -> None:
     assert run.bench.went_to_0_v_after(killed_ns) < STOPPED_S
     assert run.daemon.popen.wait(WITHIN_S) == 1
     assert "the loop died" in run.daemon.said
-    (path,) = run.bench.recordings.glob("*.mcap")
+    path = run.bench.recording()
     recording = armrig.load(path)
     assert not recording.truncated
     assert recording.outcome is not None
@@ -150,7 +151,7 @@ def test_a_signal_ends_it_in_good_order(run: Run, number: signal.Signals) -> Non
 
     assert run.daemon.popen.wait(WITHIN_S) == 0
     assert run.bench.went_to_0_v_after(told_ns) < STOPPED_S
-    (path,) = run.bench.recordings.glob("*.mcap")
+    path = run.bench.recording()
     outcome = armrig.load(path).outcome
     assert outcome is not None
     assert outcome.outcome == "the daemon was ended"

@@ -69,7 +69,7 @@ def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
     daemon = bench.serve()
     with driven(bench, pacing="exchange"):
         _ends_in_good_order(bench, daemon, signal.SIGTERM)
-    (path,) = bench.recordings.glob("*.mcap")
+    path = bench.recording()
     assert path.stat().st_size > 0
     daemon = bench.serve()
     with driven(bench):
@@ -93,7 +93,7 @@ def test_a_lab_that_is_killed_takes_its_daemon_along(
 
         wait_for(lambda: list(bench.recordings.glob("*.mcap")))
         assert bench.went_to_0_v_after(told_ns) < STOPPED_S
-    (path,) = bench.recordings.glob("*.mcap")
+    path = bench.recording()
     recording = armrig.load(path)
     assert outcome(recording) == "the daemon was ended"
     check_every_k(recording)
@@ -125,7 +125,7 @@ def test_more_signals_change_nothing(bench: Bench, loop_too: bool) -> None:
 
         assert daemon.popen.wait(WITHIN_S) == 0, daemon.said
         assert bench.went_to_0_v_after(told_ns) < STOPPED_S
-    (path,) = bench.recordings.glob("*.mcap")
+    path = bench.recording()
     assert path.suffix == ".mcap"
 
 

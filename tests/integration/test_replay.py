@@ -75,7 +75,7 @@ def test_the_command_says_what_it_replayed(bench: Bench) -> None:
 
         with pytest.raises(armrig.RigError) as stopped:
             rig.run(armrig.telegraph(2000, 0.1, seed=1), progress=unplug)
-    (path,) = bench.recordings.glob("*.mcap")
+    path = bench.recording()
 
     said = subprocess.run(
         [sys.executable, "-m", "armrig", "replay", path], capture_output=True, text=True, check=True
