@@ -1,7 +1,7 @@
 """`armrig batch` with one process and with two, in turn, and after `kill -9` in the middle.
 
 `python tests/benchmarks/batch.py [--files 1000] [--seconds 30] [--pairs 3]`. The recordings are of
-the arm, at Ts 10 ms, each with an input of its own; the task is `identify --integrator`, an OE
+the arm, at Ts 10 ms, with a hundred inputs in turn; the task is `identify --integrator`, an OE
 model of four poles. Wall times are those of whole processes. How much two processes can do here at
 once is measured beside it: two batches of one process, half of the recordings each.
 """
@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "clients"))
 
 from made_recordings import TS, of_the_arm
 
+_INPUTS = 100
 _LEAST = 5  # rows that are there before something is killed
 
 
@@ -34,12 +35,15 @@ def make(folder: Path, files: int, seconds: float) -> None:
     halves = [folder.with_name(f"{folder.name}-{half}") for half in "ab"]
     for one in (folder, *halves):
         one.mkdir()
-    for seed in range(files):
+    made = []
+    for seed in range(min(files, _INPUTS)):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.choice([1.0, 3.0], round(seconds / TS) // 5), 5)
-        path = folder / f"run-{seed:05}.mcap"
-        path.write_bytes(of_the_arm(u, seed=seed))
-        os.link(path, halves[seed % 2] / path.name)
+        made.append(of_the_arm(u, seed=seed))
+    for number in range(files):
+        path = folder / f"run-{number:05}.mcap"
+        path.write_bytes(made[number % len(made)])
+        os.link(path, halves[number % 2] / path.name)
 
 
 def started(folder: Path, table: Path, workers: int) -> subprocess.Popen[bytes]:

@@ -1,6 +1,6 @@
 """What the dashboard costs, and how fast its stop is.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/dashboard.py stop|stale|viewers|memory`
+`python tests/benchmarks/dashboard.py stop|stale|viewers|memory`
 
 - stop: from the space bar in chromium to 0 V at the emulated terminals, N times, and by stages.
 - stale: from the death of the daemon to a page that says so, N times.
@@ -12,10 +12,12 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import shutil
 import socket
 import statistics
+import subprocess
 import sys
 import tempfile
 import threading
@@ -29,6 +31,9 @@ from unittest.mock import patch
 import numpy as np
 from armrig.dashboard.driver import Driver
 from armrig_core.telemetry import Sample
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
+
 from playwright.sync_api import sync_playwright
 from processes import Bench, wait_for
 from watching import Client, bring_to_rest, watched
@@ -44,16 +49,22 @@ STEP = {"kind": "step", "seconds": 60.0, "at": 0.1, "low": 1.0, "high": 4.0}
 
 @contextmanager
 def served() -> Iterator[tuple[Bench, Client]]:
-    """Give a rig and its dashboard."""
+    """Give a rig and its dashboard, whose server is in this process."""
+    with _rig() as bench, watched(bench) as client:
+        wait_for(lambda: not client.first("live")["is_stale"])
+        yield bench, client
+
+
+@contextmanager
+def _rig() -> Iterator[Bench]:
+    """Give a rig and its daemon."""
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder))
         bench.configure(watchdog_ms=250)
         try:
             bench.emulate()
             bench.serve()
-            with watched(bench) as client:
-                wait_for(lambda: not client.first("live")["is_stale"])
-                yield bench, client
+            yield bench
         finally:
             bench.end()
 
@@ -158,37 +169,70 @@ def _round(bench: Bench) -> tuple[float, float]:
     return statistics.median(late), float(np.percentile(heard, 99))
 
 
-@contextmanager
-def _watching(client: Client) -> Iterator[None]:
-    ends = threading.Event()
+def watch(url: str) -> None:
+    """Be ten viewers, one of whom never reads, until the standard input ends."""
+    client = Client(url)
+    seen = [threading.Event() for _ in range(VIEWERS - 1)]
 
-    def watch() -> None:
+    def read(first: threading.Event) -> None:
         for _ in client.events():
-            if ends.is_set():
-                return
+            first.set()
 
-    threads = [threading.Thread(target=watch) for _ in range(VIEWERS - 1)]
     with socket.create_connection((client.host, client.port)) as deaf:
         head = f"GET /api/stream HTTP/1.1\r\nHost: {client.host}:{client.port}\r\n"
         deaf.sendall(f"{head}Authorization: Bearer {client.token}\r\n\r\n".encode())
-        for thread in threads:
-            thread.start()
+        for first in seen:
+            threading.Thread(target=read, args=(first,), daemon=True).start()
+        for first in seen:
+            first.wait()
+        print("watching", flush=True)
+        sys.stdin.read()
+
+
+@contextmanager
+def _watching(url: str) -> Iterator[None]:
+    """Have ten viewers in a process of their own."""
+    with subprocess.Popen(
+        [sys.executable, __file__, "watch", url],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdin
+        assert process.stdout
+        process.stdout.readline()
         yield
-        ends.set()
-        for thread in threads:
-            thread.join()
+        process.stdin.close()
+
+
+@contextmanager
+def _dashboard(bench: Bench) -> Iterator[str]:
+    """Give the address of a dashboard that is a process of its own."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "armrig", "dashboard", "--json"],
+        env={**os.environ, "XDG_RUNTIME_DIR": str(bench.folder)},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout
+        try:
+            yield str(json.loads(process.stdout.readline())["url"])
+        finally:
+            process.kill()
 
 
 def viewers() -> None:
-    """Compare rounds with and without viewers."""
-    with served() as (bench, client):
+    """Compare rounds with and without viewers of a dashboard, which is a process of its own."""
+    with _rig() as bench, _dashboard(bench) as url:
+        client = Client(url)
+        wait_for(lambda: not client.first("live")["is_stale"])
         for _ in range(ROUNDS):
             alone = _round(bench)
-            with _watching(client):
+            with _watching(url):
                 watched_by_ten = _round(bench)
                 left = client.first("timing")["viewers"] - 1  # without who asks
             print(f"p99 of lateness, to subscriber [µs]: alone {alone}, ten {watched_by_ten}")
-            print(f"of {VIEWERS} viewers {left} are left: who does not read is dropped")
+            print(f"of {VIEWERS} viewers {left} are left: who does not read is dropped", flush=True)
 
 
 def memory() -> None:
@@ -204,4 +248,7 @@ def memory() -> None:
 
 
 if __name__ == "__main__":
-    {"stop": stop, "stale": stale, "viewers": viewers, "memory": memory}[sys.argv[1]]()
+    if sys.argv[1] == "watch":
+        watch(sys.argv[2])
+    else:
+        {"stop": stop, "stale": stale, "viewers": viewers, "memory": memory}[sys.argv[1]]()

@@ -1,6 +1,6 @@
 """Many rigs through one router into one recorder: every sample of each is in its file.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/fleet.py --repeat 3`. Synthetic rigs, the
+`python tests/benchmarks/fleet.py --repeat 3`. Synthetic rigs, the
 daemon's own publishing code with real messages in at most four processes, without loop or emulator;
 beside them real ones, daemon and emulator, at 100 Hz. All by TLS with certificates, on the
 loopback. Every file is read, and each k looked for. The processor time is that of the seconds in
@@ -29,6 +29,9 @@ from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Access, Config, Rig
 from armrig_daemon.service.access import networks_of
 from armrig_daemon.service.publish import Session
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
+
 from laboratory import free_port
 from processes import Bench, wait_for
 

@@ -106,8 +106,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--labs", type=int, default=30)
     parser.add_argument("--rigs", type=int, default=1000)
-    parser.add_argument("--recorder-us", type=float, default=17.4)
-    parser.add_argument("--router-us", type=float, default=1.7)
+    parser.add_argument("--recorder-us", type=float, default=19.3)
+    parser.add_argument("--router-us", type=float, default=2.2)
     parser.add_argument("--disk-bytes", type=float, default=61.5)
     given = parser.parse_args()
     costs = Costs(
