@@ -11,7 +11,7 @@ from pathlib import Path
 
 from armrig.batch.columns import columns_of
 from armrig.batch.items import Item, items_in
-from armrig.batch.progress import Progress, begin_anew, still_right
+from armrig.batch.progress import Progress, still_right
 from armrig.batch.rows import Row, row_of
 from armrig.batch.running import results
 from armrig.batch.table import check_writable, header_of, read_rows, write_table
@@ -68,7 +68,7 @@ def batch(
     rigs, kinds : collection of str
         Only these rigs, and kinds of experiment; empty for all.
     anew : bool
-        What is there already is removed first.
+        Results that are there do not count; the table stays until the new one is complete.
 
     Raises
     ------
@@ -81,11 +81,9 @@ def batch(
     if not items:
         msg = f"{folder}: no recording in it is asked for; `armrig ls {folder}` lists what is there"
         raise ValueError(msg)
-    if anew:
-        begin_anew(table)
-    header = header_of(task, folder)
-    before = read_rows(table, task)
-    with Progress(table, header) as progress:
+    header = header_of(task, folder, rigs, kinds)
+    before = [] if anew else read_rows(table, header)
+    with Progress(table, header, anew=anew) as progress:
         rows = still_right([*before, *progress.rows], items)
         left, done_before = [item for item in items if item.name not in rows], len(rows)
         came = results(partial(row_of, task), left, open_executor, at_once=at_once)

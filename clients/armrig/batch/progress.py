@@ -12,6 +12,11 @@ from armrig_core.recording_file.file_lock import lock
 from armrig.batch.items import Item
 from armrig.batch.rows import Row
 
+OTHER = (
+    "holds what came of another folder, task or choice, of other options or versions; give another "
+    "-o, or --force to begin anew"
+)
+"""What is said of results that are not mixed with those of another header."""
 SUFFIX = ".progress"
 """Behind the name of the table while it is not complete."""
 
@@ -23,8 +28,13 @@ class ProgressError(RuntimeError):
 class Progress:
     """An open file of rows, one a line, behind a first line that says of which task they are."""
 
-    def __init__(self, table: Path, header: dict[str, str]) -> None:
+    def __init__(self, table: Path, header: dict[str, str], *, anew: bool = False) -> None:
         """Open it, or make it.
+
+        Parameters
+        ----------
+        anew : bool
+            What an earlier start has left is thrown away.
 
         Raises
         ------
@@ -47,14 +57,13 @@ class Progress:
         first, *lines = whole.split(b"\n") if whole else [b""]
         self.rows: list[Row] = []
         """Those that an earlier start has left."""
-        if not first:
+        if anew or not first:
             self._file.truncate(0)
             self._write(header)
             return
         if _decoded(first) != header:
             self._file.close()
-            msg = f"{self.path} holds what came of another task or other options; give another -o, "
-            raise ProgressError(f"{msg}or --force to begin anew")
+            raise ProgressError(f"{self.path} {OTHER}")
         if torn:  # the process was killed within a line
             self._file.truncate(len(content) - len(torn))
         self.rows = [row for line in lines if (row := _decoded(line)) is not None]
@@ -96,12 +105,6 @@ def still_right(rows: Iterable[Row], items: Iterable[Item]) -> dict[str, Row]:
         for row in rows
         if not row["problem"] and state.get(row["recording"]) == (row["bytes"], row["modified_ns"])
     }
-
-
-def begin_anew(table: Path) -> None:
-    """Remove a table and what was left of one."""
-    for path in (table, table.with_name(table.name + SUFFIX)):
-        path.unlink(missing_ok=True)
 
 
 def _decoded(line: bytes) -> dict[str, object] | None:

@@ -7,13 +7,13 @@ import warnings
 from functools import lru_cache
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from armrig.batch.columns import columns_of
 from armrig.batch.items import Item
-from armrig.batch.tasks import Identify, Report, Task, Validate, Verify
+from armrig.batch.tasks import Identify, Report, Signal, Task, Validate, Verify
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
 from armrig.models.fit import Fit
@@ -151,6 +151,7 @@ def _reported(task: Report, recording: Recording, item: Item) -> Row:
     from armrig.report.document import report
     from armrig.report.study import Orders, study
 
+    Path(task.folder).mkdir(parents=True, exist_ok=True)
     beside = [load(item.validation)] if item.validation else []
     orders = Orders(na=task.na, nb=task.nb, nf=task.nf, nk=task.nk)
     done = study([recording, *beside], orders=orders)
@@ -179,8 +180,17 @@ def _model(text: str) -> Fit:
     return fit_of(text, "the model")
 
 
-def _output(fit: Fit) -> Any:
-    return fit.output if fit.output in ("theta_1", "alpha", "velocity") else "theta_1"
+def _output(fit: Fit) -> Signal:
+    """Return which signal of a recording a model is of; theta_1 where it does not say."""
+    for output in get_args(Signal):
+        if fit.output == output:
+            return output
+    if fit.output in ("", "y"):
+        return "theta_1"
+    msg = (
+        f"the model is of {fit.output!r}, a recording has {', '.join(get_args(Signal))}; judge it "
+    )
+    raise ValueError(msg + "by data of what it is of")
 
 
 def _in_a_line(text: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from armrig.batch.columns import Kind, columns_of
-from armrig.batch.progress import ProgressError
+from armrig.batch.progress import OTHER, ProgressError
 from armrig.batch.rows import Row
 from armrig.batch.tasks import Task, Validate, digest, name_of, sha256
 from armrig.recordings.export import imported
@@ -21,8 +21,16 @@ KEY = b"armrig.batch"
 """Of the table's metadata, where its header stands."""
 
 
-def header_of(task: Task, folder: Path) -> dict[str, str]:
-    """Return what a table says of itself: nothing in it changes from one start to the next."""
+def header_of(
+    task: Task, folder: Path, rigs: Collection[str], kinds: Collection[str]
+) -> dict[str, str]:
+    """Return what a table says of itself: nothing in it changes from one start to the next.
+
+    Parameters
+    ----------
+    rigs, kinds : collection of str
+        As for `batch`.
+    """
     options = msgspec.to_builtins(task)
     if isinstance(task, Validate):
         options["model"] = f"sha256 {sha256(task.model)}"
@@ -31,6 +39,8 @@ def header_of(task: Task, folder: Path) -> dict[str, str]:
         "options": msgspec.json.encode(options).decode(),
         "digest": digest(task),
         "folder": str(folder.resolve()),
+        "rigs": " ".join(sorted(rigs)),
+        "kinds": " ".join(sorted(kinds)),
         "armrig": version("armrig"),
         "numpy": version("numpy"),
         "scipy": version("scipy"),
@@ -50,26 +60,25 @@ def check_writable() -> None:
     imported("pyarrow.parquet", "parquet")
 
 
-def read_rows(path: Path, task: Task) -> list[Row]:
-    """Return the rows of an earlier table of the same task; none where there is no table.
+def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
+    """Return the rows of an earlier table with this header; none where there is no table.
 
     Raises
     ------
     ProgressError
-        What is there is no table of this task.
+        What is there is no table, or one with another header.
     """
     if not path.exists():
         return []
     pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
     try:
         table = parquet.read_table(str(path))
-        header = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
+        found = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
     except (pyarrow.ArrowException, KeyError, msgspec.DecodeError, OSError) as err:
         msg = f"{path} is there and is no table of armrig batch; give another -o"
         raise ProgressError(msg) from err
-    if header.get("digest") != digest(task) or header.get("armrig") != version("armrig"):
-        msg = f"{path} holds what came of another task, other options or another armrig; give "
-        raise ProgressError(f"{msg}another -o, or --force to begin anew")
+    if found != header:
+        raise ProgressError(f"{path} {OTHER}")
     rows: list[Row] = table.to_pylist()
     return rows
 

@@ -62,7 +62,7 @@ Kinds = Annotated[
     typer.Option("--kind", help="Only this kind of experiment; repeatable.", show_default="all"),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="Begin anew, whatever is at the table's place.")
+    bool, typer.Option("--force", help="Begin anew, and replace the table in the end.")
 ]
 _AHEAD = 2  # for each worker one that waits
 _AT_ONCE = 256  # of a cluster, which may grow
@@ -195,7 +195,6 @@ def report(
     """Write a report of each recording, with the one that validates it where there is one."""
     from armrig.batch.tasks import Report
 
-    reports.mkdir(parents=True, exist_ok=True)
     task = Report(folder=str(reports.resolve()), na=na, nb=nb, nf=nf, nk=nk)
     _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
 

@@ -182,6 +182,41 @@ def test_results_of_other_options_are_refused(folder: Path, tmp_path: Path) -> N
     done(folder, Verify(), tmp_path / "checks.parquet", anew=True, kinds=["step"])
 
 
+def test_results_of_another_folder_or_choice_are_not_replaced(folder: Path, tmp_path: Path) -> None:
+    """What was done for one rig, or one week, is not lost to the next; the table stays as it is."""
+    table = tmp_path / "models.parquet"
+    done(folder, ARX, table, rigs=["2"])
+    before = table.read_bytes()
+    with pytest.raises(ProgressError, match="another folder, task or choice"):
+        done(folder, ARX, table, kinds=["step"])
+    other = tmp_path / "other"
+    other.mkdir()
+    shutil.copy2(folder / OTHER_RIG, other)
+    with pytest.raises(ProgressError, match="another folder, task or choice"):
+        done(other, ARX, table, rigs=["2"])
+    assert table.read_bytes() == before
+
+
+def test_force_leaves_another_start_its_rows(folder: Path, tmp_path: Path) -> None:
+    """Who is at the table keeps it; what he has kept is not thrown away."""
+    table = tmp_path / "models.parquet"
+    with Progress(table, {"digest": "held"}) as progress:
+        progress.add({"recording": "a"})
+        with pytest.raises(ProgressError, match="is at it"):
+            done(folder, ARX, table, anew=True)
+    with Progress(table, {"digest": "held"}) as progress:
+        assert progress.rows == [{"recording": "a"}]
+
+
+def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_path: Path) -> None:
+    """A temperature is none of the rig's signals; each row says so."""
+    data = armrig.load(folder / "a-01.mcap").dataset()
+    fit = armrig.arx(data.replaced(step=None, output="temp"), na=4, nb=4)
+    task = Validate(model=model_text(fit))
+    rows = done(folder, task, tmp_path / "v.parquet", rigs=["2"])
+    assert "the model is of 'temp'" in rows[0]["problem"]
+
+
 def test_two_at_one_table_are_refused(folder: Path, tmp_path: Path) -> None:
     """The second says so before it does any work."""
     table = tmp_path / "models.parquet"
