@@ -182,14 +182,13 @@ def _model(text: str) -> Fit:
 
 def _output(fit: Fit) -> Signal:
     """Return which signal of a recording a model is of; theta_1 where it does not say."""
-    for output in get_args(Signal):
+    outputs: tuple[Signal, ...] = get_args(Signal)
+    for output in outputs:
         if fit.output == output:
             return output
     if fit.output in ("", "y"):
         return "theta_1"
-    msg = (
-        f"the model is of {fit.output!r}, a recording has {', '.join(get_args(Signal))}; judge it "
-    )
+    msg = f"the model is of {fit.output!r}, a recording has {', '.join(outputs)}; judge it "
     raise ValueError(msg + "by data of what it is of")
 
 
