@@ -214,7 +214,7 @@ def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_p
     fit = armrig.arx(data.replaced(step=None, output="temp"), na=4, nb=4)
     task = Validate(model=model_text(fit))
     rows = done(folder, task, tmp_path / "v.parquet", rigs=["2"])
-    assert "the model is of 'temp'" in rows[0]["problem"]
+    assert "the model is of temp" in rows[0]["problem"]
 
 
 def test_two_at_one_table_are_refused(folder: Path, tmp_path: Path) -> None:
