@@ -7,7 +7,7 @@ from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from armrig_daemon.core.requests import Step, answer, ask, refuse
+from armrig_daemon.core.requests import NO_DEVICE, Step, answer, ask, refuse
 from armrig_daemon.core.state import Exit, Phase, Rules, State, Want
 from armrig_daemon.core.stopping import end_run, stop
 from armrig_daemon.core.transitions import begin_arming, state_name
@@ -27,7 +27,6 @@ from armrig_daemon.pipe import (
 
 NOT_HELD = "not the lease in force: arm first"
 """What is said to who commands without holding the rig."""
-NO_DEVICE_YET = "there is no device yet: see that it is plugged in"
 BY_HAND = "the motor is driven by hand: disarm first"
 _AT_REST = (DeviceState.IDLE, DeviceState.READY)
 
@@ -85,7 +84,7 @@ def _reset(state: State, now_ns: int, order: Reset) -> Step:
     if state.phase is not Phase.FAULT:
         return state, answer(order, {"done": False})  # nothing is latched
     if state.device is None:
-        return state, refuse(order, "there is no device: see that it is plugged in, then reset")
+        return state, refuse(order, NO_DEVICE)
     if state.asked is not None:
         return state, refuse(order, f"busy with {state.asked.want}: try again")
     latched = state.device_state in (DeviceState.FAULT, DeviceState.ESTOP)
@@ -103,7 +102,7 @@ def _calibrate(state: State, order: Calibrate) -> Step:
     elif state.lease is not None:
         error = held_by(state.lease.owner)
     elif state.phase is Phase.INIT:
-        error = NO_DEVICE_YET
+        error = NO_DEVICE
     elif state.phase is not Phase.SAFE or state.asked is not None:
         error = "the rig is not at rest yet: try again"
     if error:
@@ -120,7 +119,7 @@ def _acquire(state: State, now_ns: int, order: Acquire) -> Step:
     if state.lease is not None:
         return state, refuse(order, held_by(state.lease.owner))
     if state.phase is not Phase.SAFE or state.device is None:
-        return state, refuse(order, NO_DEVICE_YET)
+        return state, refuse(order, NO_DEVICE)
     if state.asked is not None:
         return state, refuse(order, f"busy with {state.asked.want}: try again")
     age_ns, limit_ns = now_ns - state.fresh_ns, state.rules.age_ns(state.ts_us)

@@ -35,6 +35,8 @@ from armrig_daemon.core.state import (
 from armrig_daemon.pipe import Answer, Halt, Log, Order, Release
 from armrig_daemon.pipe import State as StateRecord
 
+NO_DEVICE = "no device answers; see that it is plugged in, and that its supply is on: try again"
+"""What is said to who wants something of a device that is not there, or is silent for a moment."""
 Step = tuple[State, list[Action]]
 """What each part of the core returns: the next state, and what is to be done."""
 

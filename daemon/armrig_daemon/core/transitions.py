@@ -22,6 +22,7 @@ from armrig_daemon.core.clockmap import ClockMap
 from armrig_daemon.core.faults import OF_DEVICE, Fault, Id, of_device, sentence
 from armrig_daemon.core.requests import (
     MANY_TRIES,
+    NO_DEVICE,
     Step,
     answer,
     ask,
@@ -362,7 +363,7 @@ def begin_arming(state: State, now_ns: int, order: Acquire) -> Step:
     device = state.device
     ts_us = order.ts_us or state.rules.ts_us
     if device is None:
-        return state, refuse(order, "there is no device: see that it is plugged in")
+        return state, refuse(order, NO_DEVICE)
     scheduled = bool(device.capabilities & Capability.SCHEDULED)
     try:
         check(ts_us, state.rules.baud, device.skew_us, scheduled=scheduled)

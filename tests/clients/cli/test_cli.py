@@ -883,17 +883,6 @@ def test_a_trip_is_told_with_its_reason(
     assert "lease" not in said
 
 
-def test_a_refused_reset_says_what_to_type(
-    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The daemon knows orders, a person commands."""
-    daemon.refusals = {"reset": "there is no device: see that it is plugged in, then reset"}
-
-    assert main(["reset", "--connect", where]) == 1
-
-    assert f"plugged in, then `armrig reset --connect {where}`" in told(capsys)
-
-
 def test_ctrl_c_tells_how_the_rig_was_left_and_where_the_recording_lies(
     daemon: FakeDaemon, where: str
 ) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from armrig_daemon.config import Config
+from armrig_daemon.core.requests import NO_DEVICE
 from armrig_daemon.core.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Acquire, Answer, Halt, Play, RunEnded
@@ -65,7 +66,7 @@ def test_a_device_that_is_still_starting_up_is_asked_again() -> None:
 
     rig.run_for(500)
     phase, device, state = rig.phase, rig.loop.state.device, rig.ports.device.state
-    assert "there is no device yet" in rig.arm().error
+    assert rig.arm().error == NO_DEVICE
     booting[0] = False
     rig.run_for(300)
 

@@ -9,6 +9,7 @@ from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.core.faults import Fault, Id
+from armrig_daemon.core.requests import NO_DEVICE
 from armrig_daemon.core.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
 from armrig_daemon.pipe import (
     Acquire,
@@ -103,7 +104,7 @@ def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, 
 
     text = _refusal(bench, ACQUIRE, replace(bench.loop.state, **change))
 
-    assert text == "there is no device yet: see that it is plugged in"
+    assert text == NO_DEVICE
 
 
 def test_a_rig_that_is_held_is_not_taken() -> None:
@@ -171,7 +172,7 @@ def test_a_reset_needs_a_device() -> None:
     bench = rested()
     state = replace(_in_fault(bench), device=None)
 
-    assert "there is no device" in _refusal(bench, Reset(order=8), state)
+    assert _refusal(bench, Reset(order=8), state) == NO_DEVICE
 
 
 def test_a_reset_waits_for_the_stop() -> None:
@@ -253,9 +254,7 @@ def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
     not_yet = "the rig is not at rest yet: try again"
 
     assert _refusal(bench, CALIBRATE, fault) == "in fault (it ran out): mend it, then reset"
-    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.INIT)) == (
-        "there is no device yet: see that it is plugged in"
-    )
+    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.INIT)) == NO_DEVICE
     arming = awaiting(state, Want.CONFIGURE, ACQUIRE)
     assert _refusal(bench, CALIBRATE, arming) == not_yet
     assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.ACTIVE)) == not_yet

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from armrig_daemon.core import transitions
 from armrig_daemon.core.faults import Fault, Id
-from armrig_daemon.core.requests import config
+from armrig_daemon.core.requests import NO_DEVICE, config
 from armrig_daemon.core.state import Beat, Exit, Phase, Repace, Run, State, Tick, Want
 from armrig_daemon.pipe import Acquire, Answer, Log, Reset, RunEnded
 from armrig_daemon.pipe import State as StateRecord
@@ -668,7 +668,7 @@ def test_nothing_is_armed_without_a_device() -> None:
     after, (said,) = transitions.begin_arming(state, bench.ports.now, ACQUIRE)
 
     assert after == state
-    assert "there is no device" in said.record.error
+    assert said.record.error == NO_DEVICE
 
 
 def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
