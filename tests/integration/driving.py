@@ -19,7 +19,8 @@ from processes import Bench, wait_for
 VOLTS = (1.0, 4.0)
 STOPPED_S = 1.0
 """Tells a stop from no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
-_TRIES = 3
+TRIES = 3
+"""How often what a stall of this machine has ended is begun."""
 _STALLS = ("no answer from the device for", "the host paused for")
 """How a run ends where the machine has kept the loop or the emulator waiting."""
 _STEP_V = 5 / 1024  # of the emulated duty
@@ -51,8 +52,8 @@ def begin(bench: Bench, changes: int, runner: str, *arguments: str) -> Popen[byt
     Where this machine stalls, a run may be ended before that: then once more.
     """
     endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    for _ in range(_TRIES):
-        drives = partial(_changed, bench, len(bench.voltage_changes()) + changes)
+    for _ in range(TRIES):
+        drives = partial(changed, bench, len(bench.voltage_changes()) + changes)
         client = bench.client(runner, endpoint, *arguments)
         try:
             wait_for(lambda now=drives, its=client: now() or its.poll() is not None)
@@ -64,16 +65,17 @@ def begin(bench: Bench, changes: int, runner: str, *arguments: str) -> Popen[byt
             return client
         with bench.rig() as rig:
             at_rest(rig)
-    raise AssertionError(f"{_TRIES} runs ended before the voltage had changed {changes} times")
+    raise AssertionError(f"{TRIES} runs ended before the voltage had changed {changes} times")
 
 
-def _changed(bench: Bench, times: int) -> bool:
+def changed(bench: Bench, times: int) -> bool:
+    """Return whether the voltage has changed more often than so many times."""
     return len(bench.voltage_changes()) > times
 
 
 def whole_run(rig: Rig, u: ArrayLike, *, Ts: float, **how: Any) -> Path:
     """Arm and run; where this machine stalls, and the run is ended for it, once more."""
-    for _ in range(_TRIES - 1):
+    for _ in range(TRIES - 1):
         try:
             rig.arm("a test", Ts=Ts)
             return rig.run(u, **how)

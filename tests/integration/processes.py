@@ -36,6 +36,13 @@ def wait_for(what: Callable[[], object], within_s: float = WITHIN_S) -> None:
         threading.Event().wait(0.005)
 
 
+def settled(rig: Rig) -> str:
+    """Return the phase of a rig whose device answers: in a stall of this machine it is lost."""
+    seen = []
+    wait_for(lambda: seen.append(rig.status().phase) or seen[-1] != "init")
+    return seen[-1]
+
+
 class Burners:
     """Programs that keep processors busy at ordinary priority, in a `with` block, however often.
 
@@ -199,6 +206,11 @@ class Bench:
                 return rig.status().phase
         except RuntimeError:
             return ""
+
+    def settled(self) -> str:
+        """Return the daemon's phase, once its device answers."""
+        with self.rig() as rig:
+            return settled(rig)
 
     def loop_pid(self, daemon: Process) -> int:
         """Return the process of the loop."""

@@ -37,7 +37,7 @@ from laboratory import (
     expire_rig,
     free_port,
 )
-from processes import WITHIN_S, Bench, wait_for
+from processes import WITHIN_S, Bench, settled, wait_for
 from sockets import sockets
 
 NOT_HELD = "not the lease in force: arm first"
@@ -127,7 +127,7 @@ def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
     """He sees samples and state; his commands find nobody who replies."""
     with lab.rig("bob") as rig:
         assert next(samples(rig)).u_applied_v == 0.0
-        assert rig.status().phase == "safe"
+        assert settled(rig) == "safe"
         for command in (rig.stop, rig.reset, lambda: rig.arm("a test")):
             with pytest.raises(NoReplyError, match=r"not permitted: its access list .* bob may"):
                 command()
@@ -201,7 +201,7 @@ def test_a_user_with_a_password_is_known_by_his_name(
         alice.arm("a test")
         assert alice.status().owner == "a test (user alice)"
     with rig("bob") as bob:
-        assert bob.status().phase == "safe"
+        assert settled(bob) == "safe"
         with pytest.raises(NoReplyError, match="not permitted"):
             bob.stop()
     with rig("mallory") as mallory, pytest.raises(NoReplyError, match="not permitted"):
@@ -341,7 +341,7 @@ def test_a_link_ends_with_the_certificate_that_opened_it(lab: Laboratory, tmp_pa
     short = pki._issue(made, "carol", "operators", [], days, force=True).path
 
     with Rig("1", connect=lab.endpoint, certificate=short) as rig:
-        assert rig.status().phase == "safe"
+        assert settled(rig) == "safe"
         wait_for(lambda: not _is_answered(rig._connected(), "rig/1/cmd/status/carol"), 15)
 
 
@@ -405,8 +405,8 @@ def test_who_holds_connections_that_he_does_not_use_is_cut_off(lab: Laboratory) 
         wait_for(lambda: "the network is shut" in daemon.said)
         here.stop()
         with lab.bench.rig() as another:
-            assert another.status().phase == "safe"
+            assert settled(another) == "safe"
 
     wait_for(lambda: "the network is open again" in daemon.said)
     with lab.rig("alice") as rig:
-        assert rig.status().phase == "safe"
+        assert settled(rig) == "safe"

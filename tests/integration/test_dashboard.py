@@ -86,7 +86,7 @@ def test_a_preview_moves_nothing(page: Client, served: Bench) -> None:
     before = served.voltage_changes()
     page.ask("/api/preview", STEP)
 
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
     assert served.voltage_changes() == before
 
 
@@ -233,7 +233,7 @@ def test_a_stranger_commands_nothing(
     status, _ = page.ask("/api/stream", **headers)
 
     assert status in (400, 403)
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
 
 
 def test_no_answer_lets_another_page_in(page: Client) -> None:
@@ -294,7 +294,7 @@ def test_a_body_that_is_too_long_is_refused(page: Client, served: Bench) -> None
             except OSError:
                 break
     assert sent < 1000
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
     assert page.ask("/api/stop", {})[0] == 200
 
 

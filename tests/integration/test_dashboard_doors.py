@@ -49,7 +49,7 @@ def test_a_visitor_commands_nothing_else(doors: tuple[Client, Client], served: B
         stolen = f"Bearer {visitor.token}"
         assert own.ask(f"/api/{command}", {"owner": "x"}, Authorization=stolen)[0] == 403
     assert visitor.token != own.token
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
 
 
 def test_without_tls_there_is_no_door(doors: tuple[Client, Client]) -> None:
@@ -130,5 +130,5 @@ def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
     ks = [s.k for s in samples if s is not None]
     assert len(ks) == 20
     assert all(b - a >= 1 for a, b in itertools.pairwise(ks))
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
     assert served.voltage_changes() == before

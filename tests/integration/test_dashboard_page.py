@@ -16,7 +16,7 @@ import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from driving import STOPPED_S
 from processes import Bench
-from watching import STEP, Client, begin, bring_to_rest, endpoint, watched
+from watching import STEP, Client, begin, bring_to_rest, endpoint, recorded, watched
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
 CHROMIUM = shutil.which("chromium")
@@ -222,7 +222,7 @@ def test_another_origin_s_page_commands_nothing(
     assert set(answers) <= {0, -1}  # nothing of an answer is shown to that page
     assert client.first("status")["owner"] == ""
     assert client.first("run")["experiment"] == "" or not client.first("run")["is_going"]
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
 
 
 def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) -> None:
@@ -248,8 +248,7 @@ def test_a_recording_is_identified_and_reported(
     browser: Any, client: Client, served: Bench, tmp_path: Path
 ) -> None:
     """From the list to its model's figures and the PDF; all by buttons."""
-    client.ask("/api/run", {"owner": "me", "experiment": {"kind": "blackbox", "seconds": 5}})
-    client.wait("run", lambda seen: seen["recording"], 40)
+    recorded(client, served, {"kind": "blackbox", "seconds": 5})
     with opened(browser, client.url) as page:
         page.keyboard.press("r")
         page.click("#table tbody button >> nth=0")

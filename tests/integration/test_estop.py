@@ -23,7 +23,7 @@ def test_the_rig_of_a_dead_daemon_is_stopped(bench: Bench) -> None:
         assert stop.popen.wait(WITHIN_S) == 0, stop.said
     wait_for(lambda: bench.volts() == 0.0)
     bench.serve()
-    assert bench.phase() == "safe"
+    assert bench.settled() == "safe"
 
 
 def test_a_daemon_that_lives_is_not_disturbed(served: Bench) -> None:
@@ -36,4 +36,4 @@ def test_a_daemon_that_lives_is_not_disturbed(served: Bench) -> None:
         "program, maybe another rig's daemon; end that one, or give this rig a port of its own; "
         "a daemon that runs is stopped by `armrig stop`\n"
     )
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"

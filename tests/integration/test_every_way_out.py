@@ -246,7 +246,7 @@ def test_the_rig_is_unplugged_and_plugged_in_again(run_of_many: Run) -> None:
     run.bench.emulate()
 
     wait_for(lambda: _device_is_known(run.bench))
-    assert run.bench.phase() == "fault"
+    assert run.bench.settled() == "fault"
     with run.bench.rig() as rig:
         with pytest.raises(RefusedError, match="in fault"):
             rig.arm("a test")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from armrig.rig.client import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, samples
-from processes import Bench, wait_for
+from processes import Bench, settled, wait_for
 from relay import Relay
 
 BACK_S = 10.0
@@ -56,12 +56,12 @@ def _stays_at_0_v_but_samples_again(bench: Bench) -> None:
         wait_for(lambda: bool(rig.status().device), BACK_S)
         k = next(samples(rig)).k
         assert next(samples(rig)).k > k
-        assert rig.status().phase == "fault"
+        assert settled(rig) == "fault"
         with pytest.raises(RefusedError, match="in fault"):
             rig.arm("a test")
         assert bench.volts() == 0.0
         rig.reset()
-        assert rig.status().phase == "safe"
+        assert settled(rig) == "safe"
 
 
 @pytest.mark.parametrize("pacing", ["scheduled", "exchange"])

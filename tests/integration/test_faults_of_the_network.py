@@ -15,7 +15,7 @@ import pytest
 from armrig.rig.session import NoReplyError
 from armrig_core.access_control import MOST_LOCAL_BYTES
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
-from processes import Bench
+from processes import Bench, settled
 
 pytestmark = pytest.mark.timed
 MORE_MIB = 64.0
@@ -141,6 +141,6 @@ def test_a_socket_that_is_removed_costs_the_run_nothing(bench: Bench) -> None:
         assert not socket.exists()
         with pytest.raises(NoReplyError, match="no reply from rig 1"), bench.rig():
             pass
-        assert rig.status().phase == "safe"
+        assert settled(rig) == "safe"
     assert outcome(recording) == "complete"
     check_volts(bench)

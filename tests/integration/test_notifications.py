@@ -126,7 +126,7 @@ def test_a_reload_that_brings_a_bad_configuration_is_refused(bench: Bench, daemo
     daemon.kill(signal.SIGHUP)
 
     wait_for(lambda: "limits.u_max_v = 6: expected `float` <= 5.0" in daemon.said)
-    assert bench.phase() == "safe"
+    assert bench.settled() == "safe"
 
 
 def test_a_reload_that_opens_half_a_network_is_refused(bench: Bench, daemon: Process) -> None:
@@ -136,7 +136,7 @@ def test_a_reload_that_opens_half_a_network_is_refused(bench: Bench, daemon: Pro
     daemon.kill(signal.SIGHUP)
 
     wait_for(lambda: "configuration not read anew, the one in force stays: [access]" in daemon.said)
-    assert bench.phase() == "safe"
+    assert bench.settled() == "safe"
 
 
 def test_a_reload_of_a_free_rig_ends_the_daemon_to_be_started_again(

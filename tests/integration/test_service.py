@@ -196,7 +196,7 @@ def test_a_port_that_is_taken_is_said(served: Bench) -> None:
 
     assert second.popen.wait(WITHIN_S) == MEND
     assert "it is taken by another program" in second.said
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
 
 
 def test_two_daemons_of_one_rig_are_one_too_many(served: Bench) -> None:
@@ -206,7 +206,7 @@ def test_two_daemons_of_one_rig_are_one_too_many(served: Bench) -> None:
     assert second.popen.wait(WITHIN_S) == MEND
     assert "1.sock" in second.said
     assert "Traceback" not in second.said
-    assert served.phase() == "safe"
+    assert served.settled() == "safe"
 
 
 @pytest.mark.parametrize(("said", "watchdog_ms"), [("", 250), ("watchdog_ms = 100", 100)])

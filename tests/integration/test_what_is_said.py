@@ -54,7 +54,7 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
     assert idle.stdout == "rig 1: nothing is latched, so there is nothing to reset\n"
     assert latched.returncode == 0, latched.stderr
     assert "rig 1 was reset" in latched.stdout
-    assert bench.phase() == "safe"
+    assert bench.settled() == "safe"
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from armrig.dashboard.serving import Settings, dashboard
 from armrig.rig.session import RigError
-from driving import at_rest
+from driving import TRIES, at_rest
 from processes import Bench, wait_for
 
 STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
@@ -21,7 +21,7 @@ STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
 WAIT_S = 20.0
 _ANSWER_S = 20.0
 _BACK_S = 60.0
-_TRIES = 3
+_RUN_S = 60.0
 
 
 class Client:
@@ -41,16 +41,17 @@ class Client:
         given = {"Authorization": f"Bearer {self.token}", "Host": f"{self.host}:{self.port}"}
         given |= {name.replace("_", "-"): value for name, value in headers.items()}  # type: ignore[misc]
         data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
+        if data is not None:
+            given = {"Content-Length": str(len(data))} | given
+        lines = [f"{method or ('GET' if body is None else 'POST')} {path} HTTP/1.1"]
+        lines += [f"{name}: {value}" for name, value in given.items() if value is not None]
         link = self._link()
         try:
-            link.putrequest(method or ("GET" if body is None else "POST"), path, skip_host=True)
-            for name, value in given.items():
-                if value is not None:
-                    link.putheader(name, value)
-            if data is not None and "Content-Length" not in given:
-                link.putheader("Content-Length", str(len(data)))
-            link.endheaders(data)
-            answer = link.getresponse()
+            link.connect()
+            # In one piece: who refuses the head and shuts with bytes unread resets the connection.
+            link.sock.sendall("\r\n".join([*lines, "", ""]).encode("latin-1") + (data or b""))
+            answer = http.client.HTTPResponse(link.sock)
+            answer.begin()
             text = answer.read()
         finally:
             link.close()
@@ -122,12 +123,27 @@ def _rests(bench: Bench) -> bool:
     return False
 
 
+def recorded(client: Client, bench: Bench, experiment: dict[str, Any]) -> str:
+    """Have a dashboard run an experiment to its end, and return its recording's name.
+
+    Where this machine stalls the daemon refuses it, or ends it: then once more, from rest.
+    """
+    for _ in range(TRIES):
+        status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
+        assert status == 200, told
+        run = client.wait("run", lambda seen: not seen["is_going"] and seen["experiment"], _RUN_S)
+        if not run["error"]:
+            return str(run["recording"])
+        bring_to_rest(bench)
+    raise AssertionError(run["error"])
+
+
 def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> None:
     """Have a dashboard run an experiment, and wait until the motor is driven.
 
     Where this machine stalls the daemon refuses it, or ends it: then once more, from rest.
     """
-    for _ in range(_TRIES):
+    for _ in range(TRIES):
         status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
         assert status == 200, told
         error = ""
