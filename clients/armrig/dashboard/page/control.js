@@ -2,6 +2,7 @@
 
 import { chart } from "./chart.js";
 import { askJson, attempt, byId, make, notice, owner, setText, show } from "./elements.js";
+import { isStale } from "./status.js";
 
 const LEVELS = ["low", "high"];
 const RANDOM = ["input", "seconds", ...LEVELS, "a", "seed"];
@@ -143,11 +144,11 @@ export function showControl(found) {
   allow();
 }
 
-// What the rig cannot take now is not offered.
-function allow() {
-  const ready = ["safe", "armed"].includes(status.phase) && !status.trouble;
-  byId("run").disabled = going || !ready;
-  byId("arm").disabled = going || status.phase !== "safe" || Boolean(status.trouble);
+// What the rig cannot take now is not offered, nor anything to one of which no data come.
+export function allow() {
+  const answers = !isStale() && !status.trouble;
+  byId("run").disabled = going || !answers || !["safe", "armed"].includes(status.phase);
+  byId("arm").disabled = going || !answers || status.phase !== "safe";
   byId("release").disabled = going || status.phase !== "armed";
 }
 

@@ -1,7 +1,7 @@
 // The page: what comes from the stream goes to its places; keys; the theme.
 
 import { redrawCharts } from "./chart.js";
-import { setUpControl, showRun, showControl } from "./control.js";
+import { allow, setUpControl, showRun, showControl } from "./control.js";
 import { ask, attempt, byId, notice, owner, token } from "./elements.js";
 import { LivePlots } from "./live_plots.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
@@ -98,6 +98,7 @@ function begin() {
       whole: () => plots.wants(),
       live: (live) => {
         showLive(live);
+        allow();
         if (live.rows.length) {
           plots.rows.add(live.rows);
           plots.wants();
@@ -110,7 +111,10 @@ function begin() {
       run: showRun,
       timing: showTiming,
     },
-    showLost,
+    (silence, why) => {
+      showLost(silence, why);
+      allow();
+    },
   );
 }
 
