@@ -71,10 +71,10 @@ def search(
     orders : iterable of int
         Numbers of poles to try, >= 1, an integrator's included.
     nk : int or iterable of int, optional
-        Samples before u reaches y, all of them tried; by default what `delay` finds, and 1 beside
-        direct term (0). In closed loop that is not tried, for it would be the controller's; where
-        feedback and a direct term look the same it is, and `doubts` say so.
-        feedback and a direct term look the same it is, and `doubts` say so.
+        Samples before u reaches y, all of them tried; by default what `delay` finds, at least 1,
+        and 0 beside it where a direct term is not ruled out. In closed loop a direct term is not
+        tried, for it would be the controller's; where feedback and a direct term look the same it
+        is, and `doubts` say so.
     integrator : bool, optional
         Whether structures that can have one get a pole at 1 exactly; by default where the output
         is an angle, or is found to integrate.
