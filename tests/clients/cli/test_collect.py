@@ -1,0 +1,480 @@
+"""`armrig collect`: what is played, what is refused first, how it ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig_core import commands, telemetry
+from armrig_core.rehearsal import Rehearsal
+from fake_daemon import FakeDaemon
+from made_recordings import gap, of_the_arm, sample, timing, written
+from told import told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["blackbox", "--high", "5.5"], "high=5.5 V is outside the rig's 0 to 5 V"),
+        (["blackbox", "--low", "-1"], "low=-1.0 V is outside the rig's 0 to 5 V"),
+        (["blackbox", "--low", "nan"], "low=nan V is outside the rig's 0 to 5 V"),
+        (["blackbox", "--a", "2"], "a=2.0 is a probability, 0 <= a <= 1"),
+        (["step", "--high", "9"], "high=9.0 V is outside the rig's 0 to 5 V"),
+    ],
+)
+def test_a_voltage_outside_the_rigs_range_is_refused_before_a_rig_is_asked(
+    arguments: list[str],
+    said: str,
+    daemon: FakeDaemon,
+    where: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It would be destroyed; nothing is sent."""
+    assert main(["collect", *arguments, "--connect", where]) == 1
+
+    assert told(capsys) == f"armrig: {said}\n"
+    assert daemon.asked == []
+
+
+def test_collect_plays_the_telegraph_that_was_asked_for(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At the daemon's sampling time, with everything that makes it again."""
+    arguments = ["collect", "blackbox", "--seconds", "2", "--seed", "7", "--connect", where]
+
+    assert main(arguments) == 0
+
+    assert capsys.readouterr().out == "/nowhere/run.mcap\n"
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert len(run.u) == 200
+    assert set(run.u) == {0.5, 4.5}
+    assert run.experiment == "blackbox"
+    assert run.details == {"input": "telegraph", "a": 0.05, "low": 0.5, "high": 4.5, "seed": 7}
+
+
+def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str) -> None:
+    """Seconds become samples by the sampling time in force."""
+    arguments = ["collect", "step", "--seconds", "1", "--at", "0.4", "--Ts", "0.02", "--json"]
+
+    assert main([*arguments, "--connect", where]) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert run.u == [0.5] * 20 + [4.5] * 30
+
+
+def test_collect_greybox_plays_what_a_black_box_does(daemon: FakeDaemon, where: str) -> None:
+    """To a rig whose daemon was told that the rotating part is off."""
+    daemon.arm_removed = True
+
+    assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert run.experiment == "greybox"
+    assert run.details["input"] == "telegraph"
+
+
+def test_collect_greybox_refuses_a_rig_with_its_arm_on(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is armed or played; it says what to do. A black box is for the whole rig."""
+    assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 1
+    asked, said = daemon.names(), told(capsys)
+    assert main(["collect", "blackbox", "--seconds", "2", "--connect", where]) == 0
+
+    assert asked == []
+    assert "rig 1 has its arm on: take the rotating part off (handout, figure 6)" in said
+    assert "[arm] removed = true" in said
+
+
+@pytest.mark.parametrize("arm_removed", [False, True])
+def test_collect_blackbox_says_where_the_arm_is_off(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str], *, arm_removed: bool
+) -> None:
+    """It may be meant; who forgot to put it back on learns it before the hour is over."""
+    daemon.arm_removed = arm_removed
+
+    assert main(["collect", "blackbox", "--seconds", "2", "--connect", where]) == 0
+
+    said = capsys.readouterr().err
+    assert ("rig 1 has no arm ([arm] removed)" in said) == arm_removed
+
+
+def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str) -> None:
+    """Friction shows as the difference."""
+    arguments = ["collect", "staircase", "--levels", "3", "--seconds", "1", "--connect", where]
+
+    assert main(arguments) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    stairs = np.repeat([0.5, 2.5, 4.5, 2.5, 0.5], 20)
+    np.testing.assert_array_equal(run.u, stairs)
+
+
+def test_collect_bla_plays_periods_with_other_phases(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One recording a realisation, of the same power, so that they can be compared."""
+    arguments = ["--period", "0.5", "--periods", "3", "--realisations", "2", "--connect", where]
+
+    assert main(["collect", "bla", *arguments]) == 0
+
+    played = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    one, two = (np.array(r.u).reshape(3, 50) for r in played)
+    assert capsys.readouterr().out == "/nowhere/run.mcap\n" * 2
+    for u in (one, two):
+        np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
+    assert np.std(one) == pytest.approx(np.std(two), rel=1e-12)
+    assert np.abs(one - two).max() > 0.5
+    assert [r.details["realisation"] for r in played] == [0, 1]
+
+
+def test_collect_bla_takes_the_length_of_a_recording(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As the other kinds do, in place of a period's; not both."""
+    arguments = ["collect", "bla", "--seconds", "1.5", "--periods", "3", "--realisations", "1"]
+    arguments += ["--connect", where]
+
+    assert main(arguments) == 0
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    capsys.readouterr()
+    assert main([*arguments, "--period", "0.5"]) == 1
+
+    u = np.array(run.u).reshape(3, 50)
+    np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
+    assert "--seconds 1.5 with --period 0.5: a recording is 3 periods long" in told(capsys)
+
+
+@pytest.mark.parametrize("name", ["telegraph", "prbs", "white", "multisine"])
+def test_collect_validation_plays_the_next_seed_too(
+    name: str, daemon: FakeDaemon, where: str
+) -> None:
+    """Two recordings with one command; the second says in its name what it is for."""
+    arguments = ["collect", "blackbox", "--input", name, "--seed", "7", "--seconds", "1"]
+    arguments += ["--validation", "--name", "monday", "--connect", where]
+
+    assert main(arguments) == 0
+
+    first, second = (r for r in daemon.asked if isinstance(r, commands.Run))
+    kinds = [first.experiment, second.experiment]
+    assert kinds == ["blackbox-monday", "blackbox-validation-monday"]
+    assert [r.details["seed"] for r in (first, second)] == [7, 8]
+    assert {r.details["input"] for r in (first, second)} == {name}
+    assert first.u != second.u
+    assert "validation_of" not in first.details
+    assert second.details["validation_of"] == "r1"
+
+
+def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_path: Path) -> None:
+    """As long as it is, at the times that it says."""
+    file = tmp_path / "mine.csv"
+    file.write_text("t,u\n" + "".join(f"{k / 100},{k % 5}\n" for k in range(40)))
+
+    assert main(["collect", "blackbox", "--file", str(file), "--connect", where]) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert run.u == [k % 5 for k in range(40)]
+    assert run.details == {"input": "csv", "file": "mine.csv"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--input", "csv"], "a file is played with --file CSV"),
+        (["--input", "prbs", "--file", "FILE"], "no other --input than csv"),
+        (["--file", "FILE", "--seconds", "3"], "--seconds 3: a file has its own length"),
+        (["--file", "FILE", "--validation"], "--validation: csv would be the same again"),
+        (["--input", "chirp", "--validation"], "--validation: chirp would be the same again"),
+        (["--file", "FILE", "--Ts", "0.02"], "t=0.01 s where Ts=0.02 s gives 0.02 s"),
+        (["--file", "/nowhere.csv"], "/nowhere.csv: No such file or directory"),
+        (["--input", "prbs", "--a", "0"], "a=0.0: a prbs switches with a probability of more"),
+        (["--name", "My run"], "--name My run: at most 31 of a-z, 0-9 and -"),
+        (["--high", "6"], "high=6.0 V is outside the rig's 0 to 5 V"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+)
+def test_an_input_that_cannot_be_played_is_told_before_a_rig_is_asked_for(
+    arguments: list[str],
+    said: str,
+    daemon: FakeDaemon,
+    where: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """With the way out."""
+    file = tmp_path / "mine.csv"
+    file.write_text("t,u\n0,1\n0.01,2\n0.02,3\n")
+    given = [str(file) if x == "FILE" else x for x in arguments]
+
+    assert main(["collect", "blackbox", *given, "--connect", where]) == 1
+
+    assert said in told(capsys)
+    assert daemon.asked == []
+
+
+def test_collect_judges_the_data(
+    daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In words beside the path, whole in the JSON; data with a fault are no failure."""
+    daemon.recording = str(written(tmp_path, of_the_arm(armrig.telegraph(500, 0.05, 2.45, 2.55))))
+
+    assert main(["collect", "blackbox", "--connect", where]) == 0
+    said = capsys.readouterr()
+    assert main(["collect", "blackbox", "--connect", where, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    verdict = facts["verdict"]
+
+    assert said.out == f"{daemon.recording}\n"
+    assert "3000 samples are on the disk; the data can be used, with care" in said.err
+    assert facts["synced"] == facts["samples"] == 3000
+    assert "too quiet" in said.err
+    assert verdict["usable"] is True
+    assert {f["about"]: f["level"] for f in verdict["findings"]}["signal"] == "warning"
+
+
+def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
+    daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recording is told all the same; there is no second one."""
+    daemon.recording = str(written(tmp_path, of_the_arm(np.full(500, 2.0))))
+
+    assert main(["collect", "blackbox", "--validation", "--connect", where]) == 1
+
+    said = capsys.readouterr()
+    assert said.out == f"{daemon.recording}\n"
+    assert "the data cannot be used: the input never changes" in said.err
+    assert daemon.names().count("run") == 1
+
+
+def test_the_bar_says_how_the_timing_is(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the run alone, and in the words of `info`: lateness, missing samples; and the queue."""
+    report = timing(0)
+    report.wake_lateness_us.p99 = 123.0  # of the loop, which is not what `info` calls lateness
+    report.queue_depth.p50, report.queue_depth.n = 17, 100
+    late = {"t_host_ns": sample(2).t_sched_ns + 456_000}
+    messages = [
+        ("sample", telemetry.encode_sample(sample(0, flags=0, t_host_ns=sample(9).t_host_ns))),
+        ("gap", gap(1, 1, 0.0).SerializeToString()),
+        ("sample", telemetry.encode_sample(sample(2, **late))),
+        ("gap", gap(3, 2, 1.0).SerializeToString()),
+        ("timing", report.SerializeToString()),
+    ]
+
+    def publish() -> None:
+        while messages:
+            stream, data = messages.pop(0)
+            daemon.session.put(f"rig/1/{stream}", data)
+
+    daemon.during_run = publish
+    daemon.polls_per_run = 5
+
+    assert main(["collect", "step", "--connect", where]) == 0
+
+    said = " ".join(capsys.readouterr().err.split())
+    assert "host late p99 456 µs, missing 2, queue 17" in said
+
+
+def test_collect_says_what_the_rehearsal_was(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside the path; with --json in it."""
+    daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
+
+    assert main(["collect", "step", "--connect", where]) == 0
+    said = capsys.readouterr()
+    assert main(["collect", "step", "--connect", where, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+
+    assert said.out == "/nowhere/run.mcap\n"
+    assert "the chassis turns 3.5 times and ends 1203° from its start" in said.err
+    assert "the arm deflects by up to 11.5°" in said.err
+    assert told["rehearsal"]["revolutions"] == 3.5
+
+
+@pytest.mark.parametrize(("given", "dead_man"), [([], 1.0), (["3"], 3.0), (["0"], None)])
+def test_a_collection_dies_with_its_program_unless_told_otherwise(
+    given: list[str], dead_man: float | None, daemon: FakeDaemon, where: str
+) -> None:
+    """Who closes the terminal expects that the motor stops."""
+    option = ["--dead-man", *given] if given else []
+
+    assert main(["collect", "step", *option, "--connect", where]) == 0
+
+    [run] = [r for r in daemon.asked if isinstance(r, commands.Run)]
+    assert run.dead_man == dead_man
+    assert ("renew" in daemon.names()) == (dead_man is not None)
+
+
+@pytest.mark.parametrize("text", ["0.1", "61", "-1", "nan"])
+def test_a_dead_man_that_cannot_be_is_told_before_a_rig_is_asked_for(
+    text: str, daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With what is allowed."""
+    assert main(["collect", "step", "--dead-man", text, "--connect", where]) == 1
+
+    assert "must be 0.5 to 60 s, or 0 for none" in capsys.readouterr().err
+    assert daemon.asked == []
+
+
+def test_a_run_that_ends_early_is_a_failure(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 1, with the reason and the recording."""
+    daemon.outcome = "the host paused for 68 ms"
+
+    assert main(["collect", "step", "--connect", where]) == 1
+
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "the host paused for 68 ms; recorded in /nowhere/run.mcap" in said.err
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_a_collection_stops_the_rig(
+    number: signal.Signals, daemon: FakeDaemon, where: str
+) -> None:
+    """A closed terminal or a shutdown: the motor does not go on alone, and the code says why."""
+    daemon.polls_per_run = 10_000
+    program = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", where]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
+        until = time.monotonic() + 20
+        while "run" not in daemon.names():
+            assert collecting.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        collecting.send_signal(number)
+        out, said = collecting.communicate(timeout=20)
+
+    assert [name for name in daemon.names() if name != "renew"] == ["arm", "run", "stop"]
+    assert collecting.returncode == 128 + number
+    assert out == b""
+    assert f"armrig: ended by {number.name}" in said.decode()
+    assert b"Traceback" not in said
+
+
+def test_what_nohup_ignores_stays_ignored() -> None:
+    """A command started with nohup is meant to outlive its terminal."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert main(["info", "/nothing"]) == 1
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_program_is_told_in_json_what_was_done(
+    where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stopped; and whether a fault was latched."""
+    with FakeDaemon(where):
+        assert main(["stop", "--connect", where, "--json"]) == 0
+        assert main(["reset", "--connect", where, "--json"]) == 0
+
+    said = capsys.readouterr()
+    assert [json.loads(line) for line in said.out.splitlines()] == [
+        {"rig": "1", "stopped": True},
+        {"rig": "1", "was_latched": True},
+    ]
+    assert said.err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["blackbox", "--seconds", "inf"], "--seconds inf: must be a number of seconds"),
+        (["blackbox", "--seconds", "nan"], "--seconds nan: must be a number of seconds"),
+        (["blackbox", "--seconds", "1e9"], "--seconds 1e+09: at most 4000000 samples"),
+        (["blackbox", "--seconds", "5e4", "--Ts", "0.01"], "that is 40000 s at Ts = 0.01 s"),
+        (["blackbox", "--seconds", "0.2", "--Ts", "1"], "too short for one sample of 1 s"),
+        (["blackbox", "--Ts", "nan"], "--Ts nan: must be a number of seconds"),
+        (["blackbox", "--Ts", "inf"], "--Ts inf: must be a number of seconds"),
+        (["blackbox", "--Ts", "2"], "--Ts 2: at most 1, in seconds"),
+        (["blackbox", "--owner", ""], "--owner has 0 characters: 1 to 80 are allowed"),
+        (["step", "--seconds", "0.5"], "--at 1 s is after the end, 0.5 s"),
+        (["step", "--at", "nan"], "--at nan: must be a number of seconds"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+)
+def test_a_length_that_cannot_be_played_is_refused_before_a_rig_is_asked(
+    arguments: list[str],
+    said: str,
+    daemon: FakeDaemon,
+    where: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """What came, and what is allowed."""
+    assert main(["collect", *arguments, "--connect", where]) == 1
+
+    assert said in told(capsys)
+    assert daemon.asked == []
+
+
+def test_a_length_too_great_for_the_daemons_sampling_time_gives_the_rig_back(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is known only once the rig is ours."""
+    assert main(["collect", "blackbox", "--seconds", "80000", "--connect", where]) == 1
+
+    assert "at most 4000000 samples, that is 40000 s at Ts = 0.01 s" in told(capsys)
+    assert daemon.names() == ["arm", "disarm"]
+
+
+def test_a_length_between_two_samples_is_rounded_and_told(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is really played."""
+    arguments = ["collect", "blackbox", "--seconds", "1", "--Ts", "0.6", "--connect", where]
+
+    assert main(arguments) == 0
+
+    said = capsys.readouterr().err
+    assert "1 s is not a whole number of samples of 0.6 s: 2 samples are played, 1.2 s" in said
+
+
+@pytest.mark.parametrize("refused", ["arm", "run"])
+def test_a_trip_is_told_with_its_reason(
+    refused: str, daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not as the lease that went with it."""
+    daemon.fault, daemon.remedy = "the link is silent", "see to the cable"
+    daemon.refusals = {refused: "not the lease in force: arm first"}
+
+    assert main(["collect", "step", "--connect", where]) == 1
+
+    said = capsys.readouterr().err
+    assert (
+        "rig 1 is in fault: the link is silent; see to the cable; then `armrig reset --conn" in said
+    )
+    assert "lease" not in said
+
+
+def test_ctrl_c_tells_how_the_rig_was_left_and_where_the_recording_lies(
+    daemon: FakeDaemon, where: str
+) -> None:
+    """Exit code 130."""
+    daemon.polls_per_run = 10_000
+    program = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", where]
+    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
+        until = time.monotonic() + 20
+        while "run" not in daemon.names():
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        time.sleep(0.3)
+        collecting.send_signal(signal.SIGINT)
+        out, said = collecting.communicate(timeout=20)
+
+    assert collecting.returncode == 130
+    assert out == b""
+    assert b"armrig: interrupted: rig 1 was told to stop (0 V)" in said
+    assert b"/nowhere/run.mcap" in said
+    assert b"Traceback" not in said

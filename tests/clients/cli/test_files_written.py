@@ -1,0 +1,91 @@
+"""Reports and figures: what is written where, and what is never replaced."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from told import told
+
+
+def test_report_writes_a_pdf_and_says_where(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The path on standard output, nothing else."""
+    pdf = tmp_path / "r.pdf"
+
+    assert main(["report", *map(str, three_recordings), "-o", str(pdf)]) == 0
+
+    said = capsys.readouterr()
+    assert said.out == f"{pdf}\n"
+    assert re.fullmatch(rf"next: (xdg-open|open|start) {pdf}", said.err.splitlines()[-1])
+    assert pdf.read_bytes().startswith(b"%PDF-")
+
+
+def test_report_tells_a_program_what_it_was_made_from(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The path, and the hash of each recording in the order given.
+
+    A model judged on its own data is told so here, too: it flatters every model.
+    """
+    pdf = tmp_path / "r.pdf"
+    step, recording, _ = three_recordings
+    files = (recording, recording, step)
+
+    assert main(["report", *map(str, files), "-o", str(pdf), "--json"]) == 0
+
+    hashes = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+    said = capsys.readouterr()
+    assert json.loads(said.out) == {"report": str(pdf), "recordings": hashes}
+    assert "judged on the very data that they were estimated from" in said.err
+
+
+def test_a_report_that_cannot_be_written_is_told_in_a_line(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 1, naming the place."""
+    pdf = tmp_path / "no" / "r.pdf"
+
+    assert main(["report", *map(str, three_recordings), "-o", str(pdf)]) == 1
+
+    said = told(capsys)
+    assert said.startswith(f"armrig: -o {pdf}: there is no directory {pdf.parent}")
+
+
+@pytest.mark.parametrize("name", ["estimation.mcap", "other.mcap", "other.pdf", "r.txt", "."])
+def test_a_report_never_replaces_what_is_no_report(
+    name: str,
+    three_recordings: tuple[Path, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A recording cannot be made again; said before any work."""
+    for path in three_recordings:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    for other in ("other.mcap", "other.pdf"):
+        (tmp_path / other).write_bytes(three_recordings[0].read_bytes())
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    files = [str(tmp_path / path.name) for path in three_recordings]
+
+    assert main(["report", *files, "-o", str(tmp_path / name)]) == 1
+
+    assert f"-o {tmp_path / name}: " in told(capsys)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_figure_never_replaces_a_recording(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As with a report."""
+    path = three_recordings[0]
+    before = path.read_bytes()
+
+    assert main(["info", str(path), "--plot", str(path)]) == 1
+
+    assert "is one of the recordings to read, which would be lost" in told(capsys)
+    assert path.read_bytes() == before

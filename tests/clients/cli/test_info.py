@@ -1,0 +1,143 @@
+"""`armrig info`: what a recording holds, and what is missing of it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from made_recordings import manifest, recorded, sample, written
+from told import told
+
+
+def test_a_truncated_recording_is_used_and_the_loss_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Standard output stays JSON."""
+    whole = recorded([sample(k) for k in range(40)], flush_every=10)
+    path = written(tmp_path, whole[: len(whole) // 2])
+
+    assert main(["info", str(path), "--json"]) == 0
+
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["truncated"] is True
+    assert f"saved: {facts['samples']} samples" in facts["damage"]
+
+
+def test_damage_is_told_wherever_a_recording_is_used(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On standard error, in a line: a model of half a recording is not taken for one of it all."""
+    whole = three_recordings[1].read_bytes()
+    path = written(tmp_path, whole[: len(whole) * 3 // 4])
+
+    assert main(["identify", str(path), "--structure", "arx", "--json"]) == 0
+
+    said = capsys.readouterr()
+    assert json.loads(said.out)["structure"] == "arx"
+    assert said.err.startswith(f"armrig: {path}: ")
+    assert "saved: " in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_info_says_what_a_recording_holds(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """For a person, and for a program."""
+    path = str(three_recordings[2])
+
+    assert main(["info", path]) == 0
+    text = capsys.readouterr().out
+    assert main(["info", path, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    assert "1195 at 0.01 s, 5 missing" in text
+    assert "signal to noise" in text
+    assert "\\x" not in text  # a blank between number and unit is no stranger's character
+    assert facts["samples"] == 1195
+    assert facts["missing"] == 5
+    assert facts["gaps"][0]["count"] == 5
+    assert facts["manifest"]["experiment"] == "blackbox"
+    assert facts["sampling"]["Ts_us"] == 10_000
+
+
+def test_info_says_lateness_as_the_bar_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And what it is of: an arrival where the device paced, a request where the host did."""
+    for pacing, of in (("scheduled", "samples' arrival"), ("exchange", "request for each sample")):
+        data = recorded([sample(k) for k in range(10)], manifest=manifest(pacing=pacing))
+
+        assert main(["info", "--verbose", str(written(tmp_path, data))]) == 0
+
+        lines = capsys.readouterr().out.splitlines()
+        [line] = [x for x in lines if x.startswith("host's lateness")]
+        [jitter] = [x for x in lines if x.startswith("jitter")]
+        assert "p50 3.0, p99 3.0, max 3 µs" in line
+        assert of in line
+        assert jitter.endswith(" µs; of the sampling interval, by the device's clock")
+
+
+def test_info_of_a_recording_cut_off_at_once_says_what_is_not_known(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Words in place of nan."""
+    whole = recorded([sample(k) for k in range(40)], flush_every=10)
+    cut = written(tmp_path, whole[: len(whole) // 4], "cut.mcap")
+    short = written(tmp_path, recorded([sample(0)]), "short.mcap")
+
+    assert main(["info", str(cut)]) == 0
+    of_cut = capsys.readouterr().out
+    assert main(["info", str(short)]) == 0
+    of_short = capsys.readouterr().out
+
+    assert "not known: the file is cut off before it says" in of_cut
+    assert re.search(r"; up to 0(\.\d+)? s of 0\.1 s\n", of_cut)
+    assert "too few samples" in of_short
+    assert "nan" not in of_cut + of_short
+
+
+def test_info_says_who_ran_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As he called himself and, where the daemon checked it, by his certificate."""
+    owner = "group 3\x1b[2J (certificate alice)"
+    path = written(tmp_path, recorded([sample(0)], manifest=manifest(owner=owner)))
+
+    assert main(["info", str(path)]) == 0
+
+    said = capsys.readouterr().out
+    assert re.search(r"^owner +group 3\\x1b\[2J \(certificate alice\)$", said, re.MULTILINE)
+
+
+def test_info_of_a_cut_file_does_not_call_the_run_cut_short(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The run was complete, the file is not; one that the daemon left may still be growing."""
+    run = {"manifest": manifest(samples=40, k_first=0), "flush_every": 10}
+    whole = recorded([sample(k) for k in range(40)], **run, outcome_first=True)
+    left = recorded([sample(k) for k in range(40)], **run, outcome=None)
+
+    assert main(["info", str(written(tmp_path, whole[:-200]))]) == 0
+    of_whole = capsys.readouterr().out
+    assert main(["info", str(written(tmp_path, left[:-400], "run.mcap.active"))]) == 0
+    of_left = capsys.readouterr().out
+
+    assert "of the run: complete; but the file is cut off" in of_whole
+    assert re.search(r"samples +\d+ at 0.01 s, 0 missing", of_whole)
+    assert "s of 0.4 s" in of_whole
+    assert "the file is cut off before it says, or is still being written" in of_left
+
+
+def test_what_is_missing_is_told_with_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    """And where it comes from."""
+    assert main(["validate", "F.mcap"]) == 2
+    option = told(capsys)
+    assert main(["validate"]) == 2
+    argument = told(capsys)
+    assert main(["compare", "F.mcap"]) == 2
+    either = told(capsys)
+
+    assert "--model JSON is missing: model that identify --save has written" in option
+    assert "F is missing: recording (*.mcap, @last or @NAME)" in argument
+    assert "--model FILE (from `armrig identify --save FILE`)" in either

@@ -1,0 +1,192 @@
+"""`armrig identify` and `armrig compare`: what is said of a model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.cli.spinner import estimating
+from made_recordings import recorded, sample, written
+from told import told
+
+
+@pytest.mark.parametrize(
+    ("samples", "said"),
+    [
+        (5, "5 samples are too few for a model: record longer, 180 at least for na=9, nb=9"),
+        (50, "na=9, nb=9: 18 parameters from 50 samples; at most 5"),
+    ],
+)
+def test_orders_too_high_for_the_data_are_told_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], samples: int, said: str
+) -> None:
+    """What came and what is needed."""
+    path = written(tmp_path, recorded([sample(k) for k in range(samples)]))
+
+    assert main(["identify", str(path), "--structure", "arx", "--na", "9", "--nb", "9"]) == 1
+
+    assert f"armrig: {said}" in told(capsys)
+
+
+def test_identify_gives_the_model_and_its_uncertainty(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the validation beside it."""
+    arguments = ["identify", str(three_recordings[1]), "--structure", "oe", "--integrator"]
+    arguments += ["--validate", str(three_recordings[2])]
+
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert main([*arguments, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    assert "OE(nb=4, nf=4, nk=1)" in text
+    assert "Simulated on the validation data it fits to" in text
+    assert facts["orders"] == {"nb": 4, "nf": 4, "nk": 1}
+    assert set(facts["parameters"]["f1"]) == {"value", "std", "std_robust"}
+    assert facts["validation"]["rms_error"] < 0.006
+    assert facts["recording"] != facts["validation"]["recording"]
+
+
+def test_compare_puts_the_models_and_the_physics_side_by_side(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Same numbers for a person and for a program."""
+    files = [str(path) for path in three_recordings[1:]]
+
+    assert main(["compare", *files]) == 0
+    text = capsys.readouterr().out
+    assert main(["compare", *files, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    assert [m["model"] for m in facts["models"]] == ["ARX", "OE", "physics"]
+    assert all(f"{m['rms_error']:.4g}" in text for m in facts["models"])
+
+
+def test_a_model_that_is_estimated_here_anyway_is_shown_once(
+    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two identical columns tell nothing; another order has its own."""
+    _, estimation, validation = map(str, three_recordings)
+    saved = []
+    for n in ("4", "3"):
+        saved += ["--model", str(tmp_path / f"of-{n}.json")]
+        orders = ["--structure", "oe", "--nb", n, "--nf", n, "--integrator"]
+        assert main(["identify", estimation, *orders, "--save", saved[-1]]) == 0
+    capsys.readouterr()
+
+    assert main(["compare", estimation, validation, *saved, "--json"]) == 0
+
+    said = capsys.readouterr()
+    assert [m["model"] for m in json.loads(said.out)["models"]] == ["ARX", "OE", "physics", "of-3"]
+    assert "the model of-4 is the OE that is estimated here: it is shown once" in said.err
+
+
+def test_the_coefficients_are_a_table_with_both_standard_deviations(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The loss has its unit, and each p value its hypothesis."""
+    arguments = ["identify", str(three_recordings[1]), "--structure", "arx"]
+
+    assert main([*arguments, "--validate", str(three_recordings[2]), "--verbose"]) == 0
+
+    text = capsys.readouterr().out
+    assert ["coefficient", "estimate", "σ", "σ", "robust"] in [x.split() for x in text.splitlines()]
+    assert [x.split()[:2] for x in text.splitlines()[4:12:7]] == [["a1", "q^-1"], ["b4", "q^-4"]]
+    assert " rad², FPE " in text
+    assert "residuals coloured (p < 0.001, " in text
+    assert " test): trust σ robust, not σ" in text
+    assert "no dynamics missing: p" in text
+    assert "no feedback seen in them: p" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["arx", "--nf", "3"],
+            "--nf 3 goes with --structure oe or bj; an ARX model has na, nb and nk",
+        ),
+        (
+            ["oe", "--na", "3"],
+            "--na 3 goes with --structure arx or armax or iv4; an OE model has nb, nf and nk",
+        ),
+        (
+            ["OE"],
+            "--structure: 'OE' is not one of 'arx', 'armax', 'oe', 'bj', 'iv4', 'n4sid'; see",
+        ),
+        (["arx", "--na", "two"], "--na two: must be an integer; see"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+)
+def test_an_option_that_does_not_apply_is_refused(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would be without effect, which nobody would see."""
+    assert main(["identify", "f.mcap", "--structure", *arguments]) == 2
+
+    assert f"armrig: {said}" in told(capsys)
+
+
+@pytest.mark.parametrize("command", [["identify", "--structure", "oe"], ["compare"], ["report"]])
+def test_orders_absurd_for_the_data_are_refused_with_what_is_allowed(
+    command: list[str], three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A parameter wants ten samples."""
+    files = [str(path) for path in three_recordings[1 : 2 if command[0] == "identify" else 3]]
+
+    assert main([*command, *files, "--nb", "100", "--nf", "100"]) == 1
+
+    said = told(capsys)
+    assert "from 1459 samples; at most 145, one for each 10 samples" in said
+
+
+def test_numerics_that_give_up_are_told_as_orders_too_high() -> None:
+    """Without a line of numpy's source."""
+
+    def give_up() -> None:
+        with estimating("nb and nf"):
+            np.sqrt(np.array([-1.0]))
+            np.linalg.svd(np.full((2, 2), np.nan))
+
+    with pytest.raises(ValueError, match="too high for these data: lower nb and nf"):
+        give_up()
+
+
+def test_an_integrator_is_hinted_at_where_it_belongs(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The angle integrates, the velocity does not."""
+    path = str(three_recordings[1])
+
+    assert main(["identify", path, "--structure", "oe"]) == 0
+    angle = capsys.readouterr().err
+    arguments = ["--structure", "oe", "--integrator", "--signal", "velocity"]
+    assert main(["identify", path, *arguments]) == 0
+    velocity = capsys.readouterr().err
+
+    assert "the angle theta_1 integrates: try --integrator" in angle
+    assert "--integrator: velocity does not integrate" in velocity
+
+
+def test_a_model_judged_on_its_own_data_is_told_so(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It flatters every model."""
+    path = str(three_recordings[1])
+
+    assert main(["compare", path, path]) == 0
+
+    assert "judged on the very data that they were estimated from" in capsys.readouterr().err
+
+
+def test_compare_names_the_recording_that_it_validates_on(
+    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A step is not identified from: the other one is halved."""
+    assert main(["compare", str(three_recordings[1]), str(three_recordings[0])]) == 0
+
+    assert f"simulated on {three_recordings[1]}, its second half" in capsys.readouterr().out

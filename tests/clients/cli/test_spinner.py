@@ -1,0 +1,67 @@
+"""What is shown while something takes long."""
+
+from __future__ import annotations
+
+import time
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from armrig.cli.figures import write_plot
+from armrig.cli.spinner import AFTER_S, remaining, spinner
+from rich.console import Console
+
+
+def test_a_long_estimation_shows_that_it_lives() -> None:
+    """On a terminal, after a while; what is quick says nothing."""
+    out = StringIO()
+    terminal = Console(file=out, force_terminal=True)
+
+    with spinner("estimating", terminal, after_s=60):
+        pass
+    quick = out.getvalue()
+    with spinner("estimating", terminal, after_s=0.0):
+        time.sleep(0.3)
+
+    assert quick == ""
+    assert "estimating …" in out.getvalue()
+
+
+def test_a_wait_that_is_counted_tells_what_it_does_and_what_remains() -> None:
+    """A bar from the first count on, gone at the end; nothing where there is no terminal."""
+    out, nowhere = StringIO(), StringIO()
+
+    for console in (Console(file=out, force_terminal=True, width=100), Console(file=nowhere)):
+        with spinner("estimating", console, after_s=0.0) as count:
+            time.sleep(0.05)
+            count(10, 40, "OE[2 2 1]")
+            time.sleep(0.3)
+
+    assert "estimating OE[2 2 1] …" in out.getvalue()
+    assert "30 of 40 remain, about " in out.getvalue()
+    assert not nowhere.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("done", "elapsed_s", "told"),
+    [
+        (0, 0.0, "40 of 40 remain"),
+        (10, 6.0, "30 of 40 remain, about 18 s"),
+        (1, 10.0, "39 of 40 remain, about 6 min"),
+        (40, 9.0, "0 of 40 remain"),
+    ],
+)
+def test_the_time_left_is_that_of_what_was_done(done: int, elapsed_s: float, told: str) -> None:
+    """None before the first is done, nor after the last."""
+    assert remaining(done, 40, elapsed_s) == told
+
+
+def test_a_figure_that_takes_long_shows_that_it_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a terminal, as an estimation does."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+
+    write_plot(tmp_path / "slow.png", lambda **_: time.sleep(AFTER_S + 0.3))
+
+    assert "drawing …" in capsys.readouterr().err

@@ -1,0 +1,14 @@
+"""What a person is told of a mistake."""
+
+from __future__ import annotations
+
+import pytest
+
+
+def told(capsys: pytest.CaptureFixture[str]) -> str:
+    """Return what was said on standard error, which must be one or two lines and no traceback."""
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert 1 <= said.err.count("\n") <= 2
+    assert "Traceback" not in said.err
+    return said.err
