@@ -45,7 +45,7 @@ def of_three(done: Study) -> Study:
 def made(of_three: Study, tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, Path]:
     """Give the bytes of a report of three models, and where its figures were left.
 
-    One of two models is made in test_cli.py.
+    One of two models is made in test_files_written.py.
     """
     return typeset_with_figures(of_three, tmp_path_factory.mktemp("report"))
 
