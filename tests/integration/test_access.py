@@ -26,7 +26,7 @@ from armrig.rig.session import NoReplyError, RigError
 from armrig_core.credential import Credential, read_credential
 from armrig_core.open_files import MOST
 from armrig_daemon.config import MEND
-from armrig_daemon.service.network_guard import MANY
+from armrig_daemon.service.network_guard import MANY, SHUT_S
 from driving import samples, whole_run
 from laboratory import (
     PASSWORD,
@@ -407,6 +407,6 @@ def test_who_holds_connections_that_he_does_not_use_is_cut_off(lab: Laboratory) 
         with lab.bench.rig() as another:
             assert settled(another) == "safe"
 
-    wait_for(lambda: "the network is open again" in daemon.said)
+    wait_for(lambda: "the network is open again" in daemon.said, SHUT_S + WITHIN_S)
     with lab.rig("alice") as rig:
         assert settled(rig) == "safe"
