@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterator
-from typing import Any
 
 from armrig.dashboard.bins import as_lists
 from armrig.dashboard.driver import Driver
@@ -34,8 +33,7 @@ class Stream:
             due = max(due + PERIOD_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
             self.viewers.send(event("live", live_facts(self._feed.news(), self._feed.status)))
-            self._send_changed("status", status_facts(self._feed))
-            self._send_changed("run", self._driver.run)
+            self._send_changed()
             if due >= timing_due:
                 self.viewers.send(self._timing())
                 timing_due = due + _TIMING_S
@@ -48,14 +46,15 @@ class Stream:
         TooManyViewersError
             There are as many viewers as are allowed.
         """
+        # What he is told first the others have heard, too: else a change back would be none.
+        self._send_changed()
         self.viewers.add(viewer)
         try:
             # What comes from here on waits for him; the page passes over a row that it has.
             past = self._feed.history()
             first = [
                 event("hello", {"may_command": may_command, "late_us": LATE_US}),
-                event("status", status_facts(self._feed)),
-                event("run", self._driver.run),
+                *self._told.values(),
                 self._timing(),
             ]
             for message in first:
@@ -74,8 +73,9 @@ class Stream:
         facts |= {"viewers": len(self.viewers), "model": self._feed.model_lines()}
         return event("timing", facts)
 
-    def _send_changed(self, name: str, value: Any) -> None:
-        message = event(name, value)
-        if self._told.get(name) != message:
-            self._told[name] = message
-            self.viewers.send(message)
+    def _send_changed(self) -> None:
+        for name, value in (("status", status_facts(self._feed)), ("run", self._driver.run)):
+            message = event(name, value)
+            if self._told.get(name) != message:
+                self._told[name] = message
+                self.viewers.send(message)

@@ -1,0 +1,48 @@
+"""Whoever connects is told how all is now, and each change from there on."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import suppress
+
+from armrig.dashboard.driver import Driver, RunState
+from armrig.dashboard.feed import Feed
+from armrig.dashboard.messages import event
+from armrig.dashboard.stream import Stream
+from armrig.dashboard.viewers import Viewer
+
+BEFORE = RunState(experiment="step", error="refused")
+GOING = RunState(experiment="step", is_going=True)
+
+
+async def _until(name: str, messages: AsyncIterator[bytes]) -> list[bytes]:
+    """Return the messages up to the first of a name."""
+    found: list[bytes] = []
+    async for message in messages:
+        found.append(message)
+        if message.startswith(b"event: %s\n" % name.encode()):
+            break
+    return found
+
+
+def test_a_run_that_is_over_before_the_next_turn_is_told_as_over() -> None:
+    """It ends as the last one did, and who came in between has seen it go: he is told its end."""
+
+    async def heard() -> list[bytes]:
+        driver = Driver(rig="1", connect=None)
+        driver.run = BEFORE
+        stream = Stream(Feed(), driver)
+        filling = asyncio.create_task(stream.fill())
+        await _until("live", stream.messages(Viewer(lambda: None), may_command=True))
+        driver.run = GOING
+        late = stream.messages(Viewer(lambda: None), may_command=True)
+        told = await _until("run", late)
+        driver.run = BEFORE
+        told += await _until("live", late) + await _until("live", late)
+        filling.cancel()
+        with suppress(asyncio.CancelledError):
+            await filling
+        return [message for message in told if message.startswith(b"event: run\n")]
+
+    assert asyncio.run(heard()) == [event("run", GOING), event("run", BEFORE)]
