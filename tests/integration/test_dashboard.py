@@ -124,6 +124,16 @@ def test_stop_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
     assert "stopped by somebody" in page.first("run")["error"]
 
 
+def test_a_stop_right_behind_a_run_holds(page: Client, served: Bench) -> None:
+    """However far the run has come: neither armed, nor rehearsed, nor begun."""
+    for _ in range(5):
+        assert page.ask("/api/run", {"owner": "me", "experiment": STEP})[0] == 200
+        assert page.ask("/api/stop", {"owner": "somebody"})[0] == 200
+        page.wait("run", lambda seen: not seen["is_going"])
+        assert page.first("run")["error"]
+        assert served.volts() == 0.0
+
+
 def test_stop_ends_another_s_run(page: Client, served: Bench) -> None:
     """It needs no lease, and no run of the page's own."""
     with served.rig() as other:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any
@@ -79,15 +80,17 @@ class RigRoutes:
     def commanding(self) -> list[Route]:
         """Return the routes of who may command."""
         return [
-            Route(f"/api/{name}", answered(does), methods=["POST"])
-            for name, does in (
-                ("arm", self._arm),
-                ("release", self._release),
-                ("reset", self._reset),
-                ("preview", self._preview),
-                ("run", self._run),
-                ("model", self._model),
-            )
+            Route("/api/run", self._run, methods=["POST"]),
+            *(
+                Route(f"/api/{name}", answered(does), methods=["POST"])
+                for name, does in (
+                    ("arm", self._arm),
+                    ("release", self._release),
+                    ("reset", self._reset),
+                    ("preview", self._preview),
+                    ("model", self._model),
+                )
+            ),
         ]
 
     async def _stop(self, request: Request) -> Response:
@@ -124,10 +127,15 @@ class RigRoutes:
         self._feed.set_model(wanted=asked.wanted)
         return {"wanted": asked.wanted}
 
-    def _run(self, body: bytes) -> Any:
-        asked = msgspec.json.decode(body, type=_Wanted)
-        self._driver.start(plan_of(asked.experiment, asked.owner))
-        return {"started": True}
+    async def _run(self, request: Request) -> Response:
+        asked_s = time.monotonic()  # now, since it may wait for a thread; a stop does not
+
+        def start(body: bytes) -> Any:
+            asked = msgspec.json.decode(body, type=_Wanted)
+            self._driver.start(plan_of(asked.experiment, asked.owner), asked_s=asked_s)
+            return {"started": True}
+
+        return await answered(start)(request)
 
 
 def application(routes: list[Route]) -> Starlette:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
+from math import inf
 from typing import Any
 
 import msgspec
@@ -47,6 +50,7 @@ class Driver:
         self._one = threading.Lock()
         self._stopper: Rig | None = None
         self._stopping = threading.Lock()
+        self._stopped: tuple[float, str] = (-inf, "")  # when last, and by whom
         self._runner = ThreadPoolExecutor(1, thread_name_prefix="run")
         self.run = RunState()
         """The newest run of this page."""
@@ -77,8 +81,13 @@ class Driver:
         with self._alone():
             return self._give_back()
 
-    def start(self, plan: Plan) -> None:
+    def start(self, plan: Plan, *, asked_s: float) -> None:
         """Begin a run, which goes on in a thread; `run` says how it is.
+
+        Parameters
+        ----------
+        asked_s : float
+            When it was asked for, of `time.monotonic`: a stop that came later holds for it.
 
         Raises
         ------
@@ -88,7 +97,7 @@ class Driver:
         if not self._one.acquire(blocking=False):
             raise BusyDriverError(_BUSY)
         self.run = RunState(experiment=plan.experiment, is_going=True)
-        self._runner.submit(self._played, plan)
+        self._runner.submit(self._played, plan, asked_s)
 
     def stop(self, by: str) -> None:
         """Bring the rig to 0 V, whoever has it; waits for nothing else that the page does.
@@ -98,6 +107,8 @@ class Driver:
         RigError
             Nobody answers.
         """
+        # The daemon stops what is armed. A run that is not yet is turned away by us: see `_shown`.
+        self._stopped = time.monotonic(), by
         with self._stopping:
             for last in (False, True):
                 try:
@@ -136,11 +147,15 @@ class Driver:
             self._give_back()
         self._close_stopper()
 
-    def _played(self, plan: Plan) -> None:
+    def _played(self, plan: Plan, asked_s: float) -> None:
         try:
             self._give_back()
             done = collect(
-                plan, rig=self._rig, connect=self._connect, tell=self._tell, shown=self._shown
+                plan,
+                rig=self._rig,
+                connect=self._connect,
+                tell=self._tell,
+                shown=partial(self._shown, asked_s),
             )
             verdict = done.verdict.summary if done.verdict else ""
             self._note(done=done.samples, recording=done.path.name, verdict=verdict)
@@ -151,7 +166,12 @@ class Driver:
             self._one.release()
 
     @contextmanager
-    def _shown(self, rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
+    def _shown(self, asked_s: float, rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
+        # It is armed by now, at 0 V: the daemon refuses the run after a stop from here on.
+        stopped_s, by = self._stopped
+        if stopped_s >= asked_s:
+            msg = f"not begun: stopped by {by or 'somebody'}"
+            raise RigError(msg)
         yield lambda done, total: self._note(done=done, total=total)
 
     def _tell(self, text: str) -> None:
