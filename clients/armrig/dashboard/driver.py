@@ -96,8 +96,13 @@ class Driver:
         """
         if not self._one.acquire(blocking=False):
             raise BusyDriverError(_BUSY)
-        self.run = RunState(experiment=plan.experiment, is_going=True)
-        self._runner.submit(self._played, plan, asked_s)
+        before, self.run = self.run, RunState(experiment=plan.experiment, is_going=True)
+        try:
+            self._runner.submit(self._played, plan, asked_s)
+        except RuntimeError as err:
+            self.run = before
+            self._one.release()
+            raise BusyDriverError(_ENDS) from err
 
     def stop(self, by: str) -> None:
         """Bring the rig to 0 V, whoever has it; waits for nothing else that the page does.
@@ -138,12 +143,13 @@ class Driver:
             return rig.reset()
 
     def end(self) -> None:
-        """Stop a run that is on, and give the rig back."""
+        """Stop a run that is on, take no other, and give the rig back."""
+        self._runner.shutdown(wait=False)  # first: a run that began behind the stop would go on
         if self.run.is_going:
             with suppress(RigError):  # then its dead-man stops it
                 self.stop("the dashboard, which ends")
         self._runner.shutdown(wait=True)
-        with self._alone():
+        with self._one:  # who arms has it back in a moment
             self._give_back()
         self._close_stopper()
 
@@ -214,4 +220,5 @@ def _on_the_page(error: str) -> str:
     return re.sub(r"then (`armrig reset[^`]*`|`?reset\b`?)", "then press Reset", error)
 
 
+_ENDS = "the dashboard ends"
 _BUSY = "this page does something to the rig already: wait for its end, or stop it"

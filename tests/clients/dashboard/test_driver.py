@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
-from armrig.dashboard.driver import Driver
+from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.rig.collection import Plan
+from armrig_core import commands
 from fake_daemon import FakeDaemon
 
 PLAN = Plan(
@@ -55,3 +58,42 @@ def test_a_stop_does_not_hold_for_the_next_run(driver: Driver, daemon: FakeDaemo
     _wait_for_the_end(driver)
 
     assert daemon.names() == ["stop", "arm", "run"]
+
+
+def test_a_driver_that_has_ended_takes_no_run(driver: Driver, daemon: FakeDaemon) -> None:
+    """The server still answers while it ends: who asks is told, and nobody waits for him."""
+    driver.end()
+    with pytest.raises(BusyDriverError, match="the dashboard ends"):
+        driver.start(PLAN, asked_s=time.monotonic())
+
+    assert not driver.run.is_going
+    driver.end()  # nothing is held
+    assert daemon.names() == []
+
+
+class SlowDaemon(FakeDaemon):
+    """Answers an arming when it is let."""
+
+    def __init__(self, endpoint: str) -> None:
+        super().__init__(endpoint)
+        self.is_asked, self.answers = threading.Event(), threading.Event()
+
+    def _carry_out(self, request: commands.Request) -> Any:
+        if request.name == "arm":
+            self.is_asked.set()
+            self.answers.wait(10.0)
+        return super()._carry_out(request)
+
+
+def test_the_end_waits_for_who_arms(where: str) -> None:
+    """And gives the rig back then: what else the dashboard has open is ended behind it."""
+    with SlowDaemon(where) as daemon:
+        driver = Driver(rig="1", connect=daemon.endpoint)
+        arming = threading.Thread(target=driver.arm, args=("a page", None))
+        arming.start()
+        daemon.is_asked.wait(10.0)
+        threading.Timer(0.2, daemon.answers.set).start()
+        driver.end()
+        arming.join()
+
+        assert daemon.names() == ["arm", "disarm"]
