@@ -329,6 +329,32 @@ def test_a_thousand_connections_keep_nobody_from_a_stop(page: Client, served: Be
         assert sum(map(_is_open, opened)) <= MOST
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "POST / HTTP/1.1\r\nHost: {0}\r\nContent-Length: 9\r\nExpect: 100-continue\r\n\r\n",
+        "GET /vendor/uPlot.iife.min.js HTTP/1.1\r\nHost: {0}\r\n\r\n" * 8,
+    ],
+    ids=["a body that does not come", "answers that are not read"],
+)
+def test_questions_without_a_token_keep_nobody_from_a_stop(
+    page: Client, served: Bench, asked: str
+) -> None:
+    """On as many connections as there may be."""
+    begin(page, served)
+    with ExitStack() as links:
+        for _ in range(MOST + 10):
+            link = links.enter_context(socket.socket())
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            link.connect((page.host, page.port))
+            link.sendall(asked.format(f"{page.host}:{page.port}").encode())
+            with suppress(ConnectionError):
+                link.recv(1)  # the first answer, or that a body is waited for
+        for _ in range(3):
+            assert page.ask("/api/stop", {}) == (200, {"stopped": True})
+        wait_for(lambda: served.volts() == 0.0)
+
+
 def _is_open(link: socket.socket) -> bool:
     """Tell whether the server has left a connection open, on which nothing was asked."""
     link.setblocking(False)

@@ -1,13 +1,15 @@
 """Connections of the server, of which there are so many and no more.
 
 uvicorn closes a connection that is idle after an answer, and none that never asks; whoever opened a
-thousand would leave no room for a stop. The oldest that asks nothing gives way.
+thousand would leave no room for a stop. The oldest that asks nothing gives way, or else the oldest
+that does not read its answer: for that no token is needed.
 """
 
 from __future__ import annotations
 
 import asyncio
 import socket
+from itertools import chain
 from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -27,11 +29,13 @@ class Connections:
         self._open: dict[Address, BoundedProtocol] = {}
 
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
-        """Take one more; the oldest that asks nothing gives way, else this one."""
+        """Take one more; the oldest that asks nothing, or does not read, gives way, else this."""
         self._open[address] = protocol
         if len(self._open) > MOST:
-            idle = next((a for a, p in self._open.items() if not p.is_asked), address)
-            self.abort(idle)
+            others = [(a, p) for a, p in self._open.items() if a != address]
+            idle = (a for a, p in others if not p.is_asked)
+            unread = (a for a, p in others if p.is_unread)
+            self.abort(next(chain(idle, unread), address))
 
     def remove(self, address: Address) -> None:
         """Forget one that is closed."""
@@ -81,3 +85,8 @@ class BoundedProtocol(H11Protocol):
     def is_asked(self) -> bool:
         """Whether a question is being answered on it."""
         return self.cycle is not None and not self.cycle.response_complete
+
+    @property
+    def is_unread(self) -> bool:
+        """Whether an answer waits because the one before is not read."""
+        return bool(self.flow.write_paused)

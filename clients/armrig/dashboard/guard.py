@@ -91,6 +91,8 @@ class Guard:
         if scope["method"] not in ("GET", "HEAD", "POST"):
             raise Refusal(405, f"{scope['method'][:20]}: GET and POST are allowed")
         if not scope["path"].startswith("/api/"):
+            if scope["method"] == "POST":  # its body would be waited for, and he has no token
+                raise Refusal(405, "POST: the page's files are for GET")
             return
         kind, _, given = headers.get("authorization", "").partition(" ")
         # As bytes: a token that is no ASCII is wrong, and no error.
