@@ -272,7 +272,7 @@ def test_it_fits_the_screen(browser: Any, client: Client) -> None:
         for theme, size in itertools.product(("light", "dark"), (WIDE, PHONE)):
             page.emulate_media(color_scheme=theme)
             page.set_viewport_size(size)
-            assert page.get_attribute("html", "data-theme") == theme
+            until(page, lambda wanted=theme: page.get_attribute("html", "data-theme") == wanted)
             for tab in ("#tab-live", "#tab-recordings"):
                 page.click(tab)
                 page.evaluate("scrollTo(0, document.body.scrollHeight)")
@@ -280,6 +280,29 @@ def test_it_fits_the_screen(browser: Any, client: Client) -> None:
                 box = page.locator("#stop").bounding_box()
                 assert 0 <= box["y"] <= size["height"] - box["height"]
                 assert box["height"] >= (44 if size is PHONE else 36)
+
+
+_LINES = """cells => cells.map(cell => {
+  const range = document.createRange();
+  range.selectNodeContents(cell);
+  return [cell.textContent, new Set([...range.getClientRects()].map(box => box.top)).size];
+}).filter(([, lines]) => lines !== 1)"""
+
+
+def test_a_figure_and_its_unit_are_on_one_line(browser: Any, client: Client, served: Bench) -> None:
+    """In the list of recordings: a length, and the day and the hour, however narrow it is."""
+    begin(client, served)
+    client.ask("/api/stop", {"owner": "somebody with a name that is as long as a phone is wide"})
+    client.wait("run", lambda seen: not seen["is_going"])
+    with opened(browser, client.url, PHONE) as page:
+        page.click("#tab-recordings")
+        page.wait_for_selector("#table tbody tr")
+        cells = "#table td.n:not(.time), #table td.time span"
+        assert page.locator(cells).count() >= 4
+        for size in (PHONE, WIDE):
+            page.set_viewport_size(size)
+            assert page.eval_on_selector_all(cells, _LINES) == []
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
 
 
 def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: Bench) -> None:

@@ -23,7 +23,7 @@ export async function listRecordings(file) {
       "tr",
       {},
       make("td", {}, button, outcome ? make("div", { className: "warn-text", textContent: outcome }) : ""),
-      make("td", { title: one.started, textContent: one.started.slice(0, 16).replace("T", " "), className: "n" }),
+      make("td", { title: one.started, className: "n time" }, ...time(one.started)),
       make("td", { className: "n", textContent: `${one.seconds.toPrecision(4) * 1} s` }),
       make("td", { className: `n ${one.missing ? "warn-text" : ""}`, textContent: one.missing }),
     );
@@ -38,6 +38,9 @@ export async function listRecordings(file) {
   if (file) await choose(file);
   else mark();
 }
+
+// Day and hour: between them the line may break, and nowhere else.
+const time = (iso) => [make("span", { textContent: iso.slice(0, 10) }), " ", make("span", { textContent: iso.slice(11, 16) })];
 
 async function choose(file) {
   chosen = file;
