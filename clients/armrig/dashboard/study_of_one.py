@@ -58,9 +58,13 @@ def facts(path: Path) -> dict[str, Any]:
 
 
 def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
-    """Return u, theta_1 (turns counted) and alpha between two times in s, for a screen's width."""
+    """Return u, theta_1 (turns counted) and alpha between two times in s, for a screen's width.
+
+    Of a time without a sample it is the next one, or the last.
+    """
     recording = _loaded(path)
     first = 0 if start is None else int(np.searchsorted(recording.t, start))
+    first = min(first, recording.N - 1)
     last = recording.N if stop is None else int(np.searchsorted(recording.t, stop, "right"))
     part = slice(first, max(last, first + 1))
     t = recording.t[part]
