@@ -355,6 +355,25 @@ def test_questions_without_a_token_keep_nobody_from_a_stop(
         wait_for(lambda: served.volts() == 0.0)
 
 
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"\x16\x03\x01 no HTTP\r\n\r\n",
+        b"GET / HTTP/1.1\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n",
+    ],
+    ids=["no HTTP", "a WebSocket"],
+)
+def test_who_has_no_token_writes_nothing_on_the_terminal(
+    page: Client, caplog: pytest.LogCaptureFixture, said: bytes
+) -> None:
+    """A warning is a line there, in the midst of what `armrig lab` shows live."""
+    with socket.create_connection((page.host, page.port), 10.0) as link:
+        link.sendall(said + f"Host: {page.host}:{page.port}\r\n\r\n".encode())
+        assert link.recv(100).startswith(b"HTTP/1.1 ")
+
+    assert caplog.text == ""
+
+
 def _is_open(link: socket.socket) -> bool:
     """Tell whether the server has left a connection open, on which nothing was asked."""
     link.setblocking(False)

@@ -20,6 +20,7 @@ _START_S = 20.0
 _ENDS_S = 2
 QUIET: dict[str, Any] = {
     "log_config": None,
+    "log_level": "error",  # of what is not HTTP anybody could have it warn
     "access_log": False,
     "lifespan": "off",
     "ws": "none",
