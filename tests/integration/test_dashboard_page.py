@@ -173,6 +173,28 @@ def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
         assert served.volts() == 0.0
 
 
+def test_a_run_that_is_still_to_be_sent_is_not_sent_behind_a_stop(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """It may wait for a connection of the browser's; the stop goes first, and withdraws it."""
+    with opened(browser, client.url) as page:
+        waiting: list[Any] = []
+        withdrawn: list[str] = []
+        page.on("requestfailed", lambda request: withdrawn.append(request.url))
+        page.route("**/api/run", lambda route: waiting.append(route))
+        show_step(page)
+        page.click("#run")
+        until(page, lambda: waiting)
+        before = len(served.voltage_changes())
+        page.keyboard.press("Space")
+        until(page, lambda: "told the rig to stop" in text(page, "#notice"))
+        waiting[0].continue_()
+        until(page, lambda: withdrawn or len(served.voltage_changes()) > before)
+
+        assert withdrawn == [f"http://{client.host}:{client.port}/api/run"]
+        assert len(served.voltage_changes()) == before
+
+
 def test_at_rest_a_name_takes_a_blank(browser: Any, client: Client) -> None:
     """While nothing can turn, a text is a text."""
     with opened(browser, client.url) as page:

@@ -30,6 +30,7 @@ const MOST_FILE = 6 << 20;
 
 let shown = null; // the experiment that the preview is of
 let plot = null;
+let asking = new AbortController(); // of the newest run that was asked for
 let going = false;
 let status = {};
 let look = () => {};
@@ -124,8 +125,14 @@ const unbroken = (text) => text.replaceAll(/(\d) (?=(?:%|s|V)(?:\W|$))/g, "$1\u0
 
 async function run() {
   if (!shown) return;
-  await askJson("run", { owner: owner(), experiment: shown });
+  asking = new AbortController();
+  await askJson("run", { owner: owner(), experiment: shown }, asking.signal);
   forget();
+}
+
+// A run that waits for a connection of the browser's would begin behind the stop.
+export function withdrawRun() {
+  asking.abort(new Error("the run was not begun: you stopped the rig"));
 }
 
 async function arm() {

@@ -35,7 +35,7 @@ export async function ask(path, body, signal) {
   try {
     answer = await fetch(`api/${path}`, how);
   } catch (error) {
-    if (error.name === "AbortError") throw error;
+    if (signal?.aborted) throw error;
     throw new Error("the dashboard's server does not answer: start `armrig dashboard` again");
   }
   if (!answer.ok) {
@@ -45,7 +45,7 @@ export async function ask(path, body, signal) {
   return answer;
 }
 
-export const askJson = async (path, body) => (await ask(path, body)).json();
+export const askJson = async (path, body, signal) => (await ask(path, body, signal)).json();
 
 let noticeEnds = 0;
 

@@ -1,7 +1,7 @@
 // The page: what comes from the stream goes to its places; keys; the theme.
 
 import { redrawCharts } from "./chart.js";
-import { allow, setUpControl, showRun, showControl } from "./control.js";
+import { allow, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
 import { ask, attempt, byId, notice, owner, token } from "./elements.js";
 import { LivePlots } from "./live_plots.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
@@ -26,6 +26,7 @@ function useTheme() {
 async function stop() {
   // A browser has six connections to a server, for all its tabs. Where they are taken, our stream
   // gives its own to the stop, and comes back.
+  withdrawRun();
   const waits = setTimeout(() => stream.open(), CONNECTION_MS);
   try {
     await ask("stop", { owner: owner() });
