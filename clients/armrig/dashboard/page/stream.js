@@ -4,6 +4,7 @@ import { ask } from "./elements.js";
 
 const SILENT_MS = 700; // 20 messages a second come: without one for so long the server is gone
 const AGAIN_MS = 250;
+const LOST_MS = 5000; // silent for so long it is opened anew; so long has each attempt to be answered
 
 export class Stream {
   constructor(handlers, lost) {
@@ -27,13 +28,14 @@ export class Stream {
   #look() {
     if (this.silence > SILENT_MS) {
       this.lost(this.silence, this.why || "the dashboard's server is silent");
-      if (this.silence > 5000) this.open();
+      if (Math.min(this.silence, performance.now() - this.opened) > LOST_MS) this.open();
     }
   }
 
   async #run() {
     for (;;) {
       this.abort = new AbortController();
+      this.opened = performance.now();
       try {
         await this.#read(await ask("stream", undefined, this.abort.signal));
         this.why = "the dashboard's server has ended the stream";
