@@ -73,6 +73,37 @@ def test_a_pixel_holds_the_least_and_the_largest() -> None:
     assert max(high) == 90.0
 
 
+def _times(times: list[float]) -> str:
+    """Return the beginning of a script, with rows at these times in s as `kept`."""
+    sent = [[t, 0, 0, 9, 9, 0, 0, 0, 0] for t in times]
+    return f"const kept = new rows.Rows(); kept.add({json.dumps(sent)});"
+
+
+@pytest.mark.parametrize("Ts", [0.01, 0.3, 0.5, 1.0])
+@pytest.mark.parametrize("span", [5, 30, 300])
+def test_samples_at_any_sampling_time_are_a_line(Ts: float, span: int) -> None:
+    """Up to the longest that the daemon takes; where one second more is missing it breaks."""
+    times = [k * Ts for k in range(20)] + [k * Ts + 20 * Ts + 1.0 for k in range(20)]
+    view = {"from": 0, "to": span, "pixels": 700 * span, "zero": 0, "wraps": True}
+    _, low, _ = _run(
+        _times(times) + f"console.log(JSON.stringify(kept.drawn({THETA_1}, {json.dumps(view)})));"
+    )
+    shown = low[: min(40, len(low))]
+
+    assert shown.count(None) == (1 if times[20] <= span else 0)
+
+
+def test_the_cursor_has_a_value_where_there_is_one() -> None:
+    """Not before the first row, nor where rows are missing; the last one holds."""
+    times = [1.0 + k / 100 for k in range(100)] + [5.0 + k / 100 for k in range(100)]
+    asked = [0.5, 1.0, 1.555, 3.0, 5.0, 7.0]
+    held = _run(
+        _times(times) + f"console.log(JSON.stringify({asked}.map((t) => kept.holding(t))));"
+    )
+
+    assert held == [None, 0, 55, None, 100, 199]
+
+
 def test_a_row_that_is_there_is_passed_over_and_an_older_clock_begins_anew() -> None:
     """What is sent again after a break adds nothing; a machine that was started anew does."""
     lengths = _run(

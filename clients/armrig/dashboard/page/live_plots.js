@@ -118,18 +118,19 @@ export class LivePlots {
     const zero = this.frozen?.zero ?? this.rows.newest;
     const pointed = this.cursorAt !== null;
     const t = pointed ? zero + this.cursorAt : zero;
-    let row = this.rows.find(t + 1e-9) - 1;
-    row = Math.max(0, row);
+    const row = this.rows.holding(t);
     SIGNALS.forEach((signal, i) => {
       const value = this.values?.[i];
       if (!value || !this.rows.length) return;
       const least = this.rows.at(row, 1 + 2 * i);
       const largest = this.rows.at(row, 2 + 2 * i);
-      const text = Number.isNaN(least)
-        ? "not known"
-        : least === largest
-          ? `${least.toFixed(signal.digits)} ${signal.unit}`
-          : `${least.toFixed(signal.digits)} … ${largest.toFixed(signal.digits)} ${signal.unit}`;
+      const text = row === null
+        ? "no data"
+        : Number.isNaN(least)
+          ? "not known"
+          : least === largest
+            ? `${least.toFixed(signal.digits)} ${signal.unit}`
+            : `${least.toFixed(signal.digits)} … ${largest.toFixed(signal.digits)} ${signal.unit}`;
       if (value.textContent !== text) value.textContent = text;
     });
     const frozen = this.frozen ? "held; the rig goes on. " : "";

@@ -3,7 +3,7 @@
 const COLUMNS = 9; // t, then least and largest of each signal
 const MOST = 40000; // rows
 export const KEPT_S = 300;
-const SILENT_S = 0.25; // without a row for longer the line breaks
+const SILENT_S = 0.25; // without a row for so much longer than before the line breaks
 const HALF_TURN = 180; // °
 const WRAP_PIXELS = 2;
 
@@ -49,6 +49,21 @@ export class Rows {
     return low;
   }
 
+  // The row that holds at t, null where there is none: before the first, and in a break.
+  holding(t) {
+    const row = this.find(t + 1e-9) - 1;
+    if (row < 0 || (t > this.at(row, 0) + SILENT_S && this.#isBroken(row + 1, this.at(row, 0), 0))) return null;
+    return row;
+  }
+
+  // Whether the line breaks before a row. Slow samples are as far apart on both sides of it.
+  #isBroken(row, before, width) {
+    if (row >= this.length) return false;
+    const earlier = row > 1 ? this.at(row - 1, 0) - this.at(row - 2, 0) : Infinity;
+    const later = row + 1 < this.length ? this.at(row + 1, 0) - this.at(row, 0) : Infinity;
+    return this.at(row, 0) - before > SILENT_S + 3 * width + Math.min(earlier, later);
+  }
+
   #forget(n) {
     this.#values.copyWithin(0, n * COLUMNS, this.length * COLUMNS);
     this.length -= n;
@@ -70,7 +85,7 @@ export class Rows {
         i += 1; // so that a gap is seen
         continue;
       }
-      if (wrapped || t - before > SILENT_S + 3 * width) push(found, (before + t) / 2 - zero, null, null);
+      if (wrapped || this.#isBroken(i, before, width)) push(found, (before + t) / 2 - zero, null, null);
       for (i += 1; i < last && this.at(i, 0) < t + width; i++) {
         const [a, b] = [this.at(i, column), this.at(i, column + 1)];
         if (wraps && Math.abs(a - (Number.isNaN(largest) ? valueBefore : largest)) > HALF_TURN) break;
