@@ -63,9 +63,9 @@ class RigRoutes:
         async def stream(request: Request) -> Response:
             client = request.client
             address = (client.host, client.port) if client else ("", 0)
-            viewer = Viewer(lambda: connections.abort(address))
+            viewer = Viewer(lambda: connections.abort(address), may_command=may_command)
             try:
-                messages = self._stream.messages(viewer, may_command=may_command)
+                messages = self._stream.messages(viewer)
                 first = await anext(messages)
             except TooManyViewersError as err:
                 return error(503, str(err))

@@ -38,7 +38,7 @@ class Stream:
                 self.viewers.send(self._timing())
                 timing_due = due + _TIMING_S
 
-    async def messages(self, viewer: Viewer, *, may_command: bool) -> AsyncIterator[bytes]:
+    async def messages(self, viewer: Viewer) -> AsyncIterator[bytes]:
         """Give what one viewer is sent: first the past, then what comes.
 
         Raises
@@ -53,7 +53,7 @@ class Stream:
             # What comes from here on waits for him; the page passes over a row that it has.
             past = self._feed.history()
             first = [
-                event("hello", {"may_command": may_command, "late_us": LATE_US}),
+                event("hello", {"may_command": viewer.may_command, "late_us": LATE_US}),
                 *self._told.values(),
                 self._timing(),
             ]

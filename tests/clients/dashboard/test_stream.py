@@ -34,9 +34,9 @@ def test_a_run_that_is_over_before_the_next_turn_is_told_as_over() -> None:
         driver.run = BEFORE
         stream = Stream(Feed(), driver)
         filling = asyncio.create_task(stream.fill())
-        await _until("live", stream.messages(Viewer(lambda: None), may_command=True))
+        await _until("live", stream.messages(Viewer(lambda: None, may_command=True)))
         driver.run = GOING
-        late = stream.messages(Viewer(lambda: None), may_command=True)
+        late = stream.messages(Viewer(lambda: None, may_command=True))
         told = await _until("run", late)
         driver.run = BEFORE
         told += await _until("live", late) + await _until("live", late)

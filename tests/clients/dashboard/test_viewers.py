@@ -13,7 +13,7 @@ def test_all_are_sent_the_same() -> None:
 
     async def heard() -> list[list[bytes]]:
         viewers = Viewers()
-        two = [Viewer(lambda: None), Viewer(lambda: None)]
+        two = [Viewer(lambda: None, may_command=True), Viewer(lambda: None, may_command=True)]
         for viewer in two:
             viewers.add(viewer)
         for message in (b"a", b"b"):
@@ -30,8 +30,8 @@ def test_who_does_not_read_is_dropped_not_queued() -> None:
 
     async def told() -> tuple[int, int, int]:
         viewers = Viewers()
-        deaf = Viewer(lambda: dropped.append("deaf"))
-        good = Viewer(lambda: dropped.append("good"))
+        deaf = Viewer(lambda: dropped.append("deaf"), may_command=True)
+        good = Viewer(lambda: dropped.append("good"), may_command=True)
         viewers.add(deaf)
         viewers.add(good)
         heard = 0
@@ -52,10 +52,25 @@ def test_there_are_so_many_and_no_more() -> None:
     async def tried() -> None:
         viewers = Viewers()
         for _ in range(MOST_VIEWERS):
-            viewers.add(last := Viewer(lambda: None))
+            viewers.add(last := Viewer(lambda: None, may_command=True))
         with pytest.raises(TooManyViewersError, match="close a page"):
-            viewers.add(Viewer(lambda: None))
+            viewers.add(Viewer(lambda: None, may_command=True))
         viewers.remove(last)
-        viewers.add(Viewer(lambda: None))
+        viewers.add(Viewer(lambda: None, may_command=True))
 
     asyncio.run(tried())
+
+
+def test_visitors_keep_nobody_out_who_drives() -> None:
+    """A lecture hall full of phones: whoever may command still gets in."""
+
+    async def tried() -> int:
+        viewers = Viewers()
+        for _ in range(MOST_VIEWERS):
+            viewers.add(Viewer(lambda: None, may_command=False))
+        with pytest.raises(TooManyViewersError):
+            viewers.add(Viewer(lambda: None, may_command=False))
+        viewers.add(Viewer(lambda: None, may_command=True))
+        return len(viewers)
+
+    assert asyncio.run(tried()) == MOST_VIEWERS + 1
