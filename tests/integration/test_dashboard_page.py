@@ -136,6 +136,19 @@ def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, serv
         assert "is recorded" in text(page, "#running-text")
 
 
+def test_a_refusal_is_over_with_the_next_attempt(browser: Any, client: Client) -> None:
+    """What was refused does not stand above what is shown now."""
+    with opened(browser, client.url) as page:
+        page.select_option("#kind", "step")
+        page.fill("#field-at", "9")
+        page.click("#show")
+        until(page, lambda: "is after the end" in text(page, "#notice"))
+        page.fill("#field-at", "1")
+        page.click("#show")
+        page.wait_for_selector("#preview:not([hidden])")
+        assert not page.is_visible("#notice")
+
+
 def test_the_space_bar_stops_wherever_the_focus_is(
     browser: Any, client: Client, served: Bench
 ) -> None:

@@ -57,8 +57,9 @@ export function notice(text) {
   if (text) noticeEnds = setTimeout(() => show("notice", false), 12000);
 }
 
-// Do something that may be refused; say so where it is.
+// Do something that may be refused; say so where it is. What was said before is over.
 export async function attempt(does) {
+  notice("");
   try {
     await does();
   } catch (error) {
