@@ -13,7 +13,7 @@ import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.telemetry import decode_sample
 from processes import Bench, wait_for
-from watching import Client, endpoint
+from watching import Client, begin, endpoint
 
 ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
 
@@ -39,6 +39,16 @@ def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench
         wait_for(lambda: served.volts() > 0)
         assert visitor.ask("/api/stop", {"owner": "a visitor"})[0] == 200
         wait_for(lambda: served.volts() == 0.0)
+
+
+def test_a_visitor_stops_in_nobody_s_name(doors: tuple[Client, Client], served: Bench) -> None:
+    """A recording keeps who stopped its run: that of a visitor does not name somebody else."""
+    own, visitor = doors
+    begin(own, served)
+    assert visitor.ask("/api/stop", {"owner": "the teacher"})[0] == 200
+    own.wait("run", lambda seen: not seen["is_going"])
+
+    assert "stopped by a visitor of the dashboard" in own.first("run")["error"]
 
 
 def test_a_visitor_commands_nothing_else(doors: tuple[Client, Client], served: Bench) -> None:

@@ -27,6 +27,7 @@ from armrig.dashboard.viewers import TooManyViewersError, Viewer
 from armrig.rig.session import RigError
 
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]
+_VISITOR = "a visitor of the dashboard"  # in no name of his choice: recordings keep who stopped
 Answer = Callable[[Request], Awaitable[Response]]
 
 
@@ -71,10 +72,13 @@ class RigRoutes:
                 return error(503, str(err))
             return StreamingResponse(_after(first, messages), media_type="text/event-stream")
 
+        async def stop(request: Request) -> Response:
+            return await self._stop(request, by="" if may_command else _VISITOR)
+
         return [
             *(Route(path, _page_file(file)) for path, file in PAGE_FILES.items()),
             Route("/api/stream", stream),
-            Route("/api/stop", self._stop, methods=["POST"]),
+            Route("/api/stop", stop, methods=["POST"]),
         ]
 
     def commanding(self) -> list[Route]:
@@ -93,14 +97,14 @@ class RigRoutes:
             ),
         ]
 
-    async def _stop(self, request: Request) -> Response:
+    async def _stop(self, request: Request, *, by: str) -> Response:
         try:
             asked = msgspec.json.decode(await request.body() or b"{}", type=_Stopped)
         except (msgspec.DecodeError, UnicodeDecodeError):
             asked = _Stopped()  # a stop is not refused for a name
         loop = asyncio.get_running_loop()
         try:
-            await loop.run_in_executor(self._stopping, self._driver.stop, asked.owner)
+            await loop.run_in_executor(self._stopping, self._driver.stop, by or asked.owner)
         except RigError as err:
             return error(502, str(err))
         return value({"stopped": True})
