@@ -383,6 +383,22 @@ def test_a_dead_server_is_stale_too(browser: Any, client: Client, served: Bench)
     context.__exit__(None, None, None)
 
 
+def test_a_stop_that_was_not_taken_is_told_until_something_else_is(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """As what is wrong, and not for a while: the motor may turn."""
+    with watched(served) as short:
+        context = opened(browser, short.url)
+        page = context.__enter__()
+    page.wait_for_selector(".pill.stale")
+    page.clock.install()
+    page.keyboard.press("Space")
+    until(page, lambda: "STOP was not taken" in text(page, "#notice"))
+    page.clock.fast_forward(60_000)
+    assert page.is_visible("#notice.bad[role=alert]")
+    context.__exit__(None, None, None)
+
+
 def test_an_unplugged_device_is_a_fault_that_is_reset(browser: Any, bench: Bench) -> None:
     """Its cause and what to do stand before the button."""
     bench.configure(watchdog_ms=250)

@@ -49,12 +49,14 @@ export const askJson = async (path, body, signal) => (await ask(path, body, sign
 
 let noticeEnds = 0;
 
-// Tell the person something for a while.
-export function notice(text) {
+// Tell the person something for a while; what is urgent stays until something else is told.
+export function notice(text, isUrgent = false) {
+  byId("notice").className = `banner ${isUrgent ? "bad" : "info"}`;
+  byId("notice").setAttribute("role", isUrgent ? "alert" : "status");
   setText("notice", text);
   show("notice", Boolean(text));
   clearTimeout(noticeEnds);
-  if (text) noticeEnds = setTimeout(() => show("notice", false), 12000);
+  if (text && !isUrgent) noticeEnds = setTimeout(() => show("notice", false), 12000);
 }
 
 // Do something that may be refused; say so where it is. What was said before is over.

@@ -32,7 +32,7 @@ async function stop() {
     await ask("stop", { owner: owner() });
     notice("told the rig to stop: 0 V");
   } catch (error) {
-    notice(`STOP was not taken: ${error.message}`);
+    notice(`STOP was not taken: ${error.message}`, true);
   } finally {
     clearTimeout(waits);
   }
