@@ -136,6 +136,18 @@ def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, serv
         assert "is recorded" in text(page, "#running-text")
 
 
+def test_a_refusal_is_in_sight(browser: Any, client: Client) -> None:
+    """On a phone the form is some screens below the top."""
+    with opened(browser, client.url, PHONE) as page:
+        page.select_option("#kind", "step")
+        page.fill("#field-at", "9")
+        page.click("#show")
+        until(page, lambda: "is after the end" in text(page, "#notice"))
+        box = page.locator("#notice").bounding_box()
+        assert page.evaluate("scrollY") > PHONE["height"] / 2
+        assert 0 <= box["y"] <= PHONE["height"] - box["height"]
+
+
 def test_a_refusal_is_over_with_the_next_attempt(browser: Any, client: Client) -> None:
     """What was refused does not stand above what is shown now."""
     with opened(browser, client.url) as page:
