@@ -63,7 +63,7 @@ OF_THE_TASK: dict[str, dict[str, Kind]] = {
         "p_no_feedback": "number",
     },
     "verify": {"passed": "truth"}
-    | {f"{check}{end}": "text" for check in CHECKS for end in ("", "_found")},
+    | {f"{check}_{column}": "text" for check in CHECKS for column in ("result", "found")},
     "report": {
         "report": "text",
         "report_sha256": "text",

@@ -143,7 +143,7 @@ def _verified(recording: Recording) -> Row:
     found = verify_recording(recording)
     row: Row = {"passed": found.passed}
     for check in found.checks:
-        row |= {check.about: check.result, f"{check.about}_found": check.text}
+        row |= {f"{check.about}_result": check.result, f"{check.about}_found": check.text}
     return row
 
 

@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 from armrig.batch import running, workers
 from armrig.batch.batch import batch
+from armrig.batch.columns import OF_THE_FILE, OF_THE_RESULT, OF_THE_RUN, OF_THE_TASK
 from armrig.batch.items import items_in
 from armrig.batch.progress import SUFFIX, Progress, ProgressError
 from armrig.batch.rows import row_of
-from armrig.batch.tasks import Identify, Report, Task, Validate, Verify
+from armrig.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 from armrig.cli import main
 from armrig.models.model_writing import model_text
 from armrig.recordings.verification import verify
@@ -132,11 +133,19 @@ def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> N
         alone = verify(folder / name)
         assert rows[name]["passed"] is alone.passed
         assert {c.about: c.result for c in alone.checks} == {
-            c.about: rows[name][c.about] for c in alone.checks
+            c.about: rows[name][f"{c.about}_result"] for c in alone.checks
         }
         assert [rows[name][f"{c.about}_found"] for c in alone.checks] == [
             c.text for c in alone.checks
         ]
+        assert rows[name]["samples"] == armrig.load(folder / name).samples.size
+
+
+@pytest.mark.parametrize("task", [ARX, Validate(model=""), Verify(), Report(folder="")])
+def test_no_two_columns_have_one_name(task: Task) -> None:
+    """What a task finds hides nothing of what is known of the run."""
+    of_all = {*OF_THE_FILE, *OF_THE_RUN, *OF_THE_RESULT}
+    assert not of_all & OF_THE_TASK[name_of(task)].keys()
 
 
 def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
