@@ -23,12 +23,23 @@ class ClusterError(RuntimeError):
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Give an executor of so many processes on this machine, each with one thread for matrices."""
+    """Give an executor of so many processes on this machine, each with one thread for matrices.
+
+    Where its user ends early, by Ctrl-C or a full disk, they are killed: nobody takes what they
+    are at.
+    """
     # Not forked: whatever threads and locks this process has, the others begin clean.
     context = multiprocessing.get_context("spawn")
+    before = set(multiprocessing.active_children())
     executor = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
     try:
         yield executor
+    except BaseException:
+        # A shutdown waits for them; a second Ctrl-C in that wait left pool and workers waiting for
+        # each other for ever.
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+        raise
     finally:
         executor.shutdown(wait=True, cancel_futures=True)
 

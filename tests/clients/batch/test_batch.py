@@ -7,7 +7,8 @@ import os
 import shutil
 import signal
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -257,6 +258,17 @@ def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
             assert "died, 2 times" in str(result)
         else:
             assert result == item.upper()
+
+
+def test_who_ends_early_does_not_wait_for_the_workers() -> None:
+    """Their work is of no use to anybody; and a wait could be interrupted once more."""
+    with suppress(KeyboardInterrupt), workers.processes(1) as executor:
+        assert executor.submit(abs, -1).result() == 1
+        at_work = executor.submit(time.sleep, 5.0)
+        while not at_work.running():
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+    assert isinstance(at_work.exception(), BrokenExecutor)
 
 
 def children(pid: int) -> list[int]:
