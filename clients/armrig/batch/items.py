@@ -10,13 +10,19 @@ from armrig_core.recording_file.part_names import PART, part_number
 
 from armrig.recordings.catalogue import Catalogue, catalogue
 from armrig.recordings.folder import found_files
+from armrig.recordings.recording_summary import shown_path
+
+_LATEST_NS = (1 << 63) - 1
+"""The last time that a table holds: in the year 2262."""
 
 
 class Item(NamedTuple):
     """One run: a file, or all parts of it."""
 
     name: str
-    """Of the file, in its folder; of a run in parts the name that stands for them all."""
+    """Of the file, in its folder; of a run in parts the name that stands for them all. Always text,
+    though the name of a file need be none: bytes that are no UTF-8 are escaped.
+    """
     path: str
     bytes: int
     modified_ns: int
@@ -54,10 +60,10 @@ def items_in(
             runs.setdefault(_run(name), []).append((name, state.st_size, state.st_mtime_ns))
     return [
         Item(
-            name=run,
+            name=shown_path(Path(run)),
             path=str(folder / run),
             bytes=sum(size for _, size, _ in files),
-            modified_ns=max(modified for _, _, modified in files),
+            modified_ns=min(max(modified for _, _, modified in files), _LATEST_NS),
             validation=next((validations[n] for n, _, _ in files if n in validations), ""),
         )
         for run, files in sorted(runs.items())

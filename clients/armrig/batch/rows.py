@@ -191,9 +191,15 @@ def _in_a_line(text: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it, and what is not finite as None, which a table shows empty."""
+    """Return a value as JSON has it.
+
+    What is not finite becomes None, which a table shows empty; a path's bytes that are no UTF-8 are
+    escaped.
+    """
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not isfinite(value):
         return None
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
     return [_plain(v) for v in value] if isinstance(value, list | tuple) else value

@@ -16,6 +16,7 @@ from armrig.batch.progress import OTHER, ProgressError
 from armrig.batch.rows import Row
 from armrig.batch.tasks import Task, Validate, digest, name_of, sha256
 from armrig.recordings.export import imported
+from armrig.recordings.recording_summary import shown_path
 
 KEY = b"armrig.batch"
 """Of the table's metadata, where its header stands."""
@@ -38,7 +39,7 @@ def header_of(
         "task": name_of(task),
         "options": msgspec.json.encode(options).decode(),
         "digest": digest(task),
-        "folder": str(folder.resolve()),
+        "folder": shown_path(folder.resolve()),
         "rigs": " ".join(sorted(rigs)),
         "kinds": " ".join(sorted(kinds)),
         "armrig": version("armrig"),
@@ -72,7 +73,8 @@ def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
         return []
     pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
     try:
-        table = parquet.read_table(str(path))
+        with path.open("rb") as file:  # for pyarrow a name must be UTF-8
+            table = parquet.read_table(file)
         found = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
     except (pyarrow.ArrowException, KeyError, msgspec.DecodeError, OSError) as err:
         msg = f"{path} is there and is no table of armrig batch; give another -o"
@@ -99,7 +101,8 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
     )
     made = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        parquet.write_table(pyarrow.Table.from_pylist(ordered, schema=schema), str(made))
+        with made.open("wb") as file:
+            parquet.write_table(pyarrow.Table.from_pylist(ordered, schema=schema), file)
         made.replace(path)
     finally:
         made.unlink(missing_ok=True)

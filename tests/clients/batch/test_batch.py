@@ -60,7 +60,8 @@ def done(folder: Path, task: Task, table: Path, **options: Any) -> list[dict[str
 
 def rows_of(table: Path) -> list[dict[str, Any]]:
     """Return what another program reads."""
-    rows: list[dict[str, Any]] = pyarrow_parquet.read_table(str(table)).to_pylist()
+    with table.open("rb") as file:
+        rows: list[dict[str, Any]] = pyarrow_parquet.read_table(file).to_pylist()
     return rows
 
 
@@ -387,6 +388,31 @@ def test_the_command_says_what_came_of_it(
     assert main([*given, "--json"]) == 1
     facts = json.loads(capsys.readouterr().out)
     assert (facts["rows"], facts["done_before"], list(facts["problems"])) == (2, 1, [BROKEN])
+
+
+def test_a_name_that_is_no_text_stops_nothing(folder: Path, tmp_path: Path) -> None:
+    """Its bytes are escaped in the table, as in every message; of the folder's and table's, too."""
+    few = Path(os.fsdecode(os.fsencode(tmp_path) + b"/f\xfcnf"))
+    few.mkdir()
+    shutil.copy2(folder / "a-00.mcap", os.fsencode(few) + b"/\xe9t\xe9.mcap")
+    (few / os.fsdecode(b"\xff.mcap")).write_bytes(b"no recording at all")
+    table = few / os.fsdecode(b"\xe0.parquet")
+    done(few, ARX, table)
+    again: list[str] = []
+    rows = done(few, ARX, table, count=lambda n, total, name: again.append(name))
+    assert [row["recording"] for row in rows] == [r"\udce9t\udce9.mcap", r"\udcff.mcap"]
+    assert rows[0]["fit_percent"] > 0
+    assert r"f\udcfcnf/\udcff.mcap" in rows[1]["problem"]
+    assert again == [r"\udcff.mcap"]
+
+
+def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
+    """A clock that was wrong by centuries has written it: more than a table's nanoseconds hold."""
+    few = tmp_path / "few"
+    few.mkdir()
+    shutil.copy(folder / "a-00.mcap", few)
+    os.utime(few / "a-00.mcap", (0, 13_569_465_600))  # 2400
+    assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
 
 def test_no_recording_however_made_raises(folder: Path) -> None:
