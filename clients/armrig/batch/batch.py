@@ -73,8 +73,8 @@ def batch(
     Raises
     ------
     ProgressError, ClusterError, ImportError, OSError
-        What is there is of another task; the workers are gone; pyarrow is missing; a file cannot be
-        read or written.
+        What is there is of another task, or the disk is full; the workers are gone; pyarrow is
+        missing; a file cannot be read or written.
     """
     check_writable()
     items = items_in(folder, rigs=rigs, kinds=kinds)
@@ -84,7 +84,7 @@ def batch(
     header = header_of(task, folder, rigs, kinds)
     before = [] if anew else read_rows(table, header)
     with Progress(table, header, anew=anew) as progress:
-        rows = still_right([*before, *progress.rows], items)
+        rows = still_right([*before, *progress.rows], items, columns_of(task))
         left, done_before = [item for item in items if item.name not in rows], len(rows)
         came = results(partial(row_of, task), left, open_executor, at_once=at_once)
         for item, row in came:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -22,7 +23,7 @@ SUFFIX = ".progress"
 
 
 class ProgressError(RuntimeError):
-    """What is there is of another task, or another process is at it; says what to do."""
+    """What is there is no use, another process is at it, or the disk is full; says what to do."""
 
 
 class Progress:
@@ -39,11 +40,14 @@ class Progress:
         Raises
         ------
         ProgressError
-            It is of another task, or is open elsewhere.
+            It is of another task, is no file, or is open elsewhere; the disk is full.
         OSError
-            It cannot be written.
+            It cannot be opened.
         """
         self.path = table.with_name(table.name + SUFFIX)
+        if self.path.exists() and not self.path.is_file():  # such as a link to what never ends
+            msg = f"{self.path} is there and is no file; remove it, or give another -o"
+            raise ProgressError(msg)
         self._file = self.path.open("a+b")
         try:
             lock(self._file)
@@ -87,23 +91,33 @@ class Progress:
         traceback: TracebackType | None,
     ) -> None:
         """Close the file, which stays."""
-        self._file.close()
+        with suppress(OSError):  # of a row for which there was no room, and which was told
+            self._file.close()
 
     def _write(self, value: object) -> None:
-        self._file.write(msgspec.json.encode(value) + b"\n")
-        self._file.flush()
+        try:
+            self._file.write(msgspec.json.encode(value) + b"\n")
+            self._file.flush()
+        except OSError as err:
+            msg = f"{self.path}: {err.strerror}; what is done is kept, and the same command goes on"
+            raise ProgressError(msg) from err
 
 
-def still_right(rows: Iterable[Row], items: Iterable[Item]) -> dict[str, Row]:
+def still_right(
+    rows: Iterable[Row], items: Iterable[Item], columns: Collection[str]
+) -> dict[str, Row]:
     """Return, by name, the results of those items whose files have not changed since.
 
-    What had a problem is tried again: a process may have been killed, a disk full.
+    What had a problem is tried again: a process may have been killed, a disk full. A row without
+    all columns is none of ours.
     """
     state = {item.name: (item.bytes, item.modified_ns) for item in items}
     return {
         row["recording"]: row
         for row in rows
-        if not row["problem"] and state.get(row["recording"]) == (row["bytes"], row["modified_ns"])
+        if row.keys() == set(columns)
+        and not row["problem"]
+        and state.get(str(row["recording"])) == (row["bytes"], row["modified_ns"])
     }
 
 

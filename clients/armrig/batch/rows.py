@@ -44,7 +44,10 @@ def row_of(task: Task, item: Item) -> Row:
             recording = load(item.path)
             row |= _of_the_run(recording)
             row |= _result(task, recording, item)
-    except (RecordingError, ValueError, RuntimeError, OSError) as err:
+    except OSError as err:
+        said = ": ".join(str(part) for part in (err.filename, err.strerror) if part)
+        row["problem"] = _in_a_line(said or str(err))
+    except (RecordingError, ValueError, RuntimeError) as err:
         row["problem"] = _in_a_line(str(err) or type(err).__name__)
     except Exception as err:
         row["problem"] = _in_a_line(f"{type(err).__name__}: {err}")

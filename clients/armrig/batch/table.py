@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from armrig.batch.columns import Kind, columns_of
-from armrig.batch.progress import OTHER, ProgressError
+from armrig.batch.progress import OTHER, SUFFIX, ProgressError
 from armrig.batch.rows import Row
 from armrig.batch.tasks import Task, Validate, digest, name_of, sha256
 from armrig.recordings.export import imported
@@ -90,8 +90,8 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
 
     Raises
     ------
-    OSError
-        The file cannot be written.
+    ProgressError
+        The disk is full, or a row is not what it was when it was kept.
     """
     pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
     ordered = sorted(rows, key=lambda row: str(row["recording"]))
@@ -104,6 +104,12 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
         with made.open("wb") as file:
             parquet.write_table(pyarrow.Table.from_pylist(ordered, schema=schema), file)
         made.replace(path)
+    except OSError as err:
+        msg = f"{path}: {err.strerror or err}; all results are kept, and the same command writes it"
+        raise ProgressError(msg) from err
+    except (pyarrow.ArrowException, TypeError) as err:
+        msg = f"{path}{SUFFIX}: a row in it was changed by somebody; --force begins anew"
+        raise ProgressError(msg) from err
     finally:
         made.unlink(missing_ok=True)
 

@@ -221,6 +221,9 @@ def _do(
     if output.suffix != ".parquet":
         msg = f"-o {output}: a table's name ends in .parquet"
         raise ValueError(msg)
+    if not output.absolute().parent.is_dir():
+        msg = f"-o {output}: there is no directory {output.parent}; make it first"
+        raise ValueError(msg)
     if scheduler is not None and workers is not None:
         msg = "--workers goes with processes here; a Dask cluster has its own"
         raise typer.BadParameter(msg)

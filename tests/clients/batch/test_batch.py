@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import signal
 import time
+from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +26,7 @@ from armrig.batch.columns import OF_THE_FILE, OF_THE_RESULT, OF_THE_RUN, OF_THE_
 from armrig.batch.items import items_in
 from armrig.batch.progress import SUFFIX, Progress, ProgressError
 from armrig.batch.rows import row_of
+from armrig.batch.table import header_of
 from armrig.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 from armrig.cli import main
 from armrig.models.model_writing import model_text
@@ -249,6 +252,73 @@ def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
         assert progress.rows == [{"recording": "a"}, {"recording": "c"}]
 
 
+@pytest.mark.parametrize("row", [{}, [1], {"recording": ["a"]}, {"problem": "", "passed": "no"}])
+def test_a_row_that_somebody_changed_is_done_again(row: Any, folder: Path, tmp_path: Path) -> None:
+    """What lacks a column is no result; neither is a line that is no row."""
+    table = tmp_path / "v.parquet"
+    with Progress(table, header_of(Verify(), folder, ["2"], [])) as progress:
+        progress.add(row)
+    assert [r["recording"] for r in done(folder, Verify(), table, rigs=["2"])] == [OTHER_RIG]
+
+
+def test_a_row_with_another_kind_of_value_is_refused(folder: Path, tmp_path: Path) -> None:
+    """In words; the way out is to begin anew."""
+    table = tmp_path / "v.parquet"
+    row = row_of(Verify(), items_in(folder, rigs=["2"])[0]) | {"passed": {"no": 1}}
+    with Progress(table, header_of(Verify(), folder, ["2"], [])) as progress:
+        progress.add(row)
+    with pytest.raises(ProgressError, match="changed by somebody; --force"):
+        done(folder, Verify(), table, rigs=["2"])
+    assert done(folder, Verify(), table, rigs=["2"], anew=True)[0]["passed"] is not None
+
+
+@pytest.mark.parametrize("what", ["directory", "never ends"])
+def test_what_is_no_file_is_not_read_as_one(what: str, folder: Path, tmp_path: Path) -> None:
+    """A link to /dev/zero in its place would be read until no memory is left."""
+    table = tmp_path / "v.parquet"
+    there = tmp_path / f"v.parquet{SUFFIX}"
+    if what == "directory":
+        there.mkdir()
+    else:
+        there.symlink_to("/dev/null")  # as good as /dev/zero, were it read
+    with pytest.raises(ProgressError, match="is no file; remove it"):
+        done(folder, Verify(), table)
+
+
+@contextmanager
+def no_file_above(size: int) -> Iterator[None]:
+    """Let no file of this process become larger, as where the disk is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
+    """It is said in words which file; with more room the same command goes on, and repeats none."""
+    table = tmp_path / "models.parquet"
+    said = f"{table.name}{SUFFIX}: File too large; what is done is kept"
+    with no_file_above(20_000), pytest.raises(ProgressError, match=said):
+        done(folder, ARX, table)
+    again: list[str] = []
+    done(folder, ARX, table, count=lambda n, total, name: again.append(name))
+    assert 0 < len(again) < MANY + 4
+
+
+def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: Path) -> None:
+    """All rows are kept; with more room the table is written of them."""
+    table = tmp_path / "v.parquet"
+    said = f"{table.name}: File too large; all results are kept"
+    with no_file_above(8000), pytest.raises(ProgressError, match=said):
+        done(folder, Verify(), table, rigs=["2"])
+    assert [file.name for file in tmp_path.iterdir()] == [f"v.parquet{SUFFIX}"]
+    again: list[str] = []
+    done(folder, Verify(), table, rigs=["2"], count=lambda n, total, name: again.append(name))
+    assert again == []
+
+
 def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
     """Each other item has its own result, once."""
     items = ["a", "b", "deadly", "c", "d"]
@@ -335,6 +405,7 @@ def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path:
     [
         (["verify", "FOLDER", "-o", "x.csv"], "ends in .parquet"),
         (["verify", "nowhere", "-o", "x.parquet"], "nowhere"),
+        (["verify", "FOLDER", "-o", "no/x.parquet"], "there is no directory no; make it first"),
         (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "no recording in it is asked for"),
         (["validate", "FOLDER", "--model", "no.json", "-o", "x.parquet"], "no.json"),
         (["identify", "FOLDER", "-o", "x.parquet", "--structure", "arx", "--nf", "3"], "--nf"),
@@ -413,6 +484,14 @@ def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "a-00.mcap", few)
     os.utime(few / "a-00.mcap", (0, 13_569_465_600))  # 2400
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
+
+
+def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
+    """Which file, and why: no number of an error."""
+    (tmp_path / "taken").touch()
+    task = Report(folder=str(tmp_path / "taken"))
+    problem = row_of(task, items_in(folder, rigs=["1"])[0])["problem"]
+    assert problem == f"{tmp_path}/taken: File exists"
 
 
 def test_no_recording_however_made_raises(folder: Path) -> None:
