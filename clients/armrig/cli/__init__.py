@@ -206,6 +206,9 @@ def _run(arguments: Sequence[str] | None) -> int:
     except typer.Exit as err:
         return int(err.exit_code) if given else 2  # without a command there is help, as of armrigd
     except _UsageError as err:
+        if type(err).__name__ == "NoArgsIsHelpError":  # its message is the help, in many lines
+            typer.echo(err.format_message())
+            return 2
         return _failed(usage_error(err, given), 2)
     except (typer.Abort, KeyboardInterrupt) as err:
         return _failed(str(err) or "interrupted", 130)

@@ -50,6 +50,18 @@ def test_every_command_has_h_and_an_example(
     assert f"Example: armrig {command}" in re.sub(r"\s+", " ", capsys.readouterr().out)
 
 
+@pytest.mark.parametrize("command", ["batch", "pki", "service"])
+def test_what_has_commands_below_it_lists_them_in_lines(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As -h does; the exit code is that of what lacks a command."""
+    assert main([command, "-h"]) == 0
+    listed = capsys.readouterr().out
+    assert main([command]) == 2
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err) == (listed, "")
+
+
 @pytest.mark.parametrize(
     "typed", ["stpo", "sto", "resett", "colect", "callibrate", "demoo", "benhc", "stpp", "falsh"]
 )
