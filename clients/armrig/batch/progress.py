@@ -109,15 +109,17 @@ def still_right(
     """Return, by name, the results of those items whose files have not changed since.
 
     What had a problem is tried again: a process may have been killed, a disk full. A row without
-    all columns is none of ours.
+    all columns is none of ours. A report counts where it is of the validation that is there now.
     """
     state = {item.name: (item.bytes, item.modified_ns) for item in items}
+    validated_by = {item.name: Path(item.validation).name for item in items}
     return {
         row["recording"]: row
         for row in rows
         if row.keys() == set(columns)
         and not row["problem"]
-        and state.get(str(row["recording"])) == (row["bytes"], row["modified_ns"])
+        and state.get(name := str(row["recording"])) == (row["bytes"], row["modified_ns"])
+        and row.get("validated_by", validated_by[name]) == validated_by[name]
     }
 
 

@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 from armrig.batch import running, workers
 from armrig.batch.batch import batch
-from armrig.batch.columns import OF_THE_FILE, OF_THE_RESULT, OF_THE_RUN, OF_THE_TASK
-from armrig.batch.items import items_in
-from armrig.batch.progress import SUFFIX, Progress, ProgressError
+from armrig.batch.columns import OF_THE_FILE, OF_THE_RESULT, OF_THE_RUN, OF_THE_TASK, columns_of
+from armrig.batch.items import Item, items_in
+from armrig.batch.progress import SUFFIX, Progress, ProgressError, still_right
 from armrig.batch.rows import row_of
 from armrig.batch.table import header_of
 from armrig.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
@@ -182,6 +182,16 @@ def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "a-31.mcap", few / "b.mcap")
     done(few, ARX, table, count=lambda n, total, name: again.append(name))
     assert sorted(again) == ["a-01.mcap", "b.mcap"]
+
+
+def test_a_report_is_made_again_where_a_validation_has_come() -> None:
+    """The one that is there was judged by its own data."""
+    item = Item(name="a.mcap", path="/f/a.mcap", bytes=1, modified_ns=2, validation="")
+    columns = columns_of(Report(folder="reports"))
+    known = {"recording": "a.mcap", "bytes": 1, "modified_ns": 2, "problem": ""}
+    row = dict.fromkeys(columns) | known | {"validated_by": ""}
+    assert still_right([row], [item], columns) == {"a.mcap": row}
+    assert still_right([row], [item._replace(validation="/f/b.mcap")], columns) == {}
 
 
 def test_results_of_other_options_are_refused(folder: Path, tmp_path: Path) -> None:
