@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -15,8 +16,9 @@ import pytest
 import zenoh
 from armrig.cli import main
 from armrig.rig.client import Rig
+from armrig.rig.fleet_recorder import FleetRecorder
 from armrig.rig.remote_recording import CUT_OFF
-from armrig.rig.session import RigError, open_connection
+from armrig.rig.session import RigError, open_connection, open_endpoint
 from armrig_core.history import encode_past
 from armrig_daemon.service.history import History
 from fleet_lab import RIGS, WITHIN_S, FleetLab, Publisher, connected, publish, sample
@@ -371,6 +373,45 @@ def test_one_command_records_the_rigs_that_are_named(
         ("3", 100, 0),
     ]
     assert {recorded_k(Path(f["recording"]))[-1] for f in told["recordings"]} == {99}
+
+
+def test_a_rig_that_is_named_and_not_there_is_told(
+    lab: FleetLab, stack: ExitStack, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The others are recorded; the exit code says that not all are."""
+    stack.enter_context(lab.router())
+    daemon = stack.enter_context(lab.daemon("1"))
+    publish([daemon], range(100))
+    connected(daemon)
+    given = ["--rig", "1", "--rig", "3", "-o", str(lab.folder / "files"), "--seconds", "1"]
+
+    assert main(["record", "--from", lab.endpoint, *given]) == 1
+    said = capsys.readouterr()
+
+    assert "100 samples, 0 missing, complete" in said.out
+    assert "rig 3: no sample came, so nothing of it is recorded" in said.err
+
+
+def test_a_recorder_of_named_rigs_ends_where_all_have_ended(
+    lab: FleetLab, stack: ExitStack
+) -> None:
+    """Where nothing can be written there is nothing left to wait for."""
+    stack.enter_context(lab.router())
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
+    publish(daemons, range(100))
+    connected(*daemons)
+    session = stack.enter_context(open_endpoint(lab.endpoint).session)
+    ended, told = threading.Event(), list[str]()
+    recorder = FleetRecorder(
+        session, lab.endpoint, lambda rig: lab.folder / "gone" / f"{rig}.mcap", told.append
+    )
+    thread = threading.Thread(target=recorder.record, args=(ended, None, ["1", "3"]))
+    thread.start()
+    stack.callback(thread.join)
+    stack.callback(ended.set)
+
+    wait_for(lambda: not thread.is_alive(), WITHIN_S)
+    assert len([line for line in told if "its recording ended" in line]) == 2
 
 
 def test_the_rig_of_a_session_is_the_client_s(lab: FleetLab, stack: ExitStack) -> None:

@@ -6,6 +6,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from armrig.cli.options import echo, print_json, tell
 from armrig.cli.until_signal import until_signal
 
@@ -42,6 +44,11 @@ def record_many(
         tell(f"recording {named} from {where}; Ctrl-C ends it")
         recorded = recorder.record(ended, seconds, rigs)
     _say(recorded, where, json=json)
+    silent = [one.rig for one in recorded if not one.files and not one.why]
+    for rig in silent:
+        tell(f"rig {rig}: no sample came, so nothing of it is recorded")
+    if rigs is not None and silent:
+        raise typer.Exit(1)
 
 
 def _say(recorded: list[RigRecorded], where: str, *, json: bool) -> None:

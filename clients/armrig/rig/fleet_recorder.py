@@ -64,13 +64,16 @@ class FleetRecorder:
         Parameters
         ----------
         rigs : collection of str, optional
-            Their ids; None are all that are there, and those that come.
+            Their ids; None are all that are there, and those that come. Where the recordings of
+            all these have ended early, nothing is waited for.
         """
         until = float("inf") if seconds is None else time.monotonic() + seconds
         try:
             while not ended.is_set() and (now := time.monotonic()) < until:
                 for rig in ids_alive(self._session) if rigs is None else rigs:
                     self._begin(rig)
+                if rigs is not None and not any(t.is_alive() for t in self._threads.values()):
+                    break
                 ended.wait(min(_LOOK_S, until - now))
         finally:
             self._ended.set()
