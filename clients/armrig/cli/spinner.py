@@ -9,6 +9,7 @@ from threading import Timer
 from time import monotonic
 
 import numpy as np
+from armrig_core.printable import printable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 
@@ -70,7 +71,7 @@ def spinner(what: str, console: Console | None = None, after_s: float = AFTER_S)
     def count(done: int, total: int, name: str) -> None:
         shown.columns = _COUNTING
         left = remaining(done, total, monotonic() - begun)
-        doing = f"{what} {name}" if name else what
+        doing = f"{what} {printable(name)}" if name else what
         shown.update(task, completed=done, total=total, description=doing, left=left)
 
     timer = Timer(after_s, shown.start)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from io import StringIO
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.options import tell
+from armrig.cli.spinner import spinner
 from armrig.rig.progress import bar
 from armrig_core.manifest import Outcome
 from made_recordings import event, gap, manifest, of_the_arm, recorded, sample, written
@@ -88,6 +90,20 @@ def test_a_line_beside_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().err == (
         "armrig: held by \\x1b]0;mine\\x07\\x1b[2Ja rig \\x9b[red]\\u202e\n"
     )
+
+
+def test_the_name_of_a_file_does_nothing_to_a_terminal_while_it_is_at_work() -> None:
+    """`armrig batch` shows what it is at; the file's name may be anybody's."""
+    shown = StringIO()
+    console = Console(file=shown, force_terminal=True, width=120)
+
+    with spinner("at work on", console, after_s=0.0) as count:
+        count(1, 2, HOSTILE)
+        while "1 of 2" not in shown.getvalue():
+            time.sleep(0.01)
+
+    assert SHOWN in shown.getvalue()
+    assert HOSTILE[:7] not in shown.getvalue()
 
 
 def test_brackets_are_no_markup_beside_a_bar() -> None:
