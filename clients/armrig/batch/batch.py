@@ -18,7 +18,7 @@ from armrig.batch.table import check_writable, header_of, read_rows, write_table
 from armrig.batch.tasks import Task
 
 Count = Callable[[int, int, str], None]
-"""Takes how many are done, how many there are, and the name of the one that is done."""
+"""Takes how many this start has done, how many it has to do, and the name of the one done."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +90,7 @@ def batch(
         for item, row in came:
             rows[item.name] = row if isinstance(row, dict) else _problem(task, item, row)
             progress.add(rows[item.name])
-            count(len(rows), len(items), item.name)
+            count(len(rows) - done_before, len(left), item.name)
         write_table(table, task, header, rows.values())
         progress.remove()
     ordered = tuple(rows[item.name] for item in items)

@@ -194,6 +194,18 @@ def test_a_report_is_made_again_where_a_validation_has_come() -> None:
     assert still_right([row], [item._replace(validation="/f/b.mcap")], columns) == {}
 
 
+def test_the_time_left_is_that_of_this_start(folder: Path, tmp_path: Path) -> None:
+    """What an earlier start did took none of this one's time."""
+    few = tmp_path / "few"
+    few.mkdir()
+    table = tmp_path / "v.parquet"
+    told: list[tuple[int, int]] = []
+    for name in ("a-00.mcap", "a-01.mcap"):
+        shutil.copy2(folder / name, few)
+        done(few, Verify(), table, count=lambda n, total, name: told.append((n, total)))
+    assert told == [(1, 1), (1, 1)]
+
+
 def test_results_of_other_options_are_refused(folder: Path, tmp_path: Path) -> None:
     """Neither a table nor what a killed start has left is mixed with another task's rows."""
     table = tmp_path / "models.parquet"
