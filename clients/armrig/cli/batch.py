@@ -164,11 +164,7 @@ def verify(
     """Check that each recording is what its run was. Exit code 1 where a check fails."""
     from armrig.batch.tasks import Verify
 
-    done = _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
-    failed = [row["recording"] for row in done.rows if row["passed"] is False]
-    if failed:
-        tell(f"{len(failed)} failed a check: {_some(failed)}; the table says which")
-        raise typer.Exit(1)
+    _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
 
 
 @app.command(
@@ -210,8 +206,8 @@ def _do(
     *,
     force: bool,
     json: bool,
-) -> Batch:
-    """Do it, and say what came of it; exit code 1 where of some recordings nothing came."""
+) -> None:
+    """Do it, and say what came of it; exit code 1 where some gave nothing or failed a check."""
     from functools import partial
 
     from armrig.batch.batch import batch
@@ -243,7 +239,6 @@ def _do(
             count=count,
         )
     _say(done, json=json)
-    return done
 
 
 def _say(done: Batch, *, json: bool) -> None:
@@ -263,7 +258,10 @@ def _say(done: Batch, *, json: bool) -> None:
             echo(f"  {row['recording']}: {row['problem']}")
         if len(problems) > _NAMED:
             echo(f"  and {len(problems) - _NAMED} more; the column problem says why")
-    if problems:
+    failed = [row["recording"] for row in done.rows if row.get("passed") is False]
+    if failed:
+        tell(f"{len(failed)} failed a check: {_some(failed)}; the table says which")
+    if problems or failed:
         raise typer.Exit(1)
 
 

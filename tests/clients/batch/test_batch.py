@@ -508,6 +508,21 @@ def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
 
+def test_what_failed_a_check_is_told_beside_what_is_broken(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """A file that nothing can be said of hides none that something is wrong with."""
+    few = tmp_path / "few"
+    few.mkdir()
+    for name in (CUT, BROKEN):
+        shutil.copy2(folder / name, few)
+    given = ["batch", "verify", str(few), "-o", str(tmp_path / "v.parquet"), "--workers", "1"]
+    assert main(given) == 1
+    said = capsys.readouterr()
+    assert f"1 without a result\n  {BROKEN}: " in said.out
+    assert f"1 failed a check: {CUT}; the table says which" in said.err
+
+
 def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
     """Which file, and why: no number of an error."""
     (tmp_path / "taken").touch()
