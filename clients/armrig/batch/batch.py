@@ -15,7 +15,7 @@ from armrig.batch.progress import Progress, still_right
 from armrig.batch.rows import Row, row_of
 from armrig.batch.running import results
 from armrig.batch.table import check_writable, header_of, read_rows, write_table
-from armrig.batch.tasks import Task
+from armrig.batch.tasks import Report, Task
 
 Count = Callable[[int, int, str], None]
 """Takes how many this start has done, how many it has to do, and the name of the one done."""
@@ -85,6 +85,8 @@ def batch(
     before = [] if anew else read_rows(table, header)
     with Progress(table, header, anew=anew) as progress:
         rows = still_right([*before, *progress.rows], items, columns_of(task))
+        if isinstance(task, Report):  # a row without its PDF is none
+            rows = {name: r for name, r in rows.items() if Path(task.folder, r["report"]).exists()}
         left, done_before = [item for item in items if item.name not in rows], len(rows)
         came = results(partial(row_of, task), left, open_executor, at_once=at_once)
         for item, row in came:

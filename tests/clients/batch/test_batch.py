@@ -154,7 +154,7 @@ def test_no_two_columns_have_one_name(task: Task) -> None:
 
 
 def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
-    """Named as its recording; a step alone gives none, and says so."""
+    """Named as its recording, and again where it is gone; a step alone gives none, and says so."""
     few = tmp_path / "few"
     few.mkdir()
     for name in ("a-00.mcap", STEP):
@@ -163,6 +163,9 @@ def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
     assert [row["report"] for row in rows] == ["a-00.pdf", None]
     assert (tmp_path / "a-00.pdf").read_bytes().startswith(b"%PDF-")
     assert "nothing to identify from" in rows[1]["problem"]
+    (tmp_path / "a-00.pdf").unlink()
+    done(few, Report(folder=str(tmp_path)), tmp_path / "reports.parquet")
+    assert (tmp_path / "a-00.pdf").exists()
 
 
 def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
