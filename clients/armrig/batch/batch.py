@@ -86,7 +86,9 @@ def batch(
     with Progress(table, header, anew=anew) as progress:
         rows = still_right([*before, *progress.rows], items, columns_of(task))
         if isinstance(task, Report):  # a row without its PDF is none
-            rows = {name: r for name, r in rows.items() if Path(task.folder, r["report"]).exists()}
+            rows = {
+                name: r for name, r in rows.items() if Path(task.folder, str(r["report"])).exists()
+            }
         left, done_before = [item for item in items if item.name not in rows], len(rows)
         came = results(partial(row_of, task), left, open_executor, at_once=at_once)
         for item, row in came:
