@@ -322,6 +322,8 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         return give_up(state, now_ns, error)
     wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
+        if asked.tries < _TRIES:
+            return state, []  # of an earlier CONFIG, late; ours is asked for again in time
         return give_up(state, now_ns, "the device accepted another configuration than was sent")
     before_us = _pace_us(state.ts_us, scheduled=state.scheduled)
     arms = isinstance(asked.order, Acquire | Play)

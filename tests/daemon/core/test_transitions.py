@@ -624,6 +624,22 @@ def test_a_configuration_that_nobody_waits_for_is_none() -> None:
         assert (decided.actions, decided.state) == ([], state)
 
 
+def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
+    """Ours is waited for; a device that accepts another each time is given up."""
+    bench = rested()
+    state = replace(bench.loop.state, phase=Phase.ARMED)
+    late = _reply(awaiting(state, Want.CONFIGURE, ts_us=20_000))
+    waiting = awaiting(state, Want.CONFIGURE, ACQUIRE, ts_us=10_000, tries=4)
+
+    passed_over = heard(bench, late, waiting)
+    armed = heard(bench, _reply(waiting), passed_over.state)
+    given_up = heard(bench, late, awaiting(state, Want.CONFIGURE, ACQUIRE, ts_us=10_000, tries=5))
+
+    assert (passed_over.actions, passed_over.state) == ([], waiting)
+    assert isinstance(armed.sent[0], Arm)
+    assert given_up.state.phase is Phase.FAULT
+
+
 def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
     """A device that answers CONFIG for ever does not keep us busy for ever."""
     bench = rested()
