@@ -352,6 +352,27 @@ def test_a_figure_and_its_unit_are_on_one_line(browser: Any, client: Client, ser
             assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
 
 
+def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) -> None:
+    """Others read it in `ps`. The page then has the printed address, and may be loaded again."""
+    with dashboard(Settings(connect=endpoint(served))) as found:
+        code = found.browser_url.partition("#once=")[2]
+        with opened(browser, found.browser_url) as page:
+            assert page.url == found.url
+            page.reload()
+            page.wait_for_selector(".pill.safe")
+        status, told = Client(found.url).ask("/api/token", {}, Authorization=f"Bearer {code}")
+        late = browser.new_page()
+        late.goto(found.browser_url)
+        until(late, lambda: text(late, "#notice"))
+        said = text(late, "#notice")
+        late.close()
+
+    assert code
+    assert code not in found.url
+    assert (status, list(told)) == (403, ["error"])
+    assert "printed" in said
+
+
 def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: Bench) -> None:
     """His page has no experiment, no arming, no recordings, no reset."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")

@@ -69,7 +69,7 @@ def dashboard(
         else:
             _say(rig, served, streams)
         if browser:
-            webbrowser.open(served.url)
+            webbrowser.open(served.browser_url)
         threading.Event().wait()
 
 

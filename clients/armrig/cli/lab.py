@@ -95,7 +95,7 @@ def _page(rig: str) -> Iterator[str]:
 
     with dashboard(Settings(rig=rig)) as served:
         if sys.stdout.isatty() and any(name in os.environ for name in _SCREENS):
-            webbrowser.open(served.url)
+            webbrowser.open(served.browser_url)
         yield served.url
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+import time
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -37,10 +38,32 @@ class Refusal(Exception):  # noqa: N818  # an answer, and no fault
         self.status = status
 
 
+class Pass:
+    """A code that opens one path, once: others on this machine read what starts a browser.
+
+    The page exchanges it for the token, which no command line shows.
+    """
+
+    PATH = "/api/token"
+
+    def __init__(self, code: str, *, until_s: float) -> None:
+        """Take the code, and the monotonic time until which it counts, in s."""
+        self._code, self._until_s = code.encode(), until_s
+
+    def opens(self, given: bytes) -> bool:
+        """Tell whether a code is this one; it then opens no more."""
+        is_it = hmac.compare_digest(given, self._code) and time.monotonic() < self._until_s
+        if is_it:
+            self._until_s = 0.0
+        return is_it
+
+
 class Guard:
     """Lets through to an application what comes from the page that it serves itself."""
 
-    def __init__(self, app: ASGIApp, *, origins: Collection[str], token: str) -> None:
+    def __init__(
+        self, app: ASGIApp, *, origins: Collection[str], token: str, once: Pass | None = None
+    ) -> None:
         """Guard an application.
 
         Parameters
@@ -50,11 +73,13 @@ class Guard:
             a name that leads here would make any page ours (DNS rebinding).
         token : str
             What each request below /api/ carries as `Authorization: Bearer`.
+        once : Pass, optional
+            What the request for the token carries in its place.
         """
         self._app = app
         self._origins = frozenset(origins)
         self._hosts = frozenset(origin.partition("://")[2] for origin in origins)
-        self._token = token.encode()
+        self._token, self._once = token.encode(), once
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it in a line."""
@@ -96,9 +121,15 @@ class Guard:
             return
         kind, _, given = headers.get("authorization", "").partition(" ")
         # As bytes: a token that is no ASCII is wrong, and no error.
-        if kind != "Bearer" or not hmac.compare_digest(given.encode("latin-1"), self._token):
+        is_his = kind == "Bearer" and self._opens(scope["path"], given.encode("latin-1"))
+        if not is_his:
             msg = "the token is missing or wrong: open the address that `armrig dashboard` printed"
             raise Refusal(403, msg)
+
+    def _opens(self, path: str, given: bytes) -> bool:
+        if path == Pass.PATH:
+            return self._once is not None and self._once.opens(given)
+        return hmac.compare_digest(given, self._token)
 
     @property
     def _where(self) -> str:

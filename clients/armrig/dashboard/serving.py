@@ -5,18 +5,21 @@ from __future__ import annotations
 import resource
 import secrets
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
 import uvicorn
+from starlette.requests import Request
+from starlette.responses import Response
 from starlette.routing import Route
 
-from armrig.dashboard.app import RigRoutes, application
+from armrig.dashboard.app import RigRoutes, application, value
 from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import Driver
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.guard import Guard
+from armrig.dashboard.guard import Guard, Pass
 from armrig.dashboard.listener import Listener
 from armrig.dashboard.recording_routes import RecordingRoutes
 from armrig.dashboard.server_thread import QUIET, Server, ServerThread
@@ -28,6 +31,7 @@ from armrig.rig.session import RigError
 HOST = "127.0.0.1"
 PORT = 8807
 _FILES = 16_384
+_ONCE_S = 60.0  # in which a browser is started
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +56,8 @@ class Served:
 
     url: str
     """Of the page, with the token that may command."""
+    browser_url: str
+    """The same for the program that opens a browser: it opens the page once, within a minute."""
     shared_url: str = ""
     """For visitors, with the token that may watch and stop."""
     fingerprint: str = ""
@@ -80,7 +86,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     with ExitStack() as open_files:
         own = _Door(_listening(HOST, PORT, settings.port), names=(HOST, "localhost"))
         servers = [own.server([*live.commanding(), *recorded.routes()], live, may_command=True)]
-        served = Served(url=own.url)
+        served = Served(url=own.url, browser_url=own.browser_url)
         if settings.share is not None:
             made = open_files.enter_context(certificate(settings.share))
             taken = _listening(settings.share, SHARED_PORT, settings.share_port)
@@ -110,7 +116,7 @@ class _Door:
         certificate: Certificate | None = None,
     ) -> None:
         self._listening, self._certificate = listening, certificate
-        self._token = secrets.token_urlsafe(24)
+        self._token, self._code = secrets.token_urlsafe(24), secrets.token_urlsafe(24)
         scheme, port = "https" if certificate else "http", listening.getsockname()[1]
         self._origins = [f"{scheme}://{name}:{port}" for name in names]
 
@@ -119,16 +125,28 @@ class _Door:
         """Where the page is; the token stands behind the #, which no browser sends."""
         return f"{self._origins[0]}/#token={self._token}"
 
+    @property
+    def browser_url(self) -> str:
+        """Where the page is, with what it exchanges for the token."""
+        return f"{self._origins[0]}/#once={self._code}"
+
     def server(self, more: list[Route], live: RigRoutes, *, may_command: bool) -> Server:
         """Return the server of who may watch and stop, and of `more`."""
         connections = Connections()
-        app = application([*live.watching(connections, may_command=may_command), *more])
-        guard = Guard(app, origins=self._origins, token=self._token)
+        routes = [*live.watching(connections, may_command=may_command), *more]
+        once = None
+        if may_command:
+            once = Pass(self._code, until_s=time.monotonic() + _ONCE_S)
+            routes.append(Route(Pass.PATH, self._tell_token, methods=["POST"]))
+        guard = Guard(application(routes), origins=self._origins, token=self._token, once=once)
         config = uvicorn.Config(guard, http=connections.protocol(), **QUIET)
         if self._certificate is not None:
             config.ssl_certfile = str(self._certificate.certificate)
             config.ssl_keyfile = str(self._certificate.key)
         return Server(config, self._listening, connections)
+
+    async def _tell_token(self, _: Request) -> Response:
+        return value({"token": self._token})
 
 
 def _allow_many_files() -> None:

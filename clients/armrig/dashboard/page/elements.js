@@ -21,7 +21,18 @@ export function show(id, visible) {
   byId(id).hidden = !visible;
 }
 
-export const token = new URLSearchParams(location.hash.slice(1)).get("token") || "";
+const given = new URLSearchParams(location.hash.slice(1));
+export const token = given.get("token") || (given.has("once") ? await exchanged(given.get("once")) : "");
+
+// What a browser is started with others can read (`ps`): it opens once, and is exchanged here.
+async function exchanged(once) {
+  const how = { method: "POST", headers: { Authorization: `Bearer ${once}` }, cache: "no-store" };
+  const answer = await fetch("api/token", how).catch(() => null);
+  if (!answer?.ok) return "";
+  const told = await answer.json();
+  history.replaceState(null, "", `#token=${told.token}`);
+  return told.token;
+}
 
 const headers = () => ({ Authorization: `Bearer ${token}` });
 
