@@ -206,6 +206,7 @@ def test_a_run_that_is_still_to_be_sent_is_not_sent_behind_a_stop(
         waiting: list[Any] = []
         withdrawn: list[str] = []
         page.on("requestfailed", lambda request: withdrawn.append(request.url))
+        runs = f"http://{client.host}:{client.port}/api/run"
         page.route("**/api/run", lambda route: waiting.append(route))
         show_step(page)
         page.click("#run")
@@ -214,9 +215,9 @@ def test_a_run_that_is_still_to_be_sent_is_not_sent_behind_a_stop(
         page.keyboard.press("Space")
         until(page, lambda: "told the rig to stop" in text(page, "#notice"))
         waiting[0].continue_()
-        until(page, lambda: withdrawn or len(served.voltage_changes()) > before)
+        until(page, lambda: runs in withdrawn or len(served.voltage_changes()) > before)
 
-        assert withdrawn == [f"http://{client.host}:{client.port}/api/run"]
+        assert withdrawn.count(runs) == 1  # where a stop waits long the stream gives way, too
         assert len(served.voltage_changes()) == before
 
 
@@ -394,13 +395,13 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
         daemon.kill()
         daemon.popen.wait(10)
         page.wait_for_selector(".pill.stale")
+        until(page, lambda: "armrig lab" in text(page, "#stale-why"))  # no sample comes any more
         # The last that the server knows: a machine that stalls may have made it another than safe.
         last = client.first("status")["phase"]
         assert f"the last phase was {last}." in text(page, "#stale-what")
         assert text(page, "#phase") == "stale"
         assert page.title().startswith("stale")
         assert not page.is_enabled("#arm")
-        until(page, lambda: "armrig lab" in text(page, "#stale-why"))
         bench.serve()
         page.wait_for_selector(".pill.safe")
         assert not page.is_visible("#stale")

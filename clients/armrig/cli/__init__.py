@@ -121,7 +121,7 @@ for _command, _example in (
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
 _SIGPIPE = 13  # Windows has no such signal, and its name is not there
 
-# Newer versions of typer bring a click of their own, older ones use the click installed.
+# typer brings a click of its own, and does not give this class another name.
 _UsageError: Any = typer.BadParameter.__base__
 
 
