@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test machine walk check coverage mutants bench fuzz simulate firmware fil lock audit release format clean
+.PHONY: demo test machine walk check coverage mutants bench fuzz simulate firmware fil lock lowest audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -76,6 +76,14 @@ lock: .venv
 	$(BIN)/pip install --quiet uv
 	$(LOCKED) pyproject.toml -o requirements.lock
 	$(LOCKED) pyproject.toml --extra dev --constraint requirements.lock -o tests/requirements.lock
+
+# The clients' tests with the oldest versions that pyproject.toml allows; what is deprecated between
+# those and what they use themselves is no fault of ours.
+lowest: .venv/dev
+	$(BIN)/uv venv --quiet --clear --python $(PYTHON) .venv/lowest
+	$(BIN)/uv pip install --quiet --python .venv/lowest/bin/python pytest hypothesis mcap-protobuf-support websockets hatchling
+	$(BIN)/uv pip install --quiet --python .venv/lowest/bin/python --resolution lowest-direct --editable '.[pandas,xarray,parquet,dask,pki,share]'
+	.venv/lowest/bin/pytest -q -p no:cacheprovider -W ignore::DeprecationWarning tests/clients tests/core tests/protocol --deselect tests/clients/cli/test_laptop.py
 
 # Known vulnerabilities of what an installation has; pypi.org is asked.
 audit: .venv/dev
