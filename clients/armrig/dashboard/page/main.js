@@ -24,9 +24,9 @@ function useTheme() {
 
 // At once, and beside all else: nothing is asked, and no earlier answer is waited for.
 async function stop() {
+  withdrawRun();
   // A browser has six connections to a server, for all its tabs. Where they are taken, our stream
   // gives its own to the stop, and comes back.
-  withdrawRun();
   const waits = setTimeout(() => stream.open(), CONNECTION_MS);
   try {
     await ask("stop", { owner: owner() });
