@@ -3,17 +3,24 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test machine walk check coverage mutants bench fuzz simulate firmware fil lock lowest audit release format clean
+# Hundreds of processes are started. Each would compile armrig again.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: demo test test-all machine walk check coverage mutants bench fuzz simulate firmware fil lock lowest audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
 	$(BIN)/armrig demo $(if $(FIRMWARE),--firmware)
 
-# Two side by side; then what is timed, alone, and also where something before it failed. LESS=… is
-# what .ci/run leaves to the wheel.
+# Two tests at a time, in five minutes on two quiet cores. `make test-all` runs the others.
 test: .venv/dev
-	$(BIN)/pytest -m "not timed and not machine" -n 2 --dist worksteal $(LESS); \
-	  beside=$$?; $(BIN)/pytest -m timed tests/integration && exit $$beside
+	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 2 --dist worksteal
+
+# The tests that `make test` leaves out: grids, long walks, and what takes long, two at a time; then
+# the timed tests, alone, and also if one before them failed.
+test-all: .venv/dev
+	$(BIN)/pytest -m "exhaustive and not timed and not machine" -n 2 --dist worksteal; \
+	  exhaustive=$$?; $(BIN)/pytest -m timed tests/integration && exit $$exhaustive
 
 # As root: the service under a systemd, and strangers on a network, each in a machine of its own.
 machine: .venv/dev

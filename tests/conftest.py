@@ -8,12 +8,21 @@ from collections.abc import Generator
 from typing import Any
 
 import pytest
+from progress import Progress
 
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A shell's background job ignores them and its children with it, which some tests send them to.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Show progress by room where a person or CI reads; the workers of xdist show nothing."""
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is not None and not config.option.verbose:
+        config.pluginmanager.register(Progress(terminal))
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

@@ -82,7 +82,7 @@ def reference() -> Callable[[str], NDArray[np.float64]]:
         beside = Path(__file__).resolve().parents[3] / "shared" / "reference"
         folder = Path(os.environ.get("ARMRIG_REFERENCE_DATA", beside))
         if not (folder / name).is_file():
-            pytest.skip(f"{name} is neither in ARMRIG_REFERENCE_DATA nor in ../shared/reference")
+            pytest.skip("no reference data: set ARMRIG_REFERENCE_DATA to their folder")
         return np.loadtxt(folder / name)
 
     return read

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import fcntl
 import os
-import shutil
 import subprocess
 from collections.abc import Callable
 from ctypes import c_bool, c_char_p, c_int64, c_size_t, c_uint8, c_uint16, c_uint32
@@ -104,12 +103,6 @@ class Setup(ctypes.Structure):
         ("reset_flags", c_uint8),
         ("is_watched", c_uint8),
     ]
-
-
-def missing() -> str:
-    """Return what the tests of the C core lack here; empty where nothing."""
-    wanted = [name for name in ("cc", "make") if shutil.which(name) is None]
-    return f"no {' and no '.join(wanted)}: the C core is not built" if wanted else ""
 
 
 @cache

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from armrig_protocol.messages import Ack, Cal, CalReply, Code, Config, ConfigReply
 from emulated_host import CONFIG
+from tools import needs
 
-from firmware import library
 from firmware.both_devices import MS, BothDevices
 from firmware.test_wraps import INSTANT
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 
 @pytest.mark.parametrize("channel", [0, 1])

@@ -7,12 +7,12 @@ from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
 from armrig_daemon.emulator.settings import EmulatorSettings
 from spoilt_devices import AT_A_RAIL
+from tools import needs
 from virtual_line import VirtualLine
 
-from firmware import library
 from firmware.core_device import CoreDevice
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 
 @pytest.mark.parametrize("settings", [{}, {"queue": 256}, {"baud": 1_000_000}], ids=str)

@@ -18,11 +18,12 @@ from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import MAX_DECODED
 from hypothesis import given
 from hypothesis import strategies as st
+from tools import needs
 
 from firmware import library
 from firmware.core_device import CoreDevice
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 VECTORS = json.loads(
     (Path(__file__).parents[2] / "firmware_protocol" / "vectors" / "frames.json").read_text()

@@ -18,12 +18,12 @@ from armrig_protocol.messages import (
     Status,
 )
 from emulated_host import MS, US, Host, S, only
+from tools import needs
 
-from firmware import library
 from firmware.core_device import CoreDevice
 from firmware.library import FIRMWARE
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 
 @pytest.fixture

@@ -9,10 +9,9 @@ import pytest
 from simulator import campaign
 from simulator.options import draw
 from simulator.rig import simulate
+from tools import needs
 
-from firmware import library
-
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 # `make simulate CORE=1 SEEDS=10000` tries 10 000.
 SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "40"))

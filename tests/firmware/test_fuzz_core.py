@@ -6,10 +6,11 @@ import re
 import subprocess
 
 import pytest
+from tools import needs
 
 from firmware import library
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 
 def fuzz(n_bytes: int, seed: int, *constants: str) -> dict[str, int]:
@@ -24,7 +25,14 @@ def fuzz(n_bytes: int, seed: int, *constants: str) -> dict[str, int]:
     }
 
 
-@pytest.mark.parametrize("constants", [(), ("BOARD_QUEUE=64",), ("BOARD_PWM_BITS=16",)])
+@pytest.mark.parametrize(
+    "constants",
+    [
+        (),
+        pytest.param(("BOARD_QUEUE=64",), marks=pytest.mark.exhaustive),
+        pytest.param(("BOARD_PWM_BITS=16",), marks=pytest.mark.exhaustive),
+    ],
+)
 def test_no_bytes_do_harm(constants: tuple[str, ...]) -> None:
     """No report, no voltage outside RUN, none outside the limits; and all states were reached."""
     found = fuzz(3_000_000, 1, *constants)

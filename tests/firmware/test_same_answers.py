@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from typing import Any
 
-import pytest
 from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.cobs import stuff
@@ -31,11 +30,12 @@ from armrig_protocol.messages import (
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+from tools import needs
 
 from firmware import library
 from firmware.both_devices import MS, US, BothDevices
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 EXAMPLES = int(os.environ.get("ARMRIG_FIRMWARE_EXAMPLES", "60"))
 BENCHES = [

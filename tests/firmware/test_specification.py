@@ -10,11 +10,11 @@ import test_device
 import test_scheduled
 from test_device import *  # noqa: F403
 from test_scheduled import *  # noqa: F403
+from tools import needs
 
-from firmware import library
 from firmware.core_device import CoreDevice
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -15,16 +15,17 @@ from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
 from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Status, Stop
+from tools import needs
 
-from firmware.uno_host import BOOT_NS, HEX, MS, Host, harness, missing, powered
+from firmware.uno_host import BOOT_NS, HEX, MS, Host, harness, powered
 
-pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+pytestmark = needs("cc", "make", "simavr")
 FIRMWARE = HEX.parent
 HALF = 32768
 DIES_MS = 600
 PATIENCE_MS = 50 + 256 + 5
 """Until a converter counts as dead, until the watchdog bites, and for the clock's beginning."""
-builds = pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no gcc-avr")
+builds = needs("avr-gcc")
 
 
 def broken(folder: Path, file: str, old: str, new: str) -> Path:

@@ -32,6 +32,8 @@ from armrig_protocol.messages import (
     Status,
     Stop,
 )
+from sampling import sampled
+from tools import needs
 
 from firmware.uno_host import (
     BOOT_NS,
@@ -39,11 +41,10 @@ from firmware.uno_host import (
     Host,
     assert_low_outside_run,
     high_from,
-    missing,
     powered,
 )
 
-pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+pytestmark = needs("cc", "make", "simavr")
 HALF = 32768
 
 
@@ -361,7 +362,7 @@ def _act(host: Host, rng: random.Random) -> None:
     host.wait(rng.random() * 30)
 
 
-@pytest.mark.parametrize("first", range(0, 200, 50))
+@pytest.mark.parametrize("first", sampled(range(0, 200, 50)))
 def test_in_every_state_but_run_the_pin_is_low(first: int) -> None:
     """S1, S6: over 200 seeds of what hosts do, good and bad ones; no spike, no enable line."""
     driven = 0

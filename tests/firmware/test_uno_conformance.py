@@ -12,15 +12,19 @@ from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
 from armrig_daemon.emulator.settings import EmulatorSettings
+from sampling import sampled
 from spoilt_devices import AT_A_RAIL
+from tools import needs
 from virtual_line import VirtualLine
 
-from firmware.uno_host import missing, switch_on
+from firmware.uno_host import switch_on
 
-pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+pytestmark = needs("cc", "make", "simavr")
 
 
-@pytest.mark.parametrize(("resets", "boot_loader"), [(True, False), (False, False), (True, True)])
+@pytest.mark.parametrize(
+    ("resets", "boot_loader"), sampled([(True, False), (False, False), (True, True)])
+)
 def test_the_uno_does_what_the_protocol_says(resets: bool, boot_loader: bool) -> None:
     """Each rule is tried, and holds, whether the opening of its port resets it or not.
 

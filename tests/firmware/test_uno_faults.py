@@ -6,15 +6,15 @@ import os
 
 import pytest
 from simulator import campaign
+from tools import needs
 
-from firmware.uno_host import missing
-
-pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+pytestmark = needs("cc", "make", "simavr")
 
 # `make simulate UNO=1` tries 200.
 SEEDS = int(os.environ.get("ARMRIG_SIMULATE_UNO_SEEDS", "8"))
 
 
+@pytest.mark.exhaustive
 def test_every_invariant_holds_at_the_pin_under_faults() -> None:
     """Each code that the device tells is looked for at its pin."""
     done = campaign.run(range(SEEDS), uno=True)

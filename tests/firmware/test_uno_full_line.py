@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import shutil
 from collections.abc import Callable
 
 import pytest
@@ -25,12 +24,13 @@ from armrig_protocol.messages import (
     Start,
     State,
 )
+from tools import needs
 
 from firmware.test_uno_runs import LATCH_NS, UnoBench, assert_complete, assert_on_the_pin, telegraph
-from firmware.uno_host import BAUD, MS, PERIOD_NS, Host, missing, powered
+from firmware.uno_host import BAUD, MS, PERIOD_NS, Host, powered
 
-pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
-BUILDS = pytest.mark.skipif(shutil.which("avr-gcc") is None, reason="no gcc-avr: no other speed")
+pytestmark = needs("cc", "make", "simavr")
+BUILDS = needs("avr-gcc")
 FAST = 1_000_000
 BAUDS = [BAUD, pytest.param(FAST, marks=BUILDS)]
 LOST = {BAUD: set[Violation](), FAST: {Violation.RX_OVERRUN}}

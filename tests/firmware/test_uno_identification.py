@@ -11,15 +11,17 @@ from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.commands import Run
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import VirtualService
+from sampling import sampled
+from tools import needs
 
-from firmware.uno_host import missing, switch_on
+from firmware.uno_host import switch_on
 
-pytestmark = pytest.mark.skipif(bool(missing()), reason=missing())
+pytestmark = needs("cc", "make", "simavr")
 N, Ts = 3000, 0.01
 OMEGA = np.geomspace(0.5, 60, 200)
 
 
-@pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
+@pytest.mark.parametrize("pacing", sampled(["scheduled", "exchange"]))
 def test_the_frequency_response_is_the_arm_s(pacing: str, tmp_path: Path) -> None:
     """OE of 30 s at 100 Hz in lock-step: within 5 % rms over 0.5 to 60 rad/s."""
     assert error_of_oe(pacing, tmp_path) < 0.05

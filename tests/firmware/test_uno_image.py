@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
 from armrig_daemon.emulator.harness import HarnessError
+from tools import needs
 
 from firmware.uno_host import HEX, ROOT
 
 UNO = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"
-missing = "" if shutil.which("avr-gcc") else "no gcc-avr: the firmware is not built"
 
 
-@pytest.mark.skipif(bool(missing), reason=missing)
+@needs("avr-gcc")
 def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
     """To the byte; and its 28 kB of flash are not exceeded, or make fails."""
     image = tmp_path / "uno.hex"

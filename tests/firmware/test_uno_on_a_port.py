@@ -15,12 +15,13 @@ import serial
 from armrig_protocol import decoder
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
+from tools import needs
 
-from firmware.uno_host import harness, missing
+from firmware.uno_host import harness
 
 COMMAND = [sys.executable, "-m", "armrig_daemon"]
 EMULATE = [*COMMAND, "emulate", "--firmware", "--port"]
-needs_simavr = pytest.mark.skipif(bool(missing()), reason=missing())
+needs_simavr = needs("cc", "make", "simavr")
 
 
 @pytest.fixture
@@ -50,6 +51,7 @@ def test_who_opens_the_port_meets_the_firmware(port: Path) -> None:
     assert reply.reset == 2  # by its pin, as the port was opened
 
 
+@pytest.mark.exhaustive
 @needs_simavr
 def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
     """As a lab asks its board: no rule is broken, however late this machine is."""

@@ -22,11 +22,11 @@ from armrig_protocol.messages import (
     State,
 )
 from emulated_host import CONFIG
+from tools import needs
 
-from firmware import library
 from firmware.both_devices import MS, US, BothDevices, S
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 INSTANT = EmulatorSettings(boot_ms=0.0, model_baud=False, queue=64)
 

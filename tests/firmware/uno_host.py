@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -45,15 +44,6 @@ BAUD = EmulatorSettings().baud
 """Of the firmware of the checkout."""
 pins: list[Path] | None = None
 """VCD files of what the pins of each Uno do in this test, in the order of their switching on."""
-
-
-def missing() -> str:
-    """Return what the tests in simavr lack here; empty where nothing."""
-    if shutil.which("cc") is None or shutil.which("make") is None:
-        return "no cc or no make: the harness is not built"
-    if not Path("/usr/include/simavr/sim_avr.h").exists():
-        return "no libsimavr-dev: the firmware is not run"
-    return ""
 
 
 @cache

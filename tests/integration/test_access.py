@@ -390,6 +390,7 @@ def test_an_observer_cannot_make_an_operator_of_himself(lab: Laboratory) -> None
         assert not _is_answered(bob, "rig/1/cmd/stop/alice")
 
 
+@pytest.mark.exhaustive
 def test_who_holds_connections_that_he_does_not_use_is_cut_off(lab: Laboratory) -> None:
     """The Unix socket is served all the while, and the network again when he is gone."""
     daemon = lab.bench.processes[-1]

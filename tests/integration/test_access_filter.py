@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from laboratory import by_certificate, certificates
 from namespaces import Namespaces
 from processes import Bench
 from remote_rig import GUARDED, PORT, started, stranger
+from tools import require
 
 pytestmark = pytest.mark.machine
 PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
@@ -45,8 +45,7 @@ def line() -> Iterator[Namespaces]:
     """Give two machines, the strangers' with a second address."""
     if why := namespaces.missing():
         pytest.skip(why)
-    if shutil.which("nft") is None:
-        pytest.skip("nft is not installed (nftables)")
+    require("nft")
     with namespaces.connected() as both:
         links = json.loads(_run(both.command("stranger", "ip", "-json", "link")))
         (end,) = (link["ifname"] for link in links if link["ifname"].startswith("as"))

@@ -80,6 +80,7 @@ def _armrig(lab: Bench, *arguments: str, **env: str) -> subprocess.CompletedProc
     )
 
 
+@pytest.mark.exhaustive
 def test_a_recording_is_made_over_the_network_as_the_page_says(lab: Bench) -> None:
     """From the authority to the recording; by the configuration, for once, and in Python."""
     port = free_port()
@@ -126,6 +127,7 @@ def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
     )
 
 
+@pytest.mark.exhaustive
 def test_a_rig_is_reached_through_a_router_as_the_page_says(
     lab: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

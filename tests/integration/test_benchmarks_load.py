@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 
 
+@pytest.mark.exhaustive
 def test_each_benchmark_finds_what_it_imports() -> None:
     """With the folders on the path that their first lines name."""
     names = sorted(path.stem for path in FOLDER.glob("*.py"))

@@ -65,6 +65,7 @@ def _calibrated(bench: Bench, output: Path, *arguments: str) -> tuple[dict[str, 
     return found, done.stderr
 
 
+@pytest.mark.exhaustive
 def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> None:
     """In force at once, until the daemon ends; and from its start where the configuration says so.
 

@@ -37,6 +37,7 @@ def _armrig(bench: Bench, line: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.exhaustive
 def test_the_commands_of_a_student_are_taken(served: Bench) -> None:
     """Each line that names the socket, but for the one that goes on until Ctrl-C."""
     lines = [line for line in LINES if line.startswith("armrig ") and THERE in line]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import pytest
 from armrig_core.topics import topic
 from mcap.reader import make_reader
 from processes import Bench, wait_for
+from tools import require
 
 HOUR_S = 3600
 SAMPLES = topic("1", "sample")
@@ -35,8 +35,7 @@ int clock_gettime(clockid_t id, struct timespec *ts) {
 @pytest.fixture
 def stepped_clock(tmp_path: Path) -> tuple[Path, Path]:
     """Return a library to preload, and the file whose making steps the clock."""
-    if shutil.which("cc") is None:
-        pytest.skip("cc is not there: no clock can be stepped")
+    require("cc")
     step, source, library = tmp_path / "step", tmp_path / "step.c", tmp_path / "step.so"
     source.write_text(STEP_C)
     define = f'-DSTEP_FILE="{step}"'
@@ -44,6 +43,7 @@ def stepped_clock(tmp_path: Path) -> tuple[Path, Path]:
     return library, step
 
 
+@pytest.mark.exhaustive
 def test_a_step_of_the_real_time_clock_is_not_in_the_recording(
     bench: Bench, stepped_clock: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from armrig_daemon.loop.link import Link
+from sampling import sampled
 
 PATIENCE_S = 120.0
 _RIG = "import sys; from armrig_daemon.__main__ import main; sys.exit(main())"
@@ -57,6 +58,7 @@ def last_volts(port: Path) -> float:
     return float(trace(port)[-1].split(",")[1])
 
 
+@pytest.mark.exhaustive
 def test_a_device_behind_a_port_is_proved_though_the_host_stalls(rig: Path) -> None:
     """All rules in real time, with 300 ms of SIGSTOP now and then; each as JSON, exit code 0."""
     asks = started(_ASKS, "conformance", "--device", str(rig), "--motor-unplugged", "--json")
@@ -76,7 +78,7 @@ def test_a_device_behind_a_port_is_proved_though_the_host_stalls(rig: Path) -> N
     assert last_volts(rig) == 0.0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
 def test_who_interrupts_it_leaves_the_device_at_0_v(rig: Path, number: signal.Signals) -> None:
     """Exit code 130, and one line; not by the watchdog, but by STOP."""
     asks = started(_ASKS, "conformance", "--device", str(rig), "--motor-unplugged")

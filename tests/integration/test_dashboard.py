@@ -398,6 +398,7 @@ def deaf(page: Client) -> Iterator[socket.socket]:
         yield link
 
 
+@pytest.mark.exhaustive
 def test_who_does_not_read_is_dropped_and_delays_nobody(page: Client) -> None:
     """His messages are not kept for him beyond a bound; another hears all the while."""
     with deaf(page):

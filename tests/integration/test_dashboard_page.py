@@ -16,11 +16,12 @@ import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from driving import STOPPED_S
 from processes import Bench
+from tools import needs
 from watching import STEP, Client, begin, bring_to_rest, endpoint, recorded, watched
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
 CHROMIUM = shutil.which("chromium")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+pytestmark = needs("chromium")
 
 WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 SMALL = {"width": 640, "height": 480}  # to draw it costs a third
@@ -292,6 +293,7 @@ def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) ->
         page.wait_for_selector("#follow", state="hidden")
 
 
+@pytest.mark.exhaustive
 def test_a_recording_is_identified_and_reported(
     browser: Any, client: Client, served: Bench, tmp_path: Path
 ) -> None:

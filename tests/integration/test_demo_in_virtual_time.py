@@ -68,6 +68,7 @@ def _made(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.suffix != ".toml"}
 
 
+@pytest.mark.exhaustive
 def test_the_same_seed_gives_the_same_bytes_anywhere(
     elsewhere: tuple[Path, str, str], tmp_path: Path
 ) -> None:

@@ -80,6 +80,7 @@ def _reads_up_to_the_last_flush(run: Run, killed_ns: int) -> None:
     assert lost_s < 1.0  # flushed ten times a second
 
 
+@pytest.mark.exhaustive
 def test_kill_9_of_a_service_whose_disk_keeps_it_from_dying(run: Run) -> None:
     """A thread in a system call keeps the pipes open: the loop does not wait for their end."""
     held = []

@@ -19,6 +19,7 @@ from armrig_core.manifest import Manifest
 from armrig_core.recording_file.recorder import Recording, RecordingError
 from driving import STOPPED_S, TRIES, at_rest, changed, check_every_k, check_volts, driven
 from processes import Bench, wait_for
+from sampling import sampled
 
 ROOM = 8 << 10  # B
 LOADED_S = 40.0
@@ -65,7 +66,7 @@ def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
         assert not armrig.load(rig.run([1.0, 4.0])).truncated
 
 
-@pytest.mark.parametrize("folder", ["moved", "removed"])
+@pytest.mark.parametrize("folder", sampled(["moved", "removed"]))
 def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) -> None:
     """An ordinary stop, and a line for who waits: nothing is played that nobody records."""
     bench.emulate()

@@ -14,6 +14,7 @@ from armrig.rig.client import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, samples
 from processes import Bench, settled, wait_for
 from relay import Relay
+from sampling import sampled
 
 BACK_S = 10.0
 """T1 allows 2 s; a busy machine takes its time to start an answer."""
@@ -93,7 +94,7 @@ def test_one_direction_of_the_line_fails(bench: Bench, line: Relay, fault: str) 
     check_volts(bench)
 
 
-@pytest.mark.parametrize("noise", ["flip", "garbage", "cut"])
+@pytest.mark.parametrize("noise", sampled(["flip", "garbage", "cut"]))
 def test_noise_on_the_line_drives_nothing(bench: Bench, line: Relay, noise: str) -> None:
     """Either way, one piece of twenty: frames are lost, none is made up, every k is told."""
     with driven(bench), bench.rig() as rig:

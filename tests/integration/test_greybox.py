@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import armrig
+import pytest
 from armrig_core.arm import ArmParameters
 from driving import at_rest, stalled
 from processes import Bench
@@ -36,6 +37,7 @@ def _collected(bench: Bench, *arguments: str) -> str:
     return path
 
 
+@pytest.mark.exhaustive
 def test_collected_from_the_chassis_the_inertia_comes_back(bench: Bench) -> None:
     """Emulator, daemon and `armrig collect` are processes; J_1 is the emulator's in 3 sigma."""
     bench.configure(more="arm_removed = true\nseed = 5\n[arm]\nremoved = true")

@@ -88,6 +88,7 @@ def test_a_service_tells_how_it_is_from_its_start_to_its_end(
     assert daemon.popen.wait(WITHIN_S) == 0
 
 
+@pytest.mark.exhaustive
 def test_a_loop_that_hangs_is_told_by_silence(
     bench: Bench, systemd: Systemd, daemon: Process
 ) -> None:

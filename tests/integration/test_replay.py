@@ -13,9 +13,10 @@ from armrig.recordings.recording import RecordingError
 from armrig_daemon.core import setpoints
 from driving import whole_run
 from processes import Bench
+from sampling import sampled
 
 
-@pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
+@pytest.mark.parametrize("pacing", sampled(["scheduled", "exchange"]))
 def test_a_real_run_is_decided_once_more_to_the_last_bit(
     served: Bench, pacing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,6 +51,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.exhaustive
 def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
     recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 import pytest
 from driving import driven
 from processes import Bench, wait_for
+from tools import require
 
 pytestmark = pytest.mark.timed
 WAITS = {"epoll_wait", "epoll_pwait", "clock_nanosleep"}
@@ -28,11 +28,9 @@ _CALL = re.compile(r"^(?:\d+ +)?(\w+)\((?:(\d+)[,)])?")
 
 def traced(pid: int, log: Path) -> subprocess.Popen[bytes]:
     """Attach strace to a process; skips where that is refused."""
-    strace = shutil.which("strace")
-    if strace is None:
-        pytest.skip("strace is not installed")
+    require("strace")
     process = subprocess.Popen(
-        [strace, "-p", str(pid), "-o", str(log)], stderr=subprocess.PIPE, start_new_session=True
+        ["strace", "-p", str(pid), "-o", str(log)], stderr=subprocess.PIPE, start_new_session=True
     )
     assert process.stderr is not None
     said = process.stderr.readline().decode()

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
 from machine import Machine
+from tools import needs
 
 pytestmark = [
     pytest.mark.machine,
-    pytest.mark.skipif(shutil.which("udevadm") is None, reason="udevadm is not installed (udev)"),
+    needs("udevadm"),
 ]
 RULES = Path("/etc/udev/rules.d")
 USB = 'ENV{ID_BUS}="usb", ENV{ID_PATH_TAG}="pci-0000_00_14_0-usb-0_2_1_0"'

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tools import needs
 
 UNIT = Path(__file__).parents[2] / "deploy" / "systemd" / "armrigd@.service"
 MOST_EXPOSED = 1.0
 """Of 10, by `systemd-analyze security`."""
 
-pytestmark = pytest.mark.skipif(
-    shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed (systemd)"
-)
+pytestmark = needs("systemd-analyze")
 
 
 @pytest.fixture

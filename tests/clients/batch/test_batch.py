@@ -153,6 +153,7 @@ def test_no_two_columns_have_one_name(task: Task) -> None:
     assert not of_all & OF_THE_TASK[name_of(task)].keys()
 
 
+@pytest.mark.exhaustive
 def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
     """Named as its recording, and again where it is gone; a step alone gives none, and says so."""
     few = tmp_path / "few"

@@ -68,6 +68,7 @@ def test_a_cluster_makes_the_same_table_though_a_worker_is_killed(
     assert table.read_bytes() == whole
 
 
+@pytest.mark.exhaustive
 def test_a_cluster_that_goes_away_is_told_and_the_batch_goes_on_elsewhere(
     cluster: Cluster, lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
@@ -89,6 +90,7 @@ def test_a_cluster_that_goes_away_is_told_and_the_batch_goes_on_elsewhere(
     assert table.read_bytes() == whole
 
 
+@pytest.mark.exhaustive
 def test_where_no_scheduler_answers_it_is_said(
     lab: tuple[Path, bytes], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

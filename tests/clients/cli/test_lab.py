@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from armrig.rig.client import RefusedError, Rig
 from armrig.rig.session import NoReplyError
+from sampling import sampled
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 _PATIENCE_S = 60.0
@@ -75,7 +76,7 @@ def of_this_test() -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM, signal.SIGHUP]))
 def test_a_lab_leaves_nothing_behind(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
     """Not while a run turns the motor either: it is stopped, and recorded up to then."""
     with Rig() as rig:  # as any command in a second terminal, by default

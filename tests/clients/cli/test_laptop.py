@@ -85,6 +85,7 @@ def test_python_loads_and_identifies(run: Path) -> None:
     assert done.stdout == "loaded 1400\n"
 
 
+@pytest.mark.exhaustive
 def test_the_commands_of_a_student_work(run: Path) -> None:
     """One after the other in one process, from the recording to the report."""
     folder = run.parent

@@ -56,6 +56,7 @@ def test_the_time_left_is_that_of_what_was_done(done: int, elapsed_s: float, tol
     assert remaining(done, 40, elapsed_s) == told
 
 
+@pytest.mark.exhaustive
 def test_a_figure_that_takes_long_shows_that_it_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

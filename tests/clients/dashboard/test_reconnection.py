@@ -13,9 +13,10 @@ from pathlib import Path
 
 import armrig.dashboard
 import pytest
+from tools import needs
 
 NODE = shutil.which("node")
-pytestmark = pytest.mark.skipif(NODE is None, reason="no node")
+pytestmark = needs("node")
 PAGE = Path(armrig.dashboard.__file__).parent / "page"
 SLOW_S = 0.5  # until a connection is answered: TLS on a phone at the edge of its network
 _SCRIPT = """
@@ -59,6 +60,7 @@ def address() -> Iterator[str]:
         thread.join()
 
 
+@pytest.mark.exhaustive
 def test_a_slow_answer_is_waited_for(address: str, tmp_path: Path) -> None:
     """A stream that is silent is opened anew, and each attempt has time to be answered."""
     (tmp_path / "package.json").write_text('{"type": "module"}')  # as a browser takes them

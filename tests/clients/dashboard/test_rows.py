@@ -11,9 +11,10 @@ from typing import Any
 
 import armrig.dashboard
 import pytest
+from tools import needs
 
 NODE = shutil.which("node")
-pytestmark = pytest.mark.skipif(NODE is None, reason="no node")
+pytestmark = needs("node")
 ROWS = Path(armrig.dashboard.__file__).parent / "page" / "rows.js"
 THETA_1 = 1  # its place among the signals
 

@@ -9,6 +9,7 @@ import sys
 from typing import Any
 
 import numpy as np
+import pytest
 
 _SCRIPT = """
 import json
@@ -39,6 +40,7 @@ def _estimated(threads: str) -> Any:
     return json.loads(done.stdout)
 
 
+@pytest.mark.exhaustive
 def test_threads_change_no_estimate_by_a_millionth_of_its_deviation() -> None:
     """ARX and ARMAX, with one thread and with four, 20 000 samples."""
     pinned, free = _estimated("1"), _estimated("4")

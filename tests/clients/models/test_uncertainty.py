@@ -182,6 +182,7 @@ def test_the_chosen_region_holds_a_pair_that_the_ellipse_loses() -> None:
     assert chosen > 0.95 - 3 * 0.028
 
 
+@pytest.mark.exhaustive
 def test_where_it_is_good_the_linearisation_stays_and_holds() -> None:
     """Pole, |G| and step response over 100 experiments: 95 % within three deviations."""
     omega, at = np.array([0.1, 0.5]), 20

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import shutil
 import subprocess
 from collections.abc import Callable
 from importlib import import_module
@@ -22,6 +21,7 @@ from armrig.recordings.export import write_csv, write_mat, write_parquet
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from made_recordings import TS, gap, manifest, recorded, turning, written
+from tools import require
 
 N = 300
 NAMES = ["k", "t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present"]
@@ -92,11 +92,9 @@ def test_an_export_that_does_not_come_to_its_end_leaves_nothing(
 
 def _octave(program: str) -> list[str]:
     """Return the words that an Octave program prints."""
-    octave = shutil.which("octave-cli") or shutil.which("octave")
-    if octave is None:
-        pytest.skip("octave is not installed")
+    require("octave-cli")
     told = subprocess.run(
-        [octave, "--no-gui", "--quiet", "--norc", "--eval", program],
+        ["octave-cli", "--no-gui", "--quiet", "--norc", "--eval", program],
         capture_output=True,
         text=True,
         check=False,
@@ -132,7 +130,7 @@ def test_octave_s_iddata_takes_the_mat_file_as_it_is(rec: Recording) -> None:
     write_mat(rec, path, output="alpha")
 
     if _octave("disp(isempty(pkg('list', 'control')))") == ["1"]:
-        pytest.skip("octave-control is not installed")
+        pytest.skip("no control package of Octave: apt install octave-control")
     n, m, p, tsam, first = _octave(f"""
         pkg load control
         load("{path}");

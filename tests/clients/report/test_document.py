@@ -379,6 +379,7 @@ def test_the_units_of_the_data_are_told_with_what_they_rest_on(done: Study) -> N
     assert "that of a meter at the motor's terminals" in said(scale | meter)
 
 
+@pytest.mark.exhaustive
 def test_the_same_recordings_give_the_same_bytes(
     of_three: Study, made: tuple[bytes, Path], tmp_path: Path
 ) -> None:

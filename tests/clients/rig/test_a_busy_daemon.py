@@ -106,6 +106,7 @@ def test_a_look_and_a_reset_wait_for_a_flood_of_others(daemon: BusyDaemon) -> No
     assert daemon.refused == {"status": 3, "reset": 3}
 
 
+@pytest.mark.exhaustive
 def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
     """The reason is the daemon's; what does not pass by itself is told at once."""
     daemon.busy = {"arm": 1_000_000}

@@ -304,6 +304,7 @@ def test_without_cyclictest_its_stand_in_is_named(
     assert made.tails()[targets.STAND_IN].n == 20
 
 
+@pytest.mark.exhaustive
 def test_a_short_run_measures_all_contestants(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

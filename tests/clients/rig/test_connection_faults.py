@@ -113,6 +113,7 @@ def test_a_rig_that_refuses_our_certificate_is_told(made: Path, tmp_path: Path) 
         assert _told(made, port).startswith("it refuses the certificate of alice (")
 
 
+@pytest.mark.exhaustive
 def test_what_speaks_no_tls_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Such as a daemon with passwords."""
     monkeypatch.setattr(connection_faults, "LONGEST_S", 0.3)

@@ -27,10 +27,10 @@ from armrig_core.firmware_image import read_image, shipped_image
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno as SimulatedUno
+from tools import needs
 from uno_with_optiboot import Uno
 
-NO_SIMAVR = not Path("/usr/include/simavr/sim_avr.h").exists()
-pytestmark = pytest.mark.skipif(shutil.which("avrdude") is None, reason="no avrdude")
+pytestmark = needs("avrdude")
 R3 = Board(port="/dev/ttyACM0", name="Arduino Uno R3 (2341:0043)", is_uno=True)
 CH340 = Board(port="/dev/ttyUSB0", name="Uno with a CH340 (1A86:7523)", is_uno=True)
 PICO = Board(port="/dev/ttyACM1", name="unknown board: Pico (2E8A:000A)", is_uno=False)
@@ -61,7 +61,7 @@ def _records(data: bytes) -> Iterator[str]:
         yield f":{record.hex()}{-sum(record) & 0xFF:02x}\n"
 
 
-@pytest.mark.skipif(NO_SIMAVR, reason="no libsimavr-dev: the firmware is not run")
+@needs("simavr")
 def test_the_firmware_is_written_read_back_and_answers(tmp_path: Path, capsys: Said) -> None:
     """The board holds the bytes of the file, runs them, and says so."""
     image = read_image(shipped_image())
@@ -77,6 +77,7 @@ def test_the_firmware_is_written_read_back_and_answers(tmp_path: Path, capsys: S
     assert (told["device"]["version"], told["device"]["state"]) == (2, "IDLE")
 
 
+@pytest.mark.exhaustive
 def test_a_board_that_runs_another_firmware_afterwards_is_told(capsys: Said) -> None:
     """Its answer to HELLO says which; all pages were written and read back."""
     with Uno(_another_firmware) as uno:
@@ -88,6 +89,7 @@ def test_a_board_that_runs_another_firmware_afterwards_is_told(capsys: Said) -> 
     assert uno.left
 
 
+@pytest.mark.exhaustive
 def test_a_program_that_does_not_answer_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
@@ -290,6 +292,7 @@ def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> N
         avrdude.write(call, lambda done, total, name: None)
 
 
+@pytest.mark.exhaustive
 def test_a_boot_loader_that_falls_silent_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
@@ -302,6 +305,7 @@ def test_a_boot_loader_that_falls_silent_is_told(
     assert "the board may hold half a program: leave the motor unplugged" in capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_ctrl_c_says_what_the_board_may_hold() -> None:
     """And leaves no avrdude behind: the port is free at once."""
     program = [sys.executable, "-m", "armrig", "flash", "--yes", "--port"]
@@ -334,6 +338,7 @@ def test_progress_is_that_of_the_newest_bar(said: str, told: tuple[int, int, str
     assert avrdude.progress(said) == told
 
 
+@pytest.mark.exhaustive
 def test_progress_ends_where_all_was_read_back() -> None:
     """Of a real run; how finely it is told before is up to the machine."""
     told: list[tuple[int, int, str]] = []

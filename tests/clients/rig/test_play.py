@@ -29,6 +29,7 @@ from armrig_core import telemetry
 from armrig_core.topics import PLAYED, check_own_id, played_id
 from armrig_daemon.config import Rig as RigTable
 from made_recordings import event, gap, manifest, recorded, sample, timing, written
+from sampling import sampled
 
 N = 60
 
@@ -333,7 +334,7 @@ def test_a_run_begins_again_when_its_last_sample_is_over(
     assert sum(slept) == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
 def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
     """Without a trace, and the socket can be listened at again."""
     with subprocess.Popen(

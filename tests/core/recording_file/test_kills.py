@@ -7,10 +7,12 @@ import sys
 from pathlib import Path
 
 import killed_writer
+import pytest
 
 KILLS = 20
 
 
+@pytest.mark.exhaustive
 def test_no_moment_to_be_killed_at_costs_what_was_acknowledged(tmp_path: Path) -> None:
     """Twenty moments: a prefix without gaps, all that was on the disk, and a file that is whole."""
     program = [sys.executable, killed_writer.__file__, tmp_path, str(KILLS), "1"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -27,6 +26,7 @@ from armrig_daemon.service import runs
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from tools import require
 
 NODE = Path(__file__).parents[2] / "node"
 N, FLUSH = 400, 50
@@ -112,14 +112,12 @@ def test_mcap_for_python_with_its_protobuf_support_reads_it(files: dict[str, Pat
 
 def test_mcap_for_javascript_reads_it(files: dict[str, Path]) -> None:
     """@mcap/core, which viewers are built on: by the index, and from front to back."""
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("node is not installed")
+    require("node")
     if not (NODE / "node_modules/@mcap/core").is_dir():
-        pytest.skip(f"@mcap/core is not installed: npm install --prefix {NODE}")
+        pytest.skip("no @mcap/core: npm install --prefix tests/node")
 
     said = subprocess.run(
-        [node, NODE / "read_mcap.mjs", *files.values()],
+        ["node", NODE / "read_mcap.mjs", *files.values()],
         capture_output=True,
         text=True,
         check=False,
