@@ -62,9 +62,9 @@ class Progress:
         self._total = self._left.total()
 
     def pytest_report_teststatus(self, report: pytest.TestReport) -> tuple[str, str, str] | None:
-        """Give a passed or skipped test no letter of its own."""
+        """Give no test a letter; the summary at the end needs the word of a failure."""
         if report.failed:
-            return ("failed" if report.when == "call" else "error"), "", ""
+            return ("failed", "", "FAILED") if report.when == "call" else ("error", "", "ERROR")
         if report.skipped or report.when == "call":
             return report.outcome, "", ""
         return None
