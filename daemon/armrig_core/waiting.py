@@ -77,15 +77,15 @@ class Waiter:
         self._epoll.register(fd, _IN)
 
     def watch_terminal(self, fd: int) -> None:
-        """Watch a terminal: it is told once, each time that bytes have come.
+        """Watch a terminal or a socket: it is told once, each time that bytes have come.
 
-        Who is told reads at least `TERMINAL_BYTES`, or until a read gives less than it asked for:
-        what is left is not told again.
+        Who is told of a terminal reads at least `TERMINAL_BYTES`, or until a read gives less than
+        it asked for; of a socket, until then. What is left is not told again.
         """
         self._epoll.register(fd, _IN | _ET)
 
     def watch_room(self, fd: int, *, wanted: bool) -> None:
-        """Be told, or no more, once a terminal that is watched takes bytes again."""
+        """Be told, or no more, once a terminal or socket that is watched takes bytes again."""
         self._epoll.modify(fd, _IN | _ET | (_OUT if wanted else 0))
 
     def forget(self, fd: int) -> None:

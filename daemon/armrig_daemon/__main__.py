@@ -178,7 +178,9 @@ def _configuration(
 
 @app.command()
 def emulate(
-    port: Annotated[Path, typer.Option(help="Link to make; pyserial opens it as a port.")],
+    port: Annotated[
+        Path, typer.Option(help="Link to make to a pseudo-terminal, or unix:PATH, a socket.")
+    ],
     config: Annotated[Path | None, typer.Option(help="TOML with a table [emulator].")] = None,
     trace: Annotated[
         Path | None, typer.Option(help="File for each change of the motor voltage.")
@@ -190,7 +192,7 @@ def emulate(
     settings: Annotated[str | None, typer.Option(hidden=True)] = None,
     stalls_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Emulate a rig behind a pseudo-terminal until SIGTERM or Ctrl-C."""
+    """Emulate a rig behind a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
     from armrig_daemon.emulator.device import Device
     from armrig_daemon.emulator.harness import HarnessError
     from armrig_daemon.emulator.line import PortError

@@ -20,6 +20,7 @@ import msgspec
 from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
+from armrig_core.emulator_socket import socket_path
 from armrig_core.endpoint import anchored, check_listen, network_address
 from armrig_core.printable import printable
 from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
@@ -68,7 +69,7 @@ class Device(Table, frozen=True, kw_only=True):
     """`[device]`: the line to the device in the rig."""
 
     port: str = "/dev/armrig"
-    """Serial port."""
+    """Serial port of the rig, or `unix:PATH`, the socket of an emulated rig and of no other."""
     baud: Annotated[int, Meta(ge=9600, le=4_000_000)] = 500_000
     """Speed of the line, in bit/s."""
     watchdog_ms: Annotated[int, Meta(ge=WATCHDOG_MIN_MS, le=WATCHDOG_MAX_MS)] = WATCHDOG_DEFAULT_MS
@@ -78,10 +79,11 @@ class Device(Table, frozen=True, kw_only=True):
     """
 
     def __post_init__(self) -> None:
-        """Refuse a port that would act on the terminals on which it is shown."""
+        """Refuse a port that would act on terminals that show it, and a path of no socket."""
         if not self.port.isprintable():
             msg = f"port = '{printable(self.port)}' must be of characters that print"
             raise ValueError(msg)
+        socket_path(self.port)
 
 
 class Timing(Table, frozen=True, kw_only=True):

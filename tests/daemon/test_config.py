@@ -58,6 +58,14 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             r"device: port = '/dev/tty\\x9b' must be of char",
         ),
         ('[device]\nport = "\\u001b[2J"', r"device: port = '\\x1b\[2J' must be of characters"),
+        (
+            f"[device]\nport = 'unix:/{'a' * 107}'",
+            r"device: unix:/a+: a path of 108 B, a socket's has 1 to 107; choose a shorter folder",
+        ),
+        (
+            "[device]\nport = 'unix:'",
+            r"device: unix:: a path of 0 B, .*; name a socket in a folder",
+        ),
         ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
         ("[rig]\nid = '../1'", r"rig id '\.\./1': 1 to 40 of a-z, 0-9 and - are allowed"),
         ("[emulator]\nbaud = 1", r"emulator: baud=1 must be from 9600"),

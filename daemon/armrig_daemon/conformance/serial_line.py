@@ -5,7 +5,7 @@ from __future__ import annotations
 import select
 import time
 
-from armrig_daemon.loop.link import Link
+from armrig_daemon.loop.link import open_link
 
 
 class SerialLine:
@@ -20,7 +20,7 @@ class SerialLine:
             It cannot be opened; `TakenPortError` where a daemon holds it.
         """
         self._port, self._baud = port, baud
-        self._link = Link(port, baud)
+        self._link = open_link(port, baud)
 
     def send(self, data: bytes) -> None:
         """Put bytes on the line, all of them."""
@@ -37,7 +37,7 @@ class SerialLine:
         """Close the port, and open it again `after_ms` later."""
         self._link.close()
         time.sleep(after_ms / 1000)
-        self._link = Link(self._port, self._baud)
+        self._link = open_link(self._port, self._baud)
 
     def now_ns(self) -> int:
         """Return the monotonic clock."""

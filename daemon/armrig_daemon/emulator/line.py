@@ -1,4 +1,4 @@
-"""The master's end of a pseudo-terminal: bytes, and who is at the other end."""
+"""The device's end of a line: its bytes, and whether a program has the other end open."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from select import EPOLLHUP, EPOLLOUT
 from struct import Struct
+
+from armrig_core.waiting import Waiter
 
 from armrig_daemon.emulator.backlog import Backlog
 
@@ -24,49 +26,58 @@ class PortError(Exception):
 
 
 class Line:
-    """The master's end of a pseudo-terminal, and who is at the other end."""
+    """The device's end of a line, and whether a program has the other end open."""
 
-    def __init__(self, stack: ExitStack) -> None:
-        """Open it in raw mode; `stack` closes it."""
-        self.master, slave = os.openpty()
-        stack.callback(os.close, self.master)
-        tty.setraw(slave)
-        self.slave = Path(os.ttyname(slave))
-        self.opened = os.fdopen(_watch(self.slave), "rb", buffering=0)
-        stack.enter_context(self.opened)
-        os.close(slave)
-        os.set_blocking(self.master, False)
+    fd = -1
+    """Bytes of the program that opened the port; negative if a socket has none."""
+    opened_fd: int
+    """It can be read when a program opens the port."""
+
+    def __init__(self) -> None:
+        """Begin with nobody at the other end."""
         self.connected = False
         """Somebody has it open; the read that fails tells that nobody has any more."""
         self.has_input = False
         """Bytes have come that were not all read yet, or the port was closed."""
         self._is_hung_up = False
         self.backlog = Backlog()
-        """What the terminal, whose reader stalls, has no room for yet."""
-        self._closed = False
+        """What the line, whose reader stalls, has no room for yet."""
+        self._waits_for_room = False
+        self._waiter: Waiter | None = None
+
+    def offer(self, port: Path, stack: ExitStack) -> None:
+        """Let programs open the line as `port`; `stack` takes the port away.
+
+        Raises
+        ------
+        PortError, OSError
+            The port cannot be made.
+        """
+        raise NotImplementedError
+
+    def watch(self, waiter: Waiter) -> None:
+        """Have a waiter tell of the line, and of those who open it."""
+        self._waiter = waiter
+        waiter.watch(self.opened_fd)
 
     def was_opened(self) -> bool:
-        """Return whether somebody opened the port since the last call.
-
-        Opened after it was closed, that is. By POLLHUP alone, one who closes it and opens it at
-        once would not be seen. (Who opens it beside its owner, twice, resets the device without
-        need; the daemon opens it exclusively.)
-        """
-        opened = False
-        for _, mask, _, _ in _INOTIFY_EVENT.iter_unpack(self.opened.read(4096) or b""):
-            opened |= self._closed and bool(mask & IN_OPEN)
-            self._closed = bool(mask & IN_CLOSE)
-        self.connected |= opened
-        return opened
+        """Return whether somebody opened the port since the last call."""
+        raise NotImplementedError
 
     def flush(self) -> None:
         """Throw away what waits on the line, either way."""
         self.backlog.clear()
         self.has_input = self._is_hung_up = False
-        termios.tcflush(self.master, termios.TCIOFLUSH)
+
+    def watch_room(self) -> None:
+        """Be told of room on the line while something waits for it, and no longer."""
+        waits = bool(self.backlog.waiting_bytes)
+        if waits != self._waits_for_room and self._waiter is not None:
+            self._waits_for_room = waits
+            self._waiter.watch_room(self.fd, wanted=waits)
 
     def note_ready(self, flags: int) -> None:
-        """Take note of what the kernel tells, once, of the master: `EPOLL…` flags."""
+        """Take note of what the kernel tells, once, of `fd`: `EPOLL…` flags."""
         if flags & EPOLLOUT:
             self.drain()
         self._is_hung_up |= bool(flags & EPOLLHUP)
@@ -75,15 +86,22 @@ class Line:
     def read(self) -> bytes:
         """Return what has come, at most `READ_BYTES`; nothing where nobody is connected."""
         try:
-            data = os.read(self.master, READ_BYTES)
+            data = os.read(self.fd, READ_BYTES)
+            is_closed = not data  # how a socket ends
         except BlockingIOError:
-            data = b""
-        except OSError:  # EIO: the last one closed the port
-            data, self.connected, self._is_hung_up = b"", False, False
-            self.backlog.clear()
+            data, is_closed = b"", False
+        except OSError:  # EIO: the last one closed the port; ECONNRESET: what we sent was not read
+            data, is_closed = b"", True
         # A short read took all; what a port that was closed has left is read up to the error.
         self.has_input = len(data) == READ_BYTES or (bool(data) and self._is_hung_up)
+        if is_closed:
+            self.hang_up()
         return data
+
+    def hang_up(self) -> None:
+        """Take note that nobody has the port open."""
+        self.connected = self._is_hung_up = False
+        self.backlog.clear()
 
     def write(self, frame: bytes) -> None:
         """Send, behind what waits already; nothing where nobody is connected."""
@@ -95,12 +113,69 @@ class Line:
             self.drain()
 
     def drain(self) -> None:
-        """Send what waits, as far as the terminal takes it."""
+        """Send what waits, as far as the line takes it."""
         try:
             while data := self.backlog.first():
-                self.backlog.sent(os.write(self.master, data))
+                self.backlog.sent(os.write(self.fd, data))
         except BlockingIOError:
             return
+
+
+class Terminal(Line):
+    """The master's end of a pseudo-terminal."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        """Open it in raw mode; `stack` closes it."""
+        super().__init__()
+        self.fd, slave = os.openpty()
+        stack.callback(os.close, self.fd)
+        tty.setraw(slave)
+        self.slave = Path(os.ttyname(slave))
+        self._opened = os.fdopen(_watch(self.slave), "rb", buffering=0)
+        stack.enter_context(self._opened)
+        self.opened_fd = self._opened.fileno()
+        os.close(slave)
+        os.set_blocking(self.fd, False)
+        self._closed = False
+
+    def offer(self, port: Path, stack: ExitStack) -> None:
+        """Make the link in one step, over one that an emulator left behind."""
+        if port.exists() and not port.is_symlink():
+            msg = f"{port}: is there and no link; choose another --port"
+            raise PortError(msg)
+        fresh = port.with_name(f"{port.name}.{os.getpid()}")
+        fresh.symlink_to(self.slave)
+        fresh.replace(port)
+
+        def remove() -> None:
+            if port.is_symlink() and port.readlink() == self.slave:
+                port.unlink()
+
+        stack.callback(remove)
+
+    def watch(self, waiter: Waiter) -> None:
+        """Have a waiter tell of the line, and of those who open it."""
+        super().watch(waiter)
+        waiter.watch_terminal(self.fd)
+
+    def was_opened(self) -> bool:
+        """Return whether somebody opened the port since the last call.
+
+        Opened after it was closed, that is. By POLLHUP alone, one who closes it and opens it at
+        once would not be seen. (Who opens it beside its owner, twice, resets the device without
+        need; the daemon opens it exclusively.)
+        """
+        opened = False
+        for _, mask, _, _ in _INOTIFY_EVENT.iter_unpack(self._opened.read(4096) or b""):
+            opened |= self._closed and bool(mask & IN_OPEN)
+            self._closed = bool(mask & IN_CLOSE)
+        self.connected |= opened
+        return opened
+
+    def flush(self) -> None:
+        """Throw away what waits on the line, either way."""
+        super().flush()
+        termios.tcflush(self.fd, termios.TCIOFLUSH)
 
 
 def _watch(path: Path) -> int:

@@ -1,7 +1,7 @@
-"""The emulator on a pseudo-terminal, in real time: the edge around `device`.
+"""The emulator on a pseudo-terminal or a socket, in real time: the edge around `device`.
 
-Opening the port resets an Uno. A pseudo-terminal has no DTR: here the reset is the moment when its
-slave is opened. Closing it resets nothing, as on an Uno; what the device says then is lost.
+Opening the port resets an Uno. Neither line has a DTR: here the reset is the moment when the port
+is opened. Closing it resets nothing, as on an Uno; what the device says then is lost.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Protocol, TextIO
 
+from armrig_core.emulator_socket import socket_path
 from armrig_core.waiting import Waiter
 from armrig_protocol.messages import Cause, State
 
 from armrig_daemon.emulator.board import Board, Change, Witness
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.host_time import HostTime
-from armrig_daemon.emulator.line import READ_BYTES, Line, PortError
+from armrig_daemon.emulator.line import READ_BYTES, Line, PortError, Terminal
 from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
 
 PRIORITY = 20  # below the loop's: the device is fast enough, and must not starve who drives it
@@ -84,7 +86,8 @@ def emulate(
     Parameters
     ----------
     port : Path
-        A symbolic link to be made to the pseudo-terminal, and removed at the end.
+        A symbolic link to be made to a pseudo-terminal, or `unix:PATH`, a socket; removed at the
+        end.
     switch_on : callable, optional
         Makes the device; the emulated one unless told otherwise.
     trace : Path, optional
@@ -103,7 +106,7 @@ def emulate(
     """
     with ExitStack() as stack:
         wake = _wake_on_signals(stack)
-        line = Line(stack)
+        line = _line(port, stack)
         out: TextIO | None = None
         if trace is not None:
             with _naming(trace):
@@ -122,7 +125,7 @@ def emulate(
         witness(Change(now_ns, device.board.volts, device.state, device.cause))
         # Last, so that who finds the link finds the device awake.
         with _naming(port):
-            _link(port, line.slave, stack)
+            line.offer(port, stack)
         if started:
             print(started, file=sys.stderr, flush=True)
         _run(line, device, time, settings, wake, held_up)
@@ -144,13 +147,10 @@ def _run(
     """Carry bytes between line and device until `wake` becomes readable; times are given ones."""
     full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
     replies: deque[tuple[int, bytes]] = deque()
-    opened, master = line.opened.fileno(), line.master
-    waits_for_room = False
     due_ns = told_ns = tell_ns = 0
     with closing(Waiter()) as waiter:
         waiter.watch(wake)
-        waiter.watch(opened)
-        waiter.watch_terminal(master)
+        line.watch(waiter)
         while True:
             now_ns = time.given_ns(monotonic_ns(), due_ns)
             if time.held_up_ns > told_ns and now_ns >= tell_ns:
@@ -165,20 +165,18 @@ def _run(
             if line.connected and line.has_input:
                 # Read no faster than the wire carries: behind it the kernel holds the host back.
                 due_ns = min(due_ns, now_ns + device.rx_backlog_ns(now_ns) - full_ns)
-            if bool(line.backlog.waiting_bytes) != waits_for_room:
-                waits_for_room = not waits_for_room
-                waiter.watch_room(master, wanted=waits_for_room)
+            line.watch_room()
             due_ns = time.look_ns(due_ns)
             waits = due_ns > now_ns
             ready = dict(waiter.wait_until(time.monotonic_ns(due_ns)) if waits else waiter.ready())
             if wake in ready:
                 return
-            if opened in ready and line.was_opened():
+            if line.opened_fd in ready and line.was_opened():
                 line.flush()
                 device.reset(time.given_ns(monotonic_ns(), due_ns))
                 replies.clear()
-            elif master in ready:
-                line.note_ready(ready[master])
+            elif line.fd in ready:
+                line.note_ready(ready[line.fd])
             now_ns = time.given_ns(monotonic_ns(), due_ns)
             if line.connected and line.has_input and device.rx_backlog_ns(now_ns) <= full_ns:
                 data = line.read()
@@ -196,20 +194,13 @@ def _naming(path: Path) -> Iterator[None]:
         raise PortError(msg) from err
 
 
-def _link(port: Path, slave: Path, stack: ExitStack) -> None:
-    """Make the link in one step, over one that an emulator left behind; `stack` removes it."""
-    if port.exists() and not port.is_symlink():
-        msg = f"{port}: is there and no link; choose another --port"
-        raise PortError(msg)
-    fresh = port.with_name(f"{port.name}.{os.getpid()}")
-    fresh.symlink_to(slave)
-    fresh.replace(port)
-
-    def remove() -> None:
-        if port.is_symlink() and port.readlink() == slave:
-            port.unlink()
-
-    stack.callback(remove)
+def _line(port: Path, stack: ExitStack) -> Line:
+    """Return the line that the name of a port says."""
+    try:
+        path = socket_path(str(port))
+    except ValueError as err:
+        raise PortError(str(err)) from err
+    return Terminal(stack) if path is None else SocketLine(path, stack)
 
 
 def _wake_on_signals(stack: ExitStack) -> int:

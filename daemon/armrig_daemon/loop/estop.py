@@ -11,7 +11,7 @@ from armrig_protocol.frame import Spoilt, Unknown, encode
 from armrig_protocol.messages import Estop, Event, Message
 from armrig_protocol.messages import State as DeviceState
 
-from armrig_daemon.loop.link import Link, TakenPortError
+from armrig_daemon.loop.link import Link, TakenPortError, open_link
 
 WITHIN_S = 0.5
 """How long all of it may take, in s."""
@@ -61,9 +61,9 @@ def _opened(port: str, baud: int, until_s: float) -> Link:
     """Open the port; one that is taken is tried again for a while."""
     while time.monotonic() < until_s:
         with contextlib.suppress(TakenPortError):
-            return Link(port, baud)
+            return open_link(port, baud)
         time.sleep(_LOOK_S)
-    return Link(port, baud)
+    return open_link(port, baud)
 
 
 def _hear(link: Link, pending: bytes, until_s: float) -> tuple[bytes, list[Message]]:

@@ -1,17 +1,41 @@
-"""The serial port, opened by pyserial and read and written without ever waiting."""
+"""The line to the device, read and written without ever waiting.
+
+A serial port is opened by pyserial. An emulated rig may have a Unix socket in its place.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import socket
 import termios
 from pathlib import Path
+from typing import Final
 
 import serial
-from armrig_core.waiting import TERMINAL_BYTES
+from armrig_core.emulator_socket import (
+    folder_fault,
+    is_socket,
+    lock_path,
+    peer_fault,
+    socket_path,
+)
+from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
 """Bytes handed on at once: with what is sent for them they fit into one record of the pipe."""
+SEND_BUFFER_BYTES: Final = 1 << 16
+"""SO_SNDBUF of a socket: room for some 170 frames, for each costs the kernel about 0.75 kB.
+
+In 50 ms, after which a silence ends an exchange (S4), a loop of 0.5 ms sends 100. A pseudo-terminal
+holds 16.5 KiB: a line that holds more would only hand the device more old frames.
+"""
+
+_TAKEN = (
+    "it is taken by another program, maybe another rig's daemon; end that one, or give "
+    "this rig a port of its own"
+)
 
 
 class LinkError(OSError):
@@ -24,6 +48,22 @@ class NoPortError(LinkError):
 
 class TakenPortError(LinkError):
     """Another program holds the port."""
+
+
+def open_link(port: str, baud: int) -> Link:
+    """Open a serial port, or the socket of an emulated rig if `port` is `unix:PATH`.
+
+    Raises
+    ------
+    LinkError
+        The port cannot be opened; `NoPortError` if it is not there, `TakenPortError` if another
+        program holds it.
+    """
+    try:
+        path = socket_path(port)
+    except ValueError as err:
+        raise LinkError(str(err)) from err
+    return Link(port, baud) if path is None else SocketLink(port, path)
 
 
 class Link:
@@ -44,12 +84,19 @@ class Link:
             kind, reason = _reason(port, err)
             msg = f"{port} cannot be opened: {reason}"
             raise kind(msg) from err
-        self.port = port
-        self.fd = self._serial.fileno()
-        self._rest = b""
+        self._begin(port, self._serial.fileno())
         with contextlib.suppress(OSError, ValueError, termios.error, NotImplementedError):
             # Best effort: a pseudo-terminal has no such mode, and needs none.
             self._serial.set_low_latency_mode(True)
+
+    def _begin(self, port: str, fd: int) -> None:
+        self.port = port
+        self.fd = fd
+        self._rest = b""
+
+    def watch(self, waiter: Waiter) -> None:
+        """Watch the port; it is read once for each time that it is told."""
+        waiter.watch_terminal(self.fd)
 
     @property
     def has_rest(self) -> bool:
@@ -94,6 +141,55 @@ class Link:
             self._serial.close()
 
 
+class SocketLink(Link):
+    """The socket of an emulated rig, open; no kernel worker carries its bytes.
+
+    It is opened like a port: by one program at a time, and the device is reset by it.
+    """
+
+    def __init__(self, port: str, path: Path) -> None:
+        """Open the socket at `path` for us alone."""
+        with contextlib.ExitStack() as stack:
+            try:
+                connection = _connected(path, stack)
+            except OSError as err:
+                kind, reason = _socket_reason(port, err)
+                msg = f"{port} cannot be opened: {reason}"
+                raise kind(msg) from err
+            self._held = stack.pop_all()
+        self._begin(port, connection.fileno())
+
+    def watch(self, waiter: Waiter) -> None:
+        """Watch the socket by level: to look at a socket never waits."""
+        waiter.watch(self.fd)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._held.close()
+
+
+def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
+    """Lock the port and connect to its emulator; `stack` closes first the socket, then the lock."""
+    if fault := folder_fault(path):
+        raise LinkError(fault)
+    if not is_socket(path):
+        msg = "it is no socket; give that of an emulator"
+        raise LinkError(msg)
+    lock = os.open(lock_path(path), os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    stack.callback(os.close, lock)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise TakenPortError(_TAKEN) from None
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+    stack.enter_context(connection)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    connection.connect(os.fspath(path))
+    if fault := peer_fault(connection):
+        raise LinkError(fault)
+    return connection
+
+
 def _tell_nothing_from_the_end(fd: int) -> None:
     """Have a read of a line with nothing on it fail with EAGAIN; pyserial has it give 0 bytes."""
     attributes = termios.tcgetattr(fd)
@@ -110,6 +206,18 @@ def latency_timer_ms(port: str) -> int | None:
     return None
 
 
+def _socket_reason(port: str, err: OSError) -> tuple[type[LinkError], str]:
+    if isinstance(err, LinkError):
+        return type(err), str(err)
+    if isinstance(err, FileNotFoundError):
+        return NoPortError, f"it is not there; start `armrigd emulate --port {port}`"
+    if isinstance(err, ConnectionRefusedError):
+        return NoPortError, f"no emulator answers; start `armrigd emulate --port {port}`"
+    if isinstance(err, BlockingIOError):
+        return LinkError, "its emulator accepts no connection; end it, and start it again"
+    return LinkError, err.strerror or str(err)
+
+
 def _reason(port: str, err: Exception) -> tuple[type[LinkError], str]:
     if not Path(port).exists():
         return (
@@ -120,11 +228,7 @@ def _reason(port: str, err: Exception) -> tuple[type[LinkError], str]:
     if not Path(port).is_char_device() or "inappropriate ioctl" in text:
         return LinkError, "it is no serial port; give that of the rig, such as /dev/ttyACM0"
     if "exclusively lock" in text or "busy" in text:
-        return (
-            TakenPortError,
-            "it is taken by another program, maybe another rig's daemon; end that one, or give "
-            "this rig a port of its own",
-        )
+        return TakenPortError, _TAKEN
     if "permission" in text:
         return LinkError, "not permitted; add this user to the group of the port (dialout)"
     return LinkError, str(err).splitlines()[0]

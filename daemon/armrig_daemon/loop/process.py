@@ -20,7 +20,7 @@ from armrig_protocol.messages import Estop
 
 from armrig_daemon.core.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
 from armrig_daemon.loop import realtime
-from armrig_daemon.loop.link import Link, LinkError, NoPortError, latency_timer_ms
+from armrig_daemon.loop.link import Link, LinkError, NoPortError, latency_timer_ms, open_link
 from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Host, Log, Quit, record_bytes, take_orders
 
@@ -65,8 +65,8 @@ class ProcessPorts:
         self._waiter = Waiter()
         self._waiter.watch(orders_fd)
         try:
-            self._link = Link(settings.port, settings.baud)
-            self._waiter.watch_terminal(self._link.fd)
+            self._link = open_link(settings.port, settings.baud)
+            self._link.watch(self._waiter)
         except NoPortError as err:
             self._reopen_error = str(err)
         self._is_hung_up = False
@@ -155,14 +155,14 @@ class ProcessPorts:
             return []
         self._reopen_ns = now + REOPEN_NS
         try:
-            self._link = Link(self._settings.port, self._settings.baud)
+            self._link = open_link(self._settings.port, self._settings.baud)
         except LinkError as err:
             if str(err) != self._reopen_error:
                 self._reopen_error = str(err)
                 return [LinkDown(self._reopen_error)]
             return []
         self._reopen_error = ""
-        self._waiter.watch_terminal(self._link.fd)
+        self._link.watch(self._waiter)
         return [LinkUp()]
 
     def _lost(self, err: OSError) -> list[Event]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import gc
 import os
 import select
+import socket
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from armrig_core.emulator_socket import lock_path
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import realtime
@@ -218,3 +221,50 @@ def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: Proces
 def test_nothing_spins_before_the_priority_is_granted(ports: ProcessPorts) -> None:
     """Without it a spin only takes the time of who would let us run."""
     assert ports.spin_ns == 0
+
+
+@pytest.fixture
+def emulator(tmp_path: Path) -> Iterator[socket.socket]:
+    """Give a socket that listens as an emulator does."""
+    path = tmp_path / "rig.sock"
+    lock_path(path).touch(0o600)
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(os.fspath(path))
+        listener.listen()
+        yield listener
+
+
+def test_a_socket_is_a_line_as_a_serial_port_is(
+    pipes: dict[str, int], emulator: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All that came is read, more than a terminal holds; lost, it is opened again in its time."""
+    now_ns = realtime.now_ns()
+    settings = Settings(
+        rules=Config().rules(),
+        port=f"unix:{emulator.getsockname()}",
+        baud=115_200,
+        priority=0,
+        cpu=None,
+        spin_ns=50_000,
+    )
+    ports = ProcessPorts(settings, pipes["orders_out"], pipes["records_in"])
+    assert ports.wait(now_ns) == [LinkUp()]
+    device, _ = emulator.accept()
+    sent = bytes(range(250)) * 40
+    device.sendall(sent)
+    device.close()
+
+    events = []
+    while not any(isinstance(event, LinkDown) for event in events):
+        events += ports.wait(now_ns + 10_000 * MS)
+
+    assert b"".join(event.data for event in events if isinstance(event, Received)) == sent
+    assert [type(event) for event in events if not isinstance(event, Received)] == [LinkDown]
+    now_ns = realtime.now_ns() + REOPEN_NS
+    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
+    assert ports.wait(now_ns) == [LinkUp()]
+    assert ports.write(b"HELLO") is None
+    device, _ = emulator.accept()
+    assert device.recv(100) == b"HELLO"
+    device.close()
+    assert [type(event) for event in ports.wait(now_ns + 10_000 * MS)] == [LinkDown]

@@ -1,0 +1,381 @@
+"""The Unix socket between the loop's link and the emulator's line, both ends in one process."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import pytest
+from armrig_core.emulator_socket import lock_path
+from armrig_core.waiting import Waiter
+from armrig_daemon.emulator import socket_line
+from armrig_daemon.emulator.line import PortError
+from armrig_daemon.emulator.pty import emulate
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.socket_line import SocketLine
+from armrig_daemon.loop import link as link_module
+from armrig_daemon.loop.link import (
+    READ,
+    Link,
+    LinkError,
+    NoPortError,
+    TakenPortError,
+    open_link,
+)
+
+FRAME = bytes(range(1, 27))  # an EXCHANGE has 26 bytes
+TERMINAL_HOLDS = 16_896
+"""Bytes that a pseudo-terminal takes from a host whose device does not read."""
+
+
+class Emulator:
+    """The device's end, turned by hand as the emulator's loop turns it."""
+
+    def __init__(self, path: Path, stack: ExitStack) -> None:
+        self.path = path
+        self.line = SocketLine(path, stack)
+        self.waiter = stack.enter_context(closing(Waiter()))
+        self.line.offer(Path(f"unix:{path}"), stack)
+        self.line.watch(self.waiter)
+
+    def was_opened(self) -> bool:
+        """Take what the kernel tells; return whether the device is to be reset."""
+        self.line.watch_room()
+        ready = dict(self.waiter.ready())
+        if self.line.opened_fd in ready and self.line.was_opened():
+            self.line.flush()
+            return True
+        if self.line.fd in ready:
+            self.line.note_ready(ready[self.line.fd])
+        return False
+
+    def read(self) -> bytes:
+        """Return all that has come."""
+        assert not self.was_opened()
+        data = b""
+        while self.line.connected and self.line.has_input:
+            data += self.line.read()
+        return data
+
+    def host(self) -> Link:
+        """Open the port as the daemon's loop does."""
+        return open_link(f"unix:{self.path}", 115_200)
+
+
+@pytest.fixture
+def emulator(tmp_path: Path) -> Iterator[Emulator]:
+    """Give the device's end of a line, at rest."""
+    with ExitStack() as stack:
+        yield Emulator(tmp_path / "rig.sock", stack)
+
+
+@pytest.fixture
+def host(emulator: Emulator) -> Iterator[Link]:
+    """Give the host's end, opened."""
+    link = emulator.host()
+    assert emulator.was_opened()
+    yield link
+    link.close()
+
+
+def _stranger(path: Path) -> socket.socket:
+    """Connect to a socket without a look at its lock."""
+    with ExitStack() as stack:
+        kind = socket.SOCK_STREAM | socket.SOCK_NONBLOCK
+        stranger = stack.enter_context(socket.socket(socket.AF_UNIX, kind))
+        stranger.connect(os.fspath(path))
+        stack.pop_all()
+    return stranger
+
+
+def test_bytes_pass_unchanged_both_ways(emulator: Emulator, host: Link) -> None:
+    """Each of the 256, at once: no worker of the kernel has to carry them."""
+    data = bytes(range(256))
+
+    host.write(data)
+    emulator.line.write(data)
+
+    assert emulator.read() == data
+    assert host.read() == data
+    assert host.read() == b""
+
+
+def test_no_more_is_read_at_once_than_a_record_holds(emulator: Emulator, host: Link) -> None:
+    """As of a serial port; the rest comes with the next calls."""
+    sent = [bytes([i]) * 100 for i in range(60)]
+    for frame in sent:
+        emulator.line.write(frame)
+
+    pieces = list(iter(host.read, b""))
+
+    assert b"".join(pieces) == b"".join(sent)
+    assert max(map(len, pieces)) <= READ
+
+
+def test_each_opening_resets_the_device_once(emulator: Emulator) -> None:
+    """Also one that follows a close at once; what the host before sent is thrown away."""
+    for _ in range(3):
+        host = emulator.host()
+        assert emulator.was_opened()
+        assert not emulator.was_opened()
+        host.write(b"old frames")
+        host.close()
+
+    again = emulator.host()
+
+    assert emulator.was_opened()
+    assert emulator.read() == b""
+    again.close()
+
+
+def test_what_the_host_sent_before_it_closed_is_read(emulator: Emulator, host: Link) -> None:
+    """A STOP is often its last word; then nobody is connected, and what is said is lost."""
+    host.write(b"last words")
+    host.close()
+
+    assert emulator.read() == b"last words"
+    assert not emulator.line.connected
+    emulator.line.write(b"said to nobody")
+    assert not emulator.was_opened()
+
+
+def test_a_host_that_dies_with_bytes_unread_is_a_host_that_closed(
+    emulator: Emulator, host: Link
+) -> None:
+    """The kernel says so by another error; an answer to it is no failure of the emulator."""
+    emulator.line.write(b"never read")
+    host.write(b"last words")
+    host.close()
+    emulator.line.write(b"an answer")
+
+    assert emulator.read() == b"last words"
+    assert not emulator.line.connected
+    again = emulator.host()
+    assert emulator.was_opened()
+    again.close()
+
+
+def test_a_second_daemon_does_not_open_the_port(emulator: Emulator, host: Link) -> None:
+    """Its error is that of a serial port; the first host goes on, and the device is not reset."""
+    with pytest.raises(TakenPortError, match=r"rig\.sock cannot be opened: it is taken by another"):
+        emulator.host()
+
+    assert not emulator.was_opened()
+    host.close()
+    emulator.host().close()
+
+
+def test_a_program_that_ignores_the_lock_does_not_get_at_the_rig(
+    emulator: Emulator, host: Link
+) -> None:
+    """Its connection is closed, none of its bytes is read, and the device is not reset."""
+    with _stranger(emulator.path) as stranger:
+        stranger.send(b"bytes of a stranger")
+        assert not emulator.was_opened()
+        emulator.line.write(b"for the host")
+        host.write(b"from the host")
+
+        assert emulator.read() == b"from the host"
+        assert host.read() == b"for the host"
+        with pytest.raises(ConnectionResetError):  # it was closed with bytes unread
+            stranger.recv(1)
+        assert stranger.recv(1) == b""
+
+
+def test_a_flood_of_connections_ends_at_each_turn(emulator: Emulator, host: Link) -> None:
+    """So many are refused at once and no more; the host's bytes come between them."""
+    with ExitStack() as stack:
+        for _ in range(9):
+            stack.enter_context(_stranger(emulator.path))
+        with pytest.raises(BlockingIOError):
+            stack.enter_context(_stranger(emulator.path))
+        host.write(b"from the host")
+
+        for _ in range(3):
+            assert not emulator.was_opened()
+
+        assert emulator.read() == b"from the host"
+
+
+@pytest.mark.parametrize("opener", ["host", "emulator"])
+def test_a_program_of_another_user_is_refused(
+    emulator: Emulator, monkeypatch: pytest.MonkeyPatch, opener: str
+) -> None:
+    """By either end, each by itself."""
+    module = link_module if opener == "host" else socket_line
+    monkeypatch.setattr(module, "peer_fault", lambda _: "a program of another user answers")
+
+    if opener == "host":
+        with pytest.raises(LinkError, match=r"cannot be opened: a program of another user answers"):
+            emulator.host()
+        return
+    host = emulator.host()
+    assert not emulator.was_opened()
+    with pytest.raises(LinkError, match="is gone: end of file"):
+        host.read()
+    host.close()
+
+
+def test_a_device_that_does_not_read_is_a_loss_of_the_line(emulator: Emulator, host: Link) -> None:
+    """Not before S4 ends an exchange of 0.5 ms by itself; not later than on a pseudo-terminal."""
+
+    def write(frames: int) -> None:
+        for _ in range(frames):
+            host.write(FRAME)
+
+    write(100)
+    with pytest.raises(LinkError, match="takes no more bytes: the device does not read"):
+        write(TERMINAL_HOLDS // len(FRAME) - 100)
+
+    assert len(emulator.read()) >= 100 * len(FRAME)
+    host.write(FRAME)
+
+
+def test_what_is_taken_in_part_is_a_loss_of_the_line(emulator: Emulator, host: Link) -> None:
+    """It must not pass for sent."""
+    with pytest.raises(LinkError, match="takes no more bytes: the device does not read"):
+        host.write(bytes(1_000_000))
+
+    assert emulator.read()
+
+
+@pytest.mark.parametrize("use", [Link.read, lambda link: link.write(b"a frame")])
+def test_an_emulator_that_is_gone_is_a_loss_of_the_line(
+    tmp_path: Path, use: Callable[[Link], object]
+) -> None:
+    """To read from it and to write to it; the port is not there any more."""
+    with ExitStack() as stack:
+        emulator = Emulator(tmp_path / "rig.sock", stack)
+        host = emulator.host()
+        assert emulator.was_opened()
+
+    with pytest.raises(LinkError, match=r"unix:.*rig\.sock is gone: "):
+        use(host)
+    host.close()
+    with pytest.raises(NoPortError, match=r"it is not there; start `armrigd emulate --port unix:/"):
+        emulator.host()
+
+
+def test_a_host_that_stalls_gets_late_what_it_did_not_read(emulator: Emulator, host: Link) -> None:
+    """Beyond what the kernel holds the frames wait in the emulator, in their order."""
+    sent = [b"%26d" % i for i in range(1500)]
+    for frame in sent:
+        emulator.line.write(frame)
+    assert emulator.line.backlog.waiting_bytes
+
+    come = b""
+    while emulator.line.backlog.waiting_bytes or len(come) < 26 * 1500:
+        come += host.read()
+        assert not emulator.was_opened()
+
+    assert come == b"".join(sent)
+    assert emulator.line.backlog.dropped_frames == 0
+
+
+def test_the_socket_is_for_its_user_alone(emulator: Emulator) -> None:
+    """So is the file of the lock; nothing else is left in the folder."""
+    lock = lock_path(emulator.path)
+
+    assert sorted(emulator.path.parent.iterdir()) == [emulator.path, lock]
+    assert [path.stat().st_mode & 0o777 for path in (emulator.path, lock)] == [0o600, 0o600]
+
+
+def test_at_its_end_an_emulator_takes_its_port_away(tmp_path: Path) -> None:
+    """And not that of the emulator that took its place."""
+    path = tmp_path / "rig.sock"
+    with ExitStack() as stack:
+        Emulator(path, stack)
+    assert list(tmp_path.iterdir()) == []
+
+    with ExitStack() as first, ExitStack() as second:
+        Emulator(path, first)
+        path.unlink()
+        successor = Emulator(path, second)
+        first.close()
+        host = successor.host()
+        assert successor.was_opened()
+        host.close()
+
+
+def test_a_socket_at_which_nobody_answers_is_taken_over(tmp_path: Path) -> None:
+    """An emulator that was killed leaves it behind; a host finds no rig there until then."""
+    path = tmp_path / "rig.sock"
+    with socket.socket(socket.AF_UNIX) as stale:
+        stale.bind(os.fspath(path))
+    lock_path(path).touch(0o600)
+    with pytest.raises(NoPortError, match=r"no emulator answers; start `armrigd emulate --port"):
+        open_link(f"unix:{path}", 115_200)
+
+    with ExitStack() as stack:
+        emulator = Emulator(path, stack)
+        host = emulator.host()
+        assert emulator.was_opened()
+        host.close()
+
+
+def test_the_socket_of_another_emulator_is_not_taken_over(emulator: Emulator, host: Link) -> None:
+    """Its host goes on, and its device is not reset."""
+    with (
+        ExitStack() as stack,
+        pytest.raises(PortError, match=r"rig\.sock: another emulator answers there; choose anoth"),
+    ):
+        Emulator(emulator.path, stack)
+
+    assert not emulator.was_opened()
+    host.write(b"from the host")
+    assert emulator.read() == b"from the host"
+
+
+def test_a_folder_that_others_can_write_to_is_refused(emulator: Emulator) -> None:
+    """By either end; a symbolic link to a folder, too."""
+    folder, complaint = emulator.path.parent, "its folder can be written by other users"
+    folder.chmod(0o777)
+    with ExitStack() as stack, pytest.raises(PortError, match=complaint):
+        Emulator(folder / "another", stack)
+    with pytest.raises(LinkError, match=complaint):
+        emulator.host()
+    folder.chmod(0o700)
+    (folder / "link").symlink_to(folder)
+
+    with pytest.raises(LinkError, match="its folder is a symbolic link"):
+        open_link(f"unix:{folder}/link/rig.sock", 115_200)
+
+
+def test_what_is_no_socket_is_left_alone(tmp_path: Path) -> None:
+    """By either end: a file of somebody's is no port, and nobody's to replace."""
+    path = tmp_path / "notes"
+    path.write_text("mine")
+
+    with pytest.raises(LinkError, match="it is no socket; give that of an emulator"):
+        open_link(f"unix:{path}", 115_200)
+    with pytest.raises(PortError, match=r"notes: is there and no socket; choose another --port"):
+        emulate(Path(f"unix:{path}"), EmulatorSettings())
+
+    assert path.read_text() == "mine"
+
+
+def test_a_path_that_is_too_long_is_refused_by_either_end(tmp_path: Path) -> None:
+    """In the words of the configuration."""
+    port = f"unix:{tmp_path}/{'a' * 107}"
+
+    with pytest.raises(LinkError, match="a socket's has 1 to 107; choose a shorter folder"):
+        open_link(port, 115_200)
+    with pytest.raises(PortError, match="a socket's has 1 to 107; choose a shorter folder"):
+        emulate(Path(port), EmulatorSettings())
+
+
+def test_the_longest_path_has_room_for_its_making(tmp_path: Path) -> None:
+    """The socket has another name until it can be opened: a longer one, if its own is short."""
+    folder = tmp_path / ("a" * (104 - len(os.fspath(tmp_path))))
+    folder.mkdir(mode=0o700)
+    path = folder / "s"
+    assert len(os.fsencode(path)) == 107
+
+    with ExitStack() as stack:
+        emulator = Emulator(path, stack)
+        host = emulator.host()
+        assert emulator.was_opened()
+        host.close()
