@@ -69,7 +69,7 @@ class ProcessPorts:
             self._link.watch(self._waiter)
         except NoPortError as err:
             self._reopen_error = str(err)
-        self._is_hung_up = False
+        self._is_hung_up = self._is_told = False
         self._first = True
         self._has_no_reader = False
         self.quit_reason = ""
@@ -106,7 +106,10 @@ class ProcessPorts:
             elif self._link is not None:
                 # It is told once: of a line that hung up, what it still held is read before.
                 self._is_hung_up = bool(flags & ~EPOLLIN)
-                events += self._read()
+                if events and isinstance(events[0], Received):
+                    self._is_told = True  # one piece at a time: see `READ`
+                else:
+                    events += self._read()
         if self.quit_reason:
             events.append(Ordered(Quit(reason=self.quit_reason)))
             self.quit_reason = ""
@@ -170,14 +173,17 @@ class ProcessPorts:
             self._waiter.forget(self._link.fd)
             self._link.close()
             self._link = None
-            self._is_hung_up = False
+            self._is_hung_up = self._is_told = False
         self._reopen_ns = realtime.now_ns() + REOPEN_NS
         self._reopen_error = str(err)
         return [LinkDown(self._reopen_error)]
 
     def _read_again(self) -> list[Event]:
         """Read on where it was told that there is more, for that is told once."""
-        more = self._is_hung_up or (self._link is not None and self._link.has_rest)
+        if self._link is not None and self._link.has_rest:
+            return self._read()
+        more = self._is_hung_up or self._is_told
+        self._is_told = False
         return self._read() if more else []
 
     def _read(self) -> list[Event]:
