@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.signal_pipe import until_signal
 
 from armrig.cli.options import Connect, Json, RigId, echo, print_json
 
@@ -55,7 +55,7 @@ def dashboard(
     from armrig.dashboard.share import own_address
 
     address = own_address() if share else None
-    with ExitStack() as opened:
+    with until_signal() as ended, ExitStack() as opened:
         settings = Settings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))
         streams = ""
@@ -70,7 +70,7 @@ def dashboard(
             _say(rig, served, streams)
         if browser:
             webbrowser.open(served.browser_url)
-        threading.Event().wait()
+        ended.wait()
 
 
 def _say(rig: str, served: Served, streams: str) -> None:

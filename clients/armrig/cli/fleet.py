@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from armrig_core.signal_pipe import until_signal
 
 from armrig.cli.options import echo, print_json, tell
-from armrig.cli.until_signal import until_signal
 
 if TYPE_CHECKING:
     from armrig.rig.fleet_recorder import RigRecorded

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.signal_pipe import until_signal
 
 from armrig.cli.chosen_recording import COMPLETE
 from armrig.cli.fleet import default_name, record_many
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, echo, print_json, tell
-from armrig.cli.until_signal import until_signal
 
 if TYPE_CHECKING:
     from armrig.rig.remote_recording import RemoteRecording

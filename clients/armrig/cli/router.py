@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from armrig_core.signal_pipe import until_signal
 
 from armrig.cli.options import tell
-from armrig.cli.until_signal import until_signal
 
 Listen = Annotated[
     str, typer.Option("--listen", metavar="ENDPOINT", help="Where rigs and people reach it.")

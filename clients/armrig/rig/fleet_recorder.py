@@ -14,7 +14,7 @@ from pathlib import Path
 import zenoh
 
 from armrig.rig.live_rigs import ids_alive
-from armrig.rig.remote_recorder import RemoteRecorder
+from armrig.rig.remote_recorder import Ended, RemoteRecorder
 from armrig.rig.remote_recording import RecordedFile, RemoteRecording, Tell
 
 _LOOK_S = 1.0
@@ -57,7 +57,7 @@ class FleetRecorder:
         self._recorded: dict[str, RigRecorded] = {}
 
     def record(
-        self, ended: threading.Event, seconds: float | None, rigs: Collection[str] | None
+        self, ended: Ended, seconds: float | None, rigs: Collection[str] | None
     ) -> list[RigRecorded]:
         """Record until `ended` is set, or for `seconds`; return what became of each rig.
 

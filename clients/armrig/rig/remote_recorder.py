@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from threading import Event
+from typing import Protocol
 
 import zenoh
 
@@ -13,6 +13,16 @@ from armrig.rig.remote_source import RemoteSource
 _ASK_S = 0.2
 _SILENCE_S = 2.0
 _MOST_PIECES = 64
+
+
+class Ended(Protocol):
+    """What ends a recorder: signals, or an Event of another thread."""
+
+    def is_set(self) -> bool:
+        """Return whether it is to end."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for that, for `timeout` seconds at most; return whether it is to end."""
 
 
 class RemoteRecorder:
@@ -36,7 +46,7 @@ class RemoteRecorder:
             self.recording.add(piece)
         return piece is not None
 
-    def record(self, ended: Event, seconds: float | None = None) -> None:
+    def record(self, ended: Ended, seconds: float | None = None) -> None:
         """Record until `ended` is set, or for `seconds`, and then what was published until then.
 
         Raises

@@ -1,0 +1,121 @@
+"""Signals as bytes on a pipe, for a program that waits until it must end.
+
+The kernel's signal writes to the pipe at once, in C (`signal.set_wakeup_fd`). Python runs a handler
+later, in the main thread, between any two instructions. A handler that takes a lock may therefore
+wait for ever for its own thread, and a note that it makes may come just before a wait without end.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+
+ENDING: list[signal.Signals] = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
+"""The signals that end a program; not every system has SIGHUP."""
+_READ_BYTES = 1 << 16
+
+
+class SignalPipe:
+    """A pipe that signals make readable; it has the interface of an Event that they set."""
+
+    def __init__(
+        self,
+        numbers: Iterable[signal.Signals] = ENDING,
+        handler: Callable[[int, object], None] = lambda number, frame: None,
+    ) -> None:
+        """Catch these signals from here on; only the main thread may.
+
+        Parameters
+        ----------
+        handler : callable, optional
+            Called for each signal in the main thread. It must take no lock.
+        """
+        self.fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._is_woken = False
+        self._fd_before = signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
+        self._before = {number: signal.signal(number, handler) for number in numbers}
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # the parent may have held them back
+
+    def wake(self) -> None:
+        """Make the pipe readable from any thread, as a signal does."""
+        if self._is_woken:
+            return  # a pipe that is full of our zeros would have no room for a signal
+        self._is_woken = True
+        with suppress(BlockingIOError):
+            os.write(self._waker_fd, b"\0")
+
+    def read(self) -> set[int]:
+        """Return the numbers of the signals since the last call, and empty the pipe."""
+        numbers: set[int] = set()
+        with suppress(BlockingIOError):
+            numbers = {*os.read(self.fd, _READ_BYTES)} - {0}
+        # After the read, which may have taken the byte of a thread that has just come.
+        self._is_woken = False
+        return numbers
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for a signal, for `timeout` seconds at most; return whether one came."""
+        poll = select.poll()
+        poll.register(self.fd, select.POLLIN)
+        return bool(poll.poll(None if timeout is None else max(0.0, 1000 * timeout)))
+
+    def is_set(self) -> bool:
+        """Return whether a signal came."""
+        return self.wait(0)
+
+    def close(self, *, ignores: bool = False) -> None:
+        """Give the signals back as they were, or ignore them from here on.
+
+        A process at its end ignores them: Python gives each signal its default back on its way out,
+        and a second signal would kill the process there.
+        """
+        for number, before in self._before.items():
+            signal.signal(number, signal.SIG_IGN if ignores else before)
+        signal.set_wakeup_fd(self._fd_before)
+        os.close(self.fd)
+        os.close(self._waker_fd)
+
+
+@contextmanager
+def until_signal() -> Iterator[SignalPipe]:
+    """Give a pipe that Ctrl-C sets, as does another signal that ends us; a second one interrupts.
+
+    The first signal interrupts nothing: it may come between a message and its file. What nohup
+    ignores stays ignored.
+    """
+    received: list[int] = []
+
+    def note(number: int, _: object) -> None:
+        received.append(number)
+        if len(received) > 1:
+            raise KeyboardInterrupt
+
+    ended = SignalPipe([n for n in ENDING if callable(signal.getsignal(n))], note)
+    try:
+        yield ended
+    finally:
+        ended.close()
+        for number in received[:1]:
+            # Ctrl-C is the way to end it; the exit code reports the others.
+            if number != signal.SIGINT:
+                with suppress(KeyboardInterrupt):
+                    signal.raise_signal(number)
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Block the signals in a process that is started here, until it has a `SignalPipe`.
+
+    The signals of this process wait until the block ends. A Ctrl-C goes to all processes of a
+    terminal, and one of them may still load.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -1,0 +1,136 @@
+"""Signals as bytes on a pipe: none is lost, and none is waited for in a handler."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Timer
+
+import armrig_core
+import pytest
+from armrig_core.signal_pipe import ENDING, SignalPipe, held_back, until_signal
+
+WITHIN_S = 30.0
+SIGNALS = 300
+_ROUNDS = """
+import sys
+from armrig_core.signal_pipe import until_signal
+for _ in range(int(sys.argv[1])):
+    with until_signal() as ended:
+        print("waits", flush=True)
+        while not ended.wait(0):
+            pass
+"""
+_ONE = """
+from armrig_core.signal_pipe import SignalPipe
+signals = SignalPipe()
+signals.wait()
+print(sorted(signals.read()))
+"""
+
+
+@contextmanager
+def running(program: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Give a Python program, which is killed if the block takes longer than `WITHIN_S`."""
+    with subprocess.Popen(
+        [sys.executable, "-c", program, *arguments],
+        env={"PYTHONPATH": str(Path(armrig_core.__file__).parents[1])},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        late = Timer(WITHIN_S, process.kill)
+        late.start()
+        try:
+            yield process
+        finally:
+            late.cancel()
+            process.kill()
+
+
+def test_a_wait_ends_at_a_signal_of_any_moment() -> None:
+    """A recorder waits again and again, here for no time: each signal comes within a wait."""
+    draw = random.Random(1)
+
+    with running(_ROUNDS, str(SIGNALS)) as process:
+        assert process.stdout is not None
+        for waits in process.stdout:
+            assert waits == "waits\n"
+            until_s = time.perf_counter() + draw.uniform(0.0, 2e-4)
+            while time.perf_counter() < until_s:
+                pass
+            process.send_signal(signal.SIGINT)
+        code = process.wait()
+
+    assert code == 0
+
+
+def test_a_signal_before_the_wait_ends_it() -> None:
+    """A wait that begins after the signal returns at once."""
+    with until_signal() as ended:
+        assert not ended.is_set()
+        signal.raise_signal(signal.SIGINT)
+
+        assert ended.wait(WITHIN_S)
+        assert ended.is_set()
+
+
+def test_a_second_signal_interrupts() -> None:
+    """The end itself may hang."""
+    with until_signal() as ended:
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+        assert ended.is_set()
+
+
+def test_a_signal_other_than_ctrl_c_is_handed_on() -> None:
+    """To the handler before, which makes an exit code of it; what nohup ignores stays ignored."""
+    received: list[int] = []
+    before = {
+        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda number, _: received.append(number)),
+        signal.SIGHUP: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    }
+    try:
+        with until_signal() as ended:
+            signal.raise_signal(signal.SIGHUP)
+            assert not ended.is_set()
+            signal.raise_signal(signal.SIGTERM)
+            assert ended.is_set()
+            assert received == []
+        assert received == [signal.SIGTERM]
+        assert signal.set_wakeup_fd(-1) == -1
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def test_a_read_gives_the_signals_and_not_the_threads() -> None:
+    """A thread wakes as a signal does, and is no signal."""
+    pipe = SignalPipe()
+    try:
+        pipe.wake()
+        assert (pipe.is_set(), pipe.read(), pipe.is_set()) == (True, set(), False)
+        signal.raise_signal(signal.SIGTERM)
+        pipe.wake()
+        assert (pipe.read(), pipe.read()) == ({signal.SIGTERM}, set())
+    finally:
+        pipe.close()
+
+
+@pytest.mark.parametrize("number", ENDING)
+def test_a_signal_waits_for_a_process_that_loads(number: signal.Signals) -> None:
+    """It would end there by a traceback, or by its default, and not in order."""
+    with held_back(), running(_ONE) as process:
+        process.send_signal(number)
+        assert process.stdout is not None
+        said = process.stdout.read()
+
+    assert said == f"[{number.value}]\n"
+    assert not signal.pthread_sigmask(signal.SIG_BLOCK, []) & {*ENDING}
