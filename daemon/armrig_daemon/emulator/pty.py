@@ -19,6 +19,7 @@ from time import monotonic_ns
 from typing import Protocol, TextIO
 
 from armrig_core.emulator_socket import socket_path
+from armrig_core.signal_pipe import SignalPipe
 from armrig_core.waiting import Waiter
 from armrig_protocol.messages import Cause, State
 
@@ -105,7 +106,7 @@ def emulate(
         `port` or `trace` cannot be made.
     """
     with ExitStack() as stack:
-        wake = _wake_on_signals(stack)
+        wake = _ended_by(stack)
         line = _line(port, stack)
         out: TextIO | None = None
         if trace is not None:
@@ -203,24 +204,15 @@ def _line(port: Path, stack: ExitStack) -> Line:
     return Terminal(stack) if path is None else SocketLine(path, stack)
 
 
-def _wake_on_signals(stack: ExitStack) -> int:
-    """Return a descriptor that SIGTERM and SIGINT make readable, until `stack` ends.
+def _ended_by(stack: ExitStack) -> int:
+    """Return a descriptor that SIGTERM and SIGINT make readable, until `stack` ends."""
+    signals = SignalPipe([signal.SIGTERM, signal.SIGINT])
 
-    At a good end they are ignored: Python gives them their default back on its way out, and a
-    second one would kill us there.
-    """
-    wake, waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-    stack.callback(os.close, wake)
-    stack.callback(os.close, waker)
-    stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(waker))
-    before = {n: signal.signal(n, lambda *_: None) for n in (signal.SIGTERM, signal.SIGINT)}
+    def close(failed: type[BaseException] | None, *_: object) -> None:
+        signals.close(ignores=failed is None)
 
-    def leave(failed: type[BaseException] | None, *_: object) -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler if failed else signal.SIG_IGN)
-
-    stack.push(leave)
-    return wake
+    stack.push(close)
+    return signals.fd
 
 
 def _be_punctual(stack: ExitStack) -> None:

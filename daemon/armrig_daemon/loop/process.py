@@ -11,9 +11,9 @@ import os
 import signal
 import sys
 from select import EPOLLIN
-from types import FrameType
 
 import msgspec
+from armrig_core.signal_pipe import SignalPipe
 from armrig_core.waiting import Waiter, sleep_until
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
@@ -72,8 +72,13 @@ class ProcessPorts:
         self._is_hung_up = self._is_told = False
         self._first = True
         self._has_no_reader = False
-        self.quit_reason = ""
+        self._signals: SignalPipe | None = None
         self.spin_ns = 0
+
+    def end_at(self, signals: SignalPipe) -> None:
+        """End in good order at one of these signals."""
+        self._signals = signals
+        self._waiter.watch(signals.fd)
 
     @property
     def margin_ns(self) -> int:
@@ -103,6 +108,9 @@ class ProcessPorts:
         for fd, flags in waiter.ready() if events else waiter.wait_until(until_ns):
             if fd == self._orders_fd:
                 events += self._read_orders()
+            elif self._signals is not None and fd == self._signals.fd:
+                names = (signal.Signals(number).name for number in self._signals.read())
+                events += [Ordered(Quit(reason=name)) for name in names]
             elif self._link is not None:
                 # It is told once: of a line that hung up, what it still held is read before.
                 self._is_hung_up = bool(flags & ~EPOLLIN)
@@ -110,9 +118,6 @@ class ProcessPorts:
                     self._is_told = True  # one piece at a time: see `READ`
                 else:
                     events += self._read()
-        if self.quit_reason:
-            events.append(Ordered(Quit(reason=self.quit_reason)))
-            self.quit_reason = ""
         return events
 
     def write(self, data: bytes) -> Event | None:
@@ -230,12 +235,7 @@ def main(arguments: list[str]) -> int:
                 f"{settings.port}: latency timer {timer} ms, 1 ms is wanted: see `armrig doctor`",
             )
         )
-
-    def quit_(number: int, _frame: FrameType | None) -> None:
-        ports.quit_reason = signal.Signals(number).name
-
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, quit_)
+    ports.end_at(SignalPipe())
     # The end of the pipes may come late: a service that is killed while its disk is slow dies when
     # the disk has answered, and keeps them open until then.
     realtime.end_with_parent()

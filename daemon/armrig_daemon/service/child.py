@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import msgspec
+from armrig_core.signal_pipe import held_back
 
 from armrig_daemon.loop.process import Settings
 from armrig_daemon.pipe import Orders, Record, record_bytes, take_records
@@ -86,7 +87,8 @@ def start(settings: Settings) -> LoopChild:
     arguments = [str(orders_out), str(records_in), msgspec.json.encode(settings).decode()]
     program = [sys.executable, "-m", "armrig_daemon.loop.process", *arguments]
     try:
-        process = subprocess.Popen(program, pass_fds=(orders_out, records_in))
+        with held_back():
+            process = subprocess.Popen(program, pass_fds=(orders_out, records_in))
     finally:
         os.close(orders_out)
         os.close(records_in)

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
+from armrig_core.signal_pipe import held_back
 
 from armrig_daemon.config import Config
 
@@ -46,7 +47,10 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     stalls_out, stalls_in = os.pipe()
     os.set_blocking(stalls_in, False)
     try:
-        child = subprocess.Popen([*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,))
+        with held_back():
+            child = subprocess.Popen(
+                [*program, "--stalls-fd", str(stalls_in)], pass_fds=(stalls_in,)
+            )
     finally:
         os.close(stalls_in)
     try:

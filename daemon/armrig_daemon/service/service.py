@@ -7,7 +7,6 @@ network, for the loop never waits for it.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 import signal
@@ -23,6 +22,7 @@ from armrig_core import open_files
 from armrig_core.held_up import held_up
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
+from armrig_core.signal_pipe import SignalPipe
 from armrig_core.telemetry import Sample, decode_sample
 from msgspec.structs import replace
 
@@ -109,16 +109,13 @@ class Service:
         self._stalls_fd = stalls_fd
         self._endpoint = endpoint
         self._rig = RigView(config, endpoint, directory)
-        self._runs = Runs(config, directory, self._wake)
-        self._left_over = LeftOver(directory, config.rig.id, self._wake)
+        self._signals = SignalPipe()
+        wake = self._signals.wake
+        self._runs = Runs(config, directory, wake)
+        self._left_over = LeftOver(directory, config.rig.id, wake)
         self._thinning = Thinning()
         self._quitting = False
         self._kill_at = float("inf")
-        self._is_woken = False
-        self._wake_fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, lambda *_: None)
         self._anchor_clock()
 
     def run(self) -> int:
@@ -144,7 +141,9 @@ class Service:
             has_left = realtime.leave_fifo()
             sys.setswitchinterval(_SWITCH_S)
             open_files.raise_limit()
-            with Session(self._endpoint, config.rig.id, self._wake, network, router) as session:
+            with Session(
+                self._endpoint, config.rig.id, self._signals.wake, network, router
+            ) as session:
                 self._connect(loop, session)
                 if not has_left:
                     self._say("warning", _AT_FIFO)
@@ -200,7 +199,7 @@ class Service:
             timeout = max(0.0, due - time.monotonic())
             if self._session.is_asked:
                 timeout = min(timeout, _BREATH_S if self._commands.room == 0 else 0.0)
-            sources = [self._loop.records_fd, self._wake_fd]
+            sources = [self._loop.records_fd, self._signals.fd]
             sources += [] if self._stalls_fd is None else [self._stalls_fd]
             sinks = [self._loop.orders_fd] if self._loop.is_behind else []
             ready, writable, _ = select.select(sources, sinks, [], timeout)
@@ -214,7 +213,7 @@ class Service:
                 self._loop.flush()
             if self._stalls_fd in ready:
                 self._hear_of_stalls(self._stalls_fd)
-            if self._wake_fd in ready:
+            if self._signals.fd in ready:
                 self._woken()
             # Behind the signs that have come: one that waited for us is a sign, of when it came.
             self._commands.serve_signs()
@@ -332,11 +331,7 @@ class Service:
 
     def _woken(self) -> None:
         """Take what the writer's thread and the signals left."""
-        signals: set[int] = set()
-        with contextlib.suppress(BlockingIOError):
-            signals = {*os.read(self._wake_fd, _READ)} - {0}  # their numbers; a 0 is our own
-        # Behind the read, which may have taken the sign of who has just come, and before the look.
-        self._is_woken = False
+        signals = self._signals.read()  # before the look: who comes after it wakes us again
         if signal.SIGHUP in signals and self._check_configuration is not None:
             signals -= {signal.SIGHUP}
             self._begin_anew(self._check_configuration)
@@ -396,13 +391,6 @@ class Service:
         """Whether somebody has the rig, or will in a moment."""
         idle = self._runs.is_idle and not self._commands.is_waiting
         return bool(self._rig.state.owner) or not idle
-
-    def _wake(self) -> None:
-        if self._is_woken:
-            return  # a pipe that is full of our zeros would have no room for a signal
-        self._is_woken = True
-        with contextlib.suppress(BlockingIOError):
-            os.write(self._waker_fd, b"\0")
 
     def _anchor_clock(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()

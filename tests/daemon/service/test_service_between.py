@@ -250,7 +250,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     monkeypatch.setattr("armrig_core.recording_file.recorder.os.fdatasync", full)
     between.begin_run()
     between.service._handle([_sample(0)])
-    assert select.select([between.service._wake_fd], [], [], 5)[0]
+    assert select.select([between.service._signals.fd], [], [], 5)[0]
 
     between.service._woken()
 

@@ -29,16 +29,16 @@ def test_who_comes_while_the_service_looks_does_not_silence_who_comes_later(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its sign is read with those before it; the next one must be given all the same."""
-    read = os.read
+    read, wake = os.read, service._signals.wake
 
     def interrupted(fd: int, n: int) -> bytes:
-        service._wake()
+        wake()
         return read(fd, n)
 
-    service._wake()
+    wake()
     with monkeypatch.context() as patch:
-        patch.setattr("armrig_daemon.service.service.os.read", interrupted)
+        patch.setattr("armrig_core.signal_pipe.os.read", interrupted)
         service._woken()
-    service._wake()
+    wake()
 
-    assert select.select([service._wake_fd], [], [], 0)[0]
+    assert select.select([service._signals.fd], [], [], 0)[0]
