@@ -6,7 +6,7 @@ Its messages go to the recorder's thread as ever, which drops them: no bytes, no
 from __future__ import annotations
 
 from armrig_core.recording_file.recorder import Recording
-from armrig_daemon.__main__ import app
+from armrig_daemon.command_line import app
 from armrig_daemon.service import runs
 
 UNRECORDED = "unrecorded"

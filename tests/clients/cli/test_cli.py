@@ -181,14 +181,17 @@ def test_the_module_is_the_command() -> None:
     assert done.stderr == b"armrig: /nothing: No such file or directory\n"
 
 
-def test_ctrl_c_while_the_command_is_loaded_is_told_in_a_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("module", "name"), [("armrig", "armrig"), ("armrig_daemon", "armrigd")])
+def test_ctrl_c_while_the_command_is_loaded_is_told_in_a_line(
+    module: str, name: str, tmp_path: Path
+) -> None:
     """On a busy machine that takes seconds. A module that is loaded first is pressed on here."""
     (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
     beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
-    done = subprocess.run([sys.executable, "-m", "armrig", "ls"], capture_output=True, env=beside)
+    done = subprocess.run([sys.executable, "-m", module, "ls"], capture_output=True, env=beside)
 
-    assert (done.returncode, done.stderr) == (130, b"armrig: interrupted\n")
+    assert (done.returncode, done.stderr) == (130, f"{name}: interrupted\n".encode())
 
 
 def test_what_is_no_file_is_told_and_not_waited_for(tmp_path: Path) -> None:

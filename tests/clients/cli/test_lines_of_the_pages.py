@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import typer
 from armrig.cli import app as armrig
-from armrig_daemon.__main__ import app as armrigd
+from armrig_daemon.command_line import app as armrigd
 
 ROOT = Path(__file__).parents[3]
 # A decision may speak of a command that was not made.

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon.__main__ import _has_failed
+from armrig_daemon.command_line import _has_failed
 from armrig_daemon.loop.estop import WITHIN_S, estop
 from armrig_daemon.loop.link import Link, NoPortError, TakenPortError
 from armrig_protocol.decoder import feed

@@ -1,0 +1,379 @@
+"""The commands of `armrigd`: run the daemon, emulate a rig, or print a configuration."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import msgspec
+import typer
+from armrig_core.endpoint import distrust, endpoint, socket_directory
+from armrig_core.held_up import held_up
+from armrig_core.printable import printable
+from armrig_core.volts import U_MAX_V
+from armrig_protocol.messages import WATCHDOG_MAX_MS
+
+from armrig_daemon.config import MEND, Config, ConfigError
+from armrig_daemon.config import Device as DeviceSettings
+
+if TYPE_CHECKING:
+    from armrig_daemon.emulator.uno import Uno
+
+# Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
+_FOR_EMULATED: dict[str, dict[str, Any]] = {
+    "device": {"watchdog_ms": WATCHDOG_MAX_MS},
+    "emulator": {"tolerates_stalls": True},
+}
+
+_ConfigFile = Annotated[
+    Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
+]
+_Port = Annotated[str | None, typer.Option(help="Serial port.")]
+_Rig = Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.")]
+_System = Annotated[
+    bool,
+    typer.Option("--system", help="As a service: the machine's files, and /etc/armrig/RIG.toml."),
+]
+
+_Firmware = Annotated[
+    bool, typer.Option("--firmware", help="Run the Uno's firmware, in simavr (`make fil`).")
+]
+_Hex = Annotated[
+    Path | None, typer.Option("--hex", help="Firmware to run in place of that of the checkout.")
+]
+
+app = typer.Typer(
+    help="Drive a control laboratory's rig at a fixed sampling time.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.command()
+def run(
+    config: _ConfigFile = None,
+    emulate: Annotated[bool, typer.Option("--emulate", help="Drive an emulated rig.")] = False,
+    port: _Port = None,
+    rig: _Rig = None,
+    system: _System = False,
+    parent: Annotated[int | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Run the daemon until SIGTERM or Ctrl-C; the motor ends at 0 V."""
+    from armrig_daemon import config as configuration
+    from armrig_daemon.loop.realtime import end_with_parent
+    from armrig_daemon.service.emulated_rig import EmulatorError, emulated
+    from armrig_daemon.service.service import Service
+    from armrig_daemon.service.systemd import Notifier
+
+    if parent is not None:  # of `armrig lab`, which may be killed and cannot tell us then
+        end_with_parent(parent)
+    notifier = Notifier(os.environ)
+    load = _configuration(config, port, rig, _FOR_EMULATED if emulate else {}, system=system)
+    try:
+        loaded = load()
+        directory = configuration.recordings(loaded)
+        where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
+    except ValueError as err:
+        _refuse(str(err), MEND)
+    os.umask(0o027)  # the group may read a recording, and nobody but us change it
+    of_systemd = notifier, load if notifier.is_asked else None
+    if not emulate:
+        _end(Service(loaded, where, directory, None, *of_systemd).run())
+    try:
+        with emulated(loaded, _socket_directory()) as (device, stalls_fd):
+            code = Service(device, where, directory, stalls_fd, *of_systemd).run()
+    except EmulatorError as err:
+        _refuse(str(err))
+    _end(code)
+
+
+def _end(code: int) -> NoReturn:
+    """End the process at once: all is closed.
+
+    zenoh's threads may still let go of what is Python's, and abort where the interpreter has ended.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+@app.command()
+def estop(
+    config: _ConfigFile = None,
+    port: _Port = None,
+    rig: _Rig = None,
+    system: _System = False,
+    after_failure: Annotated[
+        bool,
+        typer.Option(
+            "--after-failure", help="As systemd's ExecStopPost: only where the daemon failed."
+        ),
+    ] = False,
+) -> None:
+    """Stop the motor of a rig whose daemon is dead, by ESTOP to its device.
+
+    The device stays stopped until `armrig reset`, or until it boots, as some do when a daemon opens
+    their port. Exit code 0 only where it said that it stopped; it takes 1 s at most.
+
+    A daemon that holds the port is not disturbed: `armrig stop` stops it.
+    """
+    from armrig_daemon.loop.estop import estop as send_estop
+    from armrig_daemon.loop.link import LinkError, TakenPortError
+
+    if after_failure and not _has_failed(os.environ):
+        return
+    try:
+        device = _configuration(config, port, rig, {}, system=system)().device
+        stopped = send_estop(device.port, device.baud)
+    except ConfigError as err:
+        _refuse(f"estop: nothing sent: {err}", MEND)
+    except TakenPortError as err:
+        _refuse(f"estop: nothing sent: {err}; a daemon that runs is stopped by `armrig stop`")
+    except LinkError as err:
+        _refuse(f"estop: nothing sent: {err}; a device that hears nothing stops by itself")
+    if not stopped:
+        _refuse(
+            f"estop: sent to {device.port}, no answer: see that the motor stands still; "
+            "a device that hears nothing stops by itself"
+        )
+    typer.echo(f"armrigd: estop: {device.port} is in ESTOP, 0 V; `armrig reset` leads out of it")
+
+
+def _has_failed(environ: Mapping[str, str]) -> bool:
+    """Tell whether systemd says that a service ended by itself, and had begun to drive a rig."""
+    ended = environ.get("SERVICE_RESULT", ""), environ.get("EXIT_STATUS", "")
+    return ended[0] != "success" and ended != ("exit-code", str(MEND))
+
+
+def _configuration(
+    config: Path | None,
+    port: str | None,
+    rig: str | None,
+    below: Mapping[str, Mapping[str, Any]],
+    *,
+    system: bool,
+) -> Callable[[], Config]:
+    """Return what reads the configuration, of a file or of those installed, under these options."""
+    from armrig_daemon.config import load, load_installed
+
+    overrides: dict[str, dict[str, Any]] = {}
+    if port is not None:
+        overrides["device"] = {"port": port}
+    if rig is not None:
+        overrides["rig"] = {"id": rig}
+    if config is None:
+        return partial(load_installed, os.environ, overrides, system=system, below=below)
+    return partial(load, [config], os.environ, overrides, below=below)
+
+
+@app.command()
+def emulate(
+    port: Annotated[
+        Path, typer.Option(help="Link to make to a pseudo-terminal, or unix:PATH, a socket.")
+    ],
+    config: Annotated[Path | None, typer.Option(help="TOML with a table [emulator].")] = None,
+    trace: Annotated[
+        Path | None, typer.Option(help="File for each change of the motor voltage.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all noise and of the boot ids.")] = None,
+    baud: Annotated[int | None, typer.Option(help="Speed of the emulated wire.")] = None,
+    firmware: _Firmware = False,
+    image: _Hex = None,
+    settings: Annotated[str | None, typer.Option(hidden=True)] = None,
+    stalls_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
+) -> None:
+    """Emulate a rig behind a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
+    from armrig_daemon.emulator.device import Device
+    from armrig_daemon.emulator.harness import HarnessError
+    from armrig_daemon.emulator.line import PortError
+    from armrig_daemon.emulator.pty import emulate as run_emulator
+    from armrig_daemon.emulator.settings import EmulatorSettings, load
+
+    try:
+        if settings is not None:  # from `armrigd run --emulate`, which we shall not outlive
+            from armrig_daemon.loop.realtime import end_with_parent
+
+            end_with_parent()
+            chosen = msgspec.json.decode(settings, type=EmulatorSettings)
+        else:
+            chosen = EmulatorSettings() if config is None else load(config)
+        given = {"seed": seed, "baud": baud}
+        given = {key: value for key, value in given.items() if value is not None}
+        chosen = msgspec.structs.replace(chosen, **given)
+        started = "" if settings is not None else _started(port, chosen.baud)
+        tell = _say_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
+        switch_on = _firmware(image) if firmware or image else Device
+        code = run_emulator(
+            port, chosen, switch_on=switch_on, trace=trace, started=started, held_up=tell
+        )
+    except (ValueError, PortError, HarnessError) as err:
+        _refuse(str(err), MEND)
+    raise typer.Exit(code)
+
+
+@app.command("config")
+def show_config(
+    example: Annotated[
+        bool, typer.Option("--example", help="Print every key, commented out, with its default.")
+    ] = False,
+) -> None:
+    """Print a complete configuration to begin with; redirect it into a file."""
+    from armrig_daemon.configuration_reference import example as example_text
+
+    if not example:
+        _refuse("config: --example is needed: `armrigd config --example > armrig.toml`")
+    typer.echo(example_text())
+
+
+@app.command()
+def conformance(
+    device: Annotated[str, typer.Option(help="Serial port of the device.")],
+    baud: Annotated[int, typer.Option(help="Speed of the line, in bit/s.")] = DeviceSettings().baud,
+    motor_unplugged: Annotated[
+        bool, typer.Option("--motor-unplugged", help="Do not ask: the motor is unplugged.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Try a device on every rule of PROTOCOL.md, the motor unplugged; it takes a minute.
+
+    Exit code 0 only where no rule is broken. The device is left at 0 V.
+    """
+    from armrig_daemon.conformance import told
+    from armrig_daemon.conformance.conversation import Broken
+    from armrig_daemon.conformance.host import Host
+    from armrig_daemon.conformance.rule import Result
+    from armrig_daemon.conformance.serial_line import SerialLine
+    from armrig_daemon.conformance.suite import run as try_rules
+    from armrig_daemon.loop.link import LinkError
+
+    _agree_that_the_motor_is_unplugged(motor_unplugged)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
+
+    def tell(result: Result) -> None:
+        if not json:
+            typer.echo(told.line_of(result, columns))
+
+    try:
+        with closing(SerialLine(device, baud)) as line:
+            host = Host(line, baud)
+            results = try_rules(host, tell)
+    except LinkError as err:
+        _refuse(f"conformance: {err}")
+    except Broken as err:
+        _refuse(f"conformance: {device} at {baud} baud: {err}; see that it is the device's port")
+    except KeyboardInterrupt:
+        _refuse("conformance: interrupted; the device was told to stop", 130)
+    broken = told.json_of(host.facts, results)
+    typer.echo(msgspec.json.encode(broken).decode() if json else told.sum_of(results))
+    raise typer.Exit(1 if broken["broken"] else 0)
+
+
+def _agree_that_the_motor_is_unplugged(is_said: bool) -> None:
+    """Go on only where somebody says so: the rules drive the pin up to 5 V."""
+    if is_said:
+        return
+    typer.echo("This drives the motor's pin, up to 5 V: the motor must be unplugged.", err=True)
+    if not sys.stdin.isatty():
+        _refuse("conformance: nobody is there to say that it is: --motor-unplugged says it")
+    if not typer.confirm("Is it unplugged?", err=True):
+        _refuse("conformance: unplug it first; nothing was sent")
+
+
+def _interrupt(number: int, _: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+@app.command()
+def virtual(
+    directory: Annotated[Path, typer.Option(help="Where the recordings go.")],
+    config: _ConfigFile = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of noise, names and times.")] = 1,
+    firmware: _Firmware = False,
+    image: _Hex = None,
+) -> None:
+    """Play runs on an emulated rig in virtual time, and record them.
+
+    Each line of the standard input is a run, as JSON: {"u": [1.5, 1.5, …], "experiment": "step"}.
+    Each line of the standard output is a recording.
+
+    The same seed, runs and configuration give the same bytes.
+    """
+    from armrig_daemon.emulator.device import Device
+    from armrig_daemon.emulator.harness import HarnessError
+    from armrig_daemon.service.virtual_service import (
+        VirtualRunError,
+        VirtualService,
+        requests_of,
+    )
+
+    try:
+        loaded = _configuration(config, None, None, _FOR_EMULATED, system=False)()
+        switch_on = _firmware(image) if firmware or image else Device
+        service = VirtualService(loaded, directory.absolute(), seed=seed, switch_on=switch_on)
+        for request in requests_of(sys.stdin.buffer.read()):
+            typer.echo(service.record(request))
+    except (ValueError, VirtualRunError, HarnessError, OSError) as err:
+        _refuse(str(err))
+
+
+def _firmware(image: Path | None) -> Callable[..., Uno]:
+    """Return what switches on a simulated Uno with its firmware."""
+    from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
+    from armrig_daemon.emulator.uno import Uno
+
+    return partial(Uno, harness_program(os.environ), firmware_image(image))
+
+
+def _started(port: Path, baud: int) -> str:
+    """Return what a person is told of an emulated rig."""
+    speed = "" if baud == DeviceSettings().baud else f"ARMRIG_DEVICE_BAUD={baud} "
+    return (
+        f"armrigd: an emulated rig behind {port}, {baud} baud, 0 to {U_MAX_V:g} V; "
+        f"drive it with `{speed}armrigd run --port {port}`, end it with Ctrl-C"
+    )
+
+
+def _say_stall(ns: int) -> None:
+    """Tell a person how long the emulator was held up."""
+    with suppress(OSError):  # nobody reads it any more
+        print(f"armrigd: {held_up(ns)}", file=sys.stderr, flush=True)
+
+
+def _write_stall(fd: int, ns: int) -> None:
+    """Tell the daemon, which may be stalled itself: it is not waited for."""
+    with suppress(OSError):
+        os.write(fd, b"%d\n" % ns)
+
+
+def _socket_directory() -> Path:
+    """Return the directory of the sockets, made for this user and group alone."""
+    path = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = path.lstat()
+    except OSError as err:
+        _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours", MEND)
+    if wrong := distrust(found, owners={os.getuid()}):
+        # In a temporary directory anybody could have made it, and would sit on our socket.
+        _refuse(f"{path}: {wrong}; set XDG_RUNTIME_DIR to a directory of yours", MEND)
+    return path
+
+
+def _refuse(message: str, code: int = 1) -> NoReturn:
+    from armrig_daemon.service.sentences import log_prefix
+
+    text = f"{log_prefix('error') or 'armrigd: '}{message}"
+    typer.echo(printable(text, keep="\n"), err=True)
+    raise typer.Exit(code)
