@@ -24,6 +24,12 @@ _INSYNC, _OK, _END = b"\x14", b"\x10", b" "
 # Bytes of each command behind its letter, the ending blank not counted.
 _LENGTHS = {b"0": 0, b"A": 1, b"B": 20, b"E": 5, b"P": 0, b"Q": 0, b"U": 2, b"V": 4, b"u": 0}
 _LOOK_S = 0.002
+_UNHEARD = 2
+"""Greetings that avrdude sends to clear the line: it discards what comes within 0.25 s of each.
+
+A loader on a busy machine answers later, and each answer after that is taken for that of another
+question. A real one does not hear a greeting during its reset, and avrdude sends three more.
+"""
 
 
 class Program(Protocol):
@@ -57,6 +63,7 @@ class Uno:
         """The boot loader was left."""
         self._run = run
         self._address = 0
+        self._greetings = 0
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
@@ -100,7 +107,8 @@ class Uno:
             self._page(letter, size)
         elif letter in _LENGTHS:
             given = self._take(_LENGTHS[letter])
-            if self._take(1) == _END:
+            self._greetings += letter == b"0"
+            if self._take(1) == _END and self._greetings > _UNHEARD:
                 self._answer(self._simple(letter, given))
 
     def _simple(self, letter: bytes, given: bytes) -> bytes:

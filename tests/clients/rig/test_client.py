@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import os
 import signal
 import subprocess
 import sys
@@ -361,6 +362,7 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
             was_alive = is_alive(session, "1")
             patched.setattr(telemetry_stream, "_LOOK_S", 0.1)
             daemon.send_signal(signal.SIGSTOP)
+            os.waitid(os.P_PID, daemon.pid, os.WSTOPPED)  # until its last thread stands still
             stood_alive = is_alive(session, "1")
             daemon.send_signal(signal.SIGCONT)
         daemon.send_signal(number)

@@ -266,15 +266,24 @@ def test_boards_are_named_by_their_usb_ids(monkeypatch: pytest.MonkeyPatch) -> N
     [
         # avrdude 7.1
         ("avrdude warning: attempt 3 of 3: not in sync: resp=0x00\n", "does not answer"),
+        ("avrdude error: protocol expects OK byte 0x10 but got 0x14\n", "does not answer"),
         ("avrdude error: verification mismatch\n", "is not what was written"),
         # avrdude 6.3
         ("avrdude: stk500_getsync() attempt 10 of 10: not in sync: resp=0x00\n", "does not answer"),
+        (
+            "avrdude: stk500_getparm(): (a) protocol error, expect=0x14, resp=0x10\n",
+            "does not answer",
+        ),
         ("avrdude: verification error; content mismatch\n", "is not what was written"),
         ("avrdude: Expected signature for ATmega328P is 1E 95 0F\n", "no ATmega328P"),
         # another
         (
             "avrdude error: cannot open x\n\navrdude done.  Thank you.\n",
             "said: avrdude error: cann",
+        ),
+        (
+            'avrdude error: cannot open x\navrdude OS error: ioctl("TIOCMGET"): Inappropriate\n',
+            "said: avrdude error: cannot open x",
         ),
         ("", "said: nothing"),
     ],

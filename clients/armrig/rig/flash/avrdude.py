@@ -33,7 +33,7 @@ _REASONS = (
         f"what the board holds is not what was written; {_NOT_WHOLE}",
     ),
     (
-        r"not in sync|not responding|unable to open programmer|can't open programmer",
+        r"not in sync|not responding|protocol e|unable to open programmer|can't open programmer",
         "the board's boot loader does not answer; another cable or socket may help, and another "
         "program must not have the port; it must be an Uno with Optiboot",
     ),
@@ -129,5 +129,7 @@ def reason(said: str) -> str:
             return meaning
     lines = [line.strip() for line in said.splitlines()]
     lines = [line for line in lines if re.match(r"avrdude(?: error| OS error)?: ", line)]
+    # Of a port without such lines, as a pseudo-terminal: said at its end, whatever failed before.
+    lines = [line for line in lines if "ioctl(" not in line]
     last = lines[-1] if lines else "nothing"
     return f"avrdude failed and said: {last}; {_NOT_WHOLE}"
