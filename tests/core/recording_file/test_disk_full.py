@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import armrig
@@ -27,6 +28,7 @@ MANIFEST = Manifest(
     **{"samples": 100_000, "k_first": 0, "started": "2026-01-01T00:00:00+00:00"},
     **{"clock_offset_ns": 10**18, "armrig": "0", "protocol": "1"},
 )
+WITHIN_S = 30.0
 ENDED = "its recording ended: No space left on device"
 
 
@@ -119,7 +121,11 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
         )
         for k in range(0, 300, 100):
             recording.add(_samples(k, k + 100))
-            if changed.wait(0.2):
+            until_s = time.monotonic() + WITHIN_S
+            while recording._flushed < k + 100 and not disk.failed:
+                assert time.monotonic() < until_s, "the samples are not written"
+                changed.wait(0.01)
+            if disk.failed:
                 break
         recording.add(_samples(10_000, 10_100))  # no hole in silence: nothing more is written
         recording.finish("stopped")
