@@ -89,3 +89,19 @@ def test_a_figure_never_replaces_a_recording(
 
     assert "is one of the recordings to read, which would be lost" in told(capsys)
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
+def test_an_input_is_known_by_another_name(
+    link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table of somebody's own has no mark of a recording, and is as much lost."""
+    data, other = tmp_path / "data.csv", tmp_path / "other.csv"
+    data.write_text("u,y\n" + "1.0,2.0\n" * 50)
+    getattr(other, link)(data)
+    before = data.read_bytes()
+
+    assert main(["identify", str(data), "--structure", "arx", "--save", str(other)]) == 1
+
+    assert f"{other}: is one of the recordings to read, which would be lost" in told(capsys)
+    assert data.read_bytes() == before

@@ -15,6 +15,7 @@ import armrig
 import numpy as np
 import pyarrow.parquet
 import pytest
+import scipy.io
 from armrig.cli import main
 from armrig.recordings import export
 from armrig.recordings.export import write_csv, write_mat, write_parquet
@@ -56,6 +57,69 @@ def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording)
         assert pytest.approx(TS) == found.Ts
         np.testing.assert_array_equal(found.y, rec.theta_1)
         np.testing.assert_array_equal(found.u, rec.u)
+
+
+def test_a_part_keeps_its_numbers_in_every_file(rec: Recording) -> None:
+    """K is counted as in the whole run, so that a part can be put beside the rest."""
+    part = load(rec.path, start=2.0)
+    csv, mat, parquet = (rec.path.with_name(f"part.{kind}") for kind in ("csv", "mat", "parquet"))
+    write_csv(part, csv)
+    write_mat(part, mat)
+    write_parquet(part, parquet)
+
+    found = {
+        "csv": np.genfromtxt(csv, delimiter=",", names=True)["k"],
+        "mat": scipy.io.loadmat(mat)["k"].ravel(),
+        "parquet": pyarrow.parquet.read_table(parquet)["k"].to_numpy(),
+        "pandas": part.to_pandas()["k"].to_numpy(),
+        "xarray": part.to_xarray()["k"].to_numpy(),
+    }
+
+    for kind, k in found.items():
+        np.testing.assert_array_equal(k, np.arange(200, N), err_msg=kind)
+
+
+def test_what_is_known_of_each_angle_has_a_column_of_its_own(rec: Recording) -> None:
+    """The dead band hides theta_1 alone; a sample that is missing hides both angles."""
+    found = export.columns(rec)
+
+    hidden = np.arange(N) % 50 == 0
+    missing = (np.arange(N) >= 100) & (np.arange(N) < 105)
+    np.testing.assert_array_equal(found["present"], ~missing)
+    np.testing.assert_array_equal(found["valid_alpha"], ~missing)
+    assert not found["valid"][hidden | missing].any()
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_readings_are_in_every_file_that_is_asked_for_them(rec: Recording, raw: bool) -> None:
+    """And in none that is not."""
+    mat, parquet = (rec.path.with_name(f"raw.{kind}") for kind in ("mat", "parquet"))
+    write_mat(rec, mat, raw=raw)
+    write_parquet(rec, parquet, raw=raw)
+
+    variables, table = scipy.io.loadmat(mat), pyarrow.parquet.read_table(parquet)
+
+    assert ("theta_1_counts" in variables) is raw
+    assert ("theta_1_counts" in table.column_names) is raw
+    if raw:
+        counts = np.zeros(N)
+        counts[rec.present] = rec.samples["theta_1_counts"]
+        np.testing.assert_array_equal(variables["theta_1_counts"].ravel(), counts)
+        np.testing.assert_array_equal(table["theta_1_counts"].to_numpy(), counts)
+
+
+def test_a_file_names_its_run_its_output_and_its_sampling_time(rec: Recording) -> None:
+    """The facts of the recording, each under its own name."""
+    path = rec.path.with_name("alpha.mat")
+    write_mat(rec, path, output="alpha")
+
+    found, about = scipy.io.loadmat(path), rec.to_pandas().attrs
+
+    assert (found["output"].item(), found["run_id"].item()) == ("alpha", rec.manifest.run_id)
+    assert (about["run_id"], about["rig"]) == (rec.manifest.run_id, rec.manifest.rig)
+    assert float(about["Ts"]) == found["Ts"].item() == TS
+    units = {name: about[f"unit_{name}"] for name in ("t", "u", "theta_1", "alpha")}
+    assert units == {"t": "s", "u": "V", "theta_1": "rad", "alpha": "rad"}
 
 
 def test_a_long_recording_is_written_row_by_row_as_a_short_one(
