@@ -37,7 +37,8 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
     .. [2] W. J. den Haan, A. Levin, "A practitioner's guide to robust covariance matrix
        estimation", Handbook of Statistics 15, 1997 (the autoregressive estimate).
     """
-    whole = [(Psi[a:b] for a, b in _backwards(Psi.shape[0])) for Psi in blocks]
+    # Lists, not generators: one made in a comprehension would take the rows of the last Psi.
+    whole = [[Psi[a:b] for a, b in _backwards(Psi.shape[0])] for Psi in blocks]
     return exogenous_score_in_blocks(whole, residuals, blocks[0].shape[1])
 
 

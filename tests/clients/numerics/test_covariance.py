@@ -1,0 +1,106 @@
+"""The covariance of a score, against sums written out: experiments, holes and blocks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.numerics import covariance
+from armrig.numerics.covariance import correlated_score, exogenous_score
+from armrig.numerics.inference import infer
+from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.whiteness import autoregression, joined
+from scipy.linalg import toeplitz
+from scipy.stats import chi2
+
+SIZES = (130, 90)
+
+
+def two_experiments(seed: int, C: list[float]) -> tuple[list[Array], list[Array]]:
+    """Return Psi and residuals 1/C e of two experiments, a hole in the second."""
+    rng = np.random.default_rng(seed)
+    blocks = [rng.standard_normal((n, 3)).cumsum(axis=0) for n in SIZES]
+    residuals = [filtered([1.0], C, rng.standard_normal(n)) for n in SIZES]
+    residuals[1][40:43], blocks[1][40:43] = np.nan, 0.0
+    return blocks, residuals
+
+
+def test_newey_and_west_weigh_the_pairs_of_each_experiment() -> None:
+    """By 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), none across the boundary."""
+    blocks, residuals = two_experiments(1, [1.0, -0.8])
+    L = 4
+    assert int(4 * (sum(SIZES) / 100) ** (2 / 9)) == L
+
+    M = correlated_score(blocks, residuals)
+
+    expected = np.zeros((3, 3))
+    for Psi, e in zip(blocks, residuals, strict=True):
+        scores = Psi * np.nan_to_num(e)[:, None]
+        expected += scores.T @ scores
+        for k in range(1, L + 1):
+            pairs = scores[k:].T @ scores[:-k]
+            expected += (1 - k / (L + 1)) * (pairs + pairs.T)
+    np.testing.assert_allclose(M, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("rows", [1 << 16, 37])
+def test_an_exogenous_score_has_the_covariance_of_the_noise(
+    rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Psi^T R Psi, R of the autoregression, in blocks of rows as in one."""
+    blocks, residuals = two_experiments(2, [1.0, -0.8])
+    monkeypatch.setattr(covariance, "_ROWS", rows)
+
+    M = exogenous_score(blocks, residuals)
+
+    C, s2 = autoregression(joined(residuals, 40))
+    assert C.size > 1
+    expected = np.zeros((3, 3))
+    for Psi in blocks:
+        n = Psi.shape[0]
+        H = np.tril(toeplitz(filtered([1.0], C, np.eye(1, n)[0])))
+        expected += s2 * Psi.T @ H @ H.T @ Psi
+    np.testing.assert_allclose(M, expected, rtol=1e-10)
+
+
+def test_the_autoregression_sees_no_pair_across_a_boundary() -> None:
+    """Two levels of opposite sign: across the seam their product is negative."""
+    e = [np.full(60, 1.0), np.full(60, -1.0)]
+    rng = np.random.default_rng(3)
+    e = [part + 0.5 * rng.standard_normal(60) for part in e]
+    blocks = [np.ones((60, 1)), np.ones((60, 1))]
+
+    M = exogenous_score(blocks, e)
+
+    apart = np.concatenate([e[0], np.full(100, np.nan), e[1]])
+    C, s2 = autoregression(apart)
+    H = np.tril(toeplitz(filtered([1.0], C, np.eye(1, 60)[0])))
+    assert M[0, 0] == pytest.approx(2 * s2 * float(np.sum((H.T @ np.ones(60)) ** 2)), rel=1e-9)
+
+
+@pytest.mark.parametrize("d", [1, 12])
+def test_for_white_residuals_the_robust_covariance_is_the_classic(d: int) -> None:
+    """With the same degrees of freedom subtracted: of 60 residuals 12 parameters take a fifth."""
+    rng = np.random.default_rng(5)
+    Phi, y = rng.standard_normal((60, d)), rng.standard_normal(60)
+    e = y - Phi @ np.linalg.lstsq(Phi, y, rcond=None)[0]
+    assert autoregression(e)[0].size == 1  # white, as the autoregression sees it
+
+    found = infer([e], [Phi], score="exogenous")
+
+    np.testing.assert_allclose(found.covariance_robust, found.covariance, rtol=1e-10)
+
+
+def test_ljung_and_box_count_no_pair_across_a_boundary() -> None:
+    """Sums of products within each experiment, over as many pairs as there are."""
+    blocks, residuals = two_experiments(6, [1.0, -0.3])
+    residuals[1][40:43] = 0.1
+    lags = 25
+
+    found = infer(residuals, blocks, score="exogenous", test="ljung-box")
+
+    N = sum(SIZES)
+    pairs = np.array([sum(n - k for n in SIZES) for k in range(lags + 1)])
+    sums = [sum(float(e[k:] @ e[: e.size - k]) for e in residuals) for k in range(lags + 1)]
+    R = np.array(sums) / pairs
+    Q = (N + 2) / N * np.sum(pairs[1:] * (R[1:] / R[0]) ** 2)
+    assert found.white.p_value == pytest.approx(chi2.sf(Q, lags), rel=1e-9)
