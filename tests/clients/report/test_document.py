@@ -28,12 +28,6 @@ from made_recordings import of_the_arm, recorded, sample, written
 
 
 @pytest.fixture(scope="module")
-def done(three_recordings: tuple[Path, Path, Path]) -> Study:
-    """Give a study of a step, a telegraph and a telegraph for validation."""
-    return study([load(path) for path in three_recordings])
-
-
-@pytest.fixture(scope="module")
 def of_three(done: Study) -> Study:
     """Give the study with a third model, which comes first."""
     armax = armrig.armax(done.estimation, na=4, nb=4, nc=2, integrator=True)
