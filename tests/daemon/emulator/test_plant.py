@@ -104,6 +104,18 @@ def test_above_the_coulomb_torque_the_chassis_moves() -> None:
     assert x[2] / 1e-4 == pytest.approx(0.1 / HANDOUT.J_1, rel=1e-2)
 
 
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_stiffening_spring_breaks_the_chassis_away(side: float) -> None:
+    """Its linear part alone would be held; the initial slope is that of all of it."""
+    alpha = 0.5
+    linear, cubic = HANDOUT.K_lin * alpha, 5.0 * alpha**3
+    plant = build(HANDOUT, coulomb_nm=linear + 0.5 * cubic, stiffening=5.0)
+
+    x = advance(plant, (0.0, side * alpha, 0.0, 0.0), 0.0, 100_000)
+
+    assert x[2] / 1e-4 == pytest.approx(side * 0.5 * cubic / HANDOUT.J_1, rel=1e-2)
+
+
 def test_coulomb_friction_takes_its_share_of_the_terminal_speed() -> None:
     """The speed is lower by T_c R_m / (N K_m)²."""
     plant = build(HANDOUT, coulomb_nm=0.02)
