@@ -6,11 +6,13 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from armrig_core import recording_directory
 from armrig_core.arm import ArmParameters
+from armrig_core.volts import code_of
 from armrig_daemon import config as config_module
-from armrig_daemon.config import Config, ConfigError, load, load_installed
+from armrig_daemon.config import Config, ConfigError, Limits, load, load_installed
 
 
 def _load(tmp_path: Path, text: str, environ: dict[str, str] | None = None) -> Config:
@@ -155,6 +157,17 @@ def test_the_rules_of_the_core_are_the_configuration_s() -> None:
 
     assert (rules.u_min, rules.u_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
     assert rules.ts_us == 10_000
+
+
+@pytest.mark.parametrize(("slew_v", "codes"), [(0.2, 2622), (1.0, 13108), (5.0, 65535)])
+def test_no_step_of_the_slew_is_too_steep_for_its_codes(slew_v: float, codes: int) -> None:
+    """Where it is no whole number of codes the rounding of both ends may add one; none is lost."""
+    rules = Config(limits=Limits(slew_v=slew_v)).rules()
+
+    steps = [code_of(low + slew_v) - code_of(low) for low in np.linspace(0, 5 - slew_v, 99)]
+
+    assert rules.slew == codes
+    assert all(rules.allows(0, step) for step in steps)
 
 
 def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
