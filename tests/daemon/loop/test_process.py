@@ -7,6 +7,7 @@ import os
 import select
 import socket
 import tty
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +23,13 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 
 MS = 1_000_000
+
+
+class _Circle:
+    """What only a collection finds."""
+
+    def __init__(self) -> None:
+        self.itself = self
 
 
 @pytest.fixture
@@ -137,6 +145,23 @@ def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
     assert len([event for event in events if isinstance(event, LinkDown)]) == 1
 
 
+def test_a_line_that_hung_up_is_read_on_though_it_is_told_once(
+    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its last bytes first, then its end."""
+    tty.setraw(pipes["slave"])
+    os.write(pipes["master"], b"last words")
+    ((fd, _),) = ports._waiter.wait_until(realtime.now_ns() + 30_000 * MS)
+    told = [[], [(fd, select.EPOLLIN | select.EPOLLHUP)]]
+    monkeypatch.setattr(ports._waiter, "wait_until", lambda _until_ns: told.pop())
+    monkeypatch.setattr(ports._waiter, "ready", list)
+
+    assert ports.wait(0) == [Received(b"last words")]
+    os.close(pipes.pop("master"))
+
+    assert [type(event) for event in ports.wait(0)] == [LinkDown]
+
+
 def test_an_order_and_an_answer_that_came_together_are_both_taken(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
@@ -236,6 +261,18 @@ def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: Proces
     gc.unfreeze()
     assert ports.collections > collections
     assert newly_frozen >= len(kept)
+
+
+def test_what_a_run_left_in_a_circle_is_let_go(ports: ProcessPorts) -> None:
+    """Frozen before it is collected it would stay for ever: each run would leave more."""
+    left = _Circle()
+    gone = weakref.ref(left)
+    del left
+
+    ports.tidy()
+
+    gc.unfreeze()
+    assert gone() is None
 
 
 def test_nothing_spins_before_the_priority_is_granted(ports: ProcessPorts) -> None:
