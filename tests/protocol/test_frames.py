@@ -153,6 +153,16 @@ def test_what_is_left_over_is_bounded(pieces: list[bytes]) -> None:
         assert len(pending) <= LONGEST + 1
 
 
+def test_no_frame_is_cut_out_of_one_that_is_too_long() -> None:
+    """Also where its first bytes are a sound frame, and the line has not brought its end yet."""
+    text = b"\xff\x00\x01\x00".ljust(LONGEST - 5, b"x")
+    longest = cobs.stuff(text + crc32(text).to_bytes(4, "little"))
+    assert len(longest) == LONGEST
+
+    assert _feed_in_pieces([longest, b"\0"]) == [Unknown(0, 1, 0xFF)]
+    assert _feed_in_pieces([longest + b"x", b"\0"]) == [Spoilt("length")]
+
+
 def test_the_frames_take_what_the_design_of_the_budget_says() -> None:
     """SAMPLE 36, EXCHANGE 16 and SETPOINTS 64 bytes on the wire."""
     assert (wire_length(Sample), wire_length(Exchange), wire_length(Setpoints)) == (36, 16, 64)
