@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 from armrig_core.printable import printable
 
 _LONGEST = 80
-_CHECKED = ("(certificate ", "(user ")
+# Whole, so that no rest of it is a claim again: as of "((user user ", or at the end, of "(user".
+_CLAIM = re.compile(r"\(+((certificate|user)( |$))+")
 
 
 def signed(said: str, by: str) -> str:
@@ -19,9 +22,7 @@ def signed(said: str, by: str) -> str:
         What was checked, such as `certificate alice`; "" on the Unix socket, where whoever may
         open it is trusted.
     """
-    name = printable(said).strip()[:_LONGEST]
-    for claim in _CHECKED:
-        name = name.replace(claim, "(")
+    name = _CLAIM.sub("(", printable(said).strip()[:_LONGEST])
     if not by:
         return name
     return f"{name} ({by})" if name else by
