@@ -486,6 +486,33 @@ def test_a_calibration_is_in_force_once_the_loop_has_taken_it(
     assert manifest_of(of_run).calibration_sha256 == digest
 
 
+def test_of_two_calibrations_the_second_is_in_force(between: Between, tmp_path: Path) -> None:
+    """Whole: nothing of the first is left in the status, or in the recording of the next run."""
+    made = msgspec.structs.replace(
+        MEASURED.made, date="2026-11-21", raw_sha256=hashlib.sha256(b"second").hexdigest()
+    )
+    second = msgspec.structs.replace(
+        MEASURED, alpha=Potentiometer(zero_counts=31000.0, wraps=False), made=made
+    )
+    _calibrated(between)
+    between.service._handle([Answer(order=1, body={"done": True})])
+
+    between.ask(AskedCalibrate(calibration=second, raw=b"second"))
+    between.commands.serve()
+    (order,) = between.loop.orders()
+    between.service._handle([Answer(order=2, body={"done": True})])
+    between.begin_run()
+    with _finished(between).open("rb") as file:
+        attached = {a.name: a.data for a in make_reader(file).iter_attachments()}
+
+    assert order == Calibrate(order=2, calibration=msgspec.structs.replace(second, made=None))
+    status = between.service._rig.status(None)
+    assert "made 2026-11-21" in status.calibration
+    assert status.calibration_sha256 == hashlib.sha256(attached[CALIBRATION]).hexdigest()
+    assert msgspec.json.decode(attached[CALIBRATION], type=Calibration) == second
+    assert attached[CALIBRATION_RAW] == b"second"
+
+
 def test_a_calibration_that_the_core_refuses_is_not_in_force(between: Between) -> None:
     """Its sender hears the core's reason."""
     before = between.service._rig.status(None)
