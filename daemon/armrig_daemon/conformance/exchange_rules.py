@@ -25,12 +25,22 @@ _U32 = 0xFFFF_FFFF
 _LONG_MS = 30
 """Longer than any sample that might come though none should."""
 _ROUNDED_US = 3
+_EARLY_MS, _LATE_MS = 0.1, 1.0
+"""How early and how late the watchdog may be, by the device's clock."""
 _MANY = 32
 
 
 def elapsed(from_us: int, to_us: int) -> int:
     """Return the device time from one stamp to another, negative where it went back, in µs."""
     return (to_us - from_us + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+def expect_watchdog(event: Event, fed_us: int, watchdog_ms: int) -> None:
+    """Expect FAULT(WATCHDOG) at its time behind the last frame that fed it."""
+    expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
+    ms = elapsed(fed_us, event.t_us) / 1000
+    is_in_time = watchdog_ms - _EARLY_MS <= ms <= watchdog_ms + _LATE_MS
+    expect(is_in_time, f"{ms:.2f} ms behind the last frame, not {watchdog_ms}")
 
 
 def trigger(host: Host, m: int) -> tuple[int, int]:

@@ -24,12 +24,10 @@ from armrig_daemon.conformance.byte_rules import (
     spoilt_frames,
 )
 from armrig_daemon.conformance.conversation import Broken, only
-from armrig_daemon.conformance.exchange_rules import elapsed
+from armrig_daemon.conformance.exchange_rules import expect_watchdog
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import NotTried, expect, rule
 
-_EARLY_MS, _LATE_MS = 0.1, 1.0
-"""How early and how late the watchdog may be, by the device's clock."""
 _RAIL_CODES = 64
 _LOW_MV = 4_000
 
@@ -46,11 +44,7 @@ def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") ->
     else:
         msg = f"no FAULT(WATCHDOG) in the silence of {watchdog_ms} ms and more"
         raise Broken(msg)
-    event = only(Event, came)
-    expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
-    ms = elapsed(fed_us, event.t_us) / 1000
-    in_time = watchdog_ms - _EARLY_MS <= ms <= watchdog_ms + _LATE_MS
-    expect(in_time, f"{ms:.2f} ms behind the last frame, not {watchdog_ms}")
+    expect_watchdog(only(Event, came), fed_us, watchdog_ms)
     sample = host.sample(0)
     told = bool(sample.flags & Flag.WATCHDOG)
     expect(sample.u_k == 0 and told, [sample])
@@ -97,10 +91,7 @@ def _hellos(host: Host, fed_us: int) -> None:
         came += host.listen(8)
         if any(isinstance(m, Event) for m in came):
             break
-    event = only(Event, came)
-    expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
-    ms = elapsed(fed_us, event.t_us) / 1000
-    expect(60 - _EARLY_MS <= ms <= 60 + _LATE_MS, f"{ms:.2f} ms behind the last frame, not 60")
+    expect_watchdog(only(Event, came), fed_us, 60)
     expect(any(isinstance(m, HelloReply) for m in came), "no HELLO_R")
 
 

@@ -124,6 +124,17 @@ def _padding_counts(patch: Patch) -> None:
     patch.setattr(SetpointQueue, "violation", all_of_it)
 
 
+def _late_repeat_steps(patch: Patch) -> None:
+    steps = SetpointQueue._steps
+
+    def behind(self: SetpointQueue, offset: int, codes: tuple[int, ...]) -> Any:
+        yield from steps(self, offset, codes)
+        if not self._entries and offset == -len(codes):
+            yield self.in_force.u, 0  # what stands behind the last code of the frame
+
+    patch.setattr(SetpointQueue, "_steps", behind)
+
+
 SPOILT: dict[str, SpoiltDevice] = {
     "the timer drifts": SpoiltDevice(_drifts, "to 1 us"),
     "one sample is 5 us late": SpoiltDevice(_one_late, "to 1 us"),
@@ -137,4 +148,5 @@ SPOILT: dict[str, SpoiltDevice] = {
     "n of 25 is taken": SpoiltDevice(_n_of_25, "n of 0 or above 24"),
     "queued setpoints feed": SpoiltDevice(_setpoints_feed, "do not feed"),
     "padding is looked at": SpoiltDevice(_padding_counts, "padding"),
+    "a late repeat is a step": SpoiltDevice(_late_repeat_steps, "A repeat that ends"),
 }

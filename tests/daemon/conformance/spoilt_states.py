@@ -54,15 +54,23 @@ def _spoilt_feeds(patch: Patch) -> None:
     patch.setattr(device, "handle", feeding)
 
 
-def _late_watchdog(patch: Patch) -> None:
+def _shifted_watchdog(patch: Patch, by_ns: int) -> None:
     set_watchdog = Firmware._set_watchdog
 
-    def late(self: Firmware) -> None:
+    def shifted(self: Firmware) -> None:
         set_watchdog(self)
         if self.watchdog_ns != firmware.NEVER:
-            self.watchdog_ns += 2_000_000
+            self.watchdog_ns += by_ns
 
-    patch.setattr(Firmware, "_set_watchdog", late)
+    patch.setattr(Firmware, "_set_watchdog", shifted)
+
+
+def _late_watchdog(patch: Patch) -> None:
+    _shifted_watchdog(patch, 2_000_000)
+
+
+def _early_watchdog(patch: Patch) -> None:
+    _shifted_watchdog(patch, -200_000)
 
 
 def _watchdog_in_run_only(patch: Patch) -> None:
@@ -168,6 +176,7 @@ SPOILT: dict[str, SpoiltDevice] = {
     "HELLO feeds the watchdog": SpoiltDevice(_hello_feeds, "feeds the watchdog"),
     "a spoilt frame feeds the watchdog": SpoiltDevice(_spoilt_feeds, "feeds the watchdog"),
     "the watchdog is 2 ms late": SpoiltDevice(_late_watchdog, "silence of `watchdog_ms`"),
+    "the watchdog is 0.2 ms early": SpoiltDevice(_early_watchdog, "silence of `watchdog_ms`"),
     "no watchdog in ARMED": SpoiltDevice(_watchdog_in_run_only, "silence of `watchdog_ms`"),
     "ARM of another boot arms": SpoiltDevice(_any_boot, "ARM carries"),
     "any nonce arms": SpoiltDevice(_any_nonce, "do not arm again"),
