@@ -26,6 +26,7 @@ TESTS = [
     "test_wraps.py",
     "test_bounds.py",
     "test_core_frames.py",
+    "test_interrupts.py",
     "test_fuzz_core.py",
 ]
 """Of tests/firmware, those first that catch the most."""

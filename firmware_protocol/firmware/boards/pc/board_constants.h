@@ -23,9 +23,11 @@
         | RIG_CAPABILITY_ENABLE_LINE)
 #define BOARD_RAM 3500
 
-// Nothing interrupts it: the hardware calls in turn.
+// Nothing interrupts it: the hardware calls in turn. In `interrupts.c` something does.
+#ifndef PC_INTERRUPTS
 #define BOARD_IRQ_INLINE
 static inline unsigned char board_irq_save(void) { return 0; }
 static inline void board_irq_restore(unsigned char before) { (void)before; }
+#endif
 
 #endif

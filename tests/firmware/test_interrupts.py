@@ -1,0 +1,23 @@
+"""An interrupt between any two accesses to memory does what it does before or after them."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+
+import pytest
+
+from firmware import library
+
+pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+
+
+def test_the_core_is_whole_wherever_an_interrupt_comes() -> None:
+    """Setpoints, samples, EXCHANGE and the way out of RUN; `boards/pc/interrupts.c` says how."""
+    program = library.build("interrupts", "BOARD_QUEUE=64")
+
+    done = subprocess.run([program], capture_output=True, text=True, check=False, timeout=60)
+
+    assert done.returncode == 0, done.stderr[-3000:]
+    (came,) = re.findall(r"interrupts (\d+)", done.stdout)
+    assert int(came) > 100_000
