@@ -45,12 +45,12 @@ coverage: .venv/dev
 	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
 	  conformance core/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
 
-# N generated bugs in the same modules, each of which a test must see. EDGES=1: in the daemon's edges,
-# where the tests start real processes; it goes on where it was left. SEED=… draws others.
-# CORE=1: in the device's core, in C.
-N ?= $(if $(EDGES),120,$(if $(CORE),60,300))
+# N generated bugs over all rooms, by their lines, each of which a test must see: an hour for 400. It goes
+# on where it was left, in mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others;
+# EVERYDAY=1 asks only the tests of `make test`.
+N ?= 400
 mutants: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation$(if $(EDGES),.edges)$(if $(CORE),.core) --n $(N) $(if $(SEED),--seed $(SEED))
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS)) $(if $(EVERYDAY),--everyday)
 
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py

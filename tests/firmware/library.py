@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import fcntl
-import os
 import subprocess
 from collections.abc import Callable
 from ctypes import c_bool, c_char_p, c_int64, c_size_t, c_uint8, c_uint16, c_uint32
@@ -14,10 +13,7 @@ from typing import Any
 
 from armrig_daemon.emulator.firmware import Hardware
 
-FIRMWARE = Path(
-    os.environ.get("ARMRIG_FIRMWARE")  # one with a bug in it: tests/mutation/core.py
-    or Path(__file__).parents[2] / "firmware_protocol" / "firmware"
-)
+FIRMWARE = Path(__file__).parents[2] / "firmware_protocol" / "firmware"
 SENT_BYTES = 1 << 14
 _BYTES = ctypes.POINTER(c_uint8)
 _WORLD: tuple[tuple[str, Any, tuple[Any, ...]], ...] = (

@@ -1,49 +1,123 @@
-"""Which tests reach which line, and how long each takes: a bug is shown to those alone."""
+"""Which tests reach which line, how long each takes, and which markers it has."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import defaultdict
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import coverage
 import pytest
 
 from mutation.trial import in_child
 
-Lines = dict[str, dict[int, list[str]]]
-"""Tests by module and line."""
+ROOT = Path(__file__).parents[2]
+PACKAGES = ["armrig", "armrig_core", "armrig_daemon", "armrig_protocol"]
+LIMIT_S = 1800.0  # of the clock, for the tests of one folder
+MARKERS = ("machine", "timed", "exhaustive")
+"""Of a test that `make test` does not run with the others."""
 
 
-class Reach(NamedTuple):
-    """What the tests reach without any bug."""
+class Passing(NamedTuple):
+    """A test that passes without a bug."""
 
-    lines: Lines
-    took_s: dict[str, float]
-    """By test."""
+    took_s: float
+    marker: str
+    """One of `MARKERS`, or empty."""
+
+
+class Reach:
+    """What the tests do without a bug, kept in a folder: a JSON file for each file of tests."""
+
+    def __init__(self, folder: Path) -> None:
+        """Keep in `folder` what is measured."""
+        self._folder = folder
+        self.tests: dict[str, Passing] = {}
+        self._lines: defaultdict[str, dict[str, int]] = defaultdict(dict)
+
+    def measure(self, paths: Iterable[str], *, sources: bool = True) -> None:
+        """Run the tests of these files that were not measured before, or have changed.
+
+        Without `sources` the tests are only timed: they start processes, which are not measured.
+        """
+        stale: defaultdict[Path, list[str]] = defaultdict(list)
+        for path in paths:
+            kept = self._kept(path)
+            if kept is None:
+                stale[Path(path).parent].append(path)
+            else:
+                self._take(kept)
+        for folder, of_folder in stale.items():
+            print(f"measures {folder}", flush=True)
+            for path, found in measured(of_folder, PACKAGES if sources else []).items():
+                self._folder.mkdir(parents=True, exist_ok=True)
+                self._file(path).write_text(json.dumps(found))
+                self._take(found)
+
+    def tests_of(self, source: str, line: int) -> list[str]:
+        """Return the tests that reach a line.
+
+        A line that is executed by the import is reached by each test that reaches its module.
+        """
+        found = self._lines[source]
+        return [test for test, bits in found.items() if bits >> line & 1] or list(found)
+
+    def _file(self, path: str) -> Path:
+        return self._folder / f"{path.replace('/', '.')}.json"
+
+    def _kept(self, path: str) -> dict[str, Any] | None:
+        file = self._file(path)
+        kept = json.loads(file.read_text()) if file.exists() else None
+        if kept is None or any(digest(name) != was for name, was in kept["digests"].items()):
+            return None
+        return kept  # type: ignore[no-any-return]
+
+    def _take(self, found: dict[str, Any]) -> None:
+        self.tests |= {name: Passing(*test) for name, test in found["tests"].items()}
+        for source, by_test in found["lines"].items():
+            for test, bits in by_test.items():
+                if test in self.tests:
+                    self._lines[source][test] = int(bits, 16)
+
+
+@cache
+def digest(path: str) -> str:
+    """Return the hash of a file of the project; empty if there is none."""
+    file = ROOT / path
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16] if file.exists() else ""
 
 
 class _Contexts:
-    """Tells coverage which test is running, and times it."""
+    """Names the test that is running to coverage, and times it."""
 
-    def __init__(self, measured: coverage.Coverage) -> None:
+    def __init__(self, measured: coverage.Coverage | None) -> None:
         self._measured = measured
-        self.took_s: defaultdict[str, float] = defaultdict(float)
-        self.failed: list[str] = []
+        self.tests: dict[str, tuple[float, str]] = {}
+        self.failed: set[str] = set()
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        for item in items:
+            marker = next((name for name in MARKERS if item.get_closest_marker(name)), "")
+            self.tests[item.nodeid] = (0.0, marker)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_logstart(self, nodeid: str) -> None:
-        self._measured.switch_context(nodeid)
+        if self._measured is not None:
+            self._measured.switch_context(nodeid)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.took_s[report.nodeid] += report.duration
-        if report.failed:
-            self.failed.append(report.nodeid)
+        took_s, marker = self.tests[report.nodeid]
+        self.tests[report.nodeid] = (round(took_s + report.duration, 3), marker)
+        if not report.passed:
+            self.failed.add(report.nodeid)
 
 
-def measured(tests: list[str], package: str, limit_s: float) -> Reach:
-    """Run all tests once; one that fails without a bug says nothing, and is left out.
+def measured(paths: list[str], packages: list[str]) -> dict[str, dict[str, Any]]:
+    """Run tests once; a test that fails or is skipped without a bug is left out.
 
     Raises
     ------
@@ -52,49 +126,45 @@ def measured(tests: list[str], package: str, limit_s: float) -> Reach:
     """
 
     def run(told: Path) -> None:
-        lines: defaultdict[str, defaultdict[int, list[str]]] = defaultdict(
-            lambda: defaultdict(list)
-        )
-        cov = coverage.Coverage(data_file=None, source_pkgs=[package], config_file=False)
-        contexts = _Contexts(cov)
-        cov.start()
+        cov = coverage.Coverage(data_file=None, source_pkgs=packages, config_file=False)
+        contexts = _Contexts(cov if packages else None)
+        if packages:
+            cov.start()
         code = pytest.main(
-            ["-q", "--no-header", "-p", "no:cacheprovider", "-p", "no:cov", *tests],
+            ["-q", "--no-header", "-p", "no:cacheprovider", "-p", "no:cov", *paths],
             plugins=[contexts],
         )
-        cov.stop()
-        data = cov.get_data()
-        for path in data.measured_files():
-            for line, names in data.contexts_by_lineno(path).items():
-                lines[path][line] = [name for name in names if name]
-        told.write_text(json.dumps([int(code), contexts.failed, lines, contexts.took_s]))
+        lines: defaultdict[str, defaultdict[str, int]] = defaultdict(lambda: defaultdict(int))
+        if packages:
+            cov.stop()
+            data = cov.get_data()
+            for path in data.measured_files():
+                source = str(Path(path).relative_to(ROOT))
+                for line, names in data.contexts_by_lineno(path).items():
+                    for name in names:
+                        lines[source][name] |= 1 << line
+        tests = {name: test for name, test in contexts.tests.items() if name not in contexts.failed}
+        told.write_text(json.dumps([int(code), tests, sorted(contexts.failed), lines]))
 
-    status, told = in_child(run, limit_s)
+    status, told = in_child(run, LIMIT_S, LIMIT_S)
     if told is None or told[0] not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
-        why = told[1] if told else f"status {status}"
-        msg = f"the tests without a bug did not come to their end: {why}"
+        msg = f"{' '.join(paths)} did not come to an end without a bug: {told or status}"
         raise RuntimeError(msg)
-    failed = set(told[1])
-    for name in failed:
-        print(f"left out, for it fails without a bug: {name}")
-    by_line: Lines = {
-        path: {int(line): [n for n in names if n not in failed] for line, names in found.items()}
-        for path, found in told[2].items()
+    for name in told[2]:
+        print(f"left out, for it does not pass without a bug: {name}", flush=True)
+    return {path: _of_file(path, told[1], told[3]) for path in paths}
+
+
+def _of_file(path: str, tests: dict[str, Any], lines: dict[str, dict[str, int]]) -> dict[str, Any]:
+    """Return what one file of tests has done, and the hashes of the files that it depends on."""
+    own = {name: test for name, test in tests.items() if name.partition("::")[0] == path}
+    reached = {
+        source: {test: hex(bits) for test, bits in by_test.items() if test in own}
+        for source, by_test in lines.items()
     }
-    return Reach(by_line, told[3])
-
-
-def tests_of(reach: Reach, path: str, line: int, budget_s: float) -> list[str]:
-    """Return the tests that reach a line, the quickest first, for as long as the budget allows.
-
-    A line that is done at the import is reached by whatever reaches its module.
-    """
-    lines = reach.lines.get(path, {})
-    names = lines.get(line) or sorted({name for found in lines.values() for name in found})
-    chosen, spent_s = [], 0.0
-    for name in sorted(names, key=lambda name: reach.took_s.get(name, 0.0)):
-        spent_s += reach.took_s.get(name, 0.0)
-        if chosen and spent_s > budget_s:
-            break
-        chosen.append(name)
-    return chosen
+    reached = {source: by_test for source, by_test in reached.items() if by_test}
+    return {
+        "tests": own,
+        "lines": reached,
+        "digests": {name: digest(name) for name in (path, *reached)},
+    }

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import resource
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -30,7 +32,8 @@ class Outcome(StrEnum):
     CAUGHT = "caught"
     TIMED_OUT = "timed out"
     SURVIVED = "survived"
-    NOT_REACHED = "not reached"
+    NOT_BUILT = "not built"
+    """The compiler, or node, refuses it: that is no bug that could be met."""
 
 
 class Verdict(NamedTuple):
@@ -40,19 +43,8 @@ class Verdict(NamedTuple):
     by: str
     """The test that failed, or what else went wrong."""
     took_s: float
-
-
-class _Times:
-    """Notes how long each test takes, and which fail."""
-
-    def __init__(self) -> None:
-        self.took_s: dict[str, float] = {}
-        self.failed: list[str] = []
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.took_s[report.nodeid] = self.took_s.get(report.nodeid, 0.0) + report.duration
-        if report.failed and report.nodeid not in self.failed:
-            self.failed.append(report.nodeid)
+    marker: str = ""
+    """Of the test: empty where `make test` runs it."""
 
 
 class _First:
@@ -107,30 +99,40 @@ def tried(
     if code == pytest.ExitCode.OK:
         return Verdict(Outcome.SURVIVED, "", took_s)
     if not failed:
-        msg = f"pytest ended with {code}, and no test failed: is the file of --reach an old one?"
+        msg = f"pytest ended with {code}, and no test failed: do they exist?"
         raise RuntimeError(msg)
     return Verdict(Outcome.CAUGHT, failed, took_s)
 
 
-def timed(tests: list[str], clock_s: float) -> tuple[dict[str, float], list[str]]:
-    """Return how long each of the tests takes without a bug, in s, and which fail.
-
-    Raises
-    ------
-    RuntimeError
-        pytest did not come to its end.
-    """
-
-    def run(told: Path) -> None:
-        times = _Times()
-        code = pytest.main([*(word for word in QUIET if word != "-x"), *tests], plugins=[times])
-        told.write_text(json.dumps([int(code), times.took_s, times.failed]))
-
-    _, told = in_child(run, clock_s, clock_s)
-    if told is None or told[0] not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
-        msg = f"{' '.join(tests)} did not come to an end without a bug"
-        raise RuntimeError(msg)
-    return told[1], told[2]
+def tried_in(copy: Path, tests: list[str], markers: str, clock_s: float) -> Verdict:
+    """Run tests one after the other in a copy of the project, until one fails."""
+    packages = ("firmware_protocol", "daemon", "clients")
+    paths = os.pathsep.join(str(copy / package) for package in packages)
+    words = [sys.executable, "-m", "pytest", *QUIET, "-m", markers, *tests]
+    words = [word for word in words if word != "--no-summary"]
+    began = time.monotonic()
+    with subprocess.Popen(
+        words,
+        cwd=copy,
+        env={**os.environ, "PYTHONPATH": paths},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
+    ) as child:
+        try:
+            said, _ = child.communicate(timeout=clock_s)
+        except subprocess.TimeoutExpired:
+            return Verdict(Outcome.TIMED_OUT, f"{clock_s:.0f} s", time.monotonic() - began)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(child.pid, signal.SIGKILL)
+    took_s = time.monotonic() - began
+    if child.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
+        return Verdict(Outcome.SURVIVED, "", took_s)
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    by = failed[1] if failed else f"the process ended with status {child.returncode}"
+    return Verdict(Outcome.CAUGHT, by, took_s)
 
 
 def in_child(

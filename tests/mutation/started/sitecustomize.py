@@ -1,4 +1,4 @@
-"""Plants the bug that MUTANT_OF_ARMRIG names in every interpreter that a test starts.
+"""Plants the bug that MUTANT_OF_ARMRIG leads to in every interpreter that a test starts.
 
 Python imports this module at its start where the folder is on PYTHONPATH; see `mutation.planting`.
 """
@@ -9,10 +9,10 @@ import os
 import sys
 from pathlib import Path
 
-if _named := os.environ.get("MUTANT_OF_ARMRIG"):
+if _kept := os.environ.get("MUTANT_OF_ARMRIG"):
     _tests = str(Path(__file__).parents[2])
     sys.path.append(_tests)
-    from mutation.planting import plant_named
+    from mutation.planting import plant_kept
 
     sys.path.remove(_tests)
-    plant_named(_named)
+    plant_kept(_kept)
