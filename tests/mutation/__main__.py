@@ -27,7 +27,7 @@ from mutation import python_sites, text_sites
 from mutation.mutant import Mutant, difference, planted
 from mutation.outcomes import Outcomes
 from mutation.planting import keep, module_of, plant_kept
-from mutation.reach import ROOT, Reach
+from mutation.reach import ROOT, Reach, markers
 from mutation.trial import Outcome, Verdict, tried, tried_in
 
 TABLE = Path(__file__).with_name("rooms.toml")
@@ -42,8 +42,6 @@ COPIED_S = 400.0
 CLOCK_S = 30.0  # in addition to what the tests take without a bug: each may wait for one more
 NOT_OURS = {"vendor", "messages.py"}
 """Of others, or generated: a test compares it with the generator's."""
-NOT_EVERYDAY = ("timed", "machine")
-"""Markers of tests that are not run here: they want a machine of their own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,7 +187,9 @@ class Trials:
 
     def __init__(self, folder: Path, reach: Reach, kills: Counter[str], *, everyday: bool) -> None:
         self._folder, self._reach, self._kills = folder, reach, kills
-        self._markers = ("", *([] if everyday else ["exhaustive"]))
+        # `timed` and `machine` are not run here: they want a machine of their own.
+        is_asked = not everyday and "exhaustive" in markers()
+        self._markers = ("", *(["exhaustive"] if is_asked else []))
 
     def tests_of(self, room: Room, mutant: Mutant) -> list[str]:
         """Return the tests that a bug is shown to: those that reach it, the nearest first."""
@@ -301,7 +301,7 @@ class Trials:
             if subprocess.run(build, cwd=copy, capture_output=True, check=False).returncode:
                 return Verdict(Outcome.NOT_BUILT, "", 0.0)
             for marker in self._markers:
-                none = " and ".join(f"not {name}" for name in (*NOT_EVERYDAY, "exhaustive"))
+                none = " and ".join(f"not {name}" for name in markers())
                 verdict = tried_in(copy, room.tests, marker or none, COPIED_S)
                 if verdict.outcome is not Outcome.SURVIVED:
                     return verdict._replace(marker=marker)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tomllib
 from collections import defaultdict
 from collections.abc import Iterable
 from functools import cache
@@ -18,8 +19,6 @@ from mutation.trial import in_child
 ROOT = Path(__file__).parents[2]
 PACKAGES = ["armrig", "armrig_core", "armrig_daemon", "armrig_protocol"]
 LIMIT_S = 1800.0  # of the clock, for the tests of one folder
-MARKERS = ("machine", "timed", "exhaustive")
-"""Of a test that `make test` does not run with the others."""
 
 
 class Passing(NamedTuple):
@@ -27,7 +26,7 @@ class Passing(NamedTuple):
 
     took_s: float
     marker: str
-    """One of `MARKERS`, or empty."""
+    """One of `markers`, or empty."""
 
 
 class Reach:
@@ -85,6 +84,13 @@ class Reach:
 
 
 @cache
+def markers() -> tuple[str, ...]:
+    """Return the project's markers: of tests that `make test` does not run with the others."""
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    return tuple(marker.partition(":")[0] for marker in options["markers"])
+
+
+@cache
 def digest(path: str) -> str:
     """Return the hash of a file of the project; empty if there is none."""
     file = ROOT / path
@@ -101,7 +107,7 @@ class _Contexts:
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         for item in items:
-            marker = next((name for name in MARKERS if item.get_closest_marker(name)), "")
+            marker = next((name for name in markers() if item.get_closest_marker(name)), "")
             self.tests[item.nodeid] = (0.0, marker)
 
     @pytest.hookimpl(tryfirst=True)

@@ -324,8 +324,9 @@ def test_tests_are_measured_without_a_bug(tmp_path: Path) -> None:
         "def test_c(): pass\n"
     )
     program = (
-        "from mutation.reach import measured; "
-        "print(measured(['test_this.py'], ['armrig_core'])['test_this.py'])"
+        "from mutation import reach; "
+        "reach.markers = lambda: ['exhaustive']; "
+        "print(reach.measured(['test_this.py'], ['armrig_core'])['test_this.py'])"
     )
 
     found = _said_by(program, tmp_path)
@@ -369,6 +370,7 @@ def _judged(
         return Verdict(Outcome.CAUGHT if failed else Outcome.SURVIVED, failed, 1.0)
 
     monkeypatch.setattr(mutation, "tried", tried)
+    monkeypatch.setattr(mutation, "markers", lambda: ("exhaustive",))
     monkeypatch.setattr(mutation, "_test_files", lambda _: ["tests/integration/test_a.py"])
     trials = Trials(tmp_path, _Known(), Counter(), everyday=False)
     mutant = MUTANT._replace(file="tests/mutation/mutant.py")

@@ -7,6 +7,7 @@ import json
 import os
 import re
 import resource
+import shlex
 import signal
 import subprocess
 import sys
@@ -105,7 +106,13 @@ def tried(
 
 
 def tried_in(copy: Path, tests: list[str], markers: str, clock_s: float) -> Verdict:
-    """Run tests one after the other in a copy of the project, until one fails."""
+    """Run tests one after the other in a copy of the project, until one fails.
+
+    Raises
+    ------
+    RuntimeError
+        pytest itself did not run: that is no bug caught.
+    """
     packages = ("firmware_protocol", "daemon", "clients")
     paths = os.pathsep.join(str(copy / package) for package in packages)
     words = [sys.executable, "-m", "pytest", *QUIET, "-m", markers, *tests]
@@ -130,6 +137,9 @@ def tried_in(copy: Path, tests: list[str], markers: str, clock_s: float) -> Verd
     took_s = time.monotonic() - began
     if child.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
         return Verdict(Outcome.SURVIVED, "", took_s)
+    if child.returncode == pytest.ExitCode.USAGE_ERROR:
+        msg = f"pytest did not run: {shlex.join(words)}"
+        raise RuntimeError(msg)
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
     by = failed[1] if failed else f"the process ended with status {child.returncode}"
     return Verdict(Outcome.CAUGHT, by, took_s)
