@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 from progress import Progress
 
+pytest_plugins = ("stalls.repeats", "order")
+
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A shell's background job ignores them and its children with it, which some tests send them to.

@@ -1,0 +1,77 @@
+"""A pytest plug-in for the order of the tests: a drawn order, and what ran before a failure."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Generator
+from itertools import groupby
+from typing import Any, Final
+
+import pytest
+
+SHOWN: Final = 10
+"""Tests that a failure shows as run before it."""
+DISTRIBUTIONS: Final = ("load", "loadscope", "worksteal")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option."""
+    parser.addoption(
+        "--order-seed",
+        type=int,
+        metavar="SEED",
+        help="Draw the order of the modules, of the tests in each, and the workers' shares.",
+    )
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Draw how xdist distributes the tests to its workers, before xdist reads it."""
+    seed = config.getoption("order_seed")
+    if seed is not None and getattr(config.option, "numprocesses", None):
+        config.option.dist = random.Random(seed).choice(DISTRIBUTIONS)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Draw the order; all workers of xdist draw the same."""
+    if (seed := config.getoption("order_seed")) is not None:
+        items[:] = shuffled(items, random.Random(seed))
+
+
+def shuffled(items: list[pytest.Item], generator: random.Random) -> list[pytest.Item]:
+    """Return the tests in a drawn order; those of a module stay together and share its fixtures."""
+    modules = [list(tests) for _, tests in groupby(items, key=lambda item: item.path)]
+    generator.shuffle(modules)
+    for tests in modules:
+        generator.shuffle(tests)
+    return [item for tests in modules for item in tests]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep what runs in this process."""
+    config.pluginmanager.register(_Before(config))
+
+
+class _Before:
+    """The tests that ran in this process."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._worker = getattr(config, "workerinput", {}).get("workerid", "the only process")
+        self._seed = config.getoption("order_seed")
+        self._ran: list[str] = []
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: pytest.Item) -> Generator[None, Any, Any]:
+        """Show with a failure what ran before it."""
+        report = yield
+        if report.failed:
+            order = "as collected" if self._seed is None else f"--order-seed {self._seed}"
+            before = "".join(f"\n  {test}" for test in self._ran[-SHOWN:])
+            text = (
+                f"{self._worker}, order {order}, {len(self._ran)} tests before, the last:{before}"
+            )
+            report.sections.append(("Order", text))
+        if report.when == "teardown":
+            self._ran.append(item.nodeid)
+        return report

@@ -1,0 +1,39 @@
+"""Measure the stalls of the host.
+
+The program waits for deadlines and compares the clock with each of them. Its priority is that of
+an emulated rig, so it waits for a processor as long as an emulated rig does. It is a process of its
+own, because a thread would also wait for the interpreter of the tests. It answers each line of its
+standard input with the stalls since the last answer, and exits at the end of its input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import time
+
+PERIOD_NS = 5_000_000
+SHORTEST_NS = 20_000_000  # shorter stalls are not reported
+
+
+def main() -> None:
+    """Wait, compare and answer until the end of the input."""
+    stalls: list[tuple[int, int]] = []
+    now_ns = time.monotonic_ns()
+    while True:
+        # From the last reading, so that a stall after it counts wherever it lies.
+        due_ns = now_ns + PERIOD_NS
+        asked, _, _ = select.select([0], [], [], PERIOD_NS / 1e9)
+        now_ns = time.monotonic_ns()
+        if now_ns - due_ns > SHORTEST_NS:
+            stalls.append((due_ns, now_ns))
+        if asked:
+            if not os.read(0, 1):
+                return
+            print(json.dumps(stalls), flush=True)
+            stalls.clear()
+
+
+if __name__ == "__main__":
+    main()
