@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import subprocess
 
-import pytest
+from tools import needs
 
 from firmware import library
 
-pytestmark = pytest.mark.skipif(bool(library.missing()), reason=library.missing())
+pytestmark = needs("cc", "make")
 
 
 def test_the_core_is_whole_wherever_an_interrupt_comes() -> None:
