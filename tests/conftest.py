@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from progress import Progress
 
-pytest_plugins = ("stalls.repeats", "order")
+pytest_plugins = ("stalls.repeats", "order", "examples")
 
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

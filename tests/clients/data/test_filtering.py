@@ -53,7 +53,7 @@ def test_a_low_pass_takes_what_is_above_its_band_and_leaves_what_is_below() -> N
     assert rms == pytest.approx(np.sqrt(0.5) / 16.7, rel=0.05)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.integers(0, 399), st.integers(1, 20), st.floats(-1e3, 1e3))
 def test_a_missing_sample_never_reaches_a_valid_one(at: int, length: int, level: float) -> None:
     """Whatever stood in the gap, and before the experiment, has been forgotten to 1e-4."""
@@ -141,7 +141,7 @@ def test_nothing_above_the_new_nyquist_frequency_comes_back_as_an_alias() -> Non
         np.testing.assert_allclose(slow.u, slow.y, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.lists(st.integers(0, 599), max_size=3), st.integers(2, 6))
 def test_a_gap_stays_a_gap_at_the_slower_rate(holes: list[int], factor: int) -> None:
     """A new sample is valid just where all that its filter weighs are, in each experiment."""

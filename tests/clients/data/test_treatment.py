@@ -12,7 +12,7 @@ from armrig.data.treatment import IntegratingOutputWarning, detrend, difference,
 from armrig.data.trend import Trend
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 finite = st.floats(-1e3, 1e3)
 
 
-@settings(deadline=None)
 @given(arrays(np.float64, (2, 30), elements=finite), arrays(np.bool_, 30), st.integers(0, 1))
 def test_detrending_twice_changes_nothing(
     signals: NDArray[np.float64], valid: NDArray[np.bool_], order: int
@@ -117,7 +116,6 @@ def test_another_order_is_refused() -> None:
         detrend(Dataset(u=[0], y=[0], Ts=1), order=2)
 
 
-@settings(deadline=None)
 @given(
     arrays(np.float64, (2, 30), elements=finite),
     arrays(np.bool_, 30),
@@ -143,7 +141,6 @@ def test_what_was_taken_can_be_put_back(
     assert back.history[-1] == "put the trend back on u and y"
 
 
-@settings(deadline=None)
 @given(st.integers(0, 28), st.integers(1, 29), st.integers(1, 5))
 def test_a_part_of_the_data_knows_its_own_part_of_the_trend(a: int, length: int, k: int) -> None:
     """Slices, splits, selected experiments and merges of them."""

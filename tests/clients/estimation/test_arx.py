@@ -10,7 +10,7 @@ from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import detrend
 from armrig.estimation.arx import arx
 from armrig.numerics.polynomial import filtered
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -38,7 +38,6 @@ def test_the_hair_dryer_gives_the_published_model(
     np.testing.assert_allclose(fit.std, [0.0209, 0.0191, 0.00214, 0.00332], rtol=3e-3)
 
 
-@settings(deadline=None)
 @given(st.floats(0.05, 0.98), st.floats(0.1, 3.0), st.integers(0, 3), st.integers(0, 2**32 - 1))
 def test_noise_free_data_give_back_the_true_parameters(
     radius: float, angle: float, nk: int, seed: int

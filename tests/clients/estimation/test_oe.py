@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 OMEGA = np.geomspace(0.5, 100.0, 200)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.floats(0.1, 0.97),
     st.floats(0.15, 2.9),

@@ -20,7 +20,7 @@ from armrig.excitation import (
     within,
 )
 from armrig.excitation.named_signals import NAMES, clock_of, details_of, named_signal, realisations
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 
@@ -97,7 +97,6 @@ def test_numpy_s_integers_are_integers() -> None:
     np.testing.assert_array_equal(telegraph(np.int64(5), 0.5), telegraph(5, 0.5))
 
 
-@settings(deadline=None)
 @given(
     st.integers(3, 300),
     st.floats(0, 4.9),

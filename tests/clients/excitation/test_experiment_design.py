@@ -112,7 +112,7 @@ def test_a_coloured_noise_model_weighs_the_frequencies() -> None:
     assert predicted.std[1] == pytest.approx(np.sqrt((1 - 0.8**2) / 2000), rel=0.01)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(st.floats(0.1, 10), st.floats(0.1, 1.0))
 def test_a_stronger_input_teaches_more_and_noise_less(noise: float, gain: float) -> None:
     """The standard deviation is proportional to noise and inverse to the input's size."""

@@ -179,7 +179,7 @@ def test_an_oe_model_predicts_by_simulation_at_every_horizon(fit: Fit) -> None:
     np.testing.assert_allclose(truth, fresh.y, atol=1e-8)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(1, 6), st.integers(0, 1000))
 def test_an_arx_model_predicts_k_samples_from_what_it_knew(k: int, seed: int) -> None:
     """The same as iterating the difference equation by hand from the last k-th sample."""

@@ -53,7 +53,7 @@ def test_a_rig_that_nobody_has_seen_is_found_out(seed: int) -> None:
     assert figures["motor_zero_torque_v"].std < 0.02
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.sampled_from([1, -1]),
     st.floats(1.2, 6.0),

@@ -46,7 +46,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("long"), data)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @example(50, 1)
 @example(98, 50)  # the sample before the first is at a rail
 @given(st.integers(0, N - 2), st.integers(1, N))

@@ -452,7 +452,7 @@ def test_a_changed_opcode_makes_no_hole() -> None:
         at += 9 + length
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.data())
 def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
     """Samples that are given back are those recorded, whatever was changed in the file."""
@@ -468,7 +468,7 @@ def test_a_flipped_bit_is_found_or_does_no_harm(data: st.DataObject) -> None:
     assert (rec.samples["u_applied_v"] == 1.0).all()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=300), st.integers(0, 400))
 def test_random_bytes_raise_nothing_else(noise: bytes, at: int) -> None:
     """Behind the magic, or in the middle of a recording."""
@@ -695,7 +695,7 @@ def test_a_file_has_no_more_samples_than_a_run(
     assert "more than 250 samples" in rec.damage
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(st.lists(st.integers(0, 12) | st.integers(2**62 - 2, 2**62 + 1), max_size=4)),
     st.integers(0, 30),

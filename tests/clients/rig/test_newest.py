@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.none() | st.integers(0, 12) | st.tuples(st.integers(0, 40)), max_size=40))
 def test_what_is_kept_is_the_newest_that_fits(steps: list[int | tuple[int] | None]) -> None:
     """At most 4 and 20 B: by sizes added (int), after all were taken (None) or some forgotten."""

@@ -851,7 +851,7 @@ OPENING: list[tuple[int, bytes | Message]] = [
 ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(SCRIPT)
 def test_whatever_comes_the_voltage_stays_in_range_and_off_outside_run(
     script: list[tuple[int, bytes | Message]],
@@ -874,7 +874,7 @@ def test_whatever_comes_the_voltage_stays_in_range_and_off_outside_run(
         assert changes[-1].t_ns <= last_ns + 101 * MS
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SCRIPT, st.lists(st.integers(0, 2 * S), max_size=20))
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     script: list[tuple[int, bytes | Message]], looks: list[int]
@@ -897,7 +897,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     assert outputs[0] == outputs[1]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SCRIPT)
 def test_who_sleeps_until_something_can_be_seen_misses_nothing(
     script: list[tuple[int, bytes | Message]],

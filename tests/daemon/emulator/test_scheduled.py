@@ -770,7 +770,7 @@ FRAMES = st.lists(
 )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(FRAMES, st.sampled_from(list(Underrun)), st.integers(0, 5), st.randoms())
 def test_whatever_happens_to_the_frames_each_u_k_is_its_own_or_flagged(
     frames: list[tuple[str, int, int]], policy: int, hold: int, rng: object
@@ -851,7 +851,7 @@ OPENING: list[tuple[int, bytes | Message]] = [
 ]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(SCRIPT, st.lists(st.integers(0, 1 * S), max_size=20), st.sampled_from([0.0, 123.4]))
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float
@@ -875,7 +875,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     assert device.board.volts == 0.0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans())
 def test_who_sleeps_until_something_can_be_seen_misses_nothing(
     script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool

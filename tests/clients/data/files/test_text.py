@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig import DataFileError, load_data
 from armrig.data.files import kinds, loading, text
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 U, Y = [1.0, -2.5, 3.0, 0.125], [0.5, 1e-3, -7.0, 1e6]
@@ -210,7 +210,6 @@ def test_another_kind_of_file_is_told_with_what_to_do(
         load_data(path, Ts=1)
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=300))
 def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
     """No exception but the one that a person can read."""
