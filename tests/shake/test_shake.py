@@ -1,0 +1,126 @@
+"""What `make shake` does to a run, and what it keeps of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from shake.__main__ import code_hash, kept
+from shake.conditions import CONDITIONS, DRAWN, of_seed
+from shake.run import TIMED_OUT, Result, named, run
+from shake.stopping import stopped
+
+ECHO = "import sys\nfor line in sys.stdin: print(line, end='', flush=True)"
+
+
+def ran(folder: Path, condition: str, *program: str, limit_s: float = 30.0) -> Result:
+    """Run a program of Python under a condition."""
+    return run(
+        [sys.executable, "-c", *program],
+        CONDITIONS[condition],
+        seed=1,
+        folder=folder,
+        log=folder / "log",
+        limit_s=limit_s,
+        environ=dict(os.environ),
+    )
+
+
+def state_of(pid: int) -> str:
+    """Return the state of a process, a letter."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+def test_a_stopped_process_does_nothing_until_it_is_continued() -> None:
+    """It is stopped in the block, and answers after it."""
+    with subprocess.Popen(
+        [sys.executable, "-c", ECHO], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+    ) as program:
+        assert program.stdin is not None
+        assert program.stdout is not None
+
+        with stopped(program.pid) as done:
+            program.stdin.write(b"1\n")
+            in_the_block = state_of(program.pid)
+        answer = program.stdout.readline()
+        program.stdin.close()
+
+    assert (done, in_the_block, answer) == (True, "t", b"1\n")
+
+
+def test_a_run_says_how_it_ended_and_what_failed(tmp_path: Path) -> None:
+    """The exit code, the processor's time, and the tests that pytest's summary names."""
+    program = "print('FAILED tests/a.py::test_b[x y] - no'); sum(range(10**6)); exit(3)"
+
+    result = ran(tmp_path, "quiet", program)
+
+    assert (result.exit_code, result.stops, result.left_over) == (3, 0, 0)
+    assert result.failed == ["tests/a.py::test_b[x y]"]
+    assert result.cpu_s > 0
+
+
+def test_a_run_that_does_not_end_is_killed_with_all_that_it_started(tmp_path: Path) -> None:
+    """Also a process in a session of its own."""
+    sleep = "import subprocess, sys, time; time.sleep(60)"
+    program = f"""if 1:
+        import subprocess, sys
+        subprocess.Popen([sys.executable, "-c", {sleep!r}], start_new_session=True).wait()
+    """
+
+    result = ran(tmp_path, "quiet", program, limit_s=0.2)
+
+    assert result.exit_code == TIMED_OUT
+    assert result.left_over >= 1
+
+
+def test_one_core_is_what_the_suite_gets(tmp_path: Path) -> None:
+    """The seed draws which."""
+    result = ran(tmp_path, "one-core", "import os; exit(len(os.sched_getaffinity(0)))")
+
+    assert result.exit_code == 1
+
+
+def test_seeds_stand_for_all_conditions() -> None:
+    """Four in a row have each."""
+    assert [of_seed(seed) for seed in (1, 2, 3, 4)] == list(DRAWN)
+    assert of_seed(5) == of_seed(1)
+
+
+def test_what_failed_and_what_was_repeated_is_read_from_the_summary() -> None:
+    """Once each, without the reason; a progress line is none."""
+    text = "FAILED tests/a.py::b - x\nERROR tests/c.py::d\nFAILED tests/a.py::b - x\n"
+    text += "REPEATED tests/e.py::f - the host stalled\ntests/a.py FAILED\n"
+
+    assert named(text, "FAILED|ERROR") == ["tests/a.py::b", "tests/c.py::d"]
+    assert named(text, "REPEATED") == ["tests/e.py::f"]
+
+
+@pytest.mark.parametrize(
+    ("name", "voids"), [("tests", True), ("Makefile", True), ("docs", False), ("README.md", False)]
+)
+def test_a_change_of_code_or_tests_voids_results(name: str, voids: bool) -> None:
+    """A change of a document does not."""
+    names = ("Makefile", "README.md", "docs", "tests")
+    before = "\n".join(f"040000 tree 1111\t{each}" for each in names)
+
+    changed = before.replace(f"1111\t{name}", f"2222\t{name}")
+
+    assert (code_hash(changed) != code_hash(before)) == voids
+
+
+def test_results_are_known_for_the_same_code(tmp_path: Path) -> None:
+    """Those of other code are not."""
+    path = tmp_path / "results"
+    lines = [
+        {"code": "a", "condition": "busy", "seed": 1, "exit_code": 0},
+        {"code": "b", "condition": "busy", "seed": 2, "exit_code": 1},
+    ]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+    assert kept(path, "a") == {("busy", 1): 0}
+    assert kept(tmp_path / "none", "a") == {}
