@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -20,6 +21,8 @@ from shake.stopping import WALL, stopped
 
 PAUSE_S: Final = 2.0
 """Mean time from one stop to the next; drawn from an exponential distribution."""
+SUMMARY_S: Final = 30.0
+"""How long pytest may take for its summary after the limit."""
 TIMED_OUT: Final = 124
 _BURNER: Final = "while True: pass"
 _LOOK_S: Final = 0.1
@@ -80,6 +83,7 @@ def run(
                 stdout=output,
                 stderr=subprocess.STDOUT,
                 preexec_fn=lambda: os.sched_setaffinity(0, allowed),
+                process_group=0,
             )
         n = 0
         ended: tuple[int, Any] | None = None
@@ -88,12 +92,14 @@ def run(
             ended = _ended(program, min(pause_s, limit_s))
             if ended is None and condition.stop_ms:
                 n += _stop_one(mark, generator, generator.randint(*condition.stop_ms), stops)
+        if timed_out := ended is None:
+            ended = interrupted(program)
         left_over = suite.kill(mark)
-        if ended is None:
-            ended = _ended(program, None)
-            ended = TIMED_OUT, ended[1] if ended else None
+        ended = ended or _ended(program, None)
+        assert ended is not None
         wall_s = time.monotonic() - began
     code, usage = ended
+    code = TIMED_OUT if timed_out else code
     text = log.read_text(errors="replace")
     return Result(
         exit_code=code,
@@ -104,6 +110,15 @@ def run(
         failed=named(text, "FAILED|ERROR"),
         repeated=named(text, "REPEATED"),
     )
+
+
+def interrupted(program: subprocess.Popen[bytes]) -> tuple[int, Any] | None:
+    """Interrupt a program and its group: pytest shows what failed up to here.
+
+    Return its exit code and its resource usage; None if it still runs after `SUMMARY_S`.
+    """
+    os.killpg(program.pid, signal.SIGINT)
+    return _ended(program, SUMMARY_S)
 
 
 def named(text: str, how: str) -> list[str]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from shake import suite
 from shake.__main__ import code_hash, kept
 from shake.conditions import CONDITIONS, DRAWN, of_seed
-from shake.run import TIMED_OUT, Result, named, run
+from shake.run import TIMED_OUT, Result, interrupted, named, run
 from shake.stopping import stopped
 
 ECHO = "import sys\nfor line in sys.stdin: print(line, end='', flush=True)"
@@ -64,18 +66,46 @@ def test_a_run_says_how_it_ended_and_what_failed(tmp_path: Path) -> None:
     assert result.cpu_s > 0
 
 
-def test_a_run_that_does_not_end_is_killed_with_all_that_it_started(tmp_path: Path) -> None:
-    """Also a process in a session of its own."""
-    sleep = "import subprocess, sys, time; time.sleep(60)"
-    program = f"""if 1:
-        import subprocess, sys
-        subprocess.Popen([sys.executable, "-c", {sleep!r}], start_new_session=True).wait()
-    """
-
-    result = ran(tmp_path, "quiet", program, limit_s=0.2)
+def test_a_run_that_does_not_end_is_killed(tmp_path: Path) -> None:
+    """After the limit, with its own exit code."""
+    result = ran(tmp_path, "quiet", "import time; time.sleep(60)", limit_s=0.0)
 
     assert result.exit_code == TIMED_OUT
-    assert result.left_over >= 1
+
+
+def test_a_run_is_interrupted_before_it_is_killed() -> None:
+    """So it can show what failed up to there."""
+    program = """if 1:
+        try:
+            print("ready", flush=True)
+            input()
+        except KeyboardInterrupt:
+            sys.exit(3)
+    """
+    with subprocess.Popen(
+        [sys.executable, "-c", "import sys\n" + program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        process_group=0,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+
+        ended = interrupted(process)
+
+    assert ended is not None
+    assert ended[0] == 3
+
+
+def test_all_that_a_run_has_started_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also a process in a session of its own."""
+    monkeypatch.setenv(suite.MARK, "a run")
+    with subprocess.Popen(
+        [sys.executable, "-c", ECHO], stdin=subprocess.PIPE, start_new_session=True
+    ) as process:
+        killed = suite.kill("a run")
+
+    assert (killed, process.returncode) == (1, -signal.SIGKILL)
 
 
 def test_one_core_is_what_the_suite_gets(tmp_path: Path) -> None:
