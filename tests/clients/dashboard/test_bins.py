@@ -103,3 +103,21 @@ def test_coarser_rows_keep_the_extremes() -> None:
 
     assert wide.shape == (2, 9)
     assert (wide[0, 3].round(), wide[0, 4].round()) == (0, 36)
+
+
+def test_a_sample_exactly_at_an_edge_begins_the_next_bin() -> None:
+    """Also where its time in s is rounded to just below the edge."""
+    rows = _binned(_samples([float(k) for k in range(100)]))
+
+    assert rows.shape[0] == 10
+    np.testing.assert_allclose(rows[:, 3], 10.0 * np.arange(10))
+    np.testing.assert_allclose(rows[:, 4], 10.0 * np.arange(10) + 9)
+
+
+def test_each_signal_has_its_columns_and_unit() -> None:
+    """U, θ₁, its rate and α: least and largest of each."""
+    found = signals(_samples([1.0, 2.0], Ts=0.001, u=3.0))
+
+    rows = as_lists(binned(found, np.array([50.0, 70.0])))
+
+    assert rows == [[0.0, 3.0, 3.0, 1.0, 2.0, 50.0, 70.0, -2.0, -1.0]]

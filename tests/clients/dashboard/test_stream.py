@@ -46,3 +46,21 @@ def test_a_run_that_is_over_before_the_next_turn_is_told_as_over() -> None:
         return [message for message in told if message.startswith(b"event: run\n")]
 
     assert asyncio.run(heard()) == [event("run", GOING), event("run", BEFORE)]
+
+
+def test_a_viewer_who_leaves_makes_room() -> None:
+    """In the middle of the past, or while the stream waits for what comes."""
+
+    async def counts() -> list[int]:
+        stream = Stream(Feed(), Driver(rig="1", connect=None))
+        found = []
+        for read in (1, 4):
+            messages = stream.messages(Viewer(lambda: None, may_command=True))
+            for _ in range(read):
+                await anext(messages)
+            found.append(len(stream.viewers))
+            await messages.aclose()  # type: ignore[attr-defined]
+            found.append(len(stream.viewers))
+        return found
+
+    assert asyncio.run(counts()) == [1, 0, 1, 0]

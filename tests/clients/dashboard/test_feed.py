@@ -1,0 +1,180 @@
+"""What the dashboard keeps of a rig: gaps, lateness, the past, and what is new."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.dashboard import feed as feed_module
+from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
+from armrig.dashboard.messages import live_facts
+from armrig_core.telemetry import Sample
+from made_recordings import gap, sample
+
+
+def samples(*numbers: int) -> list[Sample]:
+    """Return samples of these k, 10 ms apart."""
+    return [sample(k) for k in numbers]
+
+
+def late(k: int, lateness_us: float) -> Sample:
+    """Return sample k, asked for so late."""
+    plain = sample(k)
+    return plain._replace(t_host_ns=plain.t_sched_ns + round(lateness_us * 1e3))
+
+
+def counted(feed: Feed) -> tuple[int, int, str]:
+    """Return what was missing, what was unheard, and the last reason."""
+    timing = feed.timing()
+    return timing.missing, timing.unheard, timing.last_gap
+
+
+def test_a_gap_that_is_told_before_its_next_sample_is_counted() -> None:
+    """The gap waits for the sample after it, over samples that came in between."""
+    feed = Feed()
+    feed.add_samples(samples(0, 1))
+    feed.add_gaps([gap(3, 4, 1.0, "link silent")])
+    feed.add_samples(samples(2))
+    assert counted(feed) == (0, 0, "")
+
+    feed.add_samples(samples(7, 8))
+
+    assert counted(feed) == (4, 0, "link silent")
+
+
+def test_a_gap_is_counted_once() -> None:
+    """Though samples come after it in many pieces."""
+    feed = Feed()
+    feed.add_samples(samples(0))
+    feed.add_gaps([gap(1, 2, 1.0, "overrun")])
+    for k in range(3, 8):
+        feed.add_samples(samples(k))
+
+    assert counted(feed) == (2, 0, "overrun")
+
+
+def test_what_nobody_told_of_was_published_and_not_heard() -> None:
+    """Also just before and just after a gap that was told."""
+    feed = Feed()
+    feed.add_samples(samples(0))
+    feed.add_gaps([gap(2, 3, 1.0, "overrun")])
+    feed.add_samples(samples(6))
+
+    assert counted(feed) == (3, 2, "overrun")
+
+
+def test_a_sample_that_came_before_is_passed_over() -> None:
+    """The past is asked for while samples come: each is shown once."""
+    feed = Feed()
+    feed.add_samples(samples(0, 1, 2))
+    feed.add_samples(samples(1, 2, 3), live=False)
+
+    assert feed.news().rows[:, 0].tolist() == [sample(k).t_sched_ns / 1e9 for k in range(4)]
+    assert counted(feed) == (0, 0, "")
+
+
+def test_what_is_new_is_told_once() -> None:
+    """All of it, with the newest sample."""
+    feed = Feed()
+    feed.add_samples(samples(0, 1))
+    first = feed.news()
+    feed.add_samples(samples(2))
+
+    second, third = feed.news(), feed.news()
+
+    assert [n.rows.shape[0] for n in (first, second, third)] == [2, 1, 0]
+    assert second.newest is not None
+    assert third.newest is not None
+    assert (second.newest.k, third.newest.k) == (2, 2)
+
+
+def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The listener's thread adds nothing while they are taken: a row between would be lost."""
+    feed = Feed()
+    feed.add_samples(samples(0))
+    held: list[bool] = []
+    feed._fresh = _Watched(feed._fresh, lambda: held.append(feed._lock.locked()))
+
+    def now() -> float:
+        held.append(feed._lock.locked())
+        return 0.0
+
+    monkeypatch.setattr(feed_module.time, "monotonic", now)
+    feed.news()
+
+    assert held
+    assert all(held)
+
+
+class _Watched(list[Any]):
+    """Rows that tell when they are read."""
+
+    def __init__(self, rows: list[Any], is_read: Any) -> None:
+        super().__init__(rows)
+        self._is_read = is_read
+
+    def __len__(self) -> int:
+        self._is_read()
+        return super().__len__()
+
+
+def test_what_is_exactly_at_an_edge_is_not_later() -> None:
+    """A bar's title says "at most": 50 µs is in the first, what is beyond all in the last."""
+    feed = Feed()
+    edges = [late(k, edge) for k, edge in enumerate(LATE_US)]
+    feed.add_samples([*edges, late(len(LATE_US), LATE_US[-1] + 1)])
+
+    assert feed.timing().late == [1] * (len(LATE_US) + 1)
+
+
+def test_the_past_is_fine_up_to_its_edge_and_coarse_before_it() -> None:
+    """Rows exactly at an edge of the five minutes and of the fine part are in it."""
+    feed = Feed()
+    # A second has 100 rows; one row a second is enough to see the edges.
+    step, n = 100, round(HISTORY_S) + 3
+    for k in range(n):
+        feed.add_samples([sample(step * k)], live=False)
+
+    t = feed.history()[:, 0]
+
+    newest = sample(step * (n - 1)).t_sched_ns / 1e9
+    assert t[-1] == newest
+    assert t[0] == newest - HISTORY_S
+    assert np.count_nonzero(t >= newest - FINE_S) == FINE_S + 1
+
+
+def test_the_coarse_past_begins_where_the_fine_part_ends() -> None:
+    """Five rows of 10 ms are one, up to half a minute before the newest."""
+    feed = Feed()
+    feed.add_samples(samples(*range(3200)), live=False)
+
+    t = feed.history()[:, 0]
+
+    old, fine = t[t < t[-1] - FINE_S - 1e-9], t[t >= t[-1] - FINE_S - 1e-9]
+    np.testing.assert_allclose(np.diff(old), COARSE_S, atol=1e-6)
+    np.testing.assert_allclose(np.diff(fine), 0.01, atol=1e-6)
+    assert fine.size >= FINE_S / 0.01
+
+
+@pytest.mark.parametrize(("age_s", "is_stale"), [(0.3, False), (0.301, True), (np.inf, True)])
+def test_data_are_stale_beyond_the_limit(age_s: float, is_stale: bool) -> None:
+    """Not at it; before the first sample there is no age."""
+    facts = live_facts(replace(Feed().news(), age_s=age_s), None)
+
+    assert facts["is_stale"] is is_stale
+    assert facts["age_s"] == (None if age_s == np.inf else age_s)
+
+
+def test_a_clock_that_begins_anew_empties_the_past() -> None:
+    """A machine that was started anew counts from 0; a sample a little late is no new clock."""
+    feed = Feed()
+    feed.add_samples(samples(500, 501))
+    feed.add_samples(samples(450))
+    assert feed.history().shape[0] == 2
+
+    feed.add_samples(samples(0, 1, 2))
+
+    assert feed.history().shape[0] == 3
+    assert feed.news().newest == sample(2)
