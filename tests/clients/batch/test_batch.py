@@ -9,7 +9,7 @@ import shutil
 import signal
 import time
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -98,6 +98,41 @@ def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: P
     assert row["model"] == model_text(fit)
     assert row["sha256"] == recording.sha256
     assert (row["rig"], row["Ts"], row["samples"]) == ("1", 0.01, SHORT)
+
+
+def test_a_row_counts_the_samples_that_came(tmp_path: Path) -> None:
+    """Of a recording with a gap: those that are missing stand beside them, and in no estimate."""
+    gapped = made_recordings.of_the_arm(telegraph(1), missing=slice(100, 107))
+    (tmp_path / "gapped.mcap").write_bytes(gapped)
+
+    [row] = done(tmp_path, ARX, tmp_path / "models.parquet")
+
+    assert (row["samples"], row["missing"]) == (SHORT - 7, 7)
+    fit = armrig.arx(armrig.load(tmp_path / "gapped.mcap").dataset(), na=4, nb=4)
+    assert row["N"] == fit.N
+
+
+def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path) -> None:
+    """By its name; of a validation those of the comparison and of the residual tests."""
+    recording, other = (armrig.load(folder / f"a-0{n}.mcap") for n in (7, 8))
+    fit = armrig.arx(recording.dataset(), na=4, nb=4)
+    row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
+    names = ("fit_percent", "noise_variance", "loss", "fpe", "converged", "N", "output")
+    assert {name: row[name] for name in names} == {name: getattr(fit, name) for name in names}
+    assert row["p_white"] == fit.whiteness
+    assert row["std_robust"] == fit.std_robust.tolist()
+    item = next(item for item in items_in(folder) if item.name == "a-08.mcap")
+
+    judged = row_of(Validate(model=model_text(fit)), item)
+
+    compared = armrig.compare(other.dataset(), fit)[0]
+    tests = armrig.residuals(fit, other.dataset())
+    names = ("fit_percent", "rms_error", "velocity_fit_percent", "on_estimation_data")
+    assert {name: judged[name] for name in names} == {n: getattr(compared, n) for n in names}
+    assert judged["p_white"] == tests.whiteness
+    assert judged["p_no_dynamics_missing"] == tests.missing_dynamics
+    assert judged["p_no_feedback"] == tests.feedback
+    assert judged["model_of"] == recording.sha256
 
 
 def test_a_table_says_how_it_was_made(identified: Path) -> None:
@@ -355,6 +390,38 @@ def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
             assert "died, 2 times" in str(result)
         else:
             assert result == item.upper()
+
+
+class Mortal(Executor):
+    """Does work in its own thread; the item "deadly" breaks it, and what is with it is lost."""
+
+    def __init__(self, runs: list[str]) -> None:
+        self._runs = runs
+
+    def submit(self, function: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self._runs.append(args[0])
+        if "deadly" in self._runs:
+            future.set_exception(BrokenExecutor())
+        else:
+            future.set_result(function(args[0]))
+        return future
+
+
+@pytest.mark.parametrize(("at_once", "tries"), [(1, 2), (3, 3)])
+def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) -> None:
+    """Two of it alone; where it ran with others first, nobody knows that it was the one."""
+    runs: list[list[str]] = []
+
+    def opened() -> Executor:
+        runs.append([])
+        return Mortal(runs[-1])
+
+    came = dict(running.results(str.upper, ["a", "deadly", "b"], opened, at_once=at_once))
+
+    assert sum("deadly" in run for run in runs) == tries
+    assert "died, 2 times" in str(came.pop("deadly"))
+    assert came == {"a": "A", "b": "B"}
 
 
 def test_who_ends_early_does_not_wait_for_the_workers() -> None:
