@@ -130,3 +130,42 @@ def test_five_minutes_are_kept_and_no_more() -> None:
     assert spans[0] <= 2 * 330
     assert spans[1] >= 300 - 1
     assert spans[2] <= 40_000
+
+
+def test_rows_exactly_at_an_edge() -> None:
+    """Each is found, drawn at both ends of a view, kept for five minutes, and taken once."""
+    found = _run(
+        "const row = (t) => [t, 0, 0, t, t, 0, 0, 0, 0]; const made = (...times) => {"
+        "const kept = new rows.Rows(); kept.add(times.map(row)); return kept; };"
+        "const five = made(0, 1, 2, 3, 4);"
+        "const view = { from: 1, to: 3, pixels: 1000, zero: 4, wraps: false };"
+        "const again = made(1000, 1000); const older = made(1000, 700);"
+        "const old = made(1000, 701);"
+        "const long = made(0, 29, 30, 31, 200, 330.5, 331);"
+        "console.log(JSON.stringify({ find: [-1, 0, 2, 2.5, 4, 5].map((t) => five.find(t)),"
+        f" drawn: five.drawn({THETA_1}, view), sent: [again.length, older.length, older.newest,"
+        " old.newest], kept: [long.at(0, 0), long.length] }));"
+    )
+
+    assert found["find"] == [0, 0, 2, 3, 4, 5]
+    assert found["drawn"][:2] == [
+        [-4, -3, -2, -1],
+        [0, 1, 2, 3],
+    ]  # and one row before, for its line
+    assert found["sent"] == [1, 1, 700, 1000]  # five minutes before the newest: another clock
+    assert found["kept"] == [31, 4]
+
+
+def test_each_signal_is_drawn_from_its_own_columns() -> None:
+    """U, θ₁, its rate and α, least and largest; the row at a pixel's edge is the next pixel's."""
+    sent = [[k / 64, *(10 * s + side + k for s in range(4) for side in (1, 2))] for k in range(4)]
+    view = {"from": 0, "to": 64 / 32, "pixels": 64, "zero": 0, "wraps": False}
+    drawn = _run(
+        f"const kept = new rows.Rows(); kept.add({json.dumps(sent)});"
+        f"console.log(JSON.stringify([0, 1, 2, 3].map((s) => kept.drawn(s, {json.dumps(view)}))));"
+    )
+
+    for s, (x, low, high) in enumerate(drawn):
+        assert x == [0, 2 / 64]
+        assert low == [10 * s + 1, 10 * s + 3]
+        assert high == [10 * s + 3, 10 * s + 5]

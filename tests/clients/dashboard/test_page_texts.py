@@ -1,0 +1,175 @@
+"""What the page says of timing, age and runs, and which buttons it offers; in node, on stubs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import armrig.dashboard
+import pytest
+from armrig.dashboard.feed import LATE_US
+
+NODE = shutil.which("node")
+pytestmark = pytest.mark.skipif(NODE is None, reason="no node")
+PAGE = Path(armrig.dashboard.__file__).parent / "page"
+_PAGE = """
+class Element {
+  constructor() {
+    Object.assign(this, { textContent: "", hidden: false, className: "", style: {}, dataset: {} });
+    Object.assign(this, { children: [], attributes: {} });
+    this.classList = { toggle: () => {} };
+  }
+  setAttribute(name, value) { this.attributes[name] = value; }
+  append(...made) { this.children.push(...made); }
+  replaceChildren(...made) { this.children = made; }
+  addEventListener() {}
+}
+const there = {};
+globalThis.location = { hash: "#token=x" };
+globalThis.document = {
+  getElementById: (id) => (there[id] ??= new Element()),
+  createElement: () => new Element(),
+  body: new Element(),
+};
+globalThis.performance = { now: () => globalThis.at ?? 0 };
+const status = await import("./status.js");
+const control = await import("./control.js");
+const text = (id) => document.getElementById(id).textContent;
+const hidden = (id) => document.getElementById(id).hidden;
+const disabled = (id) => document.getElementById(id).disabled;
+const told = {};
+"""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the page's scripts as modules that node takes."""
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "package.json").write_text('{"type": "module"}')
+    for script in PAGE.glob("*.js"):
+        shutil.copy(script, folder)
+    return folder
+
+
+def _run(page: Path, script: str) -> Any:
+    """Return what a script leaves in `told`."""
+    (page / "test.js").write_text(f"{_PAGE}\n{script}\nconsole.log(JSON.stringify(told));")
+    command = [str(NODE), str(page / "test.js")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_the_timing_is_told_under_its_names(page: Path) -> None:
+    """Each percentile in its place, what is missing apart from what was not heard."""
+    timing = {
+        "late": [5, *[0] * (len(LATE_US) - 1), 7],
+        "missing": 3,
+        "unheard": 4,
+        "last_gap": "link silent",
+        "report": {
+            "late_p50_us": 2.25,
+            "late_p99_us": 40,
+            "late_max_us": 1500,
+            "device_p99_us": 7,
+            "link_p99_us": 999,
+        },
+        "model": ["gain 1"],
+    }
+    told = _run(
+        page,
+        f"status.setEdges({json.dumps(LATE_US)}); status.showTiming({json.dumps(timing)});"
+        "told.timing = text('timing-text'); told.missing = text('missing');"
+        "told.bars = document.getElementById('histogram').children.map("
+        "(bar) => [bar.title, bar.children[0], bar.children[2], bar.children[1].style.height]);"
+        "told.pressed = document.getElementById('model-wanted').attributes['aria-pressed'];",
+    )
+
+    assert told["timing"] == (
+        "the host woke late by p50 2.3 µs, p99 40 µs, at most 1.5 ms; "
+        "the device's period was off by p99 7.0 µs; round trip p99 999 µs"
+    )
+    assert told["missing"] == (
+        "missing: 3 samples since this dashboard was started; the last: link silent; "
+        "4 did not reach this page's server; recordings have them"
+    )
+    assert len(told["bars"]) == len(LATE_US) + 1
+    assert told["bars"][0][:3] == ["5 samples, at most 50 µs late", "5", "0.05"]
+    assert told["bars"][1][1:] == ["", "0.1", "0%"]
+    assert told["bars"][-1] == ["7 samples, later", "7", "more", "80%"]
+    assert told["pressed"] == "true"
+
+
+def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
+    """What it was at the last message, and the time since; before the first there is none."""
+    told = _run(
+        page,
+        "globalThis.at = 1000; status.showLost(900, 'gone'); told.none = text('stale-what');"
+        "status.showStatus({ rows: [], phase: 'safe', trouble: '' });"
+        "status.showLive({ age_s: 0.05, is_stale: false });"
+        "told.fresh = [text('age'), hidden('stale'), text('phase')];"
+        "globalThis.at = 3500; status.showLost(2500, 'the server is silent');"
+        "told.lost = [text('age'), hidden('stale'), text('phase'), text('stale-what'),"
+        " text('stale-why')];",
+    )
+
+    assert told == {
+        "none": "Stale: no data yet.",
+        "fresh": ["0.05 s old", True, "safe"],
+        "lost": [
+            "2.55 s old",
+            False,
+            "stale",
+            "Stale: no data for 2.55 s; the last phase was safe.",
+            "the server is silent",
+        ],
+    }
+
+
+def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
+    """Run where it is safe or armed, arm where it is safe, release where it is armed."""
+    told = _run(
+        page,
+        "const offered = () => ['run', 'arm', 'release'].filter((id) => !disabled(id)).join(' ');"
+        "const run = (is_going) => control.showRun({ is_going, experiment: '' });"
+        "status.showLive({ age_s: 0, is_stale: false }); run(false);"
+        "for (const phase of ['init', 'safe', 'armed', 'active', 'fault']) {"
+        "  control.showControl({ phase, trouble: '' }); told[phase] = offered(); }"
+        "control.showControl({ phase: 'safe', trouble: '' }); run(true); told.going = offered();"
+        "run(false); status.showLive({ age_s: 9, is_stale: true }); control.allow();"
+        "told.stale = offered();",
+    )
+
+    assert told == {
+        "init": "",
+        "safe": "run arm",
+        "armed": "run release",
+        "active": "",
+        "fault": "",
+        "going": "",
+        "stale": "",
+    }
+
+
+def test_a_run_is_told_as_it_goes_and_as_it_ended(page: Path) -> None:
+    """Done of all; then the recording, or why there is none."""
+    going = {"is_going": True, "experiment": "step", "done": 30, "total": 120, "told": "t"}
+    ended = {"is_going": False, "experiment": "step", "done": 120, "total": 120, "verdict": "v"}
+    told = _run(
+        page,
+        "const say = () => [text('running-text'), text('running-told'),"
+        " document.getElementById('progress').value, hidden('progress'), hidden('look')];"
+        f"control.showRun({json.dumps(going)}); told.going = say();"
+        f"control.showRun({json.dumps({**ended, 'recording': 'a.mcap'})}); told.ended = say();"
+        f"control.showRun({json.dumps({**ended, 'error': 'stopped', 'recording': ''})});"
+        "told.stopped = say();",
+    )
+
+    assert told == {
+        "going": ["step: 30 of 120 samples", "t", 0.25, False, True],
+        "ended": ["step is recorded: a.mcap", "v", 1, True, False],
+        "stopped": ["step did not end well: stopped", "v", 1, True, True],
+    }
