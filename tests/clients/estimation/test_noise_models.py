@@ -18,6 +18,7 @@ from armrig.estimation.pem import pem
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.whiteness import autoregression
 from armrig.validation.residuals import residuals
 from numpy.typing import NDArray
 
@@ -303,6 +304,43 @@ def test_instruments_are_not_biased_by_coloured_noise() -> None:
     noisy = [bj_data(seed, std=2.0) for seed in range(50)]
     squares = np.array([arx(seen, na=2, nb=2).theta for seen in noisy]) - truth
     assert (np.abs(squares.mean(axis=0)) > 10 * squares.std(axis=0) / np.sqrt(50)).any()
+
+
+def test_the_four_stages_are_those_of_the_textbook() -> None:
+    """Each from the one before: least squares, instruments, their residuals' colour, all filtered.
+
+    Ljung, (15.21) to (15.24), written out.
+    """
+    seen = bj_data(3, N=300)
+    n = np.arange(2, 300)
+    Phi = np.column_stack([-seen.y[n - 1], -seen.y[n - 2], seen.u[n - 1], seen.u[n - 2]])
+
+    def instruments(theta: NDArray) -> NDArray:
+        x = filtered(np.append(0.0, theta[2:]), np.append(1.0, theta[:2]), seen.u)
+        return np.column_stack([-x[n - 1], -x[n - 2], seen.u[n - 1], seen.u[n - 2]])
+
+    first = np.linalg.lstsq(Phi, seen.y[n], rcond=None)[0]
+    Z = instruments(first)
+    second = np.linalg.solve(Z.T @ Phi, Z.T @ seen.y[n])
+    L, _ = autoregression(seen.y[n] - Phi @ second)
+    colour = L.size - 1
+    Z, rows, y = (
+        np.apply_along_axis(lambda x: filtered(L, [1.0], x), 0, M)[colour:]
+        for M in (instruments(second), Phi, seen.y[n])
+    )
+    theta = np.linalg.solve(Z.T @ rows, Z.T @ y)
+    e = y - rows @ theta
+    middle = np.linalg.inv(Z.T @ rows)
+    expected = e @ e / (e.size - 4) * middle @ Z.T @ Z @ middle.T
+
+    fit = iv4(seen, na=2, nb=2)
+
+    assert colour > 0
+    np.testing.assert_allclose(fit.theta, theta, rtol=1e-9)
+    np.testing.assert_allclose(fit.covariance, expected, rtol=1e-7)
+    v = seen.y[n] - Phi @ theta
+    assert fit.loss == pytest.approx(v @ v / n.size)
+    assert fit.noise_variance == pytest.approx(v @ v / (n.size - 4))
 
 
 def test_instruments_leave_out_what_is_missing() -> None:

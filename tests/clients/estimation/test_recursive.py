@@ -62,6 +62,40 @@ def test_with_forgetting_it_is_the_weighted_least_squares_estimate() -> None:
     np.testing.assert_allclose(state.theta, expected, rtol=1e-10)
 
 
+def test_a_row_with_a_hole_forgets_nothing() -> None:
+    """The samples weigh as if those without an answer had not been."""
+    one = _data(1, 200)
+    valid = np.ones(200, dtype=np.bool_)
+    valid[[50, 120, 121, 190]] = False
+    data = Dataset(u=one.u, y=one.y, Ts=1.0, valid=valid)
+
+    state = rarx(data, na=1, nb=1, forgetting=0.95).state
+
+    known = valid[1:] & valid[:-1]
+    Phi = np.column_stack([-one.y[:-1], one.u[:-1]])[known]
+    w = 0.95 ** np.arange(known.sum() - 1, -1, -1.0)
+    theta = np.linalg.lstsq(Phi * np.sqrt(w)[:, None], one.y[1:][known] * np.sqrt(w), rcond=None)[0]
+    e = one.y[1:][known] - Phi @ theta
+    degrees = w.sum() - 2 * (w @ w) / w.sum()
+    np.testing.assert_allclose(state.theta, theta, rtol=1e-10)
+    assert state.weight == pytest.approx(w.sum(), rel=1e-12)
+    assert state.noise_variance == pytest.approx(float(w @ e**2) / degrees, rel=1e-9)
+
+
+def test_the_error_is_that_of_the_prediction() -> None:
+    """Made with the parameters from before the sample; none where a regressor is missing."""
+    one = _data(1, 60)
+    valid = np.arange(60) != 30
+    found = rarx(Dataset(u=one.u, y=one.y, Ts=1.0, valid=valid), na=1, nb=1, forgetting=0.9)
+
+    phi = np.column_stack([-one.y[:-1], one.u[:-1]])
+    expected = one.y[1:] - np.sum(phi * found.theta[:-1], axis=1)
+    there = np.ones(60, dtype=np.bool_)
+    there[[30, 31]] = False
+    assert np.isnan(found.error[[30, 31]]).all()
+    np.testing.assert_allclose(found.error[10:][there[10:]], expected[9:][there[10:]], rtol=1e-9)
+
+
 def test_a_change_of_the_system_is_followed() -> None:
     """What forgets arrives, what does not stays between."""
     data = merge([_data(1, 600), _data(2, 600, a=-0.8)])

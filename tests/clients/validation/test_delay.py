@@ -13,6 +13,7 @@ from armrig.validation.feedback_and_delay.delay import _hidden_by_steps, _Onset,
 from armrig.validation.feedback_and_delay.lag_tests import lag_tests
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
+from scipy.stats import f
 
 if TYPE_CHECKING:
     from handout_plant import HandoutPlant
@@ -25,6 +26,39 @@ def late(data: Dataset, samples: int) -> Dataset:
     """Return the data with the output so many samples later."""
     y = np.concatenate([np.full(samples, data.y[0]), data.y[: data.N - samples]])
     return data.replaced(y=y, step=None)
+
+
+@pytest.mark.parametrize("level", [0.0, 3.0])
+def test_few_samples_are_tested_with_their_degrees_of_freedom(level: float) -> None:
+    """F_k of 100 samples against least squares written out: N - d and the level of y count."""
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal(100)
+    y = level + filtered([0.0, 0.0, 0.4, 0.3], [1.0, -0.5], u) + 0.3 * rng.standard_normal(100)
+    data = Dataset(u=u, y=y, Ts=1.0)
+
+    response = armrig.impulse_response(data, 10, kernel=None)
+    tests = lag_tests(data, response, 70)
+
+    na, nb, n = tests.na, tests.p_values.size, np.arange(response.lags.size - 1, 100)
+    assert na > 0
+    past = [y[n - k] for k in range(1, na + 1)]
+    inputs = [u[n - k] for k in range(nb)]
+
+    def fitted(first: int) -> tuple[Vector, float]:
+        Phi = np.column_stack([*inputs[first:], *past, np.ones(n.size)])
+        theta = np.linalg.lstsq(Phi, y[n], rcond=None)[0]
+        return theta, float(np.sum((y[n] - Phi @ theta) ** 2))
+
+    degrees = n.size - na - nb - 1
+    V = [fitted(k)[1] for k in range(nb)] + [fitted(nb)[1]]
+    F = [(V[k + 1] - V[0]) / (k + 1) / (V[0] / degrees) for k in range(nb)]
+    assert n.size == tests.N
+    np.testing.assert_allclose(tests.p_values, f.sf(F, np.arange(1, nb + 1), degrees), rtol=1e-6)
+    np.testing.assert_allclose(tests.loss, np.array(V[:-1]) / n.size, rtol=1e-9)
+    np.testing.assert_allclose(tests.coefficient, [fitted(k)[0][0] for k in range(nb)], rtol=1e-7)
+    Phi = np.column_stack([*inputs, *past, np.ones(n.size)])
+    std = np.sqrt(V[0] / degrees * np.linalg.inv(Phi.T @ Phi)[0, 0])
+    assert tests.std[0] == pytest.approx(std, rel=1e-7)
 
 
 def unnamed(data: Dataset) -> Dataset:
