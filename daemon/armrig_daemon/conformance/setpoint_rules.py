@@ -48,7 +48,7 @@ def _holes(host: Host) -> None:
 def _disagree(host: Host) -> None:
     armed(host)
     fill(host, [1_000, 2_000, 3_000])
-    for wrong in ([9, 2_000, 3_000], [1_000, 2_000, 9], [1_000, 9, 3_000, 4_000]):
+    for wrong in ([9, 2_000, 3_000], [1_000, 2_000, 9_000], [1_000, 9, 3_000, 4_000]):
         put_setpoints(host, 0, wrong)
         came = host.fence()
         expect(codes(came) == [Code.BAD_VALUE] and len(came) == 1, came)

@@ -27,6 +27,7 @@ from armrig_protocol.messages import (
     Sample,
     Setpoints,
     State,
+    Stop,
 )
 from spoiling import Patch, SpoiltDevice, changed_answers, other_handler
 
@@ -93,6 +94,18 @@ def _skips_a_seq(patch: Patch) -> None:
 
 def _stop_must_be_new(patch: Patch) -> None:
     patch.setattr(requests, "Stop", Setpoints)
+
+
+def _stop_moves_back(patch: Patch) -> None:
+    handle = requests.handle
+
+    def moving(fw: Firmware, now_ns: int, received: Any) -> list[Message]:
+        made = handle(fw, now_ns, received)
+        if isinstance(received, Stop):
+            fw.newest = received.seq
+        return made
+
+    patch.setattr(device, "handle", moving)
 
 
 def _k_not_reset(patch: Patch) -> None:
@@ -168,6 +181,7 @@ SPOILT: dict[str, SpoiltDevice] = {
     "EVENT has another boot": SpoiltDevice(_event_of_another_boot, "low half of boot_id"),
     "the device skips a seq": SpoiltDevice(_skips_a_seq, "seq counts them"),
     "an old STOP is stale": SpoiltDevice(_stop_must_be_new, "whatever its seq"),
+    "an old STOP makes old frames new": SpoiltDevice(_stop_moves_back, "whatever its seq"),
     "PONG has a wrong time": SpoiltDevice(_pong_time, "in order"),
     "HELLO does not begin k anew": SpoiltDevice(_k_not_reset, "behind a HELLO it may be any"),
     "noise stops it": SpoiltDevice(_spoilt_stops, "Bytes at random"),

@@ -76,6 +76,15 @@ def _overwrites(patch: Patch) -> None:
     patch.setattr(SetpointQueue, "add", taken)
 
 
+def _more_may_disagree(patch: Patch) -> None:
+    add = SetpointQueue.add
+
+    def taken(self: SetpointQueue, m: Setpoints) -> bool:
+        return add(self, m) or sum(m.u) > sum(entry.u for entry in self._entries)
+
+    patch.setattr(SetpointQueue, "add", taken)
+
+
 def _smaller_queue(patch: Patch) -> None:
     def smaller(self: SetpointQueue, config: Config, capacity: int) -> None:
         original(self, config, capacity - 1)
@@ -142,6 +151,7 @@ SPOILT: dict[str, SpoiltDevice] = {
     "each u is one sample late": SpoiltDevice(_one_sample_late, "every u at its k"),
     "HOLD does not hold": SpoiltDevice(_hold_is_zero, "dry queue"),
     "what disagrees is taken": SpoiltDevice(_overwrites, "disagrees"),
+    "a greater code does not disagree": SpoiltDevice(_more_may_disagree, "disagrees"),
     "the queue is one too small": SpoiltDevice(_smaller_queue, "what HELLO_R says"),
     "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "gone with it"),
     "too few frames in the queue": SpoiltDevice(_half_the_setpoint_frames, "`queue`/8"),
