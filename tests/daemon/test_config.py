@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from armrig_core import recording_directory
 from armrig_core.arm import ArmParameters
+from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.volts import code_of
 from armrig_daemon import config as config_module
 from armrig_daemon.config import Config, ConfigError, Limits, load, load_installed
+from armrig_daemon.core.state import Rules
 
 
 def _load(tmp_path: Path, text: str, environ: dict[str, str] | None = None) -> Config:
@@ -157,6 +159,30 @@ def test_the_rules_of_the_core_are_the_configuration_s() -> None:
 
     assert (rules.u_min, rules.u_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
     assert rules.ts_us == 10_000
+
+
+def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
+    """None is left at its default, and each is in the core's unit."""
+    rules = _load(
+        tmp_path,
+        "[timing]\nTs = 0.02\nstop_after = 3\n"
+        "[device]\nbaud = 115200\nwatchdog_ms = 60\n"
+        "[limits]\nu_min_v = 0.5\nu_max_v = 4.0\nslew_v = 2.0\nrevolutions = 1.25\n"
+        "[calibration.theta_1]\nzero_counts = 7.5\n",
+    ).rules()
+
+    assert rules == Rules(
+        u_min=6554,
+        u_max=52428,
+        slew=26215,
+        ts_us=20_000,
+        watchdog_ms=60,
+        baud=115_200,
+        stop_after=3,
+        turns=125,
+        rail_ticks=0,
+        calibration=Calibration(theta_1=Potentiometer(zero_counts=7.5)),
+    )
 
 
 @pytest.mark.parametrize(("slew_v", "codes"), [(0.2, 2622), (1.0, 13108), (5.0, 65535)])

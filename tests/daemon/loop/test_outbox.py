@@ -41,19 +41,25 @@ def _sample(k: int) -> Sample:
 
 
 def test_samples_without_room_become_one_gap_in_their_place() -> None:
-    """L2: count and first k; then the samples go on."""
+    """L2: count and first k, both times, the voltage held last; then the samples go on."""
     pipe = Pipe(2)
     outbox = Outbox(pipe)  # type: ignore[arg-type]
 
     for k in range(5):
-        outbox.put_sample(_sample(k))
+        outbox.put_sample(_sample(k)._replace(u_applied_v=float(k)))
     pipe.room = 10
     outbox.put_sample(_sample(5))
 
     zero, one, gap, five = pipe.taken()
     assert (zero, one, five) == (0, 1, 5)
-    assert isinstance(gap, Gap)
-    assert (gap.k_first, gap.count, gap.reason) == (2, 3, "the service did not keep up")
+    assert gap == Gap(
+        k_first=2,
+        count=3,
+        t_from_ns=2,
+        t_to_ns=4,
+        u_held_v=4.0,
+        reason="the service did not keep up",
+    )
 
 
 def test_the_end_of_a_run_waits_for_room() -> None:

@@ -16,11 +16,12 @@ from armrig_core.emulator_socket import lock_path
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import realtime
-from armrig_daemon.loop.link import READ
+from armrig_daemon.loop.link import READ, Link
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
 from armrig_daemon.pipe import Alive, Halt, Play, Reset, record_bytes
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
+from msgspec.structs import replace
 
 MS = 1_000_000
 
@@ -248,6 +249,24 @@ def test_a_line_that_was_lost_is_opened_again_in_its_time(
     assert [type(event) for event in ports.wait(now_ns)] == [LinkDown]
     now_ns += REOPEN_NS
     assert ports.wait(now_ns) == []
+
+
+def test_a_line_that_was_opened_again_is_read_when_it_is_told(
+    ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That the one before it hung up is no reason to read: a terminal takes long to say nothing."""
+    os.close(pipes.pop("master"))
+    now_ns = realtime.now_ns() + 30_000 * MS
+    assert [type(event) for event in ports.wait(now_ns)] == [LinkDown]
+    master, pipes["another"] = os.openpty()
+    pipes["master"] = master
+    ports._settings = replace(ports._settings, port=os.ttyname(pipes["another"]))
+    monkeypatch.setattr(realtime, "now_ns", lambda: now_ns + REOPEN_NS)
+    assert ports.wait(now_ns) == [LinkUp()]
+
+    monkeypatch.setattr(Link, "read", lambda _: pytest.fail("nobody said that there is more"))
+
+    assert ports.wait(0) == []
 
 
 def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: ProcessPorts) -> None:

@@ -1,0 +1,57 @@
+"""What the loop measures of its time, second by second."""
+
+from __future__ import annotations
+
+from armrig_core.telemetry import SAMPLE_FIELDS, Sample
+from armrig_daemon.core.clockmap import Link, start
+from armrig_daemon.loop.meter import Meter, clock_record
+
+S, MS, US = 1_000_000_000, 1_000_000, 1_000
+BEGAN = 5 * S
+
+
+def _sample(k: int, t_device_us: int) -> Sample:
+    return Sample(*(0 for _ in SAMPLE_FIELDS))._replace(k=k, t_device_us=t_device_us)
+
+
+def test_a_second_is_told_once_it_is_over_and_the_next_begins_with_nothing() -> None:
+    """Times in µs, the queue in setpoints; the collections are those so far."""
+    meter = Meter(BEGAN)
+    meter.woke(30 * US, 2, 10 * US)
+    meter.came_back(20 * US)
+    meter.queued(7)
+
+    assert meter.each_second(BEGAN + S - 1, 4) is None
+    told = meter.each_second(BEGAN + S, 4)
+    assert meter.each_second(BEGAN + 2 * S - 1, 4) is None
+    nothing = meter.each_second(BEGAN + 2 * S, 4)
+
+    assert told is not None
+    assert nothing is not None
+    assert (told.t_host_ns, told.collections) == (BEGAN + S, 4)
+    wake = told.wake_lateness_us
+    assert (wake.max, wake.n, wake.missed) == (30.0, 3, 2)
+    assert told.link_round_trip_us.max == 20.0
+    assert told.queue_depth.max == 7
+    empty = (nothing.wake_lateness_us, nothing.link_round_trip_us, nothing.queue_depth)
+    assert [(it.n, it.missed, it.max) for it in empty] == [(0, 0, 0.0)] * 3
+
+
+def test_the_device_s_error_is_its_distance_from_the_period() -> None:
+    """Either way, over what is missing too; not from where k begins anew or the period is new."""
+    meter = Meter(BEGAN)
+    for k, t_us in ((1, 1000), (2, 2007), (5, 4997), (3, 9000), (4, 10_000)):
+        meter.sampled(_sample(k, t_us), 1 * MS)
+    meter.forget_device()
+    meter.sampled(_sample(9, 99_000), 2 * MS)
+    meter.sampled(_sample(10, 101_000), 2 * MS)
+
+    told = meter.each_second(BEGAN + S, 0)
+
+    assert told is not None
+    assert (told.device_tick_error_us.n, told.device_tick_error_us.max) == (4, 10.0)
+
+
+def test_of_a_clock_that_nobody_has_seen_nothing_is_told() -> None:
+    """An estimate of nothing would be an offset of 0."""
+    assert clock_record(start(Link()), BEGAN) is None
