@@ -17,8 +17,8 @@ import msgspec
 import pytest
 from armrig.rig.session import open_session
 from armrig_core.calibration import Calibration, Made, Potentiometer
+from armrig_core.commands import Arm, Disarm, Renew, Run, Set, Stop
 from armrig_core.commands import Calibrate as AskedCalibrate
-from armrig_core.commands import Disarm, Renew, Run, Set, Stop
 from armrig_core.commands import Reset as AskedReset
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
 from armrig_core.manifest import RUN as OF_RUN
@@ -27,6 +27,7 @@ from armrig_core.topics import command_key
 from armrig_daemon.config import Config
 from armrig_daemon.core.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import (
+    Acquire,
     Alive,
     Answer,
     Calibrate,
@@ -277,6 +278,39 @@ def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
 
     assert _refusal(replies) == complaint
     assert between.loop.orders() == []
+
+
+def test_a_run_is_planned_as_the_newest_lease_was_granted(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At its sampling time, and with numbers of its own; nothing is left of the lease before."""
+    planned: list[float] = []
+    monkeypatch.setattr(between.commands, "_objection", lambda: "")
+    monkeypatch.setattr(between.service._runs, "plan", lambda _, Ts, *__: planned.append(Ts))
+    between.commands._n = 9
+    between.ask(Arm(owner="a test", Ts=0.02))
+    between.commands.serve()
+    (granted,) = between.loop.orders()
+    assert isinstance(granted, Acquire)
+    between.service._handle([Answer(order=granted.order, body={"Ts": 0.02})])
+
+    between.ask(Run(lease=granted.lease, n=1, u=[1.0]))
+    between.commands.serve()
+
+    assert planned == [0.02]
+
+
+def test_a_number_that_the_loop_has_taken_is_old(between: Between) -> None:
+    """Whatever the command was that it came with."""
+    between.ask(Set(lease=LEASE, n=5, u=0.5))
+    between.commands.serve()
+    (order,) = between.loop.orders()
+    between.service._handle([Answer(order=order.order, body={"done": True})])
+
+    replies = between.ask(msgspec.structs.replace(RUN, n=5))
+    between.commands.serve()
+
+    assert _refusal(replies) == not_newer(5, 5)
 
 
 def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) -> None:
