@@ -9,10 +9,13 @@ def main() -> None:
     """Load the command line and run it."""
     try:
         from armrig_daemon.command_line import app
+
+        app()
     except KeyboardInterrupt:
         print("armrigd: interrupted", file=sys.stderr)
         sys.exit(130)
-    app()
+    finally:
+        exec("")  # as in armrig/__main__.py: else Python may end itself by SIGINT
 
 
 if __name__ == "__main__":

@@ -195,11 +195,11 @@ def _command_line() -> Any:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    command = _command_line()
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if "_ARMRIG_COMPLETE" in os.environ:  # the shell asks, by the script of --show-completion
-        command.main([], prog_name="armrig")
     try:
+        command = _command_line()
+        if "_ARMRIG_COMPLETE" in os.environ:  # the shell asks, by the script of --show-completion
+            command.main([], prog_name="armrig")
         # Not command.main(): that has exit codes of its own for Ctrl-C and for a broken pipe.
         with command.make_context("armrig", [*given] or ["--help"]) as context:
             command.invoke(context)

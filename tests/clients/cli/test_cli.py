@@ -186,12 +186,22 @@ def test_ctrl_c_while_the_command_is_loaded_is_told_in_a_line(
     module: str, name: str, tmp_path: Path
 ) -> None:
     """On a busy machine that takes seconds. A module that is loaded first is pressed on here."""
-    (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
+    (tmp_path / "typer.py").write_text("exec('raise KeyboardInterrupt')\n")
     beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
     done = subprocess.run([sys.executable, "-m", module, "ls"], capture_output=True, env=beside)
 
     assert (done.returncode, done.stderr) == (130, f"{name}: interrupted\n".encode())
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_the_options_are_made_ends_the_command_in_order(
+    number: signal.Signals, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The exit code says which signal it was."""
+    monkeypatch.setattr("armrig.cli._command_line", lambda: signal.raise_signal(number))
+
+    assert main(["ls"]) == code
 
 
 def test_what_is_no_file_is_told_and_not_waited_for(tmp_path: Path) -> None:
