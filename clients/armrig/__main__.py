@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+
+from armrig_core.loading import end_at_ctrl_c
 
 
 def main() -> int:
     """Load the command line, run it, and return the exit code."""
-    try:
-        from armrig.cli import main as run
+    before = end_at_ctrl_c("armrig")
+    from armrig.cli import main as run
 
+    signal.signal(signal.SIGINT, before)
+    try:
         return run()
     except KeyboardInterrupt:
         print("armrig: interrupted", file=sys.stderr)

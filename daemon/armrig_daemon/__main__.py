@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+
+from armrig_core.loading import end_at_ctrl_c, is_interrupt
 
 
 def main() -> None:
     """Load the command line and run it."""
-    try:
-        from armrig_daemon.command_line import app
+    before = end_at_ctrl_c("armrigd")
+    from armrig_daemon.command_line import app
 
+    signal.signal(signal.SIGINT, before)
+    try:
         app()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RuntimeError) as err:
+        if not is_interrupt(err):
+            raise
         print("armrigd: interrupted", file=sys.stderr)
         sys.exit(130)
     finally:

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 import typer.core
+from armrig_core.loading import is_interrupt
 
 from armrig.cli import (
     batch,
@@ -220,6 +221,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except OSError as err:
         return _failed(_of_file(err), 1)
     except (ValueError, RuntimeError) as err:
+        if is_interrupt(err):
+            return _failed("interrupted", 130)
         return _failed(str(err), 1)
     except ModuleNotFoundError as err:
         if err.name not in _WITH_A_RIG:

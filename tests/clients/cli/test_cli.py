@@ -186,12 +186,27 @@ def test_ctrl_c_while_the_command_is_loaded_is_told_in_a_line(
     module: str, name: str, tmp_path: Path
 ) -> None:
     """On a busy machine that takes seconds. A module that is loaded first is pressed on here."""
-    (tmp_path / "typer.py").write_text("exec('raise KeyboardInterrupt')\n")
+    pressed = "import signal\ntry:\n    signal.raise_signal(2)\nexcept BaseException as err:\n"
+    (tmp_path / "typer.py").write_text(pressed + "    raise RuntimeError from err\n")
     beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
     done = subprocess.run([sys.executable, "-m", module, "ls"], capture_output=True, env=beside)
 
     assert (done.returncode, done.stderr) == (130, f"{name}: interrupted\n".encode())
+
+
+@pytest.mark.parametrize("program", ["raise KeyboardInterrupt", "raise E from KeyboardInterrupt()"])
+def test_ctrl_c_while_a_command_is_loaded_is_no_error(program: str, tmp_path: Path) -> None:
+    """Python 3.11 makes a RuntimeError of it in a class; in a text, it ends itself by SIGINT."""
+    pressed = f"exec({program!r}, {{'E': RuntimeError}})\n"
+    (tmp_path / "mcap").mkdir()
+    (tmp_path / "mcap" / "__init__.py").write_text(pressed)
+    beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-m", "armrig", "info", str(tmp_path)]
+
+    done = subprocess.run(command, capture_output=True, env=beside)
+
+    assert (done.returncode, done.stderr) == (130, b"armrig: interrupted\n")
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
