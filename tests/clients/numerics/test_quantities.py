@@ -5,7 +5,23 @@ from __future__ import annotations
 from math import inf, nan
 
 import pytest
-from armrig.numerics.quantities import listed, plural, times, with_range, with_std
+from armrig.numerics.quantities import (
+    NBSP,
+    error,
+    fixed,
+    listed,
+    number,
+    p_relation,
+    p_value,
+    percent,
+    places,
+    plural,
+    power,
+    scaled,
+    times,
+    with_range,
+    with_std,
+)
 
 
 def test_one_is_singular_and_all_other_numbers_plural() -> None:
@@ -53,6 +69,57 @@ def test_a_number_with_its_range_has_the_digits_of_the_range() -> None:
     """Two digits of a quarter of it, about one σ; no more than six."""
     assert with_range(1.23456, 1.11, 1.404) == "1.235 (1.110 … 1.404)"
     assert with_range(1.0, 1.0 - 1e-9, 1.0 + 1e-9) == "1.000000 (1.000000 … 1.000000)"
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (1.6989e-3, 1.6e-6, "(1.6989 ± 0.0016)·10⁻³ m"),
+        (1.6989e-4, 1.6e-7, "(169.89 ± 0.16)·10⁻⁶ m"),
+        (-5.34e-5, 2.1e-7, "(−53.40 ± 0.21)·10⁻⁶ m"),
+        (45_678.0, 12.0, "(45.678 ± 0.012)·10³ m"),
+        (1234.5, 12.0, "1234 ± 12 m"),
+        (0.0123, 1e-3, "0.0123 ± 0.0010 m"),
+        (0.0, 0.012, "0.000 ± 0.012 m"),
+    ],
+)
+def test_a_quantity_has_a_power_of_ten_that_has_a_name(value: float, std: float, text: str) -> None:
+    """It is divisible by three; none between 0.01 and 9999."""
+    assert scaled(value, std, "m").replace(NBSP, " ") == text
+
+
+@pytest.mark.parametrize(
+    ("written", "text"),
+    [
+        (number(999.4), "999"),
+        (number(1234.5), "1234"),
+        (number(-0.01234), "−0.0123"),
+        (power(1.234e-5), "1.23·10⁻⁵"),
+        (power(1e-3), "0.001"),
+        (power(0.0), "0"),
+        (fixed(-1.25, 1), "−1.2"),
+        (percent(99.987), "99.99 %"),
+        (percent(90.0), "90 %"),
+        (percent(100.0), "100.00 %"),
+        (percent(101.4), "101 %"),
+        (error(0.0123, "rad"), "12.3 mrad"),
+        (error(0.1, "rad"), "0.1 rad"),
+        (error(0.0123, "V"), "0.0123 V"),
+        (p_relation(0.00099), "< 0.001"),
+        (p_relation(0.001), "= 0.001"),
+        (p_value(0.00099), "< 0.001"),
+        (p_value(0.001), "0.001"),
+        (p_value(nan), "–"),
+    ],
+)
+def test_a_number_is_written_as_its_kind_is(written: str, text: str) -> None:
+    """At the bounds between two ways to write it, too."""
+    assert written.replace(NBSP, " ") == text
+
+
+def test_two_digits_of_a_standard_deviation_are_shown() -> None:
+    """Five decimals where it is not known."""
+    assert [places(std) for std in (0.012, 1.2, 12.0, 120.0, 0.0, inf)] == [3, 1, 0, 0, 5, 5]
 
 
 @pytest.mark.parametrize(("names", "text"), [("a", "a"), ("ab", "a and b"), ("abc", "a, b and c")])
