@@ -7,9 +7,9 @@ wait for ever for its own thread, and a note that it makes may come just before 
 
 from __future__ import annotations
 
-import os
 import select
 import signal
+import socket
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -35,11 +35,16 @@ class SignalPipe:
         handler : callable, optional
             Called for each signal in the main thread. It must take no lock.
         """
-        self.fd, self._waker_fd = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        # Sockets: recording from afar is for Windows too, which can wait for nothing else.
+        self._reader, self._waker = socket.socketpair()
+        self._reader.setblocking(False)
+        self._waker.setblocking(False)
+        self.fd = self._reader.fileno()
         self._is_woken = False
-        self._fd_before = signal.set_wakeup_fd(self._waker_fd, warn_on_full_buffer=False)
+        self._fd_before = signal.set_wakeup_fd(self._waker.fileno(), warn_on_full_buffer=False)
         self._before = {number: signal.signal(number, handler) for number in numbers}
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # the parent may have held them back
+        if hasattr(signal, "pthread_sigmask"):  # the parent may have held them back
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
     def wake(self) -> None:
         """Make the pipe readable from any thread, as a signal does."""
@@ -47,22 +52,23 @@ class SignalPipe:
             return  # a pipe that is full of our zeros would have no room for a signal
         self._is_woken = True
         with suppress(BlockingIOError):
-            os.write(self._waker_fd, b"\0")
+            self._waker.send(b"\0")
 
     def read(self) -> set[int]:
         """Return the numbers of the signals since the last call, and empty the pipe."""
         numbers: set[int] = set()
         with suppress(BlockingIOError):
-            numbers = {*os.read(self.fd, _READ_BYTES)} - {0}
+            numbers = {*self._reader.recv(_READ_BYTES)} - {0}
         # After the read, which may have taken the byte of a thread that has just come.
         self._is_woken = False
         return numbers
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait for a signal, for `timeout` seconds at most; return whether one came."""
-        poll = select.poll()
-        poll.register(self.fd, select.POLLIN)
-        return bool(poll.poll(None if timeout is None else max(0.0, 1000 * timeout)))
+        ready, _, _ = select.select(
+            [self._reader], [], [], None if timeout is None else max(0.0, timeout)
+        )
+        return bool(ready)
 
     def is_set(self) -> bool:
         """Return whether a signal came."""
@@ -77,8 +83,8 @@ class SignalPipe:
         for number, before in self._before.items():
             signal.signal(number, signal.SIG_IGN if ignores else before)
         signal.set_wakeup_fd(self._fd_before)
-        os.close(self.fd)
-        os.close(self._waker_fd)
+        self._reader.close()
+        self._waker.close()
 
 
 @contextmanager

@@ -78,7 +78,6 @@ TOLD_IN_A_RUN = {
     ),
 }
 """By stream."""
-SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 class Between:
@@ -117,15 +116,12 @@ class Between:
 @pytest.fixture
 def between(tmp_path: Path) -> Iterator[Between]:
     """Return a service that is in no loop of its own: it does what a test has it do."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
     between = Between(tmp_path)
     yield between
     between.client.close()
     between.service._session.__exit__(None, None, None)
     between.loop.close()
-    signal.set_wakeup_fd(-1)
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    between.service._signals.close()
 
 
 def _refusal(replies: Any) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import select
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,32 +10,29 @@ import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.service.service import Service
 
-SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-
 
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[Service]:
     """Return a service that has started nothing."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    yield Service(Config(), "unixsock-stream/nowhere", tmp_path)
-    signal.set_wakeup_fd(-1)
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    service = Service(Config(), "unixsock-stream/nowhere", tmp_path)
+    yield service
+    service._signals.close()
 
 
 def test_who_comes_while_the_service_looks_does_not_silence_who_comes_later(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its sign is read with those before it; the next one must be given all the same."""
-    read, wake = os.read, service._signals.wake
+    reader, wake = service._signals._reader, service._signals.wake
 
-    def interrupted(fd: int, n: int) -> bytes:
-        wake()
-        return read(fd, n)
+    class Interrupted:
+        def recv(self, n: int) -> bytes:
+            wake()
+            return reader.recv(n)
 
     wake()
     with monkeypatch.context() as patch:
-        patch.setattr("armrig_core.signal_pipe.os.read", interrupted)
+        patch.setattr(service._signals, "_reader", Interrupted())
         service._woken()
     wake()
 
