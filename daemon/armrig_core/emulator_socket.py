@@ -1,7 +1,7 @@
 """The Unix socket that takes the place of a serial port between a daemon and an emulated rig.
 
 A port `unix:PATH` names it. The socket is for an emulator on the same machine, of the same user.
-Beside the socket lies a file `PATH.lock`, whose lock the program that opened the port holds.
+The program that opened the port holds the lock of the file `PATH.lock`.
 """
 
 from __future__ import annotations

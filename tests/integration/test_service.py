@@ -219,6 +219,8 @@ def test_an_emulated_rig_has_the_longest_watchdog_unless_one_is_said(
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--emulate")
 
     assert _watchdog_of_a_run(bench, daemon) == watchdog_ms
+    # Its line is a socket, whose bytes wait for no worker of the kernel.
+    assert f"port unix:{bench.folder}/armrig/1-{daemon.popen.pid}.line at" in daemon.said
 
 
 def test_a_rig_that_is_not_emulated_by_us_has_the_watchdog_of_the_wire(bench: Bench) -> None:

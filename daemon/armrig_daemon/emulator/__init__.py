@@ -1,1 +1,1 @@
-"""A plant behind a pseudo-terminal that answers as the real rig does."""
+"""A plant behind a pseudo-terminal or a socket that answers as the real rig does."""

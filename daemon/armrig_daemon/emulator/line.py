@@ -36,7 +36,7 @@ class Line:
     def __init__(self) -> None:
         """Begin with nobody at the other end."""
         self.connected = False
-        """Somebody has it open; the read that fails tells that nobody has any more."""
+        """A program has the port open; the read that fails says that none has any more."""
         self.has_input = False
         """Bytes have come that were not all read yet, or the port was closed."""
         self._is_hung_up = False
@@ -56,7 +56,7 @@ class Line:
         raise NotImplementedError
 
     def watch(self, waiter: Waiter) -> None:
-        """Have a waiter tell of the line, and of those who open it."""
+        """Add the line to a waiter, with the openings of its port."""
         self._waiter = waiter
         waiter.watch(self.opened_fd)
 
@@ -70,7 +70,7 @@ class Line:
         self.has_input = self._is_hung_up = False
 
     def watch_room(self) -> None:
-        """Be told of room on the line while something waits for it, and no longer."""
+        """Have the waiter report room on the line while bytes wait for it, and no longer."""
         waits = bool(self.backlog.waiting_bytes)
         if waits != self._waits_for_room and self._waiter is not None:
             self._waits_for_room = waits
@@ -154,7 +154,7 @@ class Terminal(Line):
         stack.callback(remove)
 
     def watch(self, waiter: Waiter) -> None:
-        """Have a waiter tell of the line, and of those who open it."""
+        """Add the line to a waiter, with the openings of its port."""
         super().watch(waiter)
         waiter.watch_terminal(self.fd)
 

@@ -196,7 +196,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _line(port: Path, stack: ExitStack) -> Line:
-    """Return the line that the name of a port says."""
+    """Return a line of the kind that the name of a port asks for."""
     try:
         path = socket_path(str(port))
     except ValueError as err:

@@ -31,7 +31,7 @@ class SocketLine(Line):
         stack.callback(self._close)
 
     def offer(self, port: Path, stack: ExitStack) -> None:
-        """Make the socket in one step, over one at which no emulator answers any more."""
+        """Make the socket in one step, in place of one at which no emulator answers."""
         path = self._path
         if fault := folder_fault(path):
             msg = f"{port}: {fault}"
@@ -62,7 +62,8 @@ class SocketLine(Line):
     def was_opened(self) -> bool:
         """Return whether somebody opened the port since the last call.
 
-        While one program has the port open, or to another user's, the connection is closed at once.
+        The connection of another user's program is closed at once, and so is a second connection
+        while one program has the port open.
         """
         opened = False
         for _ in range(_MOST_WAITING):
@@ -89,14 +90,14 @@ class SocketLine(Line):
         self._close()
 
     def drain(self) -> None:
-        """Send what waits, as far as the line takes it; nothing to one who has closed the port."""
+        """Send what waits, as far as the line takes it; drop it if the port was closed."""
         try:
             super().drain()
         except (BrokenPipeError, ConnectionResetError):
             self.backlog.clear()
 
     def watch(self, waiter: Waiter) -> None:
-        """Have a waiter tell of the line, and of those who open it."""
+        """Add the line to a waiter, with the openings of its port."""
         super().watch(waiter)
         self._watch_connection()
 
@@ -119,7 +120,8 @@ class SocketLine(Line):
 def _occupied(path: Path) -> str:
     """Return why no socket may be put at `path`, or nothing.
 
-    An emulator is asked by a connection: one whose port nobody has open is reset by it.
+    A connection finds out whether an emulator answers; if nobody has its port open, that resets its
+    device.
     """
     try:
         if not is_socket(path):
@@ -128,6 +130,6 @@ def _occupied(path: Path) -> str:
             probe.connect(os.fspath(path))
     except (FileNotFoundError, ConnectionRefusedError):
         return ""
-    except BlockingIOError:  # so many wait for it already
+    except BlockingIOError:  # too many connections wait for it
         pass
     return "another emulator answers there"

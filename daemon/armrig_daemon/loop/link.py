@@ -26,10 +26,10 @@ from armrig_core.waiting import TERMINAL_BYTES, Waiter
 READ = 2048
 """Bytes handed on at once: with what is sent for them they fit into one record of the pipe."""
 SEND_BUFFER_BYTES: Final = 1 << 16
-"""SO_SNDBUF of a socket: room for some 170 frames, for each costs the kernel about 0.75 kB.
+"""SO_SNDBUF of a socket, in bytes: room for 171 frames, each of which takes about 0.75 kB of it.
 
-In 50 ms, after which a silence ends an exchange (S4), a loop of 0.5 ms sends 100. A pseudo-terminal
-holds 16.5 KiB: a line that holds more would only hand the device more old frames.
+At Ts 0.5 ms an exchange sends 100 frames in the 50 ms after which S4 ends it. More room would only
+give the device more old frames.
 """
 
 _TAKEN = (
@@ -95,7 +95,7 @@ class Link:
         self._rest = b""
 
     def watch(self, waiter: Waiter) -> None:
-        """Watch the port; it is read once for each time that it is told."""
+        """Add the port to a waiter, which reports each arrival of bytes once."""
         waiter.watch_terminal(self.fd)
 
     @property
@@ -142,9 +142,9 @@ class Link:
 
 
 class SocketLink(Link):
-    """The socket of an emulated rig, open; no kernel worker carries its bytes.
+    """An open socket of an emulated rig, whose bytes no kernel worker carries.
 
-    It is opened like a port: by one program at a time, and the device is reset by it.
+    One program at a time opens it, as it does a port, and the opening resets the device.
     """
 
     def __init__(self, port: str, path: Path) -> None:
@@ -160,7 +160,7 @@ class SocketLink(Link):
         self._begin(port, connection.fileno())
 
     def watch(self, waiter: Waiter) -> None:
-        """Watch the socket by level: to look at a socket never waits."""
+        """Add the socket to a waiter, by level: to look at a socket never waits."""
         waiter.watch(self.fd)
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ class ProcessPorts:
             self._link.watch(self._waiter)
         except NoPortError as err:
             self._reopen_error = str(err)
-        self._is_hung_up = self._is_told = False
+        self._is_hung_up = self._is_unread = False
         self._first = True
         self._has_no_reader = False
         self._signals: SignalPipe | None = None
@@ -115,7 +115,7 @@ class ProcessPorts:
                 # It is told once: of a line that hung up, what it still held is read before.
                 self._is_hung_up = bool(flags & ~EPOLLIN)
                 if events and isinstance(events[0], Received):
-                    self._is_told = True  # one piece at a time: see `READ`
+                    self._is_unread = True  # a step takes one piece: see `READ`
                 else:
                     events += self._read()
         return events
@@ -178,7 +178,7 @@ class ProcessPorts:
             self._waiter.forget(self._link.fd)
             self._link.close()
             self._link = None
-            self._is_hung_up = self._is_told = False
+            self._is_hung_up = self._is_unread = False
         self._reopen_ns = realtime.now_ns() + REOPEN_NS
         self._reopen_error = str(err)
         return [LinkDown(self._reopen_error)]
@@ -187,8 +187,8 @@ class ProcessPorts:
         """Read on where it was told that there is more, for that is told once."""
         if self._link is not None and self._link.has_rest:
             return self._read()
-        more = self._is_hung_up or self._is_told
-        self._is_told = False
+        more = self._is_hung_up or self._is_unread
+        self._is_unread = False
         return self._read() if more else []
 
     def _read(self) -> list[Event]:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
+from armrig_core.emulator_socket import port_of
 from armrig_core.signal_pipe import held_back
 
 from armrig_daemon.config import Config
@@ -24,7 +25,7 @@ class EmulatorError(RuntimeError):
 
 @contextmanager
 def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
-    """Start an emulator with these settings; give the configuration that drives it.
+    """Start an emulator with these settings, on a socket; give the configuration that drives it.
 
     And a descriptor of lines: for how many ns its device's clock stood still.
 
@@ -33,16 +34,16 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     config : Config
         Whose table [emulator] it has.
     directory : Path
-        Where its port is made.
+        Where its socket is made.
 
     Raises
     ------
     EmulatorError
         It ended, or took too long.
     """
-    link = directory / f"{config.rig.id}-{os.getpid()}.tty"
+    path = directory / f"{config.rig.id}-{os.getpid()}.line"
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
-    program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", str(link)]
+    program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", port_of(path)]
     program += ["--settings", msgspec.json.encode(settings).decode()]
     stalls_out, stalls_in = os.pipe()
     os.set_blocking(stalls_in, False)
@@ -55,12 +56,12 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
         os.close(stalls_in)
     try:
         until = time.monotonic() + _START_S
-        while not link.exists():
+        while not path.exists():
             if child.poll() is not None or time.monotonic() > until:
-                msg = f"the emulator did not start behind {link}"
+                msg = f"the emulator did not start behind {path}"
                 raise EmulatorError(msg)
             time.sleep(0.01)
-        device = msgspec.structs.replace(config.device, port=str(link))
+        device = msgspec.structs.replace(config.device, port=port_of(path))
         yield msgspec.structs.replace(config, device=device), stalls_out
     finally:
         child.terminate()

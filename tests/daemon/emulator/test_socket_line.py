@@ -40,7 +40,7 @@ class Emulator:
         self.line.watch(self.waiter)
 
     def was_opened(self) -> bool:
-        """Take what the kernel tells; return whether the device is to be reset."""
+        """Take what the kernel reports; return whether the device must be reset."""
         self.line.watch_room()
         ready = dict(self.waiter.ready())
         if self.line.opened_fd in ready and self.line.was_opened():
@@ -302,7 +302,7 @@ def test_at_its_end_an_emulator_takes_its_port_away(tmp_path: Path) -> None:
 
 
 def test_a_socket_at_which_nobody_answers_is_taken_over(tmp_path: Path) -> None:
-    """An emulator that was killed leaves it behind; a host finds no rig there until then."""
+    """A killed emulator leaves its socket; until it is replaced, a host finds no rig there."""
     path = tmp_path / "rig.sock"
     with socket.socket(socket.AF_UNIX) as stale:
         stale.bind(os.fspath(path))

@@ -114,7 +114,7 @@ def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
 def test_bytes_that_come_while_others_wait_are_a_piece_of_their_own(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """A step of the core gets one piece, or no record could hold it. Told once, none is lost."""
+    """A step of the core gets one piece, or no record could hold it. None is lost."""
     tty.setraw(pipes["slave"])
     sent = bytes(range(1, 251)) * 12
     os.write(pipes["master"], sent)
