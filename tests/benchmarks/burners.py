@@ -60,7 +60,7 @@ def main() -> None:
     from armrig.plots import plot_timing
     from matplotlib import pyplot as plt
 
-    bench = Bench(Path(tempfile.mkdtemp(prefix="armrig-bench-")))
+    bench = Bench(Path(tempfile.mkdtemp(prefix="armrig-bench-")), terminal=True)
     bench.configure(baud=500_000, watchdog_ms=250)
     try:
         bench.emulate()

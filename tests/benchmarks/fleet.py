@@ -213,7 +213,7 @@ def _serve(bench: Bench, rig: str, router: str, made: Path) -> None:
     )
     config = str(bench.config)
     bench.start("armrig_daemon", "emulate", "--port", str(bench.port), "--config", config)
-    wait_for(bench.port.exists, _READY_S)
+    wait_for(bench.port_is_there, _READY_S)
     bench.start("armrig_daemon", "run", "--config", config)
 
 

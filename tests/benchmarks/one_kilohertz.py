@@ -109,7 +109,7 @@ def main() -> None:
 
 def run(seconds: int, pacing: str) -> None:
     """Start everything, play, and end everything."""
-    bench = Bench(Path(tempfile.mkdtemp(prefix="armrig-bench-")))
+    bench = Bench(Path(tempfile.mkdtemp(prefix="armrig-bench-")), terminal=True)
     processes: list[Process] = bench.processes
     try:
         play(bench, seconds, pacing)

@@ -42,7 +42,7 @@ def main() -> None:
     ended = {RECORDED: 0, UNRECORDED: 0}
     found: dict[str, list[Window]] = {RECORDED: [], UNRECORDED: []}
     with tempfile.TemporaryDirectory(prefix="armrig-pauses-") as folder:
-        bench = Bench(Path(folder))
+        bench = Bench(Path(folder), terminal=True)
         try:
             with _served(bench) as rig:
                 for i in range(asked.pairs):

@@ -31,7 +31,7 @@ def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
 def _serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     bench = Bench(tmp_path_factory.mktemp("served"))
     try:
-        # The longest watchdog: under a flood a pseudo-terminal may hold bytes back for long.
+        # The longest watchdog: a flood may hold the emulator up for long.
         bench.configure(watchdog_ms=250)
         bench.emulate()
         bench.serve()

@@ -1,4 +1,7 @@
-"""Real processes: an emulated rig behind a pseudo-terminal, and the daemon that drives it."""
+"""Real processes: an emulated rig behind a socket, and the daemon that drives it.
+
+What is about the serial edge itself has a pseudo-terminal in place of the socket.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,14 @@ from pathlib import Path
 from tempfile import TemporaryFile
 
 from armrig.rig.client import Rig
+from armrig_core.emulator_socket import socket_path
 from fork_server import Forked, ForkServer
 
 WITHIN_S = 30.0
 """How long is waited for what must come; a busy machine takes seconds to load a program."""
 _COMMAND_S = 60.0
 _LAST_LINES = 1000  # B
-_BURNER = """
+BURNER = """
 import os
 parent = os.getppid()
 while os.getppid() == parent:
@@ -51,7 +55,7 @@ class Burners:
     """
 
     def __init__(self, n: int) -> None:
-        self._programs = [subprocess.Popen([sys.executable, "-c", _BURNER]) for _ in range(n)]
+        self._programs = [subprocess.Popen([sys.executable, "-c", BURNER]) for _ in range(n)]
         self._signal(signal.SIGSTOP)
 
     def __enter__(self) -> None:
@@ -127,14 +131,21 @@ class Process:
 class Bench:
     """One rig in a folder of its own."""
 
-    def __init__(self, folder: Path, forks: ForkServer | None = None) -> None:
+    def __init__(
+        self, folder: Path, forks: ForkServer | None = None, *, terminal: bool = False
+    ) -> None:
         self.folder = folder
         self.forks = forks
-        self.port = folder / "tty"
+        self.port = folder / "tty" if terminal else Path(f"unix:{folder}/line.sock")
         self.trace = folder / "trace.csv"
         self.recordings = folder / "recordings"
         self.config = folder / "armrig.toml"
         self.processes: list[Process] = []
+        self.configure()
+
+    def use_terminal(self) -> None:
+        """Have a pseudo-terminal from now on."""
+        self.port = self.folder / "tty"
         self.configure()
 
     def configure(self, baud: int = 1_000_000, more: str = "", watchdog_ms: int = 100) -> None:
@@ -180,8 +191,12 @@ class Bench:
             *("armrig_daemon", "emulate", "--port", str(self.port)),
             *("--config", str(self.config), "--trace", str(self.trace)),
         )
-        wait_for(self.port.exists)
+        wait_for(self.port_is_there)
         return emulator
+
+    def port_is_there(self) -> bool:
+        """Return whether an emulator has made the port."""
+        return (socket_path(str(self.port)) or self.port).exists()
 
     def serve(self, env: dict[str, str] | None = None) -> Process:
         """Start the daemon and wait until it samples."""

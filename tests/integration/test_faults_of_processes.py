@@ -130,13 +130,13 @@ def test_more_signals_change_nothing(bench: Bench, loop_too: bool) -> None:
 
 
 def test_more_signals_to_an_emulator_change_nothing(bench: Bench) -> None:
-    """It takes its link away."""
+    """It takes its port away."""
     emulator = bench.emulate()
 
     _killed_again_and_again(emulator, emulator.popen.pid)
 
     assert emulator.popen.wait(WITHIN_S) == 0, emulator.said
-    assert not bench.port.is_symlink()
+    assert not bench.port_is_there()
 
 
 @pytest.mark.timed

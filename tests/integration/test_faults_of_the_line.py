@@ -22,7 +22,7 @@ BACK_S = 10.0
 
 @pytest.fixture(scope="module")
 def _connected(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bench, Relay]]:
-    bench = Bench(tmp_path_factory.mktemp("line"))
+    bench = Bench(tmp_path_factory.mktemp("line"), terminal=True)
     bench.emulate()
     relay = Relay(bench.port, bench.folder / "line")
     bench.port = bench.folder / "line"

@@ -86,8 +86,8 @@ def test_subscribers_that_do_not_read_cost_the_run_nothing(bench: Bench) -> None
 def test_a_flood_of_commands_keeps_no_stop_from_getting_through(bench: Bench) -> None:
     """They are refused, with a bound on those that wait; a stop gets through.
 
-    Three tries: on a machine that is busy itself the flood also takes the pseudo-terminal's kernel
-    worker its time, and the device's watchdog may end the run before it is told to stop.
+    Three tries: on a machine that is busy itself the flood also holds the emulator up, and the
+    device's watchdog may end the run before it is told to stop.
     """
     bench.emulate()
     daemon = bench.serve()

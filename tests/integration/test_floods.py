@@ -126,8 +126,8 @@ def test_a_flood_hides_neither_the_client_nor_its_end(
 ) -> None:
     """Its run goes on while it lives, and stops a period after its last sign.
 
-    Tried up to three times: on a busy machine such a flood starves the pseudo-terminal's kernel
-    worker, and the device's watchdog ends the run before its client does.
+    Tried up to three times: on a busy machine such a flood holds the emulator up, and the device's
+    watchdog ends the run before its client does.
     """
     for _ in range(3):
         took_s, last = _killed_in_a_flood(served, name, fields)

@@ -156,6 +156,7 @@ def test_a_reload_of_a_free_rig_ends_the_daemon_to_be_started_again(
 
 def test_a_service_that_cannot_begin_is_never_ready(bench: Bench, systemd: Systemd) -> None:
     """Its port is no serial port: systemd is to say that the start failed."""
+    bench.use_terminal()
     bench.port.write_text("")
 
     daemon = bench.start(*("armrig_daemon", "run", "--config", str(bench.config)), env=systemd.env)

@@ -90,6 +90,7 @@ def test_status_names_the_calibration_and_the_arm(
 @contextmanager
 def _deaf(bench: Bench, noise: int) -> Iterator[None]:
     """Have a device at the bench's port that answers nothing, but says `noise` B/ms at random."""
+    bench.use_terminal()
     master, slave = os.openpty()
     os.set_blocking(master, False)
     bench.port.symlink_to(os.ttyname(slave))

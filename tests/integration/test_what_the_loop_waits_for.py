@@ -52,11 +52,15 @@ def does_not_block(pid: int, fd: int) -> bool:
     return bool(int(text.split("flags:")[1].split()[0], 8) & os.O_NONBLOCK)
 
 
-@pytest.mark.parametrize("pacing", ["exchange", "scheduled"])
+@pytest.mark.parametrize(
+    ("pacing", "terminal"), [("exchange", True), ("scheduled", True), ("exchange", False)]
+)
 def test_the_loop_waits_for_its_deadline_and_its_descriptors_only(
-    bench: Bench, pacing: str
+    bench: Bench, pacing: str, terminal: bool
 ) -> None:
     """No `select`, which asks the terminal at each call; nothing that takes a lock or a disk."""
+    if terminal:
+        bench.use_terminal()
     bench.configure(watchdog_ms=250)
     bench.emulate()
     loop_pid = bench.loop_pid(bench.serve())
