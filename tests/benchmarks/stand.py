@@ -74,8 +74,12 @@ class Witness:
 class Stand:
     """An emulated rig, with or without a line that can fail, and what drives it."""
 
-    def __init__(self, folder: Path, *, has_line: bool) -> None:
-        self.bench = Bench(folder)
+    def __init__(
+        self, folder: Path, *, has_line: bool, terminal: bool = True, as_run_emulate: bool = False
+    ) -> None:
+        self.bench = Bench(folder, terminal=terminal)
+        if as_run_emulate:
+            self.bench.configure(watchdog_ms=250, more="tolerates_stalls = true")
         self.bench.emulate()
         self.witness = Witness(self.bench.trace)
         self.relay: Relay | None = None
