@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,11 @@ STOPPED_S = 1.0
 """Tells a stop from no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
 TRIES = 3
 """How often what a stall of this machine has ended is begun."""
-_STALLS = ("no answer from the device for", "the host paused for")
+_STALLS = (
+    "no answer from the device for",
+    "the host paused for",
+    "it heard nothing from this host in time",
+)
 """How a run ends where the machine has kept the loop or the emulator waiting."""
 _STEP_V = 5 / 1024  # of the emulated duty
 _RUNNER = """
@@ -85,6 +89,41 @@ def whole_run(rig: Rig, u: ArrayLike, *, Ts: float, **how: Any) -> Path:
         at_rest(rig)
     rig.arm("a test", Ts=Ts)
     return rig.run(u, **how)
+
+
+def hold(rig: Rig, bench: Bench, volts: float, owner: str = "a test") -> None:
+    """Arm, and hold a voltage by hand until the motor has it.
+
+    Each look renews the lease, which else may run out between two looks. Where this machine stalls
+    and the rig trips: once more, from rest.
+    """
+    is_armed = False
+
+    def has_it() -> bool:
+        nonlocal is_armed
+        try:
+            if not is_armed:
+                rig.arm(owner)
+            rig.set(volts)
+            is_armed = True
+        except RefusedError:
+            at_rest(rig)
+            is_armed = False
+        return is_armed and bench.volts() > volts - 0.1
+
+    wait_for(has_it)
+
+
+def unless_stalled(rig: Rig, attempt: Callable[[], None]) -> None:
+    """Attempt something; where this machine stalls, and the rig trips, once more, from rest."""
+    for _ in range(TRIES - 1):
+        try:
+            return attempt()
+        except (AssertionError, RuntimeError):
+            if not stalled(rig.status().reason):
+                raise
+        at_rest(rig)
+    return attempt()
 
 
 def stalled(said: str) -> bool:

@@ -201,6 +201,9 @@ class Bench:
     def serve(self, env: dict[str, str] | None = None) -> Process:
         """Start the daemon and wait until it samples."""
         daemon = self.start("armrig_daemon", "run", "--config", str(self.config), env=env)
+        socket = self.folder / "armrig" / "1.sock"
+        # Two waits: to load takes a program most of one where this machine is busy.
+        wait_for(lambda: socket.exists() or daemon.popen.poll() is not None)
         wait_for(lambda: self.phase() == "safe" or daemon.popen.poll() is not None)
         assert daemon.popen.poll() is None, daemon.said
         return daemon

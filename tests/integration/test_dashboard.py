@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from armrig.dashboard.connections import MOST
 from armrig.rig.status_rows import status_rows
-from driving import STOPPED_S, check_volts
+from driving import STOPPED_S, check_volts, hold
 from processes import WITHIN_S, Bench, wait_for
 from watching import STEP, Client, begin, watched
 
@@ -138,9 +138,7 @@ def test_a_stop_right_behind_a_run_holds(page: Client, served: Bench) -> None:
 def test_stop_ends_another_s_run(page: Client, served: Bench) -> None:
     """It needs no lease, and no run of the page's own."""
     with served.rig() as other:
-        other.arm("somebody else")
-        other.set(1.0)
-        wait_for(lambda: served.volts() > 0)
+        hold(other, served, 1.0, "somebody else")
         assert page.ask("/api/stop", {})[0] == 200
         wait_for(lambda: served.volts() == 0.0)
 
@@ -422,9 +420,9 @@ def test_a_daemon_that_dies_is_stale_and_comes_back(bench: Bench) -> None:
         daemon.kill()
         daemon.popen.wait(10)
         page.wait("live", lambda seen: seen["is_stale"])
-        page.wait("status", lambda seen: "armrig lab" in seen["trouble"], 20)
+        page.wait("status", lambda seen: "armrig lab" in seen["trouble"])
         bench.serve()
-        page.wait("live", lambda seen: not seen["is_stale"], 20)
+        page.wait("live", lambda seen: not seen["is_stale"])
 
         assert page.first("status")["trouble"] == ""
         assert page.ask("/api/stop", {})[0] == 200
@@ -439,15 +437,15 @@ def test_a_fault_shows_its_cause_before_its_reset(bench: Bench) -> None:
         page.wait("live", lambda seen: not seen["is_stale"])
         begin(page, bench)
         emulator.kill()
-        page.wait("status", lambda seen: seen["phase"] == "fault", 20)
+        page.wait("status", lambda seen: seen["phase"] == "fault")
         seen = page.first("status")
 
         assert seen["reason"]
         assert seen["remedy"]
         assert dict(seen["rows"])["fault"] == f"{seen['fault']}: {seen['reason']}"
         bench.emulate()
-        wait_for(lambda: page.ask("/api/reset", {}) == (200, {"was_latched": True}), 20)
-        page.wait("status", lambda seen: seen["phase"] == "safe", 20)
+        wait_for(lambda: page.ask("/api/reset", {}) == (200, {"was_latched": True}))
+        page.wait("status", lambda seen: seen["phase"] == "safe")
 
 
 def test_a_name_is_told_as_it_is(page: Client, served: Bench) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.telemetry import decode_sample
+from driving import hold
 from processes import Bench, wait_for
 from watching import Client, begin, endpoint
 
@@ -34,9 +35,7 @@ def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench
     assert visitor.first("hello")["may_command"] is False
     assert not visitor.first("live")["is_stale"]
     with served.rig() as other:
-        other.arm("somebody")
-        other.set(1.0)
-        wait_for(lambda: served.volts() > 0)
+        hold(other, served, 1.0, "somebody")
         assert visitor.ask("/api/stop", {"owner": "a visitor"})[0] == 200
         wait_for(lambda: served.volts() == 0.0)
 

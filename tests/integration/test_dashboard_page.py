@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from driving import STOPPED_S
-from processes import Bench
+from processes import WITHIN_S, Bench
 from tools import needs
 from watching import STEP, Client, begin, bring_to_rest, endpoint, recorded, watched
 
@@ -25,7 +25,7 @@ pytestmark = needs("chromium")
 
 WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 SMALL = {"width": 640, "height": 480}  # to draw it costs a third
-_PATIENCE_MS = 20_000
+_PATIENCE_MS = 1000 * WITHIN_S
 _TRIES = 3
 _CONNECTIONS = 6
 MARKUP = "<img src=x onerror=document.title='owned'>"
@@ -99,7 +99,7 @@ def run_step(page: Any, bench: Bench, seconds: str = "20") -> None:
     raise AssertionError(f"{text(page, '#fault')} {text(page, '#running-text')}")
 
 
-def until(page: Any, what: Callable[[], object], within_s: float = 20.0) -> None:
+def until(page: Any, what: Callable[[], object], within_s: float = WITHIN_S) -> None:
     """Wait until `what` is true; the page's policy forbids a script of the browser's driver."""
     last_s = time.monotonic() + within_s
     while not what():

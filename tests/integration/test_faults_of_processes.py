@@ -14,7 +14,7 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.rig.client import RefusedError
-from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded
+from driving import STOPPED_S, check_every_k, check_volts, driven, hold, outcome, recorded
 from processes import WITHIN_S, Bench, Process, wait_for
 
 TRIPPED = ("ticks in a row were missed", "no answer from the device", "the host paused for")
@@ -53,11 +53,10 @@ def test_a_signal_in_every_phase(bench: Bench, phase: str, number: signal.Signal
     bench.emulate()
     daemon = bench.serve()
     with bench.rig() as rig:
-        if phase != "safe":
+        if phase == "armed":
             rig.arm("a test")
         if phase == "active":
-            rig.set(4.0)
-            wait_for(lambda: bench.volts() > 3.9)
+            hold(rig, bench, 4.0)
 
         _ends_in_good_order(bench, daemon, number)
     check_volts(bench)
@@ -178,9 +177,7 @@ def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) ->
             refused.append(str(err))
 
     with bench.rig() as rig:
-        rig.arm("a test")
-        rig.set(1.0)
-        wait_for(lambda: bench.volts() > 0.9)
+        hold(rig, bench, 1.0)
         os.kill(loop_pid, signal.SIGSTOP)
         late = threading.Thread(target=command)
         late.start()

@@ -12,17 +12,20 @@ import numpy as np
 import pytest
 from armrig.rig.client import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, samples
-from processes import Bench, settled, wait_for
+from fork_server import ForkServer
+from processes import WITHIN_S, Bench, settled, wait_for
 from relay import Relay
 from sampling import sampled
 
-BACK_S = 10.0
+BACK_S = WITHIN_S
 """T1 allows 2 s; a busy machine takes its time to start an answer."""
 
 
 @pytest.fixture(scope="module")
-def _connected(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bench, Relay]]:
-    bench = Bench(tmp_path_factory.mktemp("line"), terminal=True)
+def _connected(
+    tmp_path_factory: pytest.TempPathFactory, forks: ForkServer
+) -> Iterator[tuple[Bench, Relay]]:
+    bench = Bench(tmp_path_factory.mktemp("line"), forks, terminal=True)
     bench.emulate()
     relay = Relay(bench.port, bench.folder / "line")
     bench.port = bench.folder / "line"

@@ -14,12 +14,12 @@ from urllib.parse import urlsplit
 from armrig.dashboard.serving import Settings, dashboard
 from armrig.rig.session import RigError
 from driving import TRIES, at_rest
-from processes import Bench, wait_for
+from processes import WITHIN_S, Bench, wait_for
 
 STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
 """An experiment that lasts until it is stopped."""
-WAIT_S = 20.0
-_ANSWER_S = 20.0
+WAIT_S = WITHIN_S
+_ANSWER_S = WITHIN_S
 _BACK_S = 60.0
 _RUN_S = 60.0
 
