@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import armrig
@@ -100,6 +101,90 @@ def test_recordings_fill_what_they_can(done: HandoutStudy) -> None:
 
     assert lacking == ["3.5", "3.6"]
     assert done.refused == {}
+
+
+def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
+    """Under the name and in the unit that its sentence says; made up, so that none is another's."""
+    assert done.sampling is not None
+    assert done.step is not None
+    assert done.loop is not None
+    assert done.loop.sims is not None
+    sampling = replace(
+        done.sampling,
+        Ts=0.001,
+        Ts_step=0.002,
+        Ts_spectrum=0.003,
+        Ts_transient=(0.004, 0.005),
+        omega_spectrum=66.0,
+        settling=0.077,
+        from_step=True,
+    )
+    step = replace(done.step, tau=0.0211, tau_std=0.0004)
+    sims = replace(done.loop.sims, F=1.25, q=5, degrees=777)
+    loop = replace(done.loop, sims=sims)
+
+    found = sections(replace(done, sampling=sampling, step=step, loop=loop))
+
+    assert found["3.1"].answer == (
+        "A sampling time of 1\xa0ms. From a step response, the time to 63 % is 21.10 ± 0.40 ms "
+        "(one standard deviation): ω_s = 20/τ gives 2 ms. By the spectrum, −3 dB at 66 rad/s, it "
+        "is 3 ms; 7 to 10 samples in the transient of 77 ms would be 4 to 5 ms.",
+    )
+    assert "(F = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
+
+
+def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStudy) -> None:
+    """Coefficients with the classic deviation, the error, and both p values."""
+    assert done.black is not None
+    best = done.black.best
+    d = best.fit.theta.size
+    fit = replace(best.fit, covariance=np.eye(d) * 0.01**2, covariance_robust=np.eye(d) * 0.03**2)
+    made_up = replace(
+        best,
+        fit=fit,
+        comparison=replace(best.comparison, rms_error=0.004),
+        tests=replace(best.tests, whiteness=0.11, missing_dynamics=0.33, feedback=0.44),
+    )
+
+    found = sections(replace(done, black=replace(done.black, estimated=(made_up,))))
+
+    table = found["3.3"].table
+    assert table is not None
+    [(name, theta, error, white, dynamics)] = table.rows
+    assert table.header == ("model", "coefficients", "rms error", "p white", "p dynamics")
+    assert (name, error, white, dynamics) == ("OE", "4\xa0mrad", "0.110", "0.330")
+    assert theta.startswith(f"b1 = {fit.theta[0]:.3f} ± 0.010, b2 = ".replace("-", "−"))
+    assert (
+        "off by 4\xa0mrad rms. It is estimated from 1500 samples at 10\xa0ms"
+        in (found["3.3"].answer[0])
+    )
+
+
+def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy) -> None:
+    """Of every model, times in ms; the best of all is named, the physics too."""
+    assert done.black is not None
+    table = sections(done)["3.4"].table
+    assert table is not None
+
+    for row, model in zip(table.rows, done.black.models, strict=True):
+        found = model.comparison.characteristics
+        shown = [float(cell.partition(" ±")[0].replace("−", "-")) for cell in row[3:]]
+        assert shown == pytest.approx(
+            [
+                found.gain,
+                found.antiresonance,
+                1e3 * found.rise_time,
+                1e3 * found.equivalent_time,
+                found.overshoot,
+            ],
+            rel=0.01,
+            abs=0.005,
+        )
+        percent = model.comparison.velocity_fit_percent
+        assert float(row[2].split("\xa0")[0].replace("−", "-")) == pytest.approx(percent, rel=0.01)
+    assert [head.partition(" [")[0] for head in table.header[3:]] == [
+        *("gain", "antires.", "63 % time", "equivalent", "overshoot")
+    ]
 
 
 def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
