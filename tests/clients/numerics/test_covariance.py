@@ -24,9 +24,13 @@ def two_experiments(seed: int, C: list[float]) -> tuple[list[Array], list[Array]
     return blocks, residuals
 
 
-def test_newey_and_west_weigh_the_pairs_of_each_experiment() -> None:
-    """By 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), none across the boundary."""
+@pytest.mark.parametrize("rows", [1 << 11, 65])
+def test_newey_and_west_weigh_the_pairs_of_each_experiment(
+    rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), none across the boundary; in blocks as in one."""
     blocks, residuals = two_experiments(1, [1.0, -0.8])
+    monkeypatch.setattr(covariance, "_FEW_ROWS", rows)
     L = 4
     assert int(4 * (sum(SIZES) / 100) ** (2 / 9)) == L
 
