@@ -409,9 +409,13 @@ def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Reco
 
 def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path) -> None:
     """In any format of matplotlib's, by the name's ending."""
-    recording.plot().savefig(tmp_path / "data.svg")
+    begins = {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG"}
+    figure = recording.plot()
+    for ending in begins:
+        figure.savefig(tmp_path / f"data.{ending}")
 
-    assert (tmp_path / "data.svg").read_text().startswith("<?xml")
+    found = {ending: (tmp_path / f"data.{ending}").read_bytes() for ending in begins}
+    assert all(found[ending].startswith(begin) for ending, begin in begins.items())
 
 
 def test_the_step_of_models_that_integrate_is_their_rate(done: Study) -> None:

@@ -36,7 +36,10 @@ def test_a_parameter_costs_two_or_the_logarithm_of_the_samples() -> None:
 
 def test_a_perfect_model_has_a_finite_criterion() -> None:
     """The logarithm of a loss of 0 is taken of the smallest number."""
-    assert np.isfinite(aic(0.0, 2, 10))
+    least = np.finfo(np.float64).tiny
+
+    assert aic(0.0, 2, 10) == aic(least, 2, 10) < aic(2 * least, 2, 10)
+    assert aic(0.0, 2, 10) == pytest.approx(10 * (np.log(2 * np.pi * least) + 1) + 4)
 
 
 def test_the_final_prediction_error_has_no_bound_with_as_many_parameters_as_samples() -> None:

@@ -91,6 +91,7 @@ def test_a_changed_input_is_told(tmp_path: Path) -> None:
     path = written(tmp_path, whole)
     content = _content(path)
     assert content.input is not None
+    assert recorded_input(path, content.input, 3).tolist() == [1.25, 2.5, 3.75]
 
     for new, why in ((b"2.6", "checksum of the attached input"), (b"2.x", "no list of voltages")):
         path.write_bytes(whole.replace(b"\n2.5\n", b"\n" + new + b"\n"))

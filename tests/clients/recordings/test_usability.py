@@ -240,6 +240,9 @@ def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: 
     """And one at the beginning."""
     made = swinging(200)
     del made[100:103]
-    found = data_verdict(by_hand(tmp_path, [gap(0, 5, 0.0), *made[5:]]))
+    messages = [gap(0, 5, 0.0), *made[5:]]
+    whole = recorded(messages, manifest=manifest(k_first=0, samples=200))
 
-    assert found.missing_share > 0
+    found = data_verdict(load(written(tmp_path, whole)))
+
+    assert found.missing_share == pytest.approx(8 / 200)

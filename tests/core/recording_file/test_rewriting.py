@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import zlib
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,17 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.rewriting import CHUNK, Rewriter, compact
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, ChunkIndex, DataEnd, Header, Message, Metadata, Schema
+from mcap.records import (
+    Attachment,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Message,
+    Metadata,
+    Schema,
+)
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
@@ -95,8 +106,12 @@ def test_the_copy_is_guarded_by_a_checksum(first: Path, tmp_path: Path) -> None:
     compact(first, copy)
 
     with copy.open("rb") as file:
-        (end,) = [r for r in StreamReader(file).records if isinstance(r, DataEnd)]
-    assert end.data_section_crc != 0
+        records = list(StreamReader(file).records)
+    (end,) = [r for r in records if isinstance(r, DataEnd)]
+    (footer,) = [r for r in records if isinstance(r, Footer)]
+    data_end = 1 + 8 + 4  # opcode, length and checksum of the record that ends the data
+    section = copy.read_bytes()[: footer.summary_start - data_end]
+    assert end.data_section_crc == zlib.crc32(section) != 0
 
 
 def test_a_file_that_is_there_is_not_written_over(first: Path, tmp_path: Path) -> None:
