@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import coverage
 import pytest
 
-from mutation.trial import in_child
+from mutation.trial import QUIET, in_child
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ["armrig", "armrig_core", "armrig_daemon", "armrig_protocol"]
@@ -137,7 +137,7 @@ def measured(paths: list[str], packages: list[str]) -> dict[str, dict[str, Any]]
         if packages:
             cov.start()
         code = pytest.main(
-            ["-q", "--no-header", "-p", "no:cacheprovider", "-p", "no:cov", *paths],
+            [*(word for word in QUIET if word not in ("-x", "--no-summary")), *paths],
             plugins=[contexts],
         )
         lines: defaultdict[str, defaultdict[str, int]] = defaultdict(lambda: defaultdict(int))
