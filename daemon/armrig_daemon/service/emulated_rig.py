@@ -16,7 +16,7 @@ from armrig_core.signal_pipe import held_back
 
 from armrig_daemon.config import Config
 
-_START_S = 15.0  # on a busy machine a program takes seconds to load
+_START_S = 30.0  # on a busy machine a program takes seconds to load
 
 
 class EmulatorError(RuntimeError):
