@@ -107,16 +107,17 @@ def test_coarser_rows_keep_the_extremes() -> None:
 
 def test_a_sample_exactly_at_an_edge_begins_the_next_bin() -> None:
     """Also where its time in s is rounded to just below the edge."""
-    rows = _binned(_samples([float(k) for k in range(100)]))
+    assert 0.29 / 0.01 < 29
+    rows = _binned(_samples([k / 4 for k in range(400)]))
 
-    assert rows.shape[0] == 10
-    np.testing.assert_allclose(rows[:, 3], 10.0 * np.arange(10))
-    np.testing.assert_allclose(rows[:, 4], 10.0 * np.arange(10) + 9)
+    assert rows.shape[0] == 40
+    np.testing.assert_allclose(rows[:, 3], 2.5 * np.arange(40))
+    np.testing.assert_allclose(rows[:, 4], 2.5 * np.arange(40) + 2.25)
 
 
 def test_each_signal_has_its_columns_and_unit() -> None:
-    """U, θ₁, its rate and α: least and largest of each."""
-    found = signals(_samples([1.0, 2.0], Ts=0.001, u=3.0))
+    """U as it was applied, θ₁, its rate and α: least and largest of each."""
+    found = signals([s._replace(u_cmd_v=4.0) for s in _samples([1.0, 2.0], u=3.0)])
 
     rows = as_lists(binned(found, np.array([50.0, 70.0])))
 
