@@ -1,19 +1,20 @@
-"""The device against PROTOCOL.md, in virtual time."""
+"""The device in virtual time, to the nanosecond: what the rules of `conformance/` do not reach.
+
+They are tried on it in tests/daemon/conformance, and are not repeated here.
+"""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
-from zlib import crc32
 
 import pytest
 from armrig_daemon.emulator.board import Change
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_protocol import cobs, decoder, frame
+from armrig_protocol import decoder, frame
 from armrig_protocol.messages import (
     SCHEMA_HASH,
     VERSION,
-    Ack,
     Arm,
     Cal,
     Capability,
@@ -48,7 +49,6 @@ from emulated_host import (
     MS,
     QUIET,
     SAMPLE_NS,
-    STATES,
     US,
     Host,
     S,
@@ -138,201 +138,7 @@ def test_hello_tells_what_the_device_is() -> None:
     assert (reply.token, reply.cause) == (0, Cause.POWER_ON)
 
 
-# ------------------------------------------------------------------ transitions
-
-
-def test_the_way_from_idle_to_run_and_back() -> None:
-    """Each step is answered first and told by an EVENT after that."""
-    host = Host()
-    boot_id = host.hello().boot_id
-
-    configured = host.ask(Config, **CONFIG)
-    config_crc = only(ConfigReply, configured).config_crc
-    armed = host.ask(Arm, boot_id=boot_id, config_crc=config_crc)
-    started = host.ask(Start, k_stop=0)
-    stopped = host.ask(Stop)
-
-    assert [type(m) for m in configured] == [ConfigReply, Event]
-    assert events(configured) == [(State.IDLE, State.READY, Cause.REQUEST)]
-    for answers, was, state in (
-        (armed, State.READY, State.ARMED),
-        (started, State.ARMED, State.RUN),
-        (stopped, State.RUN, State.IDLE),
-    ):
-        assert [type(m) for m in answers] == [Ack, Event]
-        assert codes(answers) == [Code.OK]
-        assert events(answers) == [(was, state, Cause.REQUEST)]
-    assert [h.message.seq for h in host.heard] == list(range(len(host.heard)))
-
-
-@pytest.mark.parametrize("state", [State.READY, State.ARMED, State.RUN])
-def test_stop_leads_to_idle_where_no_configuration_is_in_force(state: State) -> None:
-    """The next refused CONFIG shows it."""
-    host = Host().reach(state)
-
-    answers = host.ask(Stop)
-
-    assert events(answers) == [(state, State.IDLE, Cause.REQUEST)]
-    refused = host.configure(oversampling=0)
-    assert (refused.code, refused.config_crc, refused.ts_us) == (Code.BAD_VALUE, 0, 0)
-
-
-def test_stop_in_idle_is_ok_and_changes_nothing() -> None:
-    """No EVENT."""
-    assert [type(m) for m in Host().ask(Stop)] == [Ack]
-
-
-@pytest.mark.parametrize("state", [State.FAULT, State.ESTOP])
-def test_a_latched_state_is_left_by_its_token_only(state: State) -> None:
-    """The token stands in the EVENT and in HELLO_R; STOP does not lead out."""
-    host = Host().reach(state)
-    token = host.hello().token
-    told = [h.message for h in host.heard if isinstance(h.message, Event)][-1]
-
-    assert told.token == token != 0
-    assert codes(host.ask(Stop)) == [Code.WRONG_STATE]
-    assert codes(host.ask(ClearFault, token=token ^ 1)) == [Code.WRONG_TOKEN]
-    assert host.device.state is state
-    cleared = host.ask(ClearFault, token=token)
-    assert codes(cleared) == [Code.OK]
-    assert events(cleared) == [(state, State.IDLE, Cause.REQUEST)]
-    assert host.hello().token == 0
-
-
-@pytest.mark.parametrize("state", [State.IDLE, State.READY, State.ARMED, State.RUN, State.FAULT])
-def test_estop_is_taken_in_any_state(state: State) -> None:
-    """0 V, latched."""
-    host = Host().reach(state)
-
-    answers = host.ask(Estop)
-
-    assert codes(answers) == [Code.OK]
-    assert events(answers) == [(state, State.ESTOP, Cause.REQUEST)]
-    assert host.device.board.volts == 0.0
-
-
-def test_estop_in_estop_changes_nothing() -> None:
-    """Sent three times, it is told once, and the token stays."""
-    host = Host().reach(State.ESTOP)
-    token = host.hello().token
-
-    answers = host.ask(Estop)
-
-    assert [type(m) for m in answers] == [Ack]
-    assert codes(answers) == [Code.OK]
-    assert host.hello().token == token
-
-
-# ------------------------------------------------------------------ refusals
-
-REQUESTS: dict[type[Message], dict[str, int]] = {
-    Arm: {"boot_id": 0, "config_crc": 0},
-    Start: {"k_stop": 0},
-    ClearFault: {"token": 0},
-}
-TAKEN = {Arm: {State.READY}, Start: {State.ARMED}, ClearFault: {State.FAULT, State.ESTOP}}
-
-
-@pytest.mark.parametrize("kind", REQUESTS)
-@pytest.mark.parametrize("state", STATES)
-def test_a_request_in_the_wrong_state_changes_nothing(kind: type[Message], state: State) -> None:
-    """ACK(WRONG_STATE), no EVENT."""
-    if state in TAKEN[kind]:
-        return
-    host = Host().reach(state)
-
-    answers = host.ask(kind, **REQUESTS[kind])
-
-    assert codes(answers) == [Code.WRONG_STATE]
-    assert len(answers) == 1
-    assert host.device.state is state
-
-
-@pytest.mark.parametrize("state", [State.ARMED, State.RUN, State.FAULT, State.ESTOP])
-def test_config_in_the_wrong_state_changes_nothing(state: State) -> None:
-    """CONFIG_R(WRONG_STATE)."""
-    host = Host().reach(state)
-
-    answers = host.ask(Config, **CONFIG)
-
-    assert only(ConfigReply, answers).code == Code.WRONG_STATE
-    assert len(answers) == 1
-    assert host.device.state is state
-
-
-@pytest.mark.parametrize(
-    ("fields", "code"),
-    [
-        ({"ts_us": 207}, Code.BAD_VALUE),
-        ({"u_min": 2, "u_max": 1}, Code.BAD_VALUE),
-        ({"u_min": 10, "u_rest": 9}, Code.BAD_VALUE),
-        ({"u_max": 10, "u_rest": 11}, Code.BAD_VALUE),
-        ({"watchdog_ms": 19}, Code.BAD_VALUE),
-        ({"watchdog_ms": 251}, Code.BAD_VALUE),
-        ({"watchdog_ms": 0}, Code.BAD_VALUE),
-        ({"mode": 2}, Code.BAD_VALUE),
-        ({"underrun": 2}, Code.BAD_VALUE),
-        ({"oversampling": 0}, Code.BAD_VALUE),
-        ({"mode": Mode.SCHEDULED, "ts_us": 207}, Code.BAD_VALUE),
-    ],
-)
-def test_a_bad_configuration_is_refused_as_a_whole(fields: dict[str, int], code: Code) -> None:
-    """The one in force stays, and is told."""
-    host = Host()
-    in_force = host.configure(u_max=1234)
-
-    reply = host.configure(**fields)
-
-    assert reply.code == code
-    assert (reply.config_crc, reply.u_max) == (in_force.config_crc, 1234)
-    assert host.device.state is State.READY
-
-
-@pytest.mark.parametrize(
-    "fields", [{"ts_us": 208}, {"watchdog_ms": 20}, {"watchdog_ms": 250}, {"u_rest": 65535}]
-)
-def test_a_configuration_just_inside_is_accepted(fields: dict[str, int]) -> None:
-    """CONFIG_R carries it, and the CRC-32 of its body."""
-    host = Host()
-
-    reply = host.configure(**fields)
-
-    asked = Config(0, 0, **{**CONFIG, **fields})
-    # Of the decoded frame: four bytes of header before the body, four of CRC behind it.
-    stuffed = frame.encode(asked)[:-1]
-    text = cobs.unstuff(stuffed)
-    assert text is not None
-    assert reply.config_crc == crc32(text[4:-4])
-    assert reply.code == Code.OK
-    assert reply[-13:-1] == asked[-12:]
-
-
-def test_arm_is_bound_to_boot_and_configuration() -> None:
-    """WRONG_BOOT, WRONG_CONFIG, WRONG_NONCE, and READY it stays."""
-    host = Host()
-    boot_id, older = host.hello().boot_id, host.configure()
-    config_crc, nonce = host.configure().config_crc, host.nonce
-    right = {"boot_id": boot_id, "config_crc": config_crc}
-
-    assert codes(host.ask(Arm, boot_id=boot_id ^ 1, config_crc=config_crc)) == [Code.WRONG_BOOT]
-    assert codes(host.ask(Arm, boot_id=boot_id, config_crc=config_crc ^ 1)) == [Code.WRONG_CONFIG]
-    for wrong in (older.nonce, 0, nonce ^ 1):
-        assert codes(host.ask(Arm, **right, nonce=wrong)) == [Code.WRONG_NONCE]
-    assert host.device.state is State.READY
-    assert codes(host.ask(Arm, **right, nonce=nonce)) == [Code.OK]
-
-
-def test_start_is_bound_to_its_arming() -> None:
-    """That of an earlier one is refused, however new its seq; ARMED it stays."""
-    host = Host().reach(State.RUN)
-    older = host.nonce
-    host.ask(Stop)
-    host.reach(State.ARMED)
-
-    assert codes(host.ask(Start, k_stop=0, nonce=older)) == [Code.WRONG_NONCE]
-    assert codes(host.ask(Start, k_stop=0, nonce=0)) == [Code.WRONG_NONCE]
-    assert host.device.state is State.ARMED
-    assert codes(host.ask(Start, k_stop=0)) == [Code.OK]
+# ------------------------------------------------------------------ nonces
 
 
 def test_each_configuration_that_is_accepted_has_a_nonce_of_its_own() -> None:
@@ -383,55 +189,7 @@ def test_what_armed_and_started_once_does_not_again(mode: Mode) -> None:
     assert host.changes == []
 
 
-def test_start_with_an_end_is_refused_in_exchange_mode() -> None:
-    """BAD_VALUE."""
-    host = Host().reach(State.ARMED)
-
-    assert codes(host.ask(Start, k_stop=10)) == [Code.BAD_VALUE]
-    assert host.device.state is State.ARMED
-
-
-def test_a_type_that_a_host_does_not_send_is_unknown() -> None:
-    """Of the future, or of a device: ACK(UNKNOWN_TYPE), and seq does not move."""
-    host = Host()
-    host.hello()
-    future = b"\x7f\0\x02\0"
-    text = future + crc32(future).to_bytes(4, "little")
-    host.device.receive(host.now_ns, cobs.stuff(text) + b"\0")
-
-    assert codes(host.wait(3 * MS)) == [Code.UNKNOWN_TYPE]
-    assert codes(host.ask(Ack, seq=3, of_type=0, code=0, of_seq=0)) == [Code.UNKNOWN_TYPE]
-    assert only(Sample, host.ask(Exchange, seq=2, k=0, u=0)).echo == 2
-
-
 # ------------------------------------------------------------------ sequence
-
-
-@pytest.mark.parametrize(("step", "taken"), [(1, 1), (32767, 1), (0, 0), (32768, 0), (65535, 0)])
-def test_only_a_newer_seq_is_taken_in(step: int, taken: int) -> None:
-    """1 ... 32767 ahead, modulo 2^16; else ACK(STALE)."""
-    host = Host()
-    host.hello()
-    host.seq = 65000
-    host.hello()
-    last = host.seq
-
-    answers = host.ask(Exchange, seq=(last + step) & 0xFFFF, k=0, u=0)
-
-    assert codes(answers) == ([] if taken else [Code.STALE])
-    assert host.hello().seq > 0
-
-
-def test_hello_synchronises_seq_backwards_too() -> None:
-    """Its seq is the newest, whatever it was."""
-    host = Host()
-    host.seq = 500
-    host.hello()
-    host.seq = 7
-
-    host.hello()
-
-    assert only(Sample, host.ask(Exchange, k=0, u=0)).echo == 9
 
 
 @pytest.mark.parametrize("state", [State.ARMED, State.RUN])
@@ -447,34 +205,6 @@ def test_a_hello_played_again_makes_no_old_frame_new_where_the_motor_may_turn(st
     assert codes(again) == [Code.STALE]
     assert only(HelloReply, newer).state == state
     assert codes(old) == [Code.STALE]
-
-
-@pytest.mark.parametrize(("kind", "state"), [(Stop, State.IDLE), (Estop, State.ESTOP)])
-def test_stop_and_estop_take_effect_whatever_their_seq(kind: type[Message], state: State) -> None:
-    """A stale one leaves the newest seq where it was."""
-    host = Host().reach(State.RUN)
-    newest = host.seq
-
-    answers = host.ask(kind, seq=newest - 3)
-
-    assert codes(answers) == [Code.OK]
-    assert host.device.state is state
-    assert only(Sample, host.ask(Exchange, seq=newest + 1, k=0, u=0)).echo == newest + 1
-
-
-@pytest.mark.parametrize(("step", "taken"), [(1, 1), (2**31 - 1, 1), (0, 0), (2**31, 0)])
-def test_only_a_newer_k_is_sampled(step: int, taken: int) -> None:
-    """1 ... 2^31 - 1 ahead, modulo 2^32; after HELLO any."""
-    host = Host()
-    host.hello()
-    start = 2**32 - 5
-    host.ask(Exchange, k=start, u=0)
-
-    answers = host.ask(Exchange, k=(start + step) % 2**32, u=0)
-
-    assert codes(answers) == ([] if taken else [Code.STALE])
-    host.hello()
-    assert only(Sample, host.ask(Exchange, k=3, u=0)).k == 3
 
 
 # ------------------------------------------------------------------ exchange
@@ -509,34 +239,6 @@ def test_a_sample_does_not_know_of_its_own_u() -> None:
     (zero, zero_next), (full, full_next) = samples
     assert (zero.y0, zero.y1) == (full.y0, full.y1)
     assert (zero_next.y0, zero_next.y1) != (full_next.y0, full_next.y1)
-
-
-def test_a_sample_tells_what_was_latched_and_before() -> None:
-    """The quantised codes, and the seq that supplied the last one."""
-    host = Host(EmulatorSettings(baud=BAUD)).reach(State.RUN)
-
-    first = only(Sample, host.ask(Exchange, k=1, u=100))
-    seq = host.seq
-    second = only(Sample, host.ask(Exchange, k=2, u=1000))
-
-    # 100 * 1024 / 65535 = 1.56 -> 2 steps -> 128; 1000 -> 15.6 -> 16 steps -> 1024
-    assert (first.u_k, first.u_km1, first.u_seq) == (128, 0, seq)
-    assert (second.u_k, second.u_km1, second.u_seq) == (1024, 128, seq + 1)
-    assert first.flags == second.flags == Flag.RUN | Flag.ARMED
-    assert host.device.board.volts == 5 * 16 / 1024
-
-
-@pytest.mark.parametrize("state", [s for s in STATES if s is not State.RUN])
-def test_outside_run_an_exchange_only_samples(state: State) -> None:
-    """The code is not looked at, not even where it is out of range; u_k is 0."""
-    host = Host().reach(state, u_max=100)
-    host.changes.clear()
-
-    sample = only(Sample, host.ask(Exchange, k=9, u=65535))
-
-    assert (sample.state, sample.u_k, sample.k) == (state, 0, 9)
-    assert not sample.flags & Flag.RUN
-    assert host.changes == []
 
 
 def test_run_begins_with_the_rest_voltage() -> None:
@@ -577,23 +279,6 @@ def test_a_code_out_of_limits_trips_and_is_not_answered(
     assert host.changes[-1] == Change(t_r, 0.0, State.FAULT, cause)
     after = only(Sample, host.ask(Exchange, k=8, u=0))
     assert after.flags & (Flag.RANGE if cause is Cause.RANGE else Flag.SLEW)
-
-
-def test_codes_just_inside_the_limits_are_latched() -> None:
-    """u_min, u_max and a step of slew."""
-    host = Host().reach(State.RUN, u_min=10, u_rest=10, u_max=60, slew=50)
-
-    for k, u in enumerate((60, 10, 60)):
-        assert only(Sample, host.ask(Exchange, k=k, u=u)).u_k == u
-
-
-@pytest.mark.parametrize("pwm_bits", [0, 8, 10])
-def test_a_ramp_of_exactly_the_slew_does_not_trip(pwm_bits: int) -> None:
-    """The step is measured between codes as sent, not between rounded duties."""
-    host = Host(EmulatorSettings(baud=BAUD, pwm_bits=pwm_bits)).reach(State.RUN, slew=333)
-
-    for k in range(100):
-        assert only(Sample, host.ask(Exchange, k=k, u=(k + 1) * 333)).state == State.RUN
 
 
 def test_a_stop_between_exchange_and_latch_wins() -> None:
@@ -726,24 +411,6 @@ def test_every_frame_taken_in_feeds_the_watchdog(
     assert host.device.state is State.RUN
 
 
-@pytest.mark.parametrize("what", ["stale", "unknown", "spoilt", "HELLO"])
-def test_what_is_no_command_does_not_feed_the_watchdog(what: str) -> None:
-    """Noise, old frames, and a host that does not know the device keep no motor turning."""
-    host = Host().reach(State.RUN)
-
-    for i in range(30):
-        data = {
-            "stale": frame.encode(Keepalive(0, host.seq)),
-            "unknown": frame.encode(Ack(0, host.seq + 1, 0, 0, 0)),
-            "spoilt": b"\x05abcd\0",
-            "HELLO": frame.encode(Hello(0, host.seq + 1 + i, 1, 0)),
-        }[what]
-        host.device.receive(host.now_ns, data)
-        host.wait(5 * MS)
-
-    assert host.device.cause is Cause.WATCHDOG
-
-
 def test_a_frame_at_the_very_deadline_is_in_time() -> None:
     """Bytes come before the watchdog where both fall on one nanosecond."""
     host = Host().reach(State.RUN)
@@ -768,20 +435,6 @@ def test_ping_gives_the_device_s_clock() -> None:
     pong = only(Pong, host.wait(3 * MS))
 
     assert (pong.host_ns, pong.rx_us, pong.tx_us) == (2**63 + 5, t_r // US, t_r // US)
-
-
-def test_status_comes_once_a_second_and_counts() -> None:
-    """Frames, spoilt and refused ones."""
-    host = Host()
-    host.hello()
-    host.device.receive(host.now_ns, b"\x05abcd\0")
-    host.ask(Start, k_stop=0)
-    host.configure(oversampling=0)
-
-    came = [m for m in host.wait(3 * S) if isinstance(m, Status)]
-
-    assert [m.uptime_ms for m in came] == [1000, 2000, 3000]
-    assert (came[0].frames, came[0].spoilt, came[0].refused) == (3, 1, 2)
 
 
 def test_a_spoilt_frame_is_told_once_in_the_next_sample() -> None:

@@ -1,4 +1,4 @@
-"""Scheduled mode against PROTOCOL.md, section 6, in virtual time."""
+"""Scheduled mode in virtual time: what the rules of `conformance/` do not reach."""
 
 from __future__ import annotations
 
@@ -45,7 +45,6 @@ from emulated_host import (
     MS,
     QUIET,
     SAMPLE_NS,
-    STATES,
     US,
     Host,
     S,
@@ -93,44 +92,6 @@ def fed(host: Host, dt_ns: int) -> list[Message]:
 # ------------------------------------------------------------------ the mode and its frame
 
 
-@pytest.mark.parametrize("queue", [512, 256])
-def test_hello_tells_of_the_mode_and_the_queue(queue: int) -> None:
-    """SCHEDULED and what it holds; CONFIG of the mode is accepted."""
-    host = Host(replace(QUIET, queue=queue))
-    reply = host.hello()
-
-    assert reply.capabilities & 0x0002
-    assert reply.queue == queue
-    accepted = host.configure(**SCHEDULED)
-    assert (accepted.code, accepted.mode) == (Code.OK, Mode.SCHEDULED)
-
-
-@pytest.mark.parametrize("mode", list(Mode))
-@pytest.mark.parametrize("state", STATES)
-def test_setpoints_are_taken_in_armed_and_run_of_this_mode_only(state: State, mode: Mode) -> None:
-    """Else WRONG_STATE; what is taken has no answer."""
-    host = Host().reach(state, **{**SCHEDULED, "mode": mode})
-    taken = mode is Mode.SCHEDULED and state in (State.ARMED, State.RUN)
-
-    host.supply(0, [0])
-
-    assert codes(host.wait(3 * MS)) == ([] if taken else [Code.WRONG_STATE])
-    assert host.device.state is state
-
-
-@pytest.mark.parametrize(
-    ("n", "zero", "code"), [(0, 0, 4), (25, 0, 4), (255, 0, 4), (1, 1, 4), (1, 0, 0), (24, 0, 0)]
-)
-def test_n_is_1_to_24_and_zero_is_0(n: int, zero: int, code: int) -> None:
-    """Else BAD_VALUE, and nothing is queued."""
-    host = in_state(State.ARMED)
-
-    host.supply(0, [0] * 24, n=n, zero=zero)
-
-    assert codes(host.wait(3 * MS)) == ([code] if code else [])
-    assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == (0 if code else n)
-
-
 @pytest.mark.parametrize("state", [State.ARMED, State.RUN])
 @pytest.mark.parametrize(("u", "code"), [([50, 9], 9), ([101, 50], 101), ([50] * 23 + [9], 9)])
 def test_a_code_out_of_range_trips_and_refuses_the_whole_frame(
@@ -147,16 +108,6 @@ def test_a_code_out_of_range_trips_and_refuses_the_whole_frame(
     assert events(answers) == [(state, State.FAULT, Cause.RANGE)]
     assert (event.detail, event.t_us) == (code, t_r // US)
     assert only(Sample, host.ask(Exchange, k=1, u=0)).queued == 0
-
-
-def test_padding_is_not_looked_at() -> None:
-    """What lies behind n counts for nothing."""
-    host = in_state(State.ARMED, u_min=10, u_max=100)
-
-    host.supply(0, [10, 100, 9, 101], n=2)
-
-    assert host.wait(3 * MS) == []
-    assert host.device.state is State.ARMED
 
 
 @pytest.mark.parametrize(
@@ -228,32 +179,6 @@ def queue_after(host: Host, *frames: tuple[int, list[int]]) -> int:
         host.wait(1 * MS)
     host.k = getattr(host, "k", 0) + 1  # type: ignore[attr-defined]
     return only(Sample, host.ask(Exchange, k=host.k, u=0)).queued  # type: ignore[attr-defined]
-
-
-def test_the_queue_holds_codes_by_index_without_holes() -> None:
-    """What follows is added, what is there already adds nothing, a gap is ignored unanswered."""
-    host = in_state(State.ARMED)
-
-    assert queue_after(host, (0, [1, 2, 3])) == 3
-    assert queue_after(host, (3, [4])) == 4
-    assert queue_after(host, (1, [2, 3])) == 4
-    assert queue_after(host, (2, [3, 4, 5, 6])) == 6
-    assert queue_after(host, (7, [8])) == 6
-    assert codes([h.message for h in host.heard]) == [Code.OK]  # of ARM
-
-
-@pytest.mark.parametrize("wrong", [[9, 2, 3], [1, 2, 9], [1, 9, 3, 4, 5]])
-def test_an_overlap_that_disagrees_is_refused_and_changes_nothing(wrong: list[int]) -> None:
-    """BAD_VALUE; the motor later gets what was there first, and nothing that came with it."""
-    host = in_state(State.ARMED)
-    host.supply(0, [1, 2, 3])
-    host.wait(1 * MS)
-
-    host.supply(0, wrong)
-    assert codes(host.wait(3 * MS)) == [Code.BAD_VALUE]
-
-    host.put(Start, k_stop=5)
-    assert [m.u_k for m in samples(host.wait(5 * MS))] == [1, 2, 3, 0, 0]
 
 
 def test_the_first_frame_that_brought_a_setpoint_is_its_u_seq() -> None:
@@ -506,17 +431,6 @@ def test_a_sample_whose_time_the_converter_is_busy_is_late_and_the_next_is_not()
     assert only(Status, fed(host, 1 * S)).late == 2  # and the EXCHANGE that waited
 
 
-def test_at_the_shortest_ts_nothing_is_late() -> None:
-    """One sample's conversions end where the next one's begin."""
-    host = in_state(State.ARMED, INSTANT, ts_us=208)
-    host.put(Start, k_stop=1000)
-
-    got = samples(fed(host, 300 * MS))
-
-    assert len(got) == 1000
-    assert not any(m.flags & Flag.TICK_LATE for m in got)
-
-
 # ------------------------------------------------------------------ what is latched
 
 
@@ -675,21 +589,6 @@ def test_exchange_is_refused_in_run() -> None:
     assert [m.k for m in got] == list(range(got[0].k, got[-1].k + 1))
     assert got[-1].echo == host.seq
     assert all(c.volts == 0 for c in host.changes)
-
-
-@pytest.mark.parametrize("state", [s for s in STATES if s is not State.RUN])
-def test_exchange_samples_elsewhere_at_0_v(state: State) -> None:
-    """And tells how many entries the queue holds."""
-    host = in_state(state)
-    if state is State.ARMED:
-        host.supply(0, [7, 8, 9])
-    host.wait(1 * MS)
-
-    sample = only(Sample, host.ask(Exchange, k=5, u=65535))
-
-    assert (sample.state, sample.k, sample.u_k) == (state, 5, 0)
-    assert sample.queued == (3 if state is State.ARMED else 0)
-    assert host.device.board.volts == 0
 
 
 def test_k_of_a_run_and_of_exchange_have_nothing_to_do_with_each_other() -> None:
