@@ -43,7 +43,7 @@ check: .venv/dev
 # Every branch of the core and of the device's state machine; what adds nothing to that is left out.
 coverage: .venv/dev
 	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
-	  conformance core/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
+	  core/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
 
 # N generated bugs over all rooms, by their lines, each of which a test must see: an hour for 400. It goes
 # on where it was left, in mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others;
