@@ -9,8 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-MARK: Final = "ARMRIG_SHAKE"
-"""Environment variable that marks the processes of a run; its value is the run's."""
+MARK: Final = "SHAKE_RUN"
+"""Environment variable that marks the processes of a run; the daemon refuses unknown ARMRIG_…."""
 _NEVER: Final = b"stalls/monitor.py"
 """The monitor measures the stalls of the host, which a stop of the monitor is not."""
 

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-STOPS = "ARMRIG_STOPS"
+STOPS = "SHAKE_STOPS"
 """Environment variable: file in which `make shake` writes each process that it stops, and when."""
 _MONITOR = Path(__file__).with_name("monitor.py")
 
