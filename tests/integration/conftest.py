@@ -11,6 +11,12 @@ from fork_server import ForkServer
 from processes import Bench
 
 
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark the tests with a bench: its rig is a process that a stall of the host stops."""
+    if {"bench", "served"} & set(getattr(item, "fixturenames", ())):
+        item.add_marker(pytest.mark.real_time)
+
+
 @pytest.fixture(scope="session")
 def forks() -> Iterator[ForkServer]:
     """Give an interpreter to be copied."""
