@@ -115,10 +115,10 @@ def until_signal() -> Iterator[SignalPipe]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Block the signals in a process that is started here, until it has a `SignalPipe`.
+    """Have signals wait until the block ends; in a process started there, for its `SignalPipe`.
 
-    The signals of this process wait until the block ends. A Ctrl-C goes to all processes of a
-    terminal, and one of them may still load.
+    A Ctrl-C goes to all processes of a terminal, and one of them may still load. Python prints a
+    KeyboardInterrupt that comes in a callback of the import system, and goes on without it.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:

@@ -18,6 +18,7 @@ import typer
 from armrig_core.endpoint import distrust, endpoint, socket_directory
 from armrig_core.held_up import held_up
 from armrig_core.printable import printable
+from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
@@ -69,11 +70,12 @@ def run(
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Run the daemon until SIGTERM or Ctrl-C; the motor ends at 0 V."""
-    from armrig_daemon import config as configuration
-    from armrig_daemon.loop.realtime import end_with_parent
-    from armrig_daemon.service.emulated_rig import EmulatorError, emulated
-    from armrig_daemon.service.service import Service
-    from armrig_daemon.service.systemd import Notifier
+    with held_back():  # an exception in the midst of an import may be passed over
+        from armrig_daemon import config as configuration
+        from armrig_daemon.loop.realtime import end_with_parent
+        from armrig_daemon.service.emulated_rig import EmulatorError, emulated
+        from armrig_daemon.service.service import Service
+        from armrig_daemon.service.systemd import Notifier
 
     if parent is not None:  # of `armrig lab`, which may be killed and cannot tell us then
         end_with_parent(parent)

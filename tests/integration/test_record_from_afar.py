@@ -419,7 +419,10 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
     endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     path = tmp_path / "afar.mcap"
     command = [sys.executable, "-m", "armrig", "record", "--from", endpoint, "-o", str(path)]
-    with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen([*command, "--json"], stdout=pipe, stderr=pipe) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline().startswith(b"armrig: recording rig 1 from ")
         try:
             with bench.rig() as rig:
                 rig.arm("a test", Ts=0.01)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from armrig_core.signal_pipe import until_signal
+from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.options import Connect, Json, RigId, echo, print_json
 
@@ -47,6 +47,28 @@ def dashboard(
 
     With --json it prints {"url": …, "shared_url": …, "foxglove": …}.
     """
+    with until_signal() as ended:
+        _serve(
+            *(ended, rig, connect, port),
+            browser=browser,
+            share=share,
+            for_foxglove=for_foxglove,
+            json=json,
+        )
+
+
+def _serve(
+    ended: SignalPipe,
+    rig: str,
+    connect: str | None,
+    port: int | None,
+    *,
+    browser: bool,
+    share: bool,
+    for_foxglove: bool,
+    json: bool,
+) -> None:
+    """Serve the dashboard until a signal comes."""
     import webbrowser
     from contextlib import ExitStack
 
@@ -55,7 +77,7 @@ def dashboard(
     from armrig.dashboard.share import own_address
 
     address = own_address() if share else None
-    with until_signal() as ended, ExitStack() as opened:
+    with ExitStack() as opened:
         settings = Settings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))
         streams = ""

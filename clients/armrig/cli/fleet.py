@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
-from armrig_core.signal_pipe import until_signal
+from armrig_core.signal_pipe import SignalPipe
 
 from armrig.cli.options import echo, print_json, tell
 
@@ -25,6 +25,7 @@ def record_many(
     rigs: list[str] | None,
     out: Path | None,
     seconds: float | None,
+    ended: SignalPipe,
     *,
     json: bool,
 ) -> None:
@@ -38,7 +39,9 @@ def record_many(
         raise ValueError(msg)
     folder = out or Path()
     folder.mkdir(parents=True, exist_ok=True)
-    with open_endpoint(where).session as session, until_signal() as ended:
+    with open_endpoint(where).session as session:
+        if ended.is_set():  # while it was loaded and connected
+            raise KeyboardInterrupt
         recorder = FleetRecorder(session, where, lambda rig: folder / default_name(rig), tell)
         named = "all rigs" if rigs is None else f"rigs {', '.join(rigs)}"
         tell(f"recording {named} from {where}; Ctrl-C ends it")

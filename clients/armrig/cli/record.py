@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from armrig_core.signal_pipe import until_signal
+from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.chosen_recording import COMPLETE
 from armrig.cli.fleet import default_name, record_many
@@ -72,14 +72,21 @@ def record(
     if every and rigs:
         msg = f"--all and --rig {rigs[0]}: one of both; --all takes every rig that is there"
         raise ValueError(msg)
-    if every or len(rigs or ()) > 1:
-        record_many(source, rigs, out, seconds, json=json)
-    else:
-        _record_one(source, (rigs or ["1"])[0], out, seconds, json=json)
+    with until_signal() as ended:
+        if every or len(rigs or ()) > 1:
+            record_many(source, rigs, out, seconds, ended, json=json)
+        else:
+            _record_one(source, (rigs or ["1"])[0], out, seconds, ended, json=json)
 
 
 def _record_one(
-    source: str | None, rig: str, out: Path | None, seconds: float | None, *, json: bool
+    source: str | None,
+    rig: str,
+    out: Path | None,
+    seconds: float | None,
+    ended: SignalPipe,
+    *,
+    json: bool,
 ) -> None:
     from armrig.rig.remote_recorder import RemoteRecorder
     from armrig.rig.remote_recording import RemoteRecording
@@ -90,18 +97,19 @@ def _record_one(
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
     outcome = COMPLETE
     with open_session(source, rig=rig) as session:
+        if ended.is_set():  # while it was loaded and connected
+            raise KeyboardInterrupt
         recorder = RemoteRecorder(session, recording)
-        with until_signal() as ended:
-            try:
-                if not recorder.begin():
-                    raise no_reply(rig, where)
-                tell(f"recording rig {rig} from {where}; Ctrl-C ends it")
-                recorder.record(ended, seconds)
-            except (RuntimeError, OSError) as err:
-                outcome = f"the recorder ended: {err}"
-                raise
-            finally:
-                _finish(recording, outcome)
+        try:
+            if not recorder.begin():
+                raise no_reply(rig, where)
+            tell(f"recording rig {rig} from {where}; Ctrl-C ends it")
+            recorder.record(ended, seconds)
+        except (RuntimeError, OSError) as err:
+            outcome = f"the recorder ended: {err}"
+            raise
+        finally:
+            _finish(recording, outcome)
     if not recording.done:
         msg = f"rig {rig} at {where} published no sample: there is nothing to record"
         raise RuntimeError(msg)

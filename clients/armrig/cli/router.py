@@ -30,9 +30,9 @@ def router(
     what says the access list. It keeps nothing, and may be started anew at any time: rigs, clients
     and recorders connect again by themselves.
     """
-    from armrig.rig.router import open_router
-
     with until_signal() as ended:
+        from armrig.rig.router import open_router
+
         session, people = open_router(listen, certificate, names)
         with session:
             tell(

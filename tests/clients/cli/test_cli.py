@@ -8,8 +8,10 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import armrig
 import pytest
@@ -193,6 +195,26 @@ def test_ctrl_c_while_the_command_is_loaded_is_told_in_a_line(
     done = subprocess.run([sys.executable, "-m", module, "ls"], capture_output=True, env=beside)
 
     assert (done.returncode, done.stderr) == (130, f"{name}: interrupted\n".encode())
+
+
+@pytest.mark.parametrize("which", [[], ["--all"]])
+def test_ctrl_c_before_a_recorder_records_is_not_lost(
+    which: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python only prints a KeyboardInterrupt in a callback of an import, and goes on."""
+
+    def connected(*_: object, **__: object) -> Any:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        session = nullcontext(object())
+        return SimpleNamespace(session=session) if which else session
+
+    for name in ("open_session", "open_endpoint"):
+        monkeypatch.setattr(f"armrig.rig.session.{name}", connected)
+
+    assert (
+        main(["record", "--from", "tcp/nowhere:1", "-o", str(tmp_path / "a.mcap"), *which]) == 130
+    )
 
 
 @pytest.mark.parametrize("program", ["raise KeyboardInterrupt", "raise E from KeyboardInterrupt()"])
