@@ -215,7 +215,7 @@ def _once(command: Command, folder: Path, row: Row, moment: Moment) -> None:
         row.codes[f"{code}"] += 1
         row.late_s = max(row.late_s, time.monotonic() - sent_s)
         text = log.read_text()
-        # Before the first line of ours: by SIGINT's default, or by a traceback without a line of it.
+        # Before our first line: by the default of SIGINT, or by a traceback without a line of ours.
         in_start = "Traceback" in text and "__main__.py" not in text and "ignored" not in text
         if code != -signal.SIGKILL and (in_start or (code == -signal.SIGINT and not text)):
             row.own_start += 1
