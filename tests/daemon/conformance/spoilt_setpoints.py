@@ -80,7 +80,8 @@ def _more_may_disagree(patch: Patch) -> None:
     add = SetpointQueue.add
 
     def taken(self: SetpointQueue, m: Setpoints) -> bool:
-        return add(self, m) or sum(m.u) > sum(entry.u for entry in self._entries)
+        known = zip(m.u, self._entries, strict=False)
+        return add(self, m) or all(u >= entry.u for u, entry in known)
 
     patch.setattr(SetpointQueue, "add", taken)
 
