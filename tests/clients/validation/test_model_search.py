@@ -13,8 +13,8 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
-from armrig.validation.model_search import search
-from armrig.validation.search_result import Family, SearchResult
+from armrig.validation.model_search import _ranked, search
+from armrig.validation.search_result import Candidate, Family, Scored, SearchResult
 from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
@@ -179,6 +179,18 @@ def test_what_cannot_be_searched_is_refused() -> None:
         search(data, families=("arimax",))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="none of the structures could be estimated; the first"):
         search(data, families=("arx",), orders=(40,))
+
+
+def test_models_without_a_sample_in_common_are_not_compared() -> None:
+    """One predicts the first alone, the other the second."""
+    candidate = Candidate(family="arx", orders=(("na", 1), ("nb", 1)))
+    scored = [
+        Scored(candidate=candidate, fit=None, reason="", error=np.array(error))
+        for error in ([0.1, np.nan], [np.nan, 0.1])
+    ]
+
+    with pytest.raises(ValueError, match="no validation sample is predicted by all models"):
+        _ranked(scored, Dataset(u=[0.0, 0.0], y=[1.0, 1.0], Ts=1.0))
 
 
 def test_a_search_shows_each_structure_and_rings_the_choice() -> None:

@@ -196,6 +196,16 @@ def test_numbers_are_read_in_whatever_width_and_order_they_were_saved(
     assert data.y.tolist() == [7, 8, 9]
 
 
+def test_a_number_that_is_cut_within_is_damage(tmp_path: Path) -> None:
+    """7 bytes are no double."""
+    head = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<ii", 1, 1))
+    path = tmp_path / "data.mat"
+    path.write_bytes(mat5(element(14, head + element(1, b"u") + element(9, b"\1" * 7))))
+
+    with pytest.raises(DataFileError, match="an element of kind 9 where numbers are due"):
+        load_data(path, Ts=1)
+
+
 def old(name: str, values: np.ndarray[Any, Any], order: str) -> bytes:
     """Return a vector as version 4 saves it."""
     kind = {"<": 0, ">": 1000}[order] + {"f8": 0, "f4": 10, "i2": 30}[values.dtype.str[1:]]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.physics.integrators.accuracy import growth
 from armrig.physics.integrators.methods import METHODS, amplification
-from armrig.physics.integrators.stability import stability_limit
+from armrig.physics.integrators.stability import _positive_roots, stability_limit
 from armrig.physics.integrators.stepping import integrate
 from armrig_core.arm import ArmParameters, arm_matrices
 from hypothesis import given
@@ -114,6 +114,11 @@ def test_marginal_and_unstable_systems(
 ) -> None:
     """What grows by itself has no stable step; a constant asks for none."""
     assert stability_limit(A, method) == (trapezoidal if method == "trapezoidal" else explicit)
+
+
+def test_only_real_roots_count() -> None:
+    """(r - 2)(r² - 2 r + 2) has two complex ones, with the same real part."""
+    assert _positive_roots(np.array([-4.0, 6.0, -4.0, 1.0])) == pytest.approx([2.0])
 
 
 def test_an_integrator_beside_a_decay_does_not_count() -> None:
