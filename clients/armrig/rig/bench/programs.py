@@ -22,7 +22,7 @@ from armrig.rig.session import NoReplyError, RigError
 RIG = "bench"
 BAUD = 1_000_000
 SUBSCRIBERS = 4
-_START_S, _STOP_S = 15.0, 5.0
+_START_S, _STOP_S = 30.0, 5.0
 _CONFIG = f"""\
 # The benchmark's: an emulated rig behind a pseudo-terminal, its wire modelled.
 [rig]
