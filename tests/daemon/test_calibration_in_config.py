@@ -112,7 +112,7 @@ def _attached(folder: Path, config: Config) -> bytes | None:
     state = State(t_host_ns=0, phase="active", reason="", owner="", ts_us=10_000, device={})
     path = runs.begin(started, state, {}, 0)
     runs.end("complete")
-    assert done.wait(5)
+    assert done.wait(30)
     content = read(path.with_suffix("")) or read(path)
     assert content is not None
     return content.attachments.get(CALIBRATION_RAW)

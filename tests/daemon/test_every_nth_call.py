@@ -205,7 +205,7 @@ def recorded(directory: Path, disk: Disk) -> Recording | None:
         for k in range(0, SAMPLES, BATCH):
             recording.add([_sample(i) for i in range(k, k + BATCH)])
         recording.finish("complete")
-        recording.join(10)
+        recording.join(30)
     assert recording.done, "the writer hangs"
     (left,) = directory.iterdir()  # one file, whatever failed
     assert left == Path(recording.kept)

@@ -161,7 +161,7 @@ def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -
     wait_for(lambda: bench.volts() > 2.9)
 
     asked.send_signal(SIGINT)
-    _, said = asked.communicate(timeout=10)
+    _, said = asked.communicate(timeout=30)
 
     assert asked.returncode == 130, said
     assert "was told to stop (0 V)" in said

@@ -79,7 +79,7 @@ def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) ->
         shutil.rmtree(bench.recordings)
     gone_ns = time.monotonic_ns()
     stopped_s = bench.went_to_0_v_after(gone_ns)
-    _, told = client.communicate(timeout=20)
+    _, told = client.communicate(timeout=30)
 
     assert stopped_s < STOPPED_S
     assert client.returncode == 1
@@ -197,7 +197,7 @@ def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, su
     else:
         recording = Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
         recording.finish("complete")
-        recording.join(5)
+        recording.join(30)
         assert recording.error == ""
         assert not path.is_symlink()
         assert not armrig.load(path).truncated
@@ -214,7 +214,7 @@ def test_a_link_that_takes_the_place_of_a_file_is_not_written_through(tmp_path: 
     recording.active.unlink()
     recording.active.symlink_to(elsewhere)
     recording.finish("complete")
-    recording.join(5)
+    recording.join(30)
 
     assert recording.done
     assert elsewhere.read_text() == "precious"

@@ -57,7 +57,7 @@ def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
 def _said_to(rig: Rig, name: str, **fields: object) -> str:
     """Return what a command of anybody is answered with."""
     payload = json.dumps(fields)
-    (reply,) = rig._connected().get(f"rig/1/cmd/{name}", payload=payload, timeout=5)
+    (reply,) = rig._connected().get(f"rig/1/cmd/{name}", payload=payload, timeout=30)
     return "" if reply.err is None else json.loads(reply.err.payload.to_bytes())["error"]
 
 

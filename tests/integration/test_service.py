@@ -28,7 +28,7 @@ config = zenoh.Config.from_json5(
 )
 config.insert_json5("scouting/multicast/enabled", "false")
 with zenoh.open(config) as session:
-    reply = next(iter(session.get("rig/1/schema/armrig.v1.Sample", timeout=5)))
+    reply = next(iter(session.get("rig/1/schema/armrig.v1.Sample", timeout=30)))
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(reply.ok.payload.to_bytes()).file:
         pool.Add(file)
@@ -109,7 +109,7 @@ def test_a_client_that_checks_nothing_is_refused_by_the_daemon(served: Bench) ->
         for volts in ("6.0", "-1.0", "1e999", "NaN", "null", "true", '"3"'):
             payload = f'{{"lease": "{lease}", "n": 1, "u": {volts}}}'
             session = rig._connected()
-            (reply,) = session.get("rig/1/cmd/set", payload=payload, timeout=5)
+            (reply,) = session.get("rig/1/cmd/set", payload=payload, timeout=30)
             assert reply.err is not None, volts
             assert b"set: " in reply.err.payload.to_bytes()
     assert {volts for _, volts in served.voltage_changes()[before:]} <= {0.0}

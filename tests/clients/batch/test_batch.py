@@ -467,7 +467,7 @@ def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
         process.kill()
         process.wait()
     assert len(its) == 2
-    until = time.monotonic() + 20
+    until = time.monotonic() + 30
     while any(map(is_alive, its)) and time.monotonic() < until:
         time.sleep(0.01)
     assert not any(map(is_alive, its))

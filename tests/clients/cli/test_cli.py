@@ -21,6 +21,7 @@ from armrig.rig.realtime_status import scheduling_sentences
 from armrig_core import telemetry
 from fake_daemon import FakeDaemon
 from made_recordings import sample, written
+from running import running
 from told import told
 
 READERS = (["info"], ["identify", "--structure", "arx"], ["compare"], ["report"])
@@ -132,7 +133,7 @@ def test_watch_gives_each_sample_as_a_line_of_json(daemon: FakeDaemon, where: st
     arguments = ["watch", "--connect", where, "--json", "--count", "3"]
     program = [sys.executable, "-m", "armrig", *arguments]
     with (
-        subprocess.Popen(program, stdout=subprocess.PIPE) as watching,
+        running(program, stdout=subprocess.PIPE) as watching,
         daemon.session.declare_publisher("rig/1/sample") as out,
     ):
         k = 0
@@ -276,15 +277,15 @@ def test_watch_into_a_pipe_gives_a_line_for_each_sample(
     count = ["--count", "3"] if pipe == "cat" else []
     program = [sys.executable, "-m", "armrig", "watch", "--connect", where, *count]
     with (
-        subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as watching,
-        subprocess.Popen(pipe.split(), stdin=watching.stdout, stdout=subprocess.PIPE) as reader,
+        running(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as watching,
+        running(pipe.split(), stdin=watching.stdout, stdout=subprocess.PIPE) as reader,
         daemon.session.declare_publisher("rig/1/sample") as out,
     ):
         assert watching.stdout is not None
         assert watching.stderr is not None
         assert reader.stdout is not None
         watching.stdout.close()
-        k, until = 0, time.monotonic() + 20
+        k, until = 0, time.monotonic() + 30
         while watching.poll() is None:
             assert time.monotonic() < until
             out.put(telemetry.encode_sample(sample(k)))

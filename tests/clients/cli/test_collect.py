@@ -6,7 +6,7 @@ import json
 import signal
 import subprocess
 import sys
-import time
+import threading
 from pathlib import Path
 
 import armrig
@@ -17,6 +17,7 @@ from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
 from made_recordings import gap, of_the_arm, sample, timing, written
+from running import running
 from told import told
 
 
@@ -345,15 +346,13 @@ def test_a_signal_that_ends_a_collection_stops_the_rig(
 ) -> None:
     """A closed terminal or a shutdown: the motor does not go on alone, and the code says why."""
     daemon.polls_per_run = 10_000
+    polled = threading.Event()
+    daemon.during_run = polled.set
     program = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", where]
-    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
-        until = time.monotonic() + 20
-        while "run" not in daemon.names():
-            assert collecting.poll() is None
-            assert time.monotonic() < until
-            time.sleep(0.01)
+    with running(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
+        assert polled.wait(30)
         collecting.send_signal(number)
-        out, said = collecting.communicate(timeout=20)
+        out, said = collecting.communicate(timeout=30)
 
     assert [name for name in daemon.names() if name != "renew"] == ["arm", "run", "stop"]
     assert collecting.returncode == 128 + number
@@ -463,15 +462,13 @@ def test_ctrl_c_tells_how_the_rig_was_left_and_where_the_recording_lies(
 ) -> None:
     """Exit code 130."""
     daemon.polls_per_run = 10_000
+    polled = threading.Event()
+    daemon.during_run = polled.set
     program = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", where]
-    with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
-        until = time.monotonic() + 20
-        while "run" not in daemon.names():
-            assert time.monotonic() < until
-            time.sleep(0.01)
-        time.sleep(0.3)
+    with running(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as collecting:
+        assert polled.wait(30)
         collecting.send_signal(signal.SIGINT)
-        out, said = collecting.communicate(timeout=20)
+        out, said = collecting.communicate(timeout=30)
 
     assert collecting.returncode == 130
     assert out == b""

@@ -81,7 +81,7 @@ class SlowDaemon(FakeDaemon):
     def _carry_out(self, request: commands.Request) -> Any:
         if request.name == "arm":
             self.is_asked.set()
-            self.answers.wait(10.0)
+            self.answers.wait(30.0)
         return super()._carry_out(request)
 
 
@@ -91,7 +91,7 @@ def test_the_end_waits_for_who_arms(where: str) -> None:
         driver = Driver(rig="1", connect=daemon.endpoint)
         arming = threading.Thread(target=driver.arm, args=("a page", None))
         arming.start()
-        daemon.is_asked.wait(10.0)
+        daemon.is_asked.wait(30.0)
         threading.Timer(0.2, daemon.answers.set).start()
         driver.end()
         arming.join()

@@ -149,7 +149,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
     )
     recording.add(batch)
     recording.finish("complete")
-    recording.join(20)
+    recording.join(30)
     assert recording.error == ""
 
 

@@ -23,6 +23,7 @@ from armrig.rig.bench.targets import Rate, Target, against_targets
 from armrig.rig.session import RigError
 from armrig_core.volts import applied_code, code_of, volts_of
 from made_recordings import recorded, sample, written
+from running import running
 
 SAID = """\
 # /dev/cpu_dma_latency set to 0us
@@ -343,12 +344,12 @@ def test_no_process_is_left_behind(number: signal.Signals) -> None:
     command = [sys.executable, "-m", "armrig", "bench", "--seconds", "60", "--rates", "1000"]
     command += ["--burn"]
     environment = {**os.environ, "BENCH_TEST": mark.partition("=")[2]}
-    with subprocess.Popen(
+    with running(
         command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     ) as bench:
         _wait_until(lambda: len(_marked(mark)) >= 3)  # it, a burner, and the next one
         bench.send_signal(number)
-        _, said = bench.communicate(timeout=20)
+        _, said = bench.communicate(timeout=30)
 
     if number == signal.SIGINT:
         assert bench.returncode == 130
@@ -394,7 +395,7 @@ def _marked(mark: str) -> list[int]:
     return found
 
 
-def _wait_until(what: Any, within_s: float = 20.0) -> None:
+def _wait_until(what: Any, within_s: float = 30.0) -> None:
     until = time.monotonic() + within_s
     while not what():
         assert time.monotonic() < until, "it did not happen in time"

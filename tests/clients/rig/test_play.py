@@ -201,7 +201,7 @@ def test_a_listener_hears_what_was_recorded(run: Path, place: str) -> None:
         thread.start()
         stage.wait_for_listener()
         list(play(published(run), stage.publish, speed=1.0))
-        thread.join(20)
+        thread.join(30)
         samples.close()
 
     assert [v for v in heard if not isinstance(v, LiveGap)] == [
@@ -354,7 +354,7 @@ def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
             assert next(ks) < N - 1  # once more from the start
             samples.close()
             process.send_signal(number)
-            out, err = process.communicate(timeout=20)
+            out, err = process.communicate(timeout=30)
         finally:
             process.kill()
 

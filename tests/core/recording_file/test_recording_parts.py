@@ -62,7 +62,7 @@ def _recorded(path: Path, batches: list[list[Outgoing]], limits: PartLimits | No
     for batch in batches:
         recording.add(batch)
     recording.finish("complete")
-    recording.join(20)
+    recording.join(30)
     assert recording.done
     return recording
 
@@ -289,7 +289,7 @@ def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recove
     for path in tmp_path.iterdir():
         shutil.copy(path, path.with_name(path.name.replace("run", "dead")))
     recording.finish("complete")
-    recording.join(20)
+    recording.join(30)
 
     done = Recovery(armrig="0", now=lambda: "").recover(tmp_path / "dead.part-0002.mcap.active")
 

@@ -40,7 +40,7 @@ from armrig_protocol.messages import (
 )
 
 BAUD = 1_000_000
-PATIENCE_S = 20.0
+PATIENCE_S = 30.0
 PROGRAM = """
 import sys
 from pathlib import Path

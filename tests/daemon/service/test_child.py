@@ -17,7 +17,7 @@ from armrig_daemon.service.child import LoopChild, start
 from armrig_protocol.decoder import Received, feed
 from armrig_protocol.messages import Estop
 
-WITHIN_S = 10.0
+WITHIN_S = 30.0
 
 
 @pytest.fixture

@@ -69,7 +69,7 @@ def session() -> Iterator[tuple[Session, zenoh.Session]]:
 
 def replies(session: zenoh.Session, payload: bytes | None) -> list[zenoh.Reply]:
     """Return what is answered."""
-    return list(session.get("rig/1/history", payload=payload, timeout=10))
+    return list(session.get("rig/1/history", payload=payload, timeout=30))
 
 
 def test_what_was_published_is_answered(session: tuple[Session, zenoh.Session]) -> None:
@@ -101,7 +101,7 @@ def test_a_question_that_is_none_is_refused(
 def test_who_asks_too_much_is_told_so(session: tuple[Session, zenoh.Session]) -> None:
     """As of any question that needs no lease: the burst is answered, not the flood."""
     _, theirs = session
-    answers = [theirs.get("rig/1/history", timeout=20) for _ in range(1000)]
+    answers = [theirs.get("rig/1/history", timeout=30) for _ in range(1000)]
     told = [reply for answer in answers for reply in answer]
 
     refused = [reply for reply in told if reply.err is not None]

@@ -38,7 +38,7 @@ def test_each_is_recovered_or_told_and_none_keeps_the_others(tmp_path: Path) -> 
         lock(file)
 
         left_over.start()
-        left_over.join(20)
+        left_over.join(30)
 
     lines = list(left_over.lines())
     assert [line.level for line in lines] == ["warning", "warning", "info"]
@@ -66,7 +66,7 @@ def test_what_is_another_s_stays_as_it_is(
     left_over = LeftOver(tmp_path, "1", lambda: None)
 
     left_over.start()
-    left_over.join(20)
+    left_over.join(30)
 
     lines = [line.text for line in left_over.lines()]
     told = f"{left}: another user's file; passed over"
@@ -88,12 +88,12 @@ def test_it_rests_while_a_run_is_in_hand(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(Rewriter, "add", noted)
     left_over.rest()
     left_over.start()
-    assert begun.wait(20)
+    assert begun.wait(30)
     left_over.join(0.05)
 
     assert _names(tmp_path) == ["1-a.mcap.active", "1-a.mcap.compact"]
     left_over.go_on()
-    left_over.join(20)
+    left_over.join(30)
 
     assert _names(tmp_path) == ["1-a.mcap"]
 
@@ -104,7 +104,7 @@ def test_a_name_of_any_bytes_is_told_as_text(tmp_path: Path) -> None:
     left_over = LeftOver(tmp_path, "1", lambda: None)
 
     left_over.start()
-    left_over.join(20)
+    left_over.join(30)
 
     (line,) = left_over.lines()
     assert "1-\N{REPLACEMENT CHARACTER}.mcap.active" in line.text
@@ -125,7 +125,7 @@ def test_a_file_that_fails_unexpectedly_does_not_keep_the_others(
     monkeypatch.setattr(Rewriter, "__init__", broken)
     left_over = LeftOver(tmp_path, "1", lambda: None)
     left_over.start()
-    left_over.join(20)
+    left_over.join(30)
 
     first, second = left_over.lines()
     assert first.level == "error"
@@ -145,7 +145,7 @@ def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> Non
         lock(file)
 
         left_over.start()
-        left_over.join(20)
+        left_over.join(30)
 
     assert _names(tmp_path) == ["1-a.part-0001.mcap", "1-b.mcap.compact", "1-c.mcap.compact"]
     (line,) = left_over.lines()

@@ -18,7 +18,7 @@ from armrig_daemon.service.listener import Command
 from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.token_bucket import BURST
 
-WITHIN_S = 5.0
+WITHIN_S = 30.0
 SPREAD_S = 0.5
 """What a stranger declares is with the others long before, where it gets there at all."""
 FORGED, OURS = b"forged", b"ours"

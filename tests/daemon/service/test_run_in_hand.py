@@ -221,7 +221,7 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
     runs = Runs(config, tmp_path, changed.set)
     _begin(runs)
     runs.add([_sample(k) for k in range(FIRST, END - 5)])
-    assert changed.wait(10)
+    assert changed.wait(30)
 
     told, again = runs.unrecorded(), runs.unrecorded()
 

@@ -98,7 +98,7 @@ class Between:
         self.has_come.clear()
         data = msgspec.json.encode(request)
         replies = self.client.get(command_key("1", request.name), payload=data)
-        assert self.has_come.wait(5)
+        assert self.has_come.wait(30)
         return replies
 
     def begin_run(self) -> str:
