@@ -101,7 +101,7 @@ def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: P
 
 
 def test_a_row_counts_the_samples_that_came(tmp_path: Path) -> None:
-    """Of a recording with a gap: those that are missing stand beside them, and in no estimate."""
+    """A recording with a gap has fewer than were due; the missing ones are in no estimate."""
     gapped = made_recordings.of_the_arm(telegraph(1), missing=slice(100, 107))
     (tmp_path / "gapped.mcap").write_bytes(gapped)
 

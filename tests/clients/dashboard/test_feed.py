@@ -1,4 +1,4 @@
-"""What the dashboard keeps of a rig: gaps, lateness, the past, and what is new."""
+"""The dashboard's memory of a rig: gaps, lateness, the past, and the rows that are new."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_gap_is_counted_once() -> None:
 
 
 def test_what_nobody_told_of_was_published_and_not_heard() -> None:
-    """Also just before and just after a gap that was told."""
+    """Also just before and just after a reported gap."""
     feed = Feed()
     feed.add_samples(samples(0))
     feed.add_gaps([gap(2, 3, 1.0, "overrun")])
@@ -168,7 +168,7 @@ def test_data_are_stale_beyond_the_limit(age_s: float, is_stale: bool) -> None:
 
 
 def test_a_clock_that_begins_anew_empties_the_past() -> None:
-    """A machine that was started anew counts from 0; a sample a little late is no new clock."""
+    """A machine that was restarted counts from 0; a sample a little late is no new clock."""
     feed = Feed()
     feed.add_samples(samples(500, 501))
     feed.add_samples(samples(450))

@@ -1,4 +1,4 @@
-"""What the page says of timing, age and runs, and which buttons it offers; in node, on stubs."""
+"""The page's texts of timing, age and runs, and the buttons it offers; in node, on stubs."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_the_timing_is_told_under_its_names(page: Path) -> None:
 
 
 def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
-    """What it was at the last message, and the time since; before the first there is none."""
+    """The age at the last message plus the time since; before the first there is none."""
     told = _run(
         page,
         "globalThis.at = 1000; status.showLost(900, 'gone'); told.none = text('stale-what');"

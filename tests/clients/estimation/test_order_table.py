@@ -204,7 +204,7 @@ def test_what_cannot_be_asked_is_refused() -> None:
 
 
 def test_without_validation_data_mdl_decides() -> None:
-    """Where AIC takes a parameter more: 3 % of the loss of 100 errors are worth 3.05."""
+    """AIC takes a parameter more: 3 % of the loss of 100 errors are worth 3.05."""
     table = OrderTable(
         na=np.array([1, 2]),
         nb=np.array([1, 1]),

@@ -60,7 +60,7 @@ def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording)
 
 
 def test_a_part_keeps_its_numbers_in_every_file(rec: Recording) -> None:
-    """K is counted as in the whole run, so that a part can be put beside the rest."""
+    """K is counted as in the whole run, so that a part can be joined to the rest."""
     part = load(rec.path, start=2.0)
     csv, mat, parquet = (rec.path.with_name(f"part.{kind}") for kind in ("csv", "mat", "parquet"))
     write_csv(part, csv)

@@ -1,4 +1,4 @@
-"""What the tests of reports share: a study of three recordings."""
+"""Fixtures of the report tests: a study of three recordings."""
 
 from __future__ import annotations
 

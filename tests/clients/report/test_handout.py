@@ -161,7 +161,7 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
 
 
 def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy) -> None:
-    """Of every model, times in ms; the best of all is named, the physics too."""
+    """Every model has a row, the physics too; times are in ms."""
     assert done.black is not None
     table = sections(done)["3.4"].table
     assert table is not None

@@ -155,7 +155,7 @@ def test_of_two_calibrations_the_worse_is_told(done: Study) -> None:
 
 
 def test_how_much_of_the_estimation_data_is_hidden_is_a_percentage(done: Study) -> None:
-    """Of these data, not of those that validate."""
+    """The validation data have another share."""
     share = 100 * done.estimation.missing / done.estimation.N
     assert f"{share:.1f}" != f"{100 * done.validation.missing / done.validation.N:.1f}"
 
@@ -196,7 +196,7 @@ def test_each_model_is_off_by_its_own_error(done: Study) -> None:
 
 
 def test_the_jitter_is_that_of_the_validation(done: Study) -> None:
-    """Of three recordings with three deviations."""
+    """Three recordings have three deviations."""
     timing = tuple(replace(TIMING, std_us=std) for std in (101.0, 202.0, 303.0))
 
     said = " ".join(conclusions(replace(done, timing=timing)))
