@@ -198,7 +198,13 @@ def _once(command: Command, folder: Path, row: Row, moment: Moment) -> None:
                 start_new_session=True,
             )
         if moment.waits:
-            _wait_until_said(log, command.waits, process)
+            try:
+                _wait_until_said(log, command.waits, process)
+            except RuntimeError as err:
+                row.faults.append(f"{moment}: {err}")
+                process.terminate()
+                process.wait()
+                return
         time.sleep(moment.after_s)
         row.waiting += command.waits in log.read_text()
         if number == signal.SIGINT:  # a terminal sends it to all

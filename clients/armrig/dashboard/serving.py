@@ -164,6 +164,7 @@ def _listening(host: str, usual: int, port: int | None) -> socket.socket:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((host, tried))
+            listening.listen()  # a port that is only bound is another dashboard's, too, until then
         except OSError as err:
             listening.close()
             if port is None and tried:
