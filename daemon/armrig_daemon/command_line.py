@@ -193,6 +193,7 @@ def emulate(
     image: _Hex = None,
     settings: Annotated[str | None, typer.Option(hidden=True)] = None,
     stalls_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
+    parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Emulate a rig behind a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
     from armrig_daemon.emulator.device import Device
@@ -205,7 +206,7 @@ def emulate(
         if settings is not None:  # from `armrigd run --emulate`, which we shall not outlive
             from armrig_daemon.loop.realtime import end_with_parent
 
-            end_with_parent()
+            end_with_parent(parent)
             chosen = msgspec.json.decode(settings, type=EmulatorSettings)
         else:
             chosen = EmulatorSettings() if config is None else load(config)

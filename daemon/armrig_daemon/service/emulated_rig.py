@@ -45,6 +45,7 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
     program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", port_of(path)]
     program += ["--settings", msgspec.json.encode(settings).decode()]
+    program += ["--parent", str(os.getpid())]  # we may end before it has loaded
     stalls_out, stalls_in = os.pipe()
     os.set_blocking(stalls_in, False)
     try:
