@@ -358,6 +358,24 @@ def test_no_process_is_left_behind(number: signal.Signals) -> None:
     _wait_until(lambda: not _marked(mark))
 
 
+def test_ctrl_c_while_a_program_starts_leaves_none_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program runs before `Popen` returns; then it is ended as any other."""
+    started = []
+    start = subprocess.Popen
+
+    def interrupted(*arguments: Any, **options: Any) -> subprocess.Popen[bytes]:
+        started.append(start(*arguments, **options))
+        signal.raise_signal(signal.SIGINT)
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", interrupted)
+
+    with pytest.raises(KeyboardInterrupt), program("sleep", "60", module=False):
+        pass
+
+    assert started[0].returncode is not None
+
+
 def test_a_daemon_that_was_started_is_ended_with_whoever_started_it() -> None:
     """Emulator and loop, too."""
     with programs.daemon() as running:

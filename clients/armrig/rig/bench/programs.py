@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -42,19 +43,32 @@ def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[b
     """Run one of our modules with pipes to and from it, and end it."""
     leash = [] if module else ["armrig.rig.bench.leashed"]
     command = [sys.executable, "-m", *leash, *arguments]
-    # A session of its own: Ctrl-C is ours, and everything is ended in order.
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE if not module else None,
-        env={**os.environ, PARENT: str(os.getpid())},
-        start_new_session=True,
-    )
-    try:
+    with ExitStack() as stack:
+        with _uninterrupted():
+            # A session of its own: Ctrl-C is ours, and everything is ended in order.
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE if not module else None,
+                env={**os.environ, PARENT: str(os.getpid())},
+                start_new_session=True,
+            )
+            stack.callback(_end, process)
         yield process
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Delay Ctrl-C to the end of the block: a program that runs already would be left behind."""
+    received: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    try:
+        yield
     finally:
-        _end(process)
+        signal.signal(signal.SIGINT, before)
+    if received:
+        signal.raise_signal(signal.SIGINT)
 
 
 def output(process: subprocess.Popen[bytes], within_s: float) -> bytes:
