@@ -48,6 +48,13 @@ def settled(rig: Rig) -> str:
     return seen[-1]
 
 
+def freeze(pid: int) -> None:
+    """Stop a process (SIGSTOP), and return once it is stopped."""
+    os.kill(pid, signal.SIGSTOP)
+    stat = Path(f"/proc/{pid}/stat")
+    wait_for(lambda: stat.read_text().rpartition(")")[2].split()[0] in "Tt")
+
+
 class Burners:
     """Programs that keep processors busy at ordinary priority, in a `with` block, however often.
 
@@ -148,8 +155,8 @@ class Bench:
         self.port = self.folder / "tty"
         self.configure()
 
-    def configure(self, baud: int = 1_000_000, more: str = "", watchdog_ms: int = 100) -> None:
-        """Write the configuration that both programs read."""
+    def configure(self, baud: int = 1_000_000, more: str = "", watchdog_ms: int = 250) -> None:
+        """Write the configuration of both programs; the longest watchdog outlasts most stalls."""
         self.config.write_text(
             f'[device]\nport = "{self.port}"\nbaud = {baud}\nwatchdog_ms = {watchdog_ms}\n'
             f'[recording]\ndirectory = "{self.recordings}"\n'

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from armrig.rig.client import RefusedError, RunEndedError
 from driving import begin
-from processes import WITHIN_S, Bench, wait_for
+from processes import WITHIN_S, Bench, freeze, wait_for
 
 STOPPED_S = 1.0
 RUNNER = """
@@ -137,7 +137,7 @@ def test_kill_9_of_the_loop(run: Run) -> None:
 
 def test_kill_9_of_both(run: Run) -> None:
     """Nobody is left but the device: its watchdog."""
-    run.daemon.kill(signal.SIGSTOP)  # or it may see the loop's end before its own
+    freeze(run.daemon.popen.pid)  # or it may see the loop's end before its own
     os.kill(run.loop_pid, signal.SIGKILL)
     killed_ns = run.daemon.kill()
 
@@ -171,7 +171,7 @@ def test_ctrl_c_reaches_both_processes(run: Run) -> None:
 
 def test_a_frozen_loop_does_not_keep_the_service_from_ending(run: Run) -> None:
     """SIGTERM after SIGSTOP of the loop: the device stops the motor, the service ends."""
-    os.kill(run.loop_pid, signal.SIGSTOP)
+    freeze(run.loop_pid)
     told_ns = run.daemon.kill(signal.SIGTERM)
 
     assert run.daemon.popen.wait(WITHIN_S) == 1
@@ -230,7 +230,7 @@ def test_a_client_that_is_killed_does_not_cost_the_recording(served: Bench) -> N
 def test_a_loop_that_is_frozen_is_stopped_by_the_device(run_of_many: Run) -> None:
     """SIGSTOP: the watchdog; after SIGCONT old frames start nothing, the fault stays."""
     run = run_of_many
-    os.kill(run.loop_pid, signal.SIGSTOP)
+    freeze(run.loop_pid)
     frozen_ns = time.monotonic_ns()
 
     assert run.bench.went_to_0_v_after(frozen_ns) < STOPPED_S
@@ -256,7 +256,7 @@ def test_the_rig_is_unplugged_and_plugged_in_again(run_of_many: Run) -> None:
 
 
 def _freeze(pid: int, seconds: float) -> None:
-    os.kill(pid, signal.SIGSTOP)
+    freeze(pid)
     threading.Event().wait(seconds)
     os.kill(pid, signal.SIGCONT)
 

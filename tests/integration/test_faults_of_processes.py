@@ -15,7 +15,7 @@ import armrig
 import pytest
 from armrig.rig.client import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, hold, outcome, recorded
-from processes import WITHIN_S, Bench, Process, wait_for
+from processes import WITHIN_S, Bench, Process, freeze, wait_for
 
 TRIPPED = ("ticks in a row were missed", "no answer from the device", "the host paused for")
 """The first is meant; a machine that is busy itself makes one of the others of it."""
@@ -148,7 +148,7 @@ def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
     daemon = bench.serve()
     loop_pid = bench.loop_pid(daemon)
     with driven(bench, pacing="exchange"):
-        os.kill(loop_pid, signal.SIGSTOP)
+        freeze(loop_pid)
         time.sleep(0.3)
         thawed_ns = time.monotonic_ns()
         os.kill(loop_pid, signal.SIGCONT)
@@ -178,7 +178,7 @@ def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) ->
 
     with bench.rig() as rig:
         hold(rig, bench, 1.0)
-        os.kill(loop_pid, signal.SIGSTOP)
+        freeze(loop_pid)
         late = threading.Thread(target=command)
         late.start()
         time.sleep(0.3)
@@ -208,7 +208,7 @@ def test_ticks_that_an_overloaded_host_misses_are_counted_then_trip(
             ticks = len(bench.voltage_changes())
             wait_for(lambda ticks=ticks: len(bench.voltage_changes()) != ticks or _is_over(bench))
             time.sleep(0.055)
-            os.kill(loop_pid, signal.SIGSTOP)
+            freeze(loop_pid)
             time.sleep(0.12)
             os.kill(loop_pid, signal.SIGCONT)
         recording = recorded(bench)

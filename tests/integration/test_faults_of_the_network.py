@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -15,7 +13,7 @@ import pytest
 from armrig.rig.session import NoReplyError
 from armrig_core.access_control import MOST_LOCAL_BYTES
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, resident_mib
-from processes import Bench, settled
+from processes import Bench, freeze, settled
 
 pytestmark = pytest.mark.timed
 MORE_MIB = 64.0
@@ -72,7 +70,7 @@ def test_subscribers_that_do_not_read_cost_the_run_nothing(bench: Bench) -> None
     bench.emulate()
     daemon = bench.serve()
     with _client(bench, SLOW), _client(bench, SLOW) as stopped:
-        os.kill(stopped.pid, signal.SIGSTOP)
+        freeze(stopped.pid)
         before = resident_mib(daemon.popen.pid)
         with driven(bench, samples=4000, Ts=0.001):
             recording = recorded(bench)

@@ -14,7 +14,7 @@ import pytest
 from armrig_daemon.config import MEND
 from armrig_daemon.service.service import AGAIN
 from driving import outcome, recorded
-from processes import WITHIN_S, Bench, Process, wait_for
+from processes import WITHIN_S, Bench, Process, freeze, wait_for
 
 
 class Systemd:
@@ -97,7 +97,7 @@ def test_a_loop_that_hangs_is_told_by_silence(
         systemd.hear_until("WATCHDOG=1")
     loop = bench.loop_pid(daemon)
 
-    os.kill(loop, signal.SIGSTOP)
+    freeze(loop)
     try:
         systemd.heard_within(1.0)  # what it said before
         assert systemd.heard_within(3.0) == []

@@ -10,6 +10,7 @@ import armrig
 import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.recording import RecordingError
+from armrig.rig.client import RunEndedError
 from armrig_daemon.core import setpoints
 from driving import whole_run
 from processes import Bench
@@ -74,9 +75,9 @@ def test_the_command_says_what_it_replayed(bench: Bench) -> None:
             if done > 50:
                 emulator.end()  # takes the link to its port away, as unplugging does
 
-        with pytest.raises(armrig.RigError) as stopped:
+        with pytest.raises(RunEndedError) as stopped:
             rig.run(armrig.telegraph(2000, 0.1, seed=1), progress=unplug)
-    path = bench.recording()
+    path = stopped.value.recording
 
     said = subprocess.run(
         [sys.executable, "-m", "armrig", "replay", path], capture_output=True, text=True, check=True

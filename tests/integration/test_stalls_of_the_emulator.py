@@ -16,7 +16,7 @@ import pytest
 from armrig.recordings.timing_disturbances import disturbances
 from armrig.rig.client import RigError, RunEndedError
 from fork_server import ForkServer
-from processes import Bench, Process, wait_for
+from processes import Bench, Process, freeze, wait_for
 
 TRIES = 5
 
@@ -41,7 +41,7 @@ def _emulated(bench: Bench) -> tuple[Process, int]:
 
 
 def _stop(pid: int, seconds: float) -> None:
-    os.kill(pid, signal.SIGSTOP)
+    freeze(pid)
     time.sleep(seconds)
     os.kill(pid, signal.SIGCONT)
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from processes import Bench, wait_for
+from processes import Bench, freeze, wait_for
 from sampling import sampled
 
 
@@ -45,8 +45,8 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
     with bench.rig() as rig:
         rig.arm("a test")
         pid = bench.loop_pid(daemon)
-        os.kill(pid, signal.SIGSTOP)
-        time.sleep(0.3)  # the device's watchdog has 0.1 s
+        freeze(pid)
+        time.sleep(0.5)  # the device's watchdog has 0.25 s
         os.kill(pid, signal.SIGCONT)
         wait_for(lambda: rig.status().phase == "fault")
     latched = bench.armrig("reset")
