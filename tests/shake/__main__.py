@@ -18,7 +18,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -100,15 +101,13 @@ def kept(results: Path, code: str) -> dict[tuple[str, int], int]:
 @contextmanager
 def _tree(in_clone: bool, venv: Path | None) -> Iterator[tuple[Path, dict[str, str]]]:
     """Give a folder to run in, and an environment with a temporary folder of its own."""
-    # A short name: a socket's path has 107 characters at most.
-    temporary = Path(tempfile.mkdtemp(prefix="sh-"))
-    environ = {**os.environ, "TMPDIR": str(temporary / "t")}
+    temporary = short_folder(Path(tempfile.gettempdir()))
+    environ = {**os.environ, "TMPDIR": str(temporary)}
     environ.pop("PYTHONPATH", None)  # it led to this program
-    (temporary / "t").mkdir()
     folder = ROOT
     try:
         if in_clone:
-            folder = temporary / "armrig"
+            folder = temporary / "clone"
             subprocess.run(["git", "clone", "--quiet", ROOT, folder], check=True)
             if venv is not None:
                 (folder / ".venv").symlink_to(venv.absolute())
@@ -116,6 +115,16 @@ def _tree(in_clone: bool, venv: Path | None) -> Iterator[tuple[Path, dict[str, s
         yield folder, environ
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def short_folder(parent: Path) -> Path:
+    """Make a folder with a short name, because a socket's path has 107 characters at most."""
+    for n in count():
+        with suppress(FileExistsError):
+            folder = parent / f"s{n}"
+            folder.mkdir(mode=0o700)
+            return folder
+    raise AssertionError
 
 
 def _print(name: str, seed: int, result: Result, log: Path) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from shake import suite
-from shake.__main__ import code_hash, kept
+from shake.__main__ import code_hash, kept, short_folder
 from shake.conditions import CONDITIONS, DRAWN, of_seed
 from shake.run import TIMED_OUT, Result, interrupted, named, run
 from shake.stopping import stopped
@@ -141,6 +141,11 @@ def test_a_change_of_code_or_tests_voids_results(name: str, voids: bool) -> None
     changed = before.replace(f"1111\t{name}", f"2222\t{name}")
 
     assert (code_hash(changed) != code_hash(before)) == voids
+
+
+def test_each_run_has_a_temporary_folder_with_a_short_name(tmp_path: Path) -> None:
+    """Sockets lie in it, whose paths are short."""
+    assert [short_folder(tmp_path).name for _ in range(2)] == ["s0", "s1"]
 
 
 def test_results_are_known_for_the_same_code(tmp_path: Path) -> None:
