@@ -257,6 +257,8 @@ def test_without_a_terminal_nothing_is_asked_and_nothing_done(
     ("arguments", "said"),
     [
         (["--meter", "5=x"], "--meter 5=x: must be CODE=VOLTS"),
+        (["--meter", "5=0"], "--meter 5=0: must be CODE=VOLTS"),
+        (["--meter", "5=10.1"], "--meter 5=10.1: must be CODE=VOLTS"),
         (["--meter", "65536=2"], "--meter 65536=2: must be CODE=VOLTS"),
         (["--volts", "5.1"], "--volts 5.1: must be more than 0 and at most 5 V"),
         (["--level-seconds", "3"], "--level-seconds 3: must be more than 3 s"),
