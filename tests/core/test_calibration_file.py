@@ -87,6 +87,7 @@ def test_samples_that_are_not_its_own_are_refused(
     [
         ("[theta_1", "not a TOML file"),
         ("[theta_1]\nrad_per_count = 0.0", "rad_per_count=0.0 must be finite and not 0"),
+        ("[theta_1]\nrad_per_count = inf", "rad_per_count=inf must be finite and not 0"),
         ("[driver]\ngain = -1.0", "gain=-1.0 must be from 0.1 to 10"),
         ("[driver]\noffset_v = nan", "offset_v=nan must be from -5 to 5"),
         ("[beta]", "unknown field `beta`"),

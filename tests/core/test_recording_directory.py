@@ -43,3 +43,9 @@ def test_without_a_service_it_is_one_s_own(service: Path) -> None:
     service.rmdir()
 
     assert directory_to_look_in([], {}) == directory_of("")
+
+
+def test_a_configuration_that_cannot_be_read_is_told_with_its_path(tmp_path: Path) -> None:
+    """It may name another directory."""
+    with pytest.raises(ValueError, match=f"{tmp_path}: Is a directory"):
+        directory_to_look_in([tmp_path], {})
