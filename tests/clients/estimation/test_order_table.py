@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.estimation.arx import arx
-from armrig.estimation.order_table import OrderTable, select_orders
+from armrig.estimation.order_table import ArxOrders, OrderTable, select_orders
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered, lagged
 from matplotlib.figure import Figure
@@ -79,6 +79,15 @@ def test_the_true_orders_are_found() -> None:
     assert dict(chosen) == {"na": 2, "nb": 2, "nk": 2}
     assert arx(_data(1), **chosen).orders == dict(chosen)
     assert "mdl        chooses na=2, nb=2, nk=2" in repr(table)
+
+
+def test_orders_are_a_mapping_of_three_names() -> None:
+    """A fourth is no key of it."""
+    orders = ArxOrders(na=1, nb=2, nk=3)
+
+    assert dict(**orders) == {"na": 1, "nb": 2, "nk": 3}
+    with pytest.raises(KeyError, match="nc"):
+        orders["nc"]
 
 
 def test_validation_data_decide_where_there_are_some() -> None:

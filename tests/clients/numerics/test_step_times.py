@@ -98,6 +98,12 @@ def test_parameters_that_are_far_apart_have_their_times() -> None:
     assert heavy.rise_time == pytest.approx(heavy.equivalent_time, rel=0.01)
 
 
+def test_two_samples_are_a_straight_line() -> None:
+    """The fewest that cross anything; one crosses nothing."""
+    assert rise_time(np.array([0.0, 1.0]), 0.1, share=0.5) == pytest.approx(0.05)
+    assert np.isnan(rise_time(np.array([0.0]), 0.1))
+
+
 def test_what_is_never_reached_is_no_time() -> None:
     """NaN, from the crossing of a spline and of straight lines alike."""
     y: NDArray[np.float64] = np.linspace(0.0, 0.6, 20)

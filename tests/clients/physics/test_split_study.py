@@ -31,6 +31,8 @@ def test_the_parts_are_those_of_the_data(make: Make) -> None:
     holed = Dataset(u=data.u, y=data.y, Ts=Ts, valid=valid, output="theta_1", unit="rad")
 
     study = armrig.split_study(holed, (1, 2))
+    whole, halves = study.splits
+    assert study.std_growth == pytest.approx(np.mean(halves.std) / whole.std[0])
 
     assert [s.N.tolist() for s in study.splits] == [[1900.0], [900.0, 1000.0]]
     second = armrig.greybox(holed[1000:])

@@ -8,7 +8,7 @@ import armrig
 import control
 import numpy as np
 import pytest
-from armrig.physics.step_response import step_response
+from armrig.physics.step_response import _roots, step_response
 from armrig.physics.systems import ArmParameters, arm, chassis
 
 P = ArmParameters()
@@ -85,6 +85,13 @@ def test_the_words_give_the_reasons() -> None:
     assert "accelerates J_1 alone" in text
     assert "nor does R_m" in text
     assert "nor does R_m" not in armrig.characteristics(ArmParameters(b_1=0.1)).explain()
+
+
+def test_a_pair_of_roots_is_written_once() -> None:
+    """Those on the real and on the imaginary axis without the other part."""
+    z = np.array([0.0, -2.5, -1.0 + 3.0j, -1.0 - 3.0j, 4.0j, -4.0j])
+
+    assert _roots(z) == "0, -2.500, -1.000 ± 3.000i, ±4.000i"
 
 
 def test_the_impossible_is_refused() -> None:
