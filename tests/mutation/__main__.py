@@ -144,7 +144,7 @@ def drawn(
                 (name, m)
                 for all_ in by_kind.values()
                 for m in all_
-                if (m.file in only or f"{m.file}:{m.line}" in only) and _runs(of[m.file], m)
+                if (m.file in only or f"{m.file}:{m.line}" in only) and _counts(of[m.file], m)
             ]
             continue
         wanted = round(n * lines[name] / sum(lines.values()))
@@ -153,17 +153,15 @@ def drawn(
             kind = rng.choices(list(weights), list(weights.values()))[0]
             if by_kind[kind]:
                 mutant = by_kind[kind].pop(rng.randrange(len(by_kind[kind])))
-                if _runs(of[mutant.file], mutant):
+                if _counts(of[mutant.file], mutant):
                     chosen.append((name, mutant))
                     wanted -= 1
     random.Random(seed).shuffle(chosen)
     return chosen
 
 
-def _runs(source: str, mutant: Mutant) -> bool:
-    return not mutant.file.endswith(".py") or python_sites.is_planted(
-        source, planted(source, mutant)
-    )
+def _counts(source: str, mutant: Mutant) -> bool:
+    return not mutant.file.endswith(".py") or python_sites.is_bug(source, mutant)
 
 
 def preload() -> None:

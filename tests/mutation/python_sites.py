@@ -13,7 +13,7 @@ from copy import deepcopy
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from mutation.mutant import Mutant
+from mutation.mutant import Mutant, planted
 
 _ORDER: dict[type[ast.cmpop], dict[type[ast.cmpop], str]] = {
     ast.Lt: {ast.LtE: "boundary", ast.GtE: "condition inverted"},
@@ -62,7 +62,18 @@ _LOOKS = {
     "s",
     "width",
 }
-_LOOKS |= {"markersize", "ms", "labelpad", "height", "ncols", "loc", "borderaxespad", "framealpha"}
+_LOOKS |= {
+    "alpha",
+    "color",
+    "markersize",
+    "ms",
+    "labelpad",
+    "height",
+    "ncols",
+    "loc",
+    "borderaxespad",
+}
+_TITLES = re.compile(r"\w+\.(set_(title|[xy](label|ticks|ticklabels))|suptitle|legend|grid)")
 _FIGURES = re.compile(r"figures?\.py$|canvas/")
 _SMALL = 10
 """Above it a number is doubled: one more would change a limit too little to matter."""
@@ -101,10 +112,10 @@ def sites(file: str, source: str) -> list[Mutant]:
     return list({(one.start, one.old, one.new): one for one in found}.values())
 
 
-def is_planted(before: str, after: str) -> bool:
+def is_bug(source: str, mutant: Mutant) -> bool:
     """Return whether a source with a bug in it runs, and is another program."""
     try:
-        return ast.dump(ast.parse(before)) != ast.dump(ast.parse(after))
+        return ast.dump(ast.parse(source)) != ast.dump(ast.parse(planted(source, mutant)))
     except SyntaxError:
         return False
 
@@ -153,7 +164,8 @@ def _is_for_a_person(statement: ast.stmt) -> bool:
     if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
         return True  # a docstring
     if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
-        return bool(_LOGS.fullmatch(ast.unparse(statement.value.func)))
+        function = ast.unparse(statement.value.func)
+        return bool(_LOGS.fullmatch(function) or _TITLES.fullmatch(function))
     if isinstance(statement, (ast.Assign, ast.AugAssign)):
         target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
         return ast.unparse(target) in ("msg", "__all__")
@@ -383,7 +395,5 @@ def _of_constant(node: ast.Constant) -> Iterator[_Edit]:
 def _defaults(value: ast.expr) -> Iterator[_Edit]:
     """Return other values of a default: of a parameter, or of a field."""
     for node in ast.walk(value):
-        if isinstance(node, ast.Constant) and node.value is None and node is value:
-            yield _instead(node, "0", "wrong default")
-        elif isinstance(node, ast.Constant):
+        if isinstance(node, ast.Constant):
             yield from (edit._replace(kind="wrong default") for edit in _of_constant(node))

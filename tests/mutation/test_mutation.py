@@ -89,7 +89,7 @@ def test_each_bug_is_one_and_runs() -> None:
     """Another program than before; all but x >= 3 in the place of x > 3 do other things."""
     found = python_sites.sites("clients/armrig/a.py", SOURCE)
 
-    runs = [bug for bug in found if python_sites.is_planted(SOURCE, planted(SOURCE, bug))]
+    runs = [bug for bug in found if python_sites.is_bug(SOURCE, bug)]
     hidden = [bug for bug in runs if _seen(planted(SOURCE, bug)) == _seen(SOURCE)]
 
     assert runs == found
@@ -128,7 +128,6 @@ def test_a_default_is_another_one() -> None:
         (1, "3", "4"),
         (1, "3", "2"),
         (3, "True", "False"),
-        (4, "None", "0"),
     }
 
 
