@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 
 from armrig_core.loading import end_at_ctrl_c
@@ -10,10 +9,10 @@ from armrig_core.loading import end_at_ctrl_c
 
 def main() -> int:
     """Load the command line, run it, and return the exit code."""
-    before = end_at_ctrl_c("armrig")
+    has_loaded = end_at_ctrl_c("armrig")
     from armrig.cli import main as run
 
-    signal.signal(signal.SIGINT, before)
+    has_loaded()
     try:
         return run()
     except KeyboardInterrupt:

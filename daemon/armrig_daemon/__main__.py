@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 
 from armrig_core.loading import end_at_ctrl_c, is_interrupt
@@ -10,10 +9,10 @@ from armrig_core.loading import end_at_ctrl_c, is_interrupt
 
 def main() -> None:
     """Load the command line and run it."""
-    before = end_at_ctrl_c("armrigd")
+    has_loaded = end_at_ctrl_c("armrigd")
     from armrig_daemon.command_line import app
 
-    signal.signal(signal.SIGINT, before)
+    has_loaded()
     try:
         app()
     except (KeyboardInterrupt, RuntimeError) as err:
