@@ -89,13 +89,20 @@ def _fields(entry: bytes) -> dict[str, str]:
     return found
 
 
+def _connect_stderr_to_journal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say that the journal reads standard error; not in a fixture, after which pytest replaces it.
+
+    The file that replaces it often has the number of the one before, and not always.
+    """
+    stderr = os.fstat(2)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
+
+
 @pytest.fixture
 def journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[socket.socket, Path]]:
-    """Give a socket in the journal's place, which reads this process's standard error, too."""
-    stderr = os.fstat(2)
-    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
+    """Give a socket in the journal's place."""
     path = tmp_path / "socket"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
         listening.bind(str(path))
@@ -107,9 +114,12 @@ def journal(
 
 
 def test_the_journal_is_told_what_a_line_is_about(
-    capfd: pytest.CaptureFixture[str], journal: tuple[socket.socket, Path]
+    capfd: pytest.CaptureFixture[str],
+    journal: tuple[socket.socket, Path],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As fields of its own, those that are empty left out; standard error is silent then."""
+    _connect_stderr_to_journal(monkeypatch)
     about = {"rig": "1", "run": "", "owner": "group 3", "command": "stop"}
 
     print_line("info", "stop: by group 3", about)
@@ -126,9 +136,10 @@ def test_the_journal_is_told_what_a_line_is_about(
 
 
 def test_nobody_writes_a_field_of_his_own_into_the_journal(
-    journal: tuple[socket.socket, Path],
+    journal: tuple[socket.socket, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whatever a client says of himself stays in its field; a terminal is not moved by it."""
+    _connect_stderr_to_journal(monkeypatch)
     print_line("info", "arm", {"owner": "me\nARMRIG_OWNER=alice\nPRIORITY\n\x1b[2J"})
 
     fields = _fields(journal[0].recv(1 << 16))
@@ -142,9 +153,12 @@ def test_an_entry_keeps_what_has_lines_of_its_own() -> None:
 
 
 def test_a_journal_that_takes_nothing_is_not_waited_for(
-    capfd: pytest.CaptureFixture[str], journal: tuple[socket.socket, Path]
+    capfd: pytest.CaptureFixture[str],
+    journal: tuple[socket.socket, Path],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It is full, or gone: the line goes to standard error, with its priority."""
+    _connect_stderr_to_journal(monkeypatch)
     filled = 0
     while send_to_journal(journal_entry("info", "more", {}), str(journal[1])):
         filled += 1
