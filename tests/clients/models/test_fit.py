@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -257,3 +258,22 @@ def test_another_sampling_time_or_horizon_is_refused(fit: Fit) -> None:
         fit.predict(Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=0.2))
     with pytest.raises(ValueError, match="horizon=0 must be an integer >= 1"):
         fit.predict(data(1), horizon=0)
+
+
+def test_white_noise_is_known_as_well_as_its_variance(fit: Fit) -> None:
+    """An output-error model has the flat spectrum lambda Ts, of relative deviation sqrt(2/N)."""
+    spectrum = fit.noise_spectrum([0.1, 10.0])
+
+    np.testing.assert_allclose(spectrum.Phi, fit.noise_variance * fit.Ts)
+    np.testing.assert_allclose(spectrum.std, spectrum.Phi * np.sqrt(2 / fit.N))
+
+
+def test_the_covariance_that_the_residuals_ask_for_is_trusted(fit: Fit) -> None:
+    """Robust where they are coloured, classic where they are white; each with its deviations."""
+    d = fit.theta.size
+    made_up = replace(fit, covariance=np.eye(d), covariance_robust=9 * np.eye(d))
+    white, coloured = (replace(made_up, whiteness=p) for p in (0.5, 0.001))
+
+    assert white.trusted_covariance[0, 0] == 1.0
+    assert coloured.trusted_covariance[0, 0] == 9.0
+    assert (made_up.std[0], made_up.std_robust[0]) == (1.0, 3.0)
