@@ -6,7 +6,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage mutants shake bench fuzz simulate firmware fil lock lowest audit release format clean
+.PHONY: demo test test-all machine walk check coverage mutants planted shake bench fuzz simulate firmware fil lock lowest audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -51,6 +51,11 @@ coverage: .venv/dev
 N ?= 400
 mutants: .venv/dev
 	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS)) $(if $(EVERYDAY),--everyday)
+
+# The bugs that people planted by hand (tests/mutation/planted.toml), each of which a test must see.
+# NAME=… takes those whose name contains it.
+planted: .venv/dev
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation.by_hand $(NAME)
 
 # The suite under disturbance: each seed is a condition (tests/shake/conditions.py), 20 minutes at most.
 # PROOF=1: the runs that a release needs, each in a fresh clone, into shake.jsonl; it resumes.

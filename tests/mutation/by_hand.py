@@ -1,0 +1,92 @@
+"""`python -m mutation.by_hand`: plant the bugs of `planted.toml` again; a test must see each.
+
+People planted these bugs after a look at the code. No tool had drawn their like.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tomllib
+from collections import Counter
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+
+from mutation.__main__ import Room, Trials, preload
+from mutation.mutant import Mutant
+from mutation.planting import keep, module_of, plant_kept
+from mutation.reach import ROOT, Reach
+from mutation.trial import Outcome, Verdict, tried
+
+TABLE = Path(__file__).with_name("planted.toml")
+LIMIT_S = 120.0
+
+
+class Bug(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A piece of a file, what replaces it, and the tests that see the difference."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: list[str]
+
+    @property
+    def source(self) -> str:
+        """Text of the file, without the bug."""
+        return (ROOT / self.file).read_text(encoding="utf-8")
+
+
+def bugs() -> list[Bug]:
+    """Return the bugs of the table."""
+    table = tomllib.loads(TABLE.read_text(encoding="utf-8"))
+    return msgspec.convert(table["bug"], list[Bug])
+
+
+def judged(bug: Bug, folder: Path) -> Verdict:
+    """Return what its tests say of a bug."""
+    if not bug.file.endswith(".py"):
+        room = Room(name=bug.name, sources=[], tests=bug.tests, build=["true"])
+        start = bug.source.index(bug.old)
+        mutant = Mutant(bug.file, 0, "by hand", start, bug.old, bug.new)
+        trials = Trials(folder, Reach(folder / "reach"), Counter(), everyday=False)
+        return trials.judged(room, mutant, bug.tests)
+    kept = folder / "bug.json"
+    environment = keep(kept, module_of(bug.file), bug.source.replace(bug.old, bug.new))
+
+    def plant() -> None:
+        os.environ.update(environment)
+        plant_kept(str(kept))
+
+    return tried(bug.tests, plant, LIMIT_S)
+
+
+def _outcome(bug: Bug, folder: Path) -> str:
+    """Return an outcome, or why the table is out of date."""
+    if (n := bug.source.count(bug.old)) != 1:
+        return f"found {n} times"
+    try:
+        return judged(bug, folder).outcome
+    except RuntimeError as err:
+        return str(err)
+
+
+def main() -> int:
+    """Plant the bugs whose name contains the first argument; return 1 unless each is seen."""
+    chosen = [bug for bug in bugs() if not sys.argv[1:] or sys.argv[1] in bug.name]
+    preload()
+    unseen = 0
+    for bug in chosen:
+        with TemporaryDirectory(prefix="armrig-bug-") as folder:
+            outcome = _outcome(bug, Path(folder))
+        if outcome not in (Outcome.CAUGHT, Outcome.TIMED_OUT):
+            unseen += 1
+            print(f"{outcome}: {bug.name} ({bug.file})", flush=True)
+    print(f"{len(chosen) - unseen} of {len(chosen)} bugs are seen")
+    return 1 if unseen else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
