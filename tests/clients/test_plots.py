@@ -220,6 +220,9 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
 
     assert said(ax) == ["OE[2 2 1], 95 %", "95 % by draws"]
     assert len(ax.collections) >= 2  # a shade and its border
+    circle = np.hypot(*np.asarray(ax.lines[0].get_data(), np.float64))
+    assert circle == pytest.approx(np.ones(circle.size))
+    assert ax.lines[0].get_xdata()[[0, 360, -1]] == pytest.approx([1, -1, 1])  # type: ignore[index]
     draws = drawn(fit)
     assert draws is not None
     assert draws.unstable > 0
@@ -268,6 +271,18 @@ def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
 
     sampled, continuous = (np.asarray(line.get_ydata()) for line in ax.lines)
     np.testing.assert_allclose(sampled, continuous, atol=0.01)
+
+
+def test_a_phase_is_a_lag_in_degrees() -> None:
+    """Of a first-order lag 45° at its corner, whatever the turns before."""
+    import control
+
+    ax = plots.plot_bode(
+        control.tf([1.0], [1.0, 1.0]), omega=[0.01, 1.0, 100.0], ax=Figure().add_subplot()
+    )
+
+    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
+    assert below.lines[0].get_ydata() == pytest.approx([-0.573, -45.0, -89.427], abs=1e-3)
 
 
 def test_the_bode_plot_has_hertz_above(done: Study) -> None:

@@ -93,6 +93,15 @@ def test_logarithmic_resolution_sees_both_ends(arm: Any) -> None:
     assert np.mean(found.std_magnitude[high] / found.magnitude[high]) < 0.01
 
 
+def test_frequencies_are_even_unless_the_window_is_logarithmic(second: Any) -> None:
+    """128 up to Nyquist."""
+    data = second.dataset(np.random.default_rng(1))
+
+    found = spa(data)
+
+    np.testing.assert_allclose(found.omega, np.pi / data.Ts * np.arange(1, 129) / 128)
+
+
 def test_welch_and_blackman_tukey_agree(second: Any) -> None:
     """Two roads to one response, at like resolution."""
     data = second.dataset(np.random.default_rng(2), 8000)
