@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.cli.model_output import tests_sentence as sentence
 from armrig.cli.spinner import estimating
+from armrig.numerics.whiteness import Whiteness
 from made_recordings import recorded, sample, written
 from told import told
 
@@ -190,3 +194,37 @@ def test_compare_names_the_recording_that_it_validates_on(
     assert main(["compare", str(three_recordings[1]), str(three_recordings[0])]) == 0
 
     assert f"simulated on {three_recordings[1]}, its second half" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("white", "dynamics", "feedback", "powerless", "said"),
+    [
+        (0.5, 0.5, 0.5, "", "its residuals pass: white (p = 0.500), no dynamics missing"),
+        (0.001, 0.5, 0.5, "", "do not pass: they are coloured (p = 0.001): look at the noise"),
+        (
+            0.5,
+            0.001,
+            0.001,
+            "",
+            "do not pass: dynamics are missing (p = 0.001): look at the orders",
+        ),
+        (0.5, 0.5, 0.001, "", "do not pass: there is feedback (p = 0.001): look at the experi"),
+        (0.5, 0.5, 0.5, "u is constant", "its residuals tell nothing: u is constant"),
+        (0.5, np.nan, 0.5, "", "residuals white (p = 0.500); too few samples"),
+    ],
+)
+def test_a_sentence_says_which_test_the_residuals_fail(
+    white: float, dynamics: float, feedback: float, powerless: str, said: str
+) -> None:
+    """With what to look at; missing dynamics look like feedback, and are named alone."""
+    tests: Any = SimpleNamespace(
+        white=Whiteness(p_value=white, test=""),
+        missing_dynamics=dynamics,
+        feedback=feedback,
+        powerless=powerless,
+    )
+
+    text = sentence(tests)
+
+    assert said in text
+    assert ("dynamics are missing" in text) + ("there is feedback" in text) < 2

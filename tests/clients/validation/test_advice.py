@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import armrig
 import numpy as np
@@ -12,6 +13,7 @@ from armrig.models.cancellation import overlapping
 from armrig.numerics.polynomial import filtered
 from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import examine_fit_of
+from armrig.validation.advice.model_advice import _about_poles
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -214,3 +216,21 @@ def test_a_good_model_of_good_data_is_not_doubted() -> None:
     data = of_second_order(switched())
 
     assert not [*examine_fit_of(data, armrig.oe(data, nb=2, nf=2))]
+
+
+@pytest.mark.parametrize(
+    ("poles", "about"),
+    [
+        ([1.1], ["unstable"]),
+        ([0.6 + 0.9j, 0.6 - 0.9j], ["unstable"]),
+        ([0.6 + 0.7j, 0.6 - 0.7j, 1.0005], []),
+        ([-0.5], ["poles"]),
+        ([-1.1], ["unstable", "poles"]),
+    ],
+)
+def test_a_pole_that_no_rig_has_is_told_once(poles: list[complex], about: list[str]) -> None:
+    """A real one, and a pair, outside the unit circle; a negative one."""
+    found = SimpleNamespace(values=np.array(poles, complex), std=np.full(len(poles), 1e-4))
+    fit: Any = SimpleNamespace(poles=lambda: found)
+
+    assert [told.about for told in _about_poles(fit)] == about
