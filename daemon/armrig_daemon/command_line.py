@@ -199,7 +199,7 @@ def emulate(
     from armrig_daemon.emulator.device import Device
     from armrig_daemon.emulator.harness import HarnessError
     from armrig_daemon.emulator.line import PortError
-    from armrig_daemon.emulator.pty import emulate as run_emulator
+    from armrig_daemon.emulator.real_time import emulate as run_emulator
     from armrig_daemon.emulator.settings import EmulatorSettings, load
 
     try:

@@ -21,7 +21,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
-LOADED = ("armrig_daemon.service.service", "armrig_daemon.emulator.pty", "armrig.rig.client")
+LOADED = ("armrig_daemon.service.service", "armrig_daemon.emulator.real_time", "armrig.rig.client")
 _MOST_BYTES = 1 << 20
 
 

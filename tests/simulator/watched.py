@@ -70,7 +70,7 @@ class Watching:
                 self._standstills.append((stops_ns, end_ns))
 
     def go_on(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Let the process go on as `emulator.pty` does; return what it sends at once."""
+        """Let the process go on as `emulator.real_time` does; return what it sends at once."""
         given_ns = self._time.given_ns(now_ns, self._due_ns)
         assert given_ns == self.given_ns(now_ns)
         self.is_stalled = False

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import pytest
 import serial
-from armrig_daemon.emulator.pty import PortError, emulate
+from armrig_daemon.emulator.real_time import PortError, emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import decoder, frame
 from armrig_protocol.frame import Spoilt, Unknown
@@ -44,7 +44,7 @@ PATIENCE_S = 30.0
 PROGRAM = """
 import sys
 from pathlib import Path
-from armrig_daemon.emulator.pty import emulate
+from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 settings = EmulatorSettings(baud=1_000_000, boot_ms=5.0)
 sys.exit(emulate(Path(sys.argv[1]), settings, trace=Path(sys.argv[2])))

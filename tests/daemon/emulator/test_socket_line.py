@@ -13,7 +13,7 @@ from armrig_core.emulator_socket import lock_path
 from armrig_core.waiting import Waiter
 from armrig_daemon.emulator import socket_line
 from armrig_daemon.emulator.line import PortError
-from armrig_daemon.emulator.pty import emulate
+from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.loop import link as link_module

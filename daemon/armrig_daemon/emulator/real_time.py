@@ -38,7 +38,7 @@ _TELL_NS = 1_000_000_000
 """How often it is told at most that the machine stalls, in ns."""
 
 
-class PtyDevice(Protocol):
+class RealTimeDevice(Protocol):
     """A device to which time is given: the emulated one, or the firmware's binary."""
 
     @property
@@ -69,7 +69,7 @@ class PtyDevice(Protocol):
         """Let time pass; return frames, each with its last byte's departure."""
 
 
-SwitchOn = Callable[[EmulatorSettings, int, Witness], PtyDevice]
+SwitchOn = Callable[[EmulatorSettings, int, Witness], RealTimeDevice]
 """Makes a device that is switched on at a time, in ns."""
 
 
@@ -139,7 +139,7 @@ def emulate(
 
 def _run(
     line: Line,
-    device: PtyDevice,
+    device: RealTimeDevice,
     time: HostTime,
     settings: EmulatorSettings,
     wake: int,
