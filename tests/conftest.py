@@ -22,6 +22,8 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 @pytest.hookimpl(trylast=True)
 def pytest_configure(config: pytest.Config) -> None:
     """Show progress by room where a person or CI reads; the workers of xdist show nothing."""
+    # pytest has read these options. They are not for a pytest that a test starts.
+    os.environ.pop("PYTEST_ADDOPTS", None)
     terminal = config.pluginmanager.get_plugin("terminalreporter")
     if terminal is not None and not config.option.verbose:
         config.pluginmanager.register(Progress(terminal))
