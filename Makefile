@@ -45,7 +45,7 @@ coverage: .venv/dev
 	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
 	  core/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
 
-# N generated bugs over all rooms, by their lines, each of which a test must see: an hour for 400. It goes
+# N generated bugs over all rooms, by their lines, each of which a test must see. It goes
 # on where it was left, in mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others;
 # EVERYDAY=1 asks only the tests of `make test`.
 N ?= 400
@@ -55,7 +55,7 @@ mutants: .venv/dev
 # The bugs that people planted by hand (tests/mutation/planted.toml), each of which a test must see.
 # NAME=… takes those whose name contains it.
 planted: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation.by_hand $(NAME)
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation.by_hand $(if $(NAME),"$(NAME)")
 
 # The suite under disturbance: each seed is a condition (tests/shake/conditions.py), 20 minutes at most.
 # PROOF=1: the runs that a release needs, each in a fresh clone, into shake.jsonl; it resumes.
