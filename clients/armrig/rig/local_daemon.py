@@ -14,7 +14,7 @@ from pathlib import Path
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 
-_START_S = 30.0  # of a machine that stalls
+_START_S = 60.0  # the daemon itself waits 30 s for the rig that it emulates
 _STOP_S = 5.0
 _POLL_S = 0.1
 

@@ -72,6 +72,7 @@ SILENCE_NS = 3_000_000_000
 """How long the loop drives the motor on without hearing from us, in ns."""
 _FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
 _QUIT_S = 2.0  # a loop that is frozen is not waited for any longer
+_LOAD_S = 30.0  # a loop that still loads has not reached the device yet
 _AT_FIFO = "not granted: the ordinary policy for the service, whose threads may delay the loop"
 _READ = 1 << 16
 _BREATH_S = 0.005  # between two looks at a loop that has so many to answer
@@ -368,7 +369,8 @@ class Service:
     def _quit(self, reason: str) -> None:
         self._quitting = True
         self._notifier.stopping()
-        self._kill_at = min(self._kill_at, time.monotonic() + _QUIT_S)
+        within_s = _QUIT_S if self._rig.host else _LOAD_S
+        self._kill_at = min(self._kill_at, time.monotonic() + within_s)
         self._loop.order(Quit(reason=reason))
 
     def _each_second(self) -> None:

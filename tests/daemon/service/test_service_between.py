@@ -7,6 +7,7 @@ import os
 import select
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from math import inf
 from pathlib import Path
@@ -319,6 +320,23 @@ def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) 
     between.service._woken()
 
     assert between.service._kill_at == kill_at_s < inf
+
+
+@pytest.mark.parametrize(
+    ("records", "within_s"), [([], 30.0), ([Host(granted={"refused": []})], 2.0)]
+)
+def test_a_loop_that_still_loads_has_more_time_to_end(
+    between: Between, records: list[Any], within_s: float
+) -> None:
+    """A loop whose program is loaded must end within 2 s: a frozen loop is killed."""
+    between.service._handle(records)
+
+    signal.raise_signal(signal.SIGTERM)
+    began_s = time.monotonic()
+    between.service._woken()
+    ended_s = time.monotonic()
+
+    assert began_s + within_s <= between.service._kill_at <= ended_s + within_s
 
 
 def test_a_signal_that_comes_with_the_loop_s_end_is_an_end_in_good_order(
