@@ -34,9 +34,10 @@ from armrig_core.telemetry import Sample
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
 
+from driving import bring_to_rest
 from playwright.sync_api import sync_playwright
 from processes import Bench, wait_for
-from watching import Client, bring_to_rest, watched
+from watching import Client, watched
 
 N = 20
 _TRIES = 5

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from driving import at_rest
+from driving import bring_to_rest
 from fork_server import ForkServer
 from processes import Bench
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Mark the tests with a bench: its rig is a process that a stall of the host stops."""
-    if {"bench", "served"} & set(getattr(item, "fixturenames", ())):
+    if {"bench", "_serving", "shared"} & set(getattr(item, "fixturenames", ())):
         item.add_marker(pytest.mark.real_time)
 
 
@@ -49,6 +49,5 @@ def _serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 @pytest.fixture
 def served(_serving: Bench) -> Bench:
     """Give a rig and a daemon that a module's tests share: at 0 V, and nobody's."""
-    with _serving.rig() as rig:
-        at_rest(rig)
+    bring_to_rest(_serving)
     return _serving

@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from subprocess import Popen
 from typing import Any
 
 import armrig
 import numpy as np
-from armrig.rig.client import RefusedError, Rig, RunEndedError
+from armrig.rig.client import Rig, RigError
 from fork_server import Forked
-from numpy.typing import ArrayLike
-from processes import Bench, wait_for
+from processes import WITHIN_S, Bench, wait_for
 
 VOLTS = (1.0, 4.0)
 STOPPED_S = 1.0
 """Tells a stop from no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
-TRIES = 3
-"""How often what a stall of this machine has ended is begun."""
-_STALLS = (
-    "no answer from the device for",
-    "the host paused for",
-    "it heard nothing from this host in time",
-)
-"""How a run ends where the machine has kept the loop or the emulator waiting."""
 _STEP_V = 5 / 1024  # of the emulated duty
 _RUNNER = """
 import sys
@@ -51,25 +41,18 @@ def driven(
 
 
 def begin(bench: Bench, changes: int, runner: str, *arguments: str) -> Popen[bytes] | Forked:
-    """Start a client that drives the motor, and return it once the voltage has changed so often.
-
-    Where this machine stalls, a run may be ended before that: then once more.
-    """
+    """Start a client that drives the motor, and return it once the voltage has changed so often."""
     endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
-    for _ in range(TRIES):
-        drives = partial(changed, bench, len(bench.voltage_changes()) + changes)
-        client = bench.client(runner, endpoint, *arguments)
-        try:
-            wait_for(lambda now=drives, its=client: now() or its.poll() is not None)
-        except BaseException:
-            client.kill()
-            client.wait()
-            raise
-        if drives():
-            return client
-        with bench.rig() as rig:
-            at_rest(rig)
-    raise AssertionError(f"{TRIES} runs ended before the voltage had changed {changes} times")
+    enough = len(bench.voltage_changes()) + changes
+    client = bench.client(runner, endpoint, *arguments)
+    try:
+        wait_for(lambda: changed(bench, enough) or client.poll() is not None)
+        assert changed(bench, enough), bench.reason()
+    except BaseException:
+        client.kill()
+        client.wait()
+        raise
+    return client
 
 
 def changed(bench: Bench, times: int) -> bool:
@@ -77,58 +60,18 @@ def changed(bench: Bench, times: int) -> bool:
     return len(bench.voltage_changes()) > times
 
 
-def whole_run(rig: Rig, u: ArrayLike, *, Ts: float, **how: Any) -> Path:
-    """Arm and run; where this machine stalls, and the run is ended for it, once more."""
-    for _ in range(TRIES - 1):
-        try:
-            rig.arm("a test", Ts=Ts)
-            return rig.run(u, **how)
-        except (RefusedError, RunEndedError) as err:
-            if not stalled(str(err)):
-                raise
-        at_rest(rig)
-    rig.arm("a test", Ts=Ts)
-    return rig.run(u, **how)
-
-
 def hold(rig: Rig, bench: Bench, volts: float, owner: str = "a test") -> None:
     """Arm, and hold a voltage by hand until the motor has it.
 
-    Each look renews the lease, which else may run out between two looks. Where this machine stalls
-    and the rig trips: once more, from rest.
+    Each look renews the lease, which else may run out between two looks.
     """
-    is_armed = False
 
     def has_it() -> bool:
-        nonlocal is_armed
-        try:
-            if not is_armed:
-                rig.arm(owner)
-            rig.set(volts)
-            is_armed = True
-        except RefusedError:
-            at_rest(rig)
-            is_armed = False
-        return is_armed and bench.volts() > volts - 0.1
+        rig.set(volts)
+        return bench.volts() > volts - 0.1
 
+    rig.arm(owner)
     wait_for(has_it)
-
-
-def unless_stalled(rig: Rig, attempt: Callable[[], None]) -> None:
-    """Attempt something; where this machine stalls, and the rig trips, once more, from rest."""
-    for _ in range(TRIES - 1):
-        try:
-            return attempt()
-        except (AssertionError, RuntimeError):
-            if not stalled(rig.status().reason):
-                raise
-        at_rest(rig)
-    return attempt()
-
-
-def stalled(said: str) -> bool:
-    """Return whether a run was ended because this machine stalls."""
-    return any(how in said for how in _STALLS)
 
 
 def samples(rig: Rig) -> Iterator[Any]:
@@ -136,12 +79,19 @@ def samples(rig: Rig) -> Iterator[Any]:
     return (one for one in rig.stream() if not isinstance(one, armrig.LiveGap))
 
 
-def at_rest(rig: Rig) -> None:
-    """Stop a rig, and reset it."""
-    rig.stop()
-    wait_for(lambda: rig.status().phase in ("safe", "fault"))
-    rig.reset()
-    wait_for(lambda: rig.status().phase == "safe")
+def bring_to_rest(bench: Bench) -> None:
+    """Stop a rig and reset it, once its device answers."""
+    wait_for(lambda: _rests(bench), 2 * WITHIN_S)
+
+
+def _rests(bench: Bench) -> bool:
+    with suppress(RigError), bench.rig() as rig:
+        rig.stop()
+        wait_for(lambda: rig.status().phase in ("safe", "fault"))
+        rig.reset()
+        wait_for(lambda: rig.status().phase == "safe")
+        return True
+    return False
 
 
 def recorded(bench: Bench) -> armrig.Recording:

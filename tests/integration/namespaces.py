@@ -62,4 +62,4 @@ def connected() -> Iterator[Namespaces]:
 
 def run(*command: str) -> None:
     """Run a command of iproute2."""
-    subprocess.run(command, check=True, capture_output=True, timeout=20)
+    subprocess.run(command, check=True, capture_output=True, timeout=30)

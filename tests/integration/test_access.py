@@ -27,7 +27,7 @@ from armrig_core.credential import Credential, read_credential
 from armrig_core.open_files import MOST
 from armrig_daemon.config import MEND
 from armrig_daemon.service.network_guard import MANY, SHUT_S
-from driving import samples, unless_stalled, whole_run
+from driving import bring_to_rest, samples
 from fork_server import ForkServer
 from laboratory import (
     PASSWORD,
@@ -60,18 +60,15 @@ def shared(tmp_path_factory: pytest.TempPathFactory, forks: ForkServer) -> Itera
 @pytest.fixture
 def lab(shared: Laboratory) -> Laboratory:
     """Give the laboratory, its rig at 0 V and nobody's."""
-    with shared.bench.rig() as rig:
-        rig.stop()
-        wait_for(lambda: rig.status().phase in ("safe", "fault"))
-        rig.reset()
-        wait_for(lambda: rig.status().phase == "safe")
+    bring_to_rest(shared.bench)
     return shared
 
 
 def test_an_operator_s_run_is_recorded_under_his_name(lab: Laboratory) -> None:
     """What he says of himself, and behind it what was checked: in the file and in the log."""
     with lab.rig("alice") as rig:
-        recording = armrig.load(whole_run(rig, [1.0, 4.0] * 25, Ts=0.01))
+        rig.arm("a test", Ts=0.01)
+        recording = armrig.load(rig.run([1.0, 4.0] * 25))
 
     assert recording.manifest.owner == "a test (certificate alice)"
     said = lab.bench.processes[-1].said
@@ -82,27 +79,19 @@ def test_an_operator_s_run_is_recorded_under_his_name(lab: Laboratory) -> None:
 def test_a_stop_is_recorded_under_the_name_of_who_stopped(lab: Laboratory) -> None:
     """Another operator's: a stop needs no lease."""
     with lab.rig("alice") as rig, lab.rig("carol") as other:
-
-        def stopped() -> None:
-            rig.arm("a test", Ts=0.01)
-            with pytest.raises(RunEndedError, match=r"stopped by the next \(certificate carol\)"):
-                rig.run([1.0] * 1000, progress=lambda done, _: done > 20 and other.stop("the next"))
-
-        unless_stalled(rig, stopped)
+        rig.arm("a test", Ts=0.01)
+        with pytest.raises(RunEndedError, match=r"stopped by the next \(certificate carol\)"):
+            rig.run([1.0] * 1000, progress=lambda done, _: done > 20 and other.stop("the next"))
 
 
 def test_who_sits_at_the_rig_stops_it_without_any_certificate(lab: Laboratory) -> None:
     """By the Unix socket, as ever."""
     with lab.rig("alice") as rig, lab.bench.rig() as here:
-
-        def stopped() -> None:
-            rig.arm("a test")
-            assert here.status().owner == "a test (certificate alice)"
-            here.stop()
-            wait_for(lambda: here.status().phase in ("safe", "fault"))
-            assert here.status().phase == "safe"
-
-        unless_stalled(here, stopped)
+        rig.arm("a test")
+        assert here.status().owner == "a test (certificate alice)"
+        here.stop()
+        wait_for(lambda: here.status().phase in ("safe", "fault"))
+        assert here.status().phase == "safe"
         with pytest.raises(RefusedError, match="not the lease in force"):
             rig.set(1.0)
 
@@ -110,34 +99,26 @@ def test_who_sits_at_the_rig_stops_it_without_any_certificate(lab: Laboratory) -
 def test_a_name_cannot_be_borrowed(lab: Laboratory) -> None:
     """Who says that he was checked has it taken out, over the network and at the rig."""
     with lab.bench.rig() as here, lab.rig("carol") as rig:
-
-        def named() -> None:
-            here.arm("me (certificate alice)")
-            assert here.status().owner == "me (alice)"
-            here.disarm()
-            rig.arm("me (certificate alice) (user alice)")
-            assert rig.status().owner == "me (alice) (alice) (certificate carol)"
-            rig.disarm()
-
-        unless_stalled(here, named)
+        here.arm("me (certificate alice)")
+        assert here.status().owner == "me (alice)"
+        here.disarm()
+        rig.arm("me (certificate alice) (user alice)")
+        assert rig.status().owner == "me (alice) (alice) (certificate carol)"
+        rig.disarm()
 
 
 def test_a_lease_is_of_use_to_nobody_else(lab: Laboratory) -> None:
     """Whoever has learnt it: another operator, and who sits at the rig."""
     with lab.rig("alice") as rig, lab.rig("carol") as other, lab.bench.rig() as here:
-
-        def stolen() -> None:
-            lease = rig.arm("a test").lease
-            for thief in (other, here):
-                thief._lease, thief._n = lease, 10
-                with pytest.raises(RefusedError, match=NOT_HELD):
-                    thief.set(1.0)
-                with pytest.raises(RefusedError, match=NOT_HELD):
-                    thief.run([1.0] * 10)
-                thief._lease = ""
-            rig.disarm()
-
-        unless_stalled(here, stolen)
+        lease = rig.arm("a test").lease
+        for thief in (other, here):
+            thief._lease, thief._n = lease, 10
+            with pytest.raises(RefusedError, match=NOT_HELD):
+                thief.set(1.0)
+            with pytest.raises(RefusedError, match=NOT_HELD):
+                thief.run([1.0] * 10)
+            thief._lease = ""
+        rig.disarm()
     assert lab.bench.volts() == 0.0
 
 
@@ -186,13 +167,9 @@ def test_commands_find_rig_and_certificate_in_the_configuration(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
     with Rig() as rig:
-
-        def found() -> None:
-            rig.arm("a test")
-            assert rig.status().owner == "a test (certificate alice)"
-            rig.disarm()
-
-        unless_stalled(rig, found)
+        rig.arm("a test")
+        assert rig.status().owner == "a test (certificate alice)"
+        rig.disarm()
     assert next(s for s in armrig.stream("rig/1/sample") if not isinstance(s, armrig.LiveGap)).k > 0
 
 
@@ -220,13 +197,9 @@ def test_a_user_with_a_password_is_known_by_his_name(
         return Rig("1", connect=where)
 
     with rig("alice") as alice:
-
-        def known() -> None:
-            alice.arm("a test")
-            assert alice.status().owner == "a test (user alice)"
-            alice.disarm()
-
-        unless_stalled(alice, known)
+        alice.arm("a test")
+        assert alice.status().owner == "a test (user alice)"
+        alice.disarm()
     with rig("bob") as bob:
         assert settled(bob) == "safe"
         with pytest.raises(NoReplyError, match="not permitted"):
@@ -334,7 +307,7 @@ def _opened(lab: Laboratory, tls: dict[str, Any], zid: str) -> zenoh.Session:
 
 
 def _is_answered(session: zenoh.Session, key: str) -> bool:
-    return any(reply.ok is not None for reply in session.get(key, timeout=5))
+    return any(reply.ok is not None for reply in session.get(key, timeout=WITHIN_S))
 
 
 def test_another_s_zenoh_id_gives_nobody_his_rights(lab: Laboratory) -> None:
@@ -369,7 +342,7 @@ def test_a_link_ends_with_the_certificate_that_opened_it(lab: Laboratory, tmp_pa
 
     with Rig("1", connect=lab.endpoint, certificate=short) as rig:
         assert settled(rig) == "safe"
-        wait_for(lambda: not _is_answered(rig._connected(), "rig/1/cmd/status/carol"), 15)
+        wait_for(lambda: not _is_answered(rig._connected(), "rig/1/cmd/status/carol"))
 
 
 def _most_resident_mib(pid: int) -> float:

@@ -15,6 +15,7 @@ import pytest
 from armrig_daemon.loop.link import Link
 from sampling import sampled
 
+pytestmark = pytest.mark.real_time
 PATIENCE_S = 120.0
 _RIG = "import sys; from armrig_daemon.__main__ import main; sys.exit(main())"
 _ASKS = "import sys; from armrig.cli import main; sys.exit(main())"

@@ -13,7 +13,7 @@ import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.telemetry import decode_sample
 from driving import hold
-from processes import Bench, wait_for
+from processes import WITHIN_S, Bench, wait_for
 from watching import Client, begin, endpoint
 
 ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
@@ -93,7 +93,7 @@ def _heard(link: Any, most: int) -> tuple[dict[str, Any], list[dict[str, Any]], 
     payloads: list[bytes] = []
     sample = -1
     while len(payloads) < most:
-        message = link.recv(timeout=20)
+        message = link.recv(timeout=WITHIN_S)
         if isinstance(message, str):
             told = json.loads(message)
             if told["op"] == "serverInfo":

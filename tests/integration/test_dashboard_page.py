@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
-from driving import STOPPED_S
+from driving import STOPPED_S, bring_to_rest
 from processes import WITHIN_S, Bench
 from tools import needs
-from watching import STEP, Client, begin, bring_to_rest, endpoint, recorded, watched
+from watching import STEP, Client, begin, endpoint, recorded, watched
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
 CHROMIUM = shutil.which("chromium")
@@ -26,7 +26,6 @@ pytestmark = needs("chromium")
 WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
 SMALL = {"width": 640, "height": 480}  # to draw it costs a third
 _PATIENCE_MS = 1000 * WITHIN_S
-_TRIES = 3
 _CONNECTIONS = 6
 MARKUP = "<img src=x onerror=document.title='owned'>"
 
@@ -66,7 +65,7 @@ def _client(_serving: Bench) -> Iterator[Client]:
 @pytest.fixture
 def client(served: Bench, _client: Client) -> Client:
     """Give a dashboard of a rig at rest, which does nothing."""
-    _client.wait("run", lambda seen: not seen["is_going"], 30)
+    _client.wait("run", lambda seen: not seen["is_going"])
     return _client
 
 
@@ -81,22 +80,14 @@ def show_step(page: Any, seconds: str = "20") -> None:
 
 
 def run_step(page: Any, bench: Bench, seconds: str = "20") -> None:
-    """Run a step from the page, and wait until the motor is driven.
-
-    Where this machine stalls the rig faults, before the run or in it: then once more, from rest. A
-    rig in a fault has no Run that can be pressed until somebody resets it.
-    """
-    for _ in range(_TRIES):
-        show_step(page, seconds)
-        until(page, lambda: page.is_enabled("#run") or page.is_visible("#fault"))
-        if page.is_enabled("#run"):
-            page.evaluate("document.querySelector('#running-text').className = ''")  # of before
-            page.click("#run")
-            until(page, lambda: bench.volts() > 0 or page.get_attribute("#running-text", "class"))
-            if bench.volts() > 0:
-                return
-        bring_to_rest(bench)
-    raise AssertionError(f"{text(page, '#fault')} {text(page, '#running-text')}")
+    """Run a step from the page, and wait until the motor is driven."""
+    show_step(page, seconds)
+    until(page, lambda: page.is_enabled("#run") or page.is_visible("#fault"))
+    assert page.is_enabled("#run"), text(page, "#fault")
+    page.evaluate("document.querySelector('#running-text').className = ''")  # of before
+    page.click("#run")
+    until(page, lambda: bench.volts() > 0 or page.get_attribute("#running-text", "class"))
+    assert bench.volts() > 0, text(page, "#running-text")
 
 
 def until(page: Any, what: Callable[[], object], within_s: float = WITHIN_S) -> None:
@@ -298,7 +289,7 @@ def test_a_recording_is_identified_and_reported(
     browser: Any, client: Client, served: Bench, tmp_path: Path
 ) -> None:
     """From the list to its model's figures and the PDF; all by buttons."""
-    recorded(client, served, {"kind": "blackbox", "seconds": 5})
+    recorded(client, {"kind": "blackbox", "seconds": 5})
     with opened(browser, client.url) as page:
         page.keyboard.press("r")
         page.click("#table tbody button >> nth=0")
@@ -448,7 +439,7 @@ def test_an_unplugged_device_is_a_fault_that_is_reset(browser: Any, bench: Bench
         assert text(page, "#fault-reason")
         assert text(page, "#fault-remedy")
         bench.emulate()
-        client.wait("status", lambda seen: not seen["line"], 20)
+        client.wait("status", lambda seen: not seen["line"])
         page.click("#reset")
         page.wait_for_selector(".pill.safe")
         assert not page.is_visible("#fault")

@@ -17,7 +17,7 @@ from armrig.rig.client import RefusedError, RunEndedError
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest
 from armrig_core.recording_file.recorder import Recording, RecordingError
-from driving import STOPPED_S, TRIES, at_rest, changed, check_every_k, check_volts, driven
+from driving import STOPPED_S, changed, check_every_k, check_volts, driven
 from processes import Bench, wait_for
 from sampling import sampled
 
@@ -122,26 +122,14 @@ def test_what_only_looks_like_a_recording_does_not_keep_the_daemon(bench: Bench)
 
 
 def _collecting(bench: Bench) -> subprocess.Popen[str]:
-    """Return `armrig collect` once its run of half a minute drives the motor.
-
-    Where this machine stalls, the run may be ended before that: then once more.
-    """
+    """Return `armrig collect` once its run of half a minute drives the motor."""
     endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     command = [sys.executable, "-m", "armrig", "collect", "blackbox", "--connect", endpoint]
-    for _ in range(TRIES):
-        client = subprocess.Popen(
-            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-        )
-        drives = partial(changed, bench, len(bench.voltage_changes()) + 5)
-        wait_for(lambda now=drives, its=client: now() or its.poll() is not None, LOADED_S)
-        if drives():
-            return client
-        _, told = client.communicate()
-        with bench.rig() as rig:
-            at_rest(rig)
-        for ended in bench.recordings.glob("*.mcap"):
-            ended.unlink()
-    raise AssertionError(told)
+    client = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    drives = partial(changed, bench, len(bench.voltage_changes()) + 5)
+    wait_for(lambda: drives() or client.poll() is not None, LOADED_S)
+    assert drives(), client.communicate()[1]
+    return client
 
 
 def test_a_directory_that_cannot_be_written_is_told_before_the_motor_turns(

@@ -172,7 +172,8 @@ def test_a_rig_speaks_for_itself_alone(lab: FleetLab, stack: ExitStack) -> None:
         wait_for(is_heard, WITHIN_S)
         alive = {str(r.ok.key_expr) for r in bob.liveliness().get("rig/*/alive") if r.ok}
         answered = {
-            rig: [r for r in bob.get(f"rig/{rig}/history", timeout=5) if r.ok] for rig in ("1", "2")
+            rig: [r for r in bob.get(f"rig/{rig}/history", timeout=WITHIN_S) if r.ok]
+            for rig in ("1", "2")
         }
 
     assert heard == {"rig/2/sample"}

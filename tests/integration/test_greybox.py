@@ -9,7 +9,6 @@ import sys
 import armrig
 import pytest
 from armrig_core.arm import ArmParameters
-from driving import at_rest, stalled
 from processes import Bench
 
 SECONDS = 6
@@ -19,19 +18,14 @@ def _collected(bench: Bench, *arguments: str) -> str:
     """Return the path that `armrig collect greybox` prints."""
     connect = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     command = [sys.executable, "-m", "armrig", "collect", "greybox", "--connect", connect]
-    for _ in range(3):
-        done = subprocess.run(
-            [*command, *arguments, "--json"],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-            cwd=bench.folder,
-        )
-        if done.returncode == 0 or not stalled(done.stderr):
-            break
-        with bench.rig() as rig:
-            at_rest(rig)
+    done = subprocess.run(
+        [*command, *arguments, "--json"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        cwd=bench.folder,
+    )
     assert done.returncode == 0, done.stderr
     path: str = json.loads(done.stdout)["recording"]
     return path

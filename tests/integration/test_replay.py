@@ -12,7 +12,6 @@ from armrig.cli.replay import replay
 from armrig.recordings.recording import RecordingError
 from armrig.rig.client import RunEndedError
 from armrig_daemon.core import setpoints
-from driving import whole_run
 from processes import Bench
 from sampling import sampled
 
@@ -24,7 +23,8 @@ def test_a_real_run_is_decided_once_more_to_the_last_bit(
     """Every frame and every sample; and a core that decides otherwise is found out."""
     u = armrig.telegraph(400, 0.1, low=0.0, high=5.0, seed=1)
     with served.rig() as rig:
-        path = whole_run(rig, u, Ts=0.005, pacing=pacing)
+        rig.arm("a test", Ts=0.005)
+        path = rig.run(u, pacing=pacing)
 
     found = replay(path)
 
@@ -51,7 +51,8 @@ def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
 
     with served.rig() as rig:
         u = armrig.telegraph(600, 0.1, low=0.0, high=5.0, seed=1)
-        path = whole_run(rig, u, Ts=0.005, progress=copy)
+        rig.arm("a test", Ts=0.005)
+        path = rig.run(u, progress=copy)
     whole, half = path.read_bytes(), tmp_path / "half.mcap"
     half.write_bytes(whole[: len(whole) // 4])
 

@@ -14,7 +14,6 @@ import pytest
 from armrig.rig.client import RefusedError
 from armrig_core.manifest import CONFIG
 from armrig_daemon.config import MEND
-from driving import whole_run
 from mcap.reader import make_reader
 from processes import WITHIN_S, Bench, Process, wait_for
 
@@ -51,7 +50,8 @@ def test_a_run_comes_back_as_a_recording_that_others_read(served: Bench) -> None
     u = armrig.telegraph(300, 0.1, low=0.0, high=5.0, seed=1)
 
     with served.rig() as rig:
-        path = whole_run(rig, u, Ts=0.005, experiment="blackbox", details={"seed": 1})
+        rig.arm("a test", Ts=0.005)
+        path = rig.run(u, experiment="blackbox", details={"seed": 1})
 
     recording = armrig.load(path)
     at = recording.samples["k"].astype(int) - recording.manifest.k_first

@@ -7,20 +7,17 @@ import json
 import ssl
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
 from armrig.dashboard.serving import Settings, dashboard
-from armrig.rig.session import RigError
-from driving import TRIES, at_rest
-from processes import WITHIN_S, Bench, wait_for
+from processes import WITHIN_S, Bench
 
 STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
 """An experiment that lasts until it is stopped."""
 WAIT_S = WITHIN_S
 _ANSWER_S = WITHIN_S
-_BACK_S = 60.0
 _RUN_S = 60.0
 
 
@@ -111,48 +108,20 @@ def watched(bench: Bench) -> Iterator[Client]:
         yield Client(served.url)
 
 
-def bring_to_rest(bench: Bench) -> None:
-    """Stop and reset a rig that a stall of this machine has stopped, once its device is back."""
-    wait_for(lambda: _rests(bench), _BACK_S)
-
-
-def _rests(bench: Bench) -> bool:
-    with suppress(RigError), bench.rig() as rig:
-        at_rest(rig)
-        return True
-    return False
-
-
-def recorded(client: Client, bench: Bench, experiment: dict[str, Any]) -> str:
-    """Have a dashboard run an experiment to its end, and return its recording's name.
-
-    Where this machine stalls the daemon refuses it, or ends it: then once more, from rest.
-    """
-    for _ in range(TRIES):
-        status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
-        assert status == 200, told
-        run = client.wait("run", lambda seen: not seen["is_going"] and seen["experiment"], _RUN_S)
-        if not run["error"]:
-            return str(run["recording"])
-        bring_to_rest(bench)
-    raise AssertionError(run["error"])
+def recorded(client: Client, experiment: dict[str, Any]) -> str:
+    """Have a dashboard run an experiment to its end, and return its recording's name."""
+    status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
+    assert status == 200, told
+    run = client.wait("run", lambda seen: not seen["is_going"] and seen["experiment"], _RUN_S)
+    assert not run["error"], run["error"]
+    return str(run["recording"])
 
 
 def begin(client: Client, bench: Bench, experiment: dict[str, Any] = STEP) -> None:
-    """Have a dashboard run an experiment, and wait until the motor is driven.
-
-    Where this machine stalls the daemon refuses it, or ends it: then once more, from rest.
-    """
-    for _ in range(TRIES):
-        status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
-        assert status == 200, told
-        error = ""
-        for name, value in client.events():  # 20 a second
-            error = value["error"] if name == "run" else error
-            if error or bench.volts() > 0:
-                break
-        if not error:
+    """Have a dashboard run an experiment, and wait until the motor is driven."""
+    status, told = client.ask("/api/run", {"owner": "a page", "experiment": experiment})
+    assert status == 200, told
+    for name, value in client.events():  # 20 a second
+        assert name != "run" or not value["error"], value["error"]
+        if bench.volts() > 0:
             return
-        bring_to_rest(bench)
-        client.wait("run", lambda seen: not seen["is_going"])
-    raise AssertionError(error)

@@ -2,8 +2,8 @@
 
 An emulated rig is real time: the daemon ends a run after a stall of the host, as it must, and a
 test of that run fails. The plug-in repeats a failed test if a stall lay in the attempt and the test
-is marked as `real_time` or `timed`. The stall is judged by clocks alone (`host.py`), never by the
-failure. The run fails if too many tests were repeated.
+is marked as `real_time`, `timed` or `machine`. The stall is judged by clocks alone (`host.py`),
+never by the failure. The run fails if too many tests were repeated.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STALL_NS: Final = 40_000_000
 """Shortest stall for which a test is repeated: with a tick of 10 ms it exceeds the limit of S4."""
 MAX_REPEATS: Final = 2
 MAX_REPEATED_SHARE: Final = 0.01
-MARKERS: Final = ("real_time", "timed")
+MARKERS: Final = ("real_time", "timed", "machine")
 _REPEATED: Final = "repeated"
 
 

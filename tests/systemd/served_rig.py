@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from machine import Machine, wait_for
 
-_TRIES = 3
 _RUNNER = """
 import sys, time
 import armrig
@@ -74,20 +73,10 @@ class Rig:
     def drive(self) -> None:
         """Have a client run the motor at 1 V and 4 V in turn for a minute; it turns."""
         command = ["python", "-c", _RUNNER, self.id, self.endpoint]
-        for _ in range(_TRIES):  # where the machine stalls, a run may be ended before it turns
-            before = len(self.volts())
-            self.machine.run(
-                "systemd-run", "--quiet", f"/opt/armrig/bin/{command[0]}", *command[1:]
-            )
-            wait_for(
-                lambda before=before: len(self.volts()) > before + 20 or self.phase() == "fault"
-            )
-            if len(self.volts()) > before + 20:
-                return
-            self.armrig("stop")
-            self.armrig("reset")
-            wait_for(lambda: self.phase() == "safe")
-        raise AssertionError(f"{_TRIES} runs ended before the motor turned")
+        enough = len(self.volts()) + 20
+        self.machine.run("systemd-run", "--quiet", f"/opt/armrig/bin/{command[0]}", *command[1:])
+        wait_for(lambda: len(self.volts()) > enough or self.phase() == "fault")
+        assert len(self.volts()) > enough, self.status()
 
     def said(self) -> list[tuple[str, str]]:
         """Return what the daemon has put into the journal: priority and line."""

@@ -51,6 +51,8 @@ class _Fading(BaseHTTPRequestHandler):
 @pytest.fixture
 def address() -> Iterator[str]:
     """Give where a server is that falls silent, and then is slow."""
+    _Fading.asked = 0
+    _Fading.ends.clear()
     with ThreadingHTTPServer(("127.0.0.1", 0), _Fading) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()

@@ -207,15 +207,10 @@ def test_a_reader_that_stalls_does_not_block_the_device(emulator: Emulator) -> N
     assert again.ask(Exchange, Sample, k=1, u=0).k == 1
 
 
-def test_a_reader_that_stalls_loses_nothing_at_first(tmp_path: Path) -> None:
+@pytest.mark.real_time
+def test_a_reader_that_stalls_loses_nothing_at_first(emulator: Emulator) -> None:
     """1500 samples, twice what the terminal holds, come late and in order; nobody spins."""
-    for attempt in "abc":  # where this machine stalls for 250 ms, the watchdog ends the run
-        folder = tmp_path / attempt
-        folder.mkdir()
-        with _running(folder) as emulator:
-            came, idle_ns = _read_late(emulator)
-        if len(came) == 1500:
-            break
+    came, idle_ns = _read_late(emulator)
 
     assert came == list(range(1500))
     assert idle_ns < 20_000_000
