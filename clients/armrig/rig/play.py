@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from typing import Any
 
 import zenoh
 from armrig_core import protobuf
+from armrig_core.group_socket import group_may_open
 from armrig_core.owned_session import owned_session
 from armrig_core.topics import STREAMS, alive_key, schema_key, stream_key
 
@@ -74,15 +74,13 @@ def staged(where: str, rig: str) -> Iterator[Stage]:
         The endpoint is none, is taken, or cannot be made.
     """
     config = owned_session(where, most_received=_MOST_RECEIVED)
-    before = os.umask(0o007)  # the group may listen, too, as to a daemon
     try:
-        session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+        with group_may_open():
+            session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as err:
         msg = f"{where} cannot be listened at: {rig} may be played there already, then end it; "
         msg += "or it is no zenoh endpoint, such as tcp/127.0.0.1:7447: give another with --listen"
         raise RigError(msg) from err
-    finally:
-        os.umask(before)
     with session:
         yield Stage(session, rig)
 

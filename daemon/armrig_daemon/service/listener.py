@@ -8,7 +8,6 @@ nothing to whoever comes by the Unix socket.
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,6 +16,7 @@ import msgspec
 import zenoh
 from armrig_core import access_control, protobuf
 from armrig_core.commands import REQUESTS, Refused, Renew, Stop, json_schema
+from armrig_core.group_socket import group_may_open
 from armrig_core.history import HistoryRequest
 from armrig_core.owned_session import (
     NOT_FOUND,
@@ -136,7 +136,8 @@ class Listener:
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
         self._buckets: dict[str, token_bucket.Bucket] = {}
-        self._session = _opened(session_config(endpoint, network))
+        with group_may_open():
+            self._session = zenoh.open(session_config(endpoint, network))
         self._publishers = {
             stream: self._session.declare_publisher(
                 stream_key(rig, stream),
@@ -227,15 +228,6 @@ class Listener:
         if left is not None:
             self._buckets[kind] = left
         return left is None
-
-
-def _opened(config: zenoh.Config) -> zenoh.Session:
-    """Return a session whose socket the group may open, too: to connect is to write to it."""
-    before = os.umask(0o007)
-    try:
-        return zenoh.open(config)
-    finally:
-        os.umask(before)
 
 
 def _refuse(query: zenoh.Query, error: str) -> None:

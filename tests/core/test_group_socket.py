@@ -1,0 +1,35 @@
+"""The mask of a process while threads of it make sockets."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+from armrig_core.group_socket import group_may_open
+
+
+def _mask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def test_the_mask_is_as_before_after_two_threads_at_once() -> None:
+    """The second thread does not take the first thread's mask for the mask of the process."""
+    before, entered, ended = _mask(), threading.Event(), threading.Event()
+
+    def other() -> None:
+        with group_may_open():
+            entered.set()
+            ended.wait(30)
+
+    thread = threading.Thread(target=other)
+    with group_may_open():
+        inside = _mask()
+        thread.start()
+        entered.wait(0.1)  # in vain, unless both may be inside
+    ended.set()
+    thread.join()
+
+    assert inside == 0o007
+    assert _mask() == before
