@@ -101,7 +101,7 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
 
     try:
         record_in_real_time(plan, config, console, done)
-    except RigError as err:
+    except (RigError, ValueError) as err:  # ValueError: no place for the daemon's socket
         return str(err)
     return ""
 

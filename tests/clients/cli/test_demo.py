@@ -16,6 +16,7 @@ from armrig.rig.client import RefusedError, Rig
 from armrig_core import commands
 from fake_daemon import FakeDaemon
 from rich.console import Console
+from sampling import sampled
 
 LATE = "the host woke up to 264 ms late in the last second: try again"
 
@@ -161,11 +162,12 @@ class TrippingDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
+@pytest.mark.parametrize("runtime", sampled(["/tmp/" + 100 * "x", "/dev/null/none"]))
 def test_what_cannot_be_done_in_real_time_is_done_in_virtual_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runtime: str
 ) -> None:
     """Here the daemon has no place for its socket; everything is there all the same."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "/dev/null/none")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
     out, folder = StringIO(), tmp_path / "demo"
 
     demo.demo(folder, seconds=5, console=Console(file=out, width=400))
