@@ -16,9 +16,9 @@ from armrig.recordings.calibration import (
     remarks,
 )
 from armrig.recordings.calibration.deflection import sign_by_hand
-from armrig.recordings.calibration.motor import terminal_voltage
+from armrig.recordings.calibration.motor import TerminalVoltage, speeds, terminal_voltage
 from armrig.recordings.calibration.rest import mean_reading, rounding_variance, spread
-from armrig.recordings.calibration.rotation import turning
+from armrig.recordings.calibration.rotation import Turning, turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
 from hypothesis import given, settings
@@ -246,6 +246,36 @@ def test_a_meter_gives_the_line_through_its_readings() -> None:
     assert terminal_voltage([], 0.01) is None
     with pytest.raises(CalibrationError, match="read it at another code, too"):
         terminal_voltage([(1.0, 1.0), (1.0, 1.1)], 0.01)
+
+
+def test_a_speed_and_a_standstill_are_as_sure_as_slopes_turn_and_meter() -> None:
+    """At two voltages no weight matters: J P J^T, J the central differences by all five numbers."""
+    x = np.array([2.0e4, 6.0e4, 67_000.0, 0.05, 0.95])  # slopes, counts of a turn, offset, gain
+    P = np.zeros((5, 5))
+    P[:3, :3] = [[900.0, 300.0, 100.0], [300.0, 1600.0, -50.0], [100.0, -50.0, 400.0]]
+    P[3:, 3:] = [[4e-4, -1e-4], [-1e-4, 5e-5]]
+
+    def found(x: np.ndarray) -> list[Figure]:
+        turned = Turning(
+            direction=1,
+            per_turn=Figure(value=x[2], std=20.0),
+            low=Figure(value=0.0, std=1.0),
+            high=Figure(value=65_000.0, std=1.0),
+            turns=9,
+            volts=np.array([1.5, 3.5]),
+            slopes=x[:2],
+            covariance=P[:3, :3],
+            residual_variance=1.0,
+        )
+        line = speeds(turned, TerminalVoltage(line=x[3:], covariance=P[3:, 3:]))
+        assert line is not None
+        return [line.rate, line.zero_torque]
+
+    h = np.diag(1e-5 * np.abs(x))
+    by = [[f.value for f in found(x + d)] for d in h], [[f.value for f in found(x - d)] for d in h]
+    J = (np.array(by[0]) - np.array(by[1])).T / (2 * np.diag(h))
+
+    assert [f.std for f in found(x)] == pytest.approx(np.sqrt(np.diag(J @ P @ J.T)), rel=1e-6)
 
 
 def test_a_line_through_readings_close_together_keeps_its_digits() -> None:
