@@ -96,7 +96,10 @@ def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:
 
 
 def test_power_near_nyquist_is_reported() -> None:
-    """White noise on the output has a fifth of its power above 0.8 Nyquist."""
+    """White noise on the output has a fifth of its power above 0.8 Nyquist of the data.
+
+    Both shares are read off the spectrum that is shown.
+    """
     u = telegraph(3000, 0.05, 0.0, 5.0, seed=2)
 
     quiet, loud = (
@@ -105,6 +108,12 @@ def test_power_near_nyquist_is_reported() -> None:
 
     assert quiet.near_nyquist < 0.01
     assert loud.near_nyquist > 0.1
+    for found in (quiet, loud):
+        shares = [
+            np.sum(found.power[found.omega > omega]) / np.sum(found.power)
+            for omega in (0.8 * np.pi / found.recorded_at, np.pi / found.Ts)
+        ]
+        assert [found.near_nyquist, found.beyond] == pytest.approx(shares)
     assert any("near Nyquist" in note for note in loud.notes)
     assert not any("near Nyquist" in note for note in quiet.notes)
     assert quiet.beyond < 0.05
