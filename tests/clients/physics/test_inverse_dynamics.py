@@ -57,11 +57,13 @@ def test_its_standard_deviation_is_that_of_repeated_experiments(make: Make) -> N
 def test_two_estimates_on_a_wrong_model_do_not_agree(make: Make) -> None:
     """They weigh what is missing differently, and so give it away."""
     data = make(p=ArmParameters(b_1=5e-3))
+    first, second = armrig.greybox(data), armrig.inverse_dynamics(data)
 
-    [verdict] = armrig.agreement(armrig.greybox(data), armrig.inverse_dynamics(data))
+    [verdict] = armrig.agreement(first, second)
 
     assert verdict.p_value < 0.05
-    assert "J_1" in repr(verdict)
+    assert verdict.difference == second.values["J_1"] - first.values["J_1"]
+    assert f"J_1: {verdict.difference:+.3g} apart, " in repr(verdict)
 
 
 def test_both_frictions(make: Make) -> None:
