@@ -227,6 +227,18 @@ def test_a_chirp_moves_from_its_first_frequency_to_its_last(sweep: Any) -> None:
     np.testing.assert_allclose(1 / np.diff(crossings), expected, rtol=0.03)
 
 
+@pytest.mark.parametrize(
+    ("to_hz", "sweep", "cycles"), [(3.0, "linear", 0.75), (4.0, "logarithmic", 1 / np.log(4))]
+)
+def test_a_chirp_reaches_its_last_frequency_behind_its_last_sample(
+    to_hz: float, sweep: Any, cycles: float
+) -> None:
+    """At N Ts = 1 s; from 1 Hz the integral of the frequency up to 0.5 s is known."""
+    u = chirp(10, 0.1, 1.0, to_hz, 0.5, 4.5, sweep=sweep)
+
+    assert u[5] == pytest.approx(2.5 + 2 * np.sin(2 * np.pi * cycles))
+
+
 def test_a_staircase_stays_equally_long_on_every_level() -> None:
     """Given ones in their order; a number of them from low to high."""
     np.testing.assert_array_equal(staircase(7, [1, 3, 2]), [1, 1, 1, 3, 3, 2, 2])
