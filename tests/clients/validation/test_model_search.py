@@ -131,13 +131,15 @@ def test_other_processes_find_the_same(elsewhere: ProcessPoolExecutor) -> None:
 
 
 def test_what_fails_is_told_and_does_not_stop_the_search() -> None:
-    """Too many orders for so few samples."""
+    """Too many orders for so few samples; they were tried, so a lower one is not the highest."""
     data = _data(1, [1.0], [1.0], 80)
 
     found = search(data, families=("arx",), orders=(1, 2, 30))
 
     assert [j.candidate.name for j in found.failed] == ["ARX[30 30 1]"]
     assert "without a usable model: 1, such as ARX[30 30 1]: na=30, nb=30" in found.explain()
+    assert found.chosen.candidate.order == max(j.candidate.order for j in found.ranked)
+    assert "the highest that was tried" not in found.explain()
 
 
 @pytest.mark.parametrize("family", ["arx", "iv4", "armax", "oe", "bj", "n4sid"])
