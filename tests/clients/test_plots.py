@@ -17,6 +17,7 @@ from armrig import Dataset, Fit, oe, plots
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.nonparametric.spectral_reference import spectral_reference
+from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
@@ -26,6 +27,7 @@ from armrig.validation.residuals import residuals
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -255,6 +257,20 @@ def test_spectral_analysis_stands_beside_a_model_as_dots(done: Study) -> None:
     modelled = 20 * np.log10(np.abs(fit.frequency_response(omega[near]).G))
     assert np.median(np.abs(level[near] - modelled)) < 0.8
     assert said(ax)[-1] == "Blackman-Tukey, 95 %"
+
+
+def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:
+    """From the dot to 1.96 standard deviations on both sides, which the estimate has in rad."""
+    estimate = spectral_reference(done.estimation)
+    ax = plots.plot_bode(estimate, ax=Figure().add_subplot())
+
+    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
+    (bars,) = [c for c in below.collections if isinstance(c, LineCollection)]
+    segments = np.array(bars.get_segments())
+    std = np.degrees(estimate.std_phase[np.searchsorted(estimate.omega, segments[:, 0, 0])])
+    assert segments.shape[0] > 5
+    lengths = np.minimum(2 * HALF_WIDTH * std, 360.0)
+    np.testing.assert_allclose(np.ptp(segments[:, :, 1], axis=1), lengths)
 
 
 def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
