@@ -233,6 +233,24 @@ def test_a_report_is_made_again_where_a_validation_has_come() -> None:
     assert still_right([row], [item._replace(validation="/f/b.mcap")], columns) == {}
 
 
+def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
+    """By the time in its name; a validation itself has none."""
+    of = {"validation_of": "0000000a"}
+    runs = (
+        ("blackbox", "13", "0000000a", {}),
+        ("blackbox-validation", "14", "0000000b", of),
+        ("blackbox-validation", "15", "0000000c", of),
+    )
+    for experiment, hour, run_id, details in runs:
+        about = made_recordings.manifest(experiment=experiment, run_id=run_id, details=details)
+        data = made_recordings.recorded([made_recordings.sample(k) for k in range(3)], manifest=about)
+        (tmp_path / f"1-{experiment}-20261120T{hour}0000-{run_id}.mcap").write_bytes(data)
+
+    validations = {Path(item.validation).name for item in items_in(tmp_path)}
+
+    assert validations == {"", "1-blackbox-validation-20261120T150000-0000000c.mcap"}
+
+
 def test_the_time_left_is_that_of_this_start(folder: Path, tmp_path: Path) -> None:
     """What an earlier start did took none of this one's time."""
     few = tmp_path / "few"
