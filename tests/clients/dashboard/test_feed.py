@@ -10,6 +10,7 @@ import pytest
 from armrig.dashboard import feed as feed_module
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.messages import live_facts
+from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
 from made_recordings import gap, sample
 
@@ -178,3 +179,48 @@ def test_a_clock_that_begins_anew_empties_the_past() -> None:
 
     assert feed.history().shape[0] == 3
     assert feed.news().newest == sample(2)
+
+
+def test_at_another_sampling_time_the_model_starts_again() -> None:
+    """Its lines are those of a model that saw only the samples since then."""
+    changed, fresh = Feed(), Feed()
+    rng = np.random.default_rng(1)
+    u, theta_1 = rng.choice([1.0, 4.0], 300), np.cumsum(rng.uniform(0.0, 0.1, 300))
+    first, second = (
+        [
+            sample(k, u_applied_v=u[k], theta_1_rad=theta_1[k], t_sched_ns=t_ns, t_host_ns=t_ns)
+            for k, t_ns in ((k, round(k * Ts * 1e9)) for k in part)
+        ]
+        for Ts, part in ((0.01, range(100)), (0.02, range(100, 300)))
+    )
+    for feed, Ts in ((changed, 0.01), (fresh, 0.02)):
+        feed.status = _status(Ts)
+        feed.set_model(wanted=True)
+    changed.add_samples(first)
+    changed.status = _status(0.02)
+
+    for feed in (changed, fresh):
+        feed.add_samples(second)
+
+    lines = fresh.model_lines()
+    assert lines is not None
+    assert lines[0].startswith("rate of")
+    assert changed.model_lines() == lines
+
+
+def _status(Ts: float) -> StatusReport:
+    return StatusReport(
+        rig="1",
+        version="0.1.0",
+        phase="safe",
+        reason="",
+        owner="",
+        Ts=Ts,
+        u_min=0.0,
+        u_max=5.0,
+        endpoint="",
+        device={},
+        host={},
+        last_run=None,
+        recordings="",
+    )
