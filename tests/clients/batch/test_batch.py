@@ -243,7 +243,9 @@ def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
     )
     for experiment, hour, run_id, details in runs:
         about = made_recordings.manifest(experiment=experiment, run_id=run_id, details=details)
-        data = made_recordings.recorded([made_recordings.sample(k) for k in range(3)], manifest=about)
+        data = made_recordings.recorded(
+            [made_recordings.sample(k) for k in range(3)], manifest=about
+        )
         (tmp_path / f"1-{experiment}-20261120T{hour}0000-{run_id}.mcap").write_bytes(data)
 
     validations = {Path(item.validation).name for item in items_in(tmp_path)}
