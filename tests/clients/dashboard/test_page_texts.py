@@ -173,3 +173,32 @@ def test_a_run_is_told_as_it_goes_and_as_it_ended(page: Path) -> None:
         "ended": ["step is recorded: a.mcap", "v", 1, True, False],
         "stopped": ["step did not end well: stopped", "v", 1, True, True],
     }
+
+
+def test_another_recording_is_shown_in_its_whole_length(page: Path) -> None:
+    """A zoom is of the recording that it was made in."""
+    curves = {name: [[], [], []] for name in ("u", "theta_1", "alpha")}
+    found = {"seconds": 10, "summary": "", "usable": True, "about": [], "findings": [], "gaps": []}
+    told = _run(
+        page,
+        "const charts = [];"
+        "globalThis.uPlot = class {"
+        "  constructor(options) { this.options = options; charts.push(this); }"
+        "  destroy() {} setData() {} };"
+        f"const found = {json.dumps({**found, 'curves': curves})};"
+        "globalThis.fetch = async (path) =>"
+        "  ({ ok: true, json: async () => (path.endsWith('curves') ? found.curves : found) });"
+        "const { look } = await import('./recording.js');"
+        "const shown = () => [text('seen').slice(0, 12), charts.at(-1).wanted];"
+        "await look('a.mcap'); told.first = shown();"
+        "charts[0].options.hooks.setSelect[0]("
+        "  { select: { left: 20, width: 30 }, posToVal: (x) => x / 10, setSelect: () => {} });"
+        "await new Promise((done) => setTimeout(done, 0)); told.zoomed = shown();"
+        "await look('b.mcap'); told.second = shown();",
+    )
+
+    assert told == {
+        "first": ["drag across ", [0, 10]],
+        "zoomed": ["2.00 to 5.00", [2, 5]],
+        "second": ["drag across ", [0, 10]],
+    }
