@@ -30,6 +30,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 
 def said(ax: Axes) -> list[str]:
@@ -174,11 +175,16 @@ def test_colours_differ_in_lightness(done: Study) -> None:
 
 
 def test_missing_samples_are_shaded(recording: Recording) -> None:
-    """One shade for each stretch without an angle, in both panels."""
+    """One shade for each stretch without an angle, half a sample beyond it, in both panels."""
     ax = plots.plot_data(recording, ax=Figure().add_subplot())
 
     edges = np.diff(np.concatenate([[0], (~recording.valid).astype(int), [0]]))
-    assert len(ax.patches) == np.count_nonzero(edges == 1) > 3
+    begin, end = ((np.flatnonzero(edges == way) - 0.5) * recording.Ts for way in (1, -1))
+    assert begin.size > 3
+    for panel in ax.figure.axes:
+        shades = [patch for patch in panel.patches if isinstance(patch, Rectangle)]
+        assert [patch.get_x() for patch in shades] == pytest.approx(begin)
+        assert [patch.get_x() + patch.get_width() for patch in shades] == pytest.approx(end)
 
 
 def test_the_histogram_tells_its_percentiles(recording: Recording) -> None:
