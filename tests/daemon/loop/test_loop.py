@@ -8,7 +8,7 @@ import msgspec
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import Event, Ordered, Phase, Received, Want
-from armrig_daemon.pipe import Answer, Halt, SetVoltage
+from armrig_daemon.pipe import Answer, Halt, SetVoltage, Timing
 from virtual_bench import LEASE, MS, Bench
 
 
@@ -61,3 +61,16 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
     bench.run_for(1)
 
     assert 0 < stopping_ns[0] - ordered_ns < MS
+
+
+def test_a_change_of_the_period_is_no_error_of_the_device() -> None:
+    """The interval between its last sample before and its first after is in no statistics."""
+    bench = Bench()
+    bench.run_for(700)
+
+    bench.arm(ts_us=20_000)
+    bench.run_for(2000)
+
+    errors = [timing.device_tick_error_us for timing in bench.of(Timing)]
+    assert [error.n > 40 for error in errors] == [True] * 3
+    assert [error.max for error in errors] == [0.0] * 3
