@@ -14,7 +14,7 @@ from armrig_daemon.command_line import _has_failed
 from armrig_daemon.loop.estop import WITHIN_S, estop
 from armrig_daemon.loop.link import Link, NoPortError, TakenPortError
 from armrig_protocol.decoder import feed
-from armrig_protocol.frame import encode
+from armrig_protocol.frame import Spoilt, encode
 from armrig_protocol.messages import TYPES, Ack, Cause, Code, Estop, Event
 from armrig_protocol.messages import State as DeviceState
 
@@ -31,11 +31,11 @@ def line() -> Iterator[tuple[int, str]]:
 
 
 class Device:
-    """Reads what comes, and answers the n-th ESTOP."""
+    """Reads what comes behind `pending`, and answers the n-th frame."""
 
-    def __init__(self, master: int, answered: int) -> None:
+    def __init__(self, master: int, answered: int, pending: bytes = b"") -> None:
         self.heard: list[object] = []
-        self._master, self._answered = master, answered
+        self._master, self._answered, self._pending = master, answered, pending
         self._thread = threading.Thread(target=self._run)
         self._ended = threading.Event()
 
@@ -48,7 +48,7 @@ class Device:
         self._thread.join()
 
     def _run(self) -> None:
-        pending = b""
+        pending = self._pending
         while not self._ended.is_set() or select.select([self._master], [], [], 0)[0]:
             if not select.select([self._master], [], [], 0.01)[0]:
                 continue
@@ -67,6 +67,16 @@ def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered
         assert estop(line[1], BAUD)
 
     assert device.heard == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
+
+
+def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -> None:
+    """The device takes it for a spoilt frame by itself."""
+    with Device(line[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
+        assert estop(line[1], BAUD)
+
+    spoilt, *sound = device.heard
+    assert isinstance(spoilt, Spoilt)
+    assert sound == [Estop(0, 0), Estop(0, 1), Estop(0, 2)]
 
 
 def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, str]) -> None:
