@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import Result
-from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, RULES, run
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, RULES, leave, run
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_protocol.messages import State
+from armrig_protocol.messages import State, Stop
+from spoiling import other_handler
 from spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
 from virtual_line import VirtualLine
 
@@ -56,6 +57,25 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
 
     assert [r for r in broken if spoilt.found_by in r.sentence], broken
     assert all(r.came for r in broken)
+
+
+@pytest.mark.parametrize("deaf", [False, True])
+@pytest.mark.parametrize("state", [State.ARMED, State.RUN])
+def test_a_device_is_left_neither_armed_nor_in_run(
+    state: State, deaf: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By STOP; a device that does not take it gets ESTOP."""
+    settings = EmulatorSettings(boot_ms=5.0)
+    device = Device(settings, 0)
+    host = Host(VirtualLine(device), settings.baud)
+    host.hello(BOOT_MS)
+    host.reach(state)
+    if deaf:
+        other_handler(monkeypatch, Stop, lambda _: lambda *_: [])
+
+    leave(host)
+
+    assert device.state is (State.ESTOP if deaf else State.IDLE)
 
 
 def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
