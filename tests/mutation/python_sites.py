@@ -1,7 +1,8 @@
 """The bugs that can be planted in Python: mistakes that people make, found by the syntax tree.
 
 What only a person reads is left alone: texts, annotations, docstrings, messages, the look of a
-figure.
+figure. So is what changes no result: the factor of a rounding margin, `strict=`, and the order of
+what commutes.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ _UNIT = re.compile(
     r"(\d \* )?(np|math)\.pi|[A-Z]+_PER_[A-Z]+|1000000(\.0|000)?|0\.001|1e-0[69])"
 )
 _SYMMETRIC = {"min", "max", "minimum", "maximum", "hypot", "isclose", "gcd", "print", "isinstance"}
+_SYMMETRIC |= {"convolve"}
 _FLUSHES = {"flush", "sync", "fsync", "clear", "discard", "close", "release", "end", "stop"}
 _FLUSHES |= {"notify", "notify_all", "set", "cancel", "join", "terminate", "kill", "unlink"}
 _LOGS = re.compile(r"(log|logger|logging|warnings)\.(debug|info|warning|warn|error)|print|say")
@@ -73,8 +75,10 @@ _LOOKS |= {
     "loc",
     "borderaxespad",
 }
+_NO_RESULT = {"strict", "refresh_per_second"}
 _TITLES = re.compile(r"\w+\.(set_(title|[xy](label|ticks|ticklabels))|suptitle|legend|grid)")
 _FIGURES = re.compile(r"figures?\.py$|canvas/")
+_MARGIN = 1e-6  # shares below it absorb rounding
 _SMALL = 10
 """Above it a number is doubled: one more would change a limit too little to matter."""
 
@@ -153,8 +157,8 @@ class _Bodies:
             return
         yield from _of_expression(expression)
         for child in ast.iter_child_nodes(expression):
-            looks = isinstance(child, ast.keyword) and child.arg in _LOOKS
-            if not (looks and self._is_figure):
+            name = child.arg if isinstance(child, ast.keyword) else None
+            if name not in _NO_RESULT and not (name in _LOOKS and self._is_figure):
                 yield from self._in(child)
 
 
@@ -388,7 +392,7 @@ def _of_constant(node: ast.Constant) -> Iterator[_Edit]:
         yield _instead(node, str(value + 1), "off by one")
         if value:
             yield _instead(node, str(value - 1), "off by one")
-    elif isinstance(value, (int, float)):
+    elif isinstance(value, (int, float)) and not 0 < abs(value) < _MARGIN:
         yield _instead(node, str(2 * value + (value == 0)), "constant")
 
 

@@ -140,6 +140,13 @@ def test_what_only_a_person_reads_is_left_alone() -> None:
     assert python_sites.sites("clients/armrig/figures.py", figure) == []
 
 
+def test_what_changes_no_result_is_left_alone() -> None:
+    """No bug in a rounding margin, in `strict=`, or in the order of what commutes."""
+    text = "far = margin(1e-9)\npairs = zip(a, strict=True)\nc = np.convolve(a, b)\n"
+
+    assert python_sites.sites("a.py", text) == []
+
+
 def test_the_bugs_of_c_and_of_javascript() -> None:
     """Within a function, and in no comment or text."""
     c = "static int a[] = {1};\nint f(int x)\n{\n    return x < b ? g(x, b) : b; // 1 < 2\n}\n"
