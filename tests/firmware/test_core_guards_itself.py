@@ -18,6 +18,7 @@ from armrig_protocol.messages import (
     Status,
 )
 from emulated_host import MS, US, Host, S, only
+from test_readings import reading
 from tools import needs
 
 from firmware.core_device import CoreDevice
@@ -48,6 +49,20 @@ def test_a_code_that_no_check_let_through_is_not_driven(host: Host) -> None:
     assert (event.state, event.cause) == (State.FAULT, Cause.INTERNAL)
     assert host.device.board.volts == 0.0
     assert max(change.volts for change in host.changes) < 5.0 * 1000 / 65535
+
+
+@pytest.mark.parametrize(
+    ("codes", "expected"),
+    [([65_000, 64_900, 0, 700], 700), ([64_900, 0, 0, 0], 0), ([65_471, 64, 64, 64], 16_416)],
+)
+def test_no_mean_is_made_across_the_dead_band(host: Host, codes: list[int], expected: int) -> None:
+    """Where any of the conversions is at a rail the reading is the last."""
+    host.reach(State.READY, ts_us=5000, oversampling=4)
+    reading(host, codes, [2000] * 4)
+
+    host.put(Exchange, k=1, u=0)
+
+    assert only(Sample, host.wait(3 * MS)).y0 == expected
 
 
 def test_only_one_function_drives_the_motor() -> None:
