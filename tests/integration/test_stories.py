@@ -1,0 +1,117 @@
+"""What people read who work at a rig: commands and the daemon's log, word for word.
+
+A file in `stories/` is a script and its stored output. A line that begins with `$` is a command; a
+line that begins with `%` is done to the rig. The other lines are what was read. Words are compared
+exactly; numbers, names of recordings and folders are not. WRITE_STORIES=1 writes the files
+again: read the difference before you commit it.
+"""
+
+from __future__ import annotations
+
+import getpass
+import os
+import re
+import shlex
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from driving import driven, recorded
+from processes import Bench, wait_for
+
+STORIES = Path(__file__).with_name("stories")
+_OF_A_RUN = re.compile(r"\d{8}T\d{6}|\b[0-9a-f]{8,}\b|\d{4}-\d\d-\d\dT[\d:.+]+")
+_NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
+_BAR = re.compile(r"^\S+ +━.*", re.MULTILINE)
+_OF_THIS_HOST = re.compile(
+    r'^(armrigd: warning: not granted|host  ).*\n|"host":{[^}]*},', re.MULTILINE
+)
+
+
+class Stage:
+    """A rig with its daemon, and what is done to it."""
+
+    def __init__(self, bench: Bench, stack: ExitStack) -> None:
+        self._bench = bench
+        self._emulator = bench.emulate()
+        self._daemon = bench.serve()
+        self._logged = 0
+        self._stack = stack
+
+    def command(self, line: str) -> str:
+        """Return what a command prints, and its exit code unless that is 0."""
+        program, *arguments = shlex.split(line.replace("LAST", self._last()))
+        assert program == "armrig", line
+        done = self._bench.armrig(*arguments)
+        ended = f"exit {done.returncode}\n" if done.returncode else ""
+        return done.stdout + done.stderr + ended
+
+    def act(self, what: str) -> str:
+        """Do something to the rig; return what the daemon has logged since the last `log`."""
+        match what:
+            case "log":
+                text = self._daemon.said
+                since, self._logged = text[self._logged :], len(text)
+                return since
+            case "drive":
+                self._stack.enter_context(driven(self._bench, 6000))
+            case "unplug":
+                self._emulator.end()
+                wait_for(lambda: not self._answers())
+            case "plug in":
+                self._emulator = self._bench.emulate()
+                wait_for(self._answers)
+            case "finish":
+                recorded(self._bench)
+            case "end":
+                assert self._daemon.end() == 0
+            case _:
+                raise AssertionError(what)
+        return ""
+
+    def _answers(self) -> bool:
+        with self._bench.rig() as rig:
+            return not rig.status().line
+
+    def _last(self) -> str:
+        found = self._bench.recordings.glob("*.mcap")
+        return str(max(found, key=lambda path: path.stat().st_mtime_ns, default=""))
+
+
+def plain(text: str, folder: Path) -> str:
+    """Return a text without folder, user and host."""
+    text = text.replace(str(folder), "FOLDER").replace(f"by {getpass.getuser()}", "by USER")
+    return _BAR.sub("(bar)", _OF_THIS_HOST.sub("", text))
+
+
+def words(text: str, folder: Path) -> list[str]:
+    """Return the lines of a text, `#` in place of what differs from run to run."""
+    text = _NUMBER.sub("#", _OF_A_RUN.sub("#", plain(text, folder)))
+    return [line.rstrip() for line in text.splitlines()]
+
+
+def told(script: str, stage: Stage) -> str:
+    """Return a story: the lines of a script, and what is read after each of them."""
+    parts = []
+    for line in script.splitlines(keepends=True):
+        if line.startswith("$ "):
+            parts.append(line + stage.command(line[2:].strip()))
+        elif line.startswith("% "):
+            parts.append(line + stage.act(line[2:].strip()))
+        elif line.startswith("# "):
+            parts.append(line)
+    return "".join(parts)
+
+
+@pytest.mark.parametrize("story", sorted(STORIES.glob("*.txt")), ids=lambda path: path.stem)
+def test_a_story_is_told_word_for_word(bench: Bench, story: Path) -> None:
+    """Commands print, and the daemon logs, what the file says."""
+    stored = story.read_text()
+
+    with ExitStack() as stack:
+        now = told(stored, Stage(bench, stack))
+
+    if os.environ.get("WRITE_STORIES") == "1":
+        story.write_text(plain(now, bench.folder))
+    else:
+        assert words(now, bench.folder) == words(stored, bench.folder)
