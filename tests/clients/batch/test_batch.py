@@ -112,6 +112,16 @@ def test_a_row_counts_the_samples_that_came(tmp_path: Path) -> None:
     assert row["N"] == fit.N
 
 
+def test_a_recording_too_short_for_its_orders_has_no_model(tmp_path: Path) -> None:
+    """As `armrig identify` refuses it: the row says how many parameters so many samples give."""
+    (tmp_path / "short.mcap").write_bytes(made_recordings.of_the_arm(telegraph(1, 30)))
+
+    [row] = done(tmp_path, ARX, tmp_path / "models.parquet")
+
+    assert row["problem"].startswith("na=4, nb=4: 8 parameters from ")
+    assert row["model"] is None
+
+
 def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path) -> None:
     """By its name; of a validation those of the comparison and of the residual tests."""
     recording, other = (armrig.load(folder / f"a-0{n}.mcap") for n in (7, 8))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -225,6 +225,23 @@ def test_a_prediction_errs_as_the_noise_model_says(k: int) -> None:
 
     h = filtered(C, D, np.eye(k)[0])
     assert np.mean(error**2) == pytest.approx(0.25 * np.sum(h**2), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "options", [{"offset": True}, {"integrator": True, "initial": "zero"}], ids=["offset", "angle"]
+)
+def test_a_prediction_without_c_finds_the_level_of_u(options: dict[str, Any]) -> None:
+    """One sample ahead the model errs by the noise alone, though the voltmeter is 2 V off."""
+    rng = np.random.default_rng(12)
+    u = rng.choice([-1.0, 1.0], 400)
+    y = filtered([0, 0.3], [1, -0.6], u) + filtered([1], [1, -0.6], 0.05 * rng.standard_normal(400))
+    y = np.cumsum(y) if "integrator" in options else y
+    fit = armax(Dataset(u=u, y=y, Ts=0.1), na=2, nb=2, nc=0, **options)
+
+    error = y - fit.predict(Dataset(u=u + 2.0, y=y, Ts=0.1), horizon=1)
+
+    assert abs(np.nanmean(error)) < 0.01
+    assert np.nanstd(error) == pytest.approx(0.05, rel=0.1)
 
 
 @pytest.mark.parametrize(("estimate", "made", "orders", "truth"), CASES[:2])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.nonparametric.step_analysis import step_analysis
+from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
 TS, TAU, GAIN = 0.01, 0.2, 3.0
@@ -123,6 +124,18 @@ def test_an_overshoot_in_noise_is_no_settled_answer(sampled: Any) -> None:
     found = [step_analysis(arm.dataset(u, std=4e-3, seed=seed)).settling for seed in range(20)]
 
     np.testing.assert_allclose(found, 0.372, rtol=0.06)
+
+
+def test_an_answer_that_rings_fast_has_not_settled() -> None:
+    """A pair of poles at 0.97 exp(±1.5j), without noise: the last sample outside 5 % counts."""
+    F = np.poly(0.97 * np.exp([1.5j, -1.5j])).real
+    u = np.where(np.arange(500) < 100, 0.0, 3.0)
+    y = filtered([0.0, F.sum()], F, u)
+
+    found = step_analysis(Dataset(u=u, y=y, Ts=TS), integrator=False)
+
+    outside = np.flatnonzero(np.abs(y - 3.0) > 0.05 * 3.0)[-1] - 100
+    assert found.settling == pytest.approx(outside * TS, rel=0.1)
 
 
 def test_what_is_no_overshoot_is_not_called_one() -> None:

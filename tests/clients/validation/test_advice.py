@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -216,6 +217,14 @@ def test_a_good_model_of_good_data_is_not_doubted() -> None:
     data = of_second_order(switched())
 
     assert not [*examine_fit_of(data, armrig.oe(data, nb=2, nf=2))]
+
+
+def test_a_doubtful_model_of_data_without_an_integrator_lacks_none() -> None:
+    """Only data that integrate make a search that did not converge a question of the pole at 1."""
+    data = of_second_order(switched())
+    doubtful = replace(armrig.oe(data, nb=2, nf=2), converged=False)
+
+    assert not [*examine_fit_of(data, doubtful)]
 
 
 @pytest.mark.parametrize(
