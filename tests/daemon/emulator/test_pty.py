@@ -8,12 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 import pytest
 import serial
+from armrig_daemon.emulator.line import Terminal
 from armrig_daemon.emulator.real_time import PortError, emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import decoder, frame
@@ -193,6 +194,20 @@ def test_opening_the_port_resets_the_device(emulator: Emulator) -> None:
         port.serial.close()
 
     assert len(boot_ids) == 5
+
+
+def test_a_port_that_is_open_already_is_not_opened_again() -> None:
+    """Who looks at the line of a running rig does not reset its device."""
+    with ExitStack() as stack:
+        line = Terminal(stack)
+        owner = os.open(line.slave, os.O_RDWR | os.O_NOCTTY)
+        assert line.was_opened()
+
+        other = os.open(line.slave, os.O_RDWR | os.O_NOCTTY)
+
+        assert not line.was_opened()
+        os.close(other)
+        os.close(owner)
 
 
 def test_a_reader_that_stalls_does_not_block_the_device(emulator: Emulator) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from armrig.rig import pki
-from armrig_core.access_control import at_router, of_router, remote
+from armrig_core.access_control import at_router, of_router, remote, size_limits
 from armrig_core.access_list import AccessList
 from armrig_daemon.config import Access, Config, ConfigError, load
 from armrig_daemon.service.access import AccessError, network_of, router_of
@@ -234,6 +234,8 @@ def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_p
 
     assert found is not None
     assert (found.endpoint, found.is_router) == (router, True)
+    assert found.low_pass_filter == size_limits("1")
+    assert "connect_certificate_base64" in found.transport["link"]["tls"]
     assert _network(router=router, certificate=files["certificate"]) is None
     assert _network(router=router, listen=TLS, **_chosen(files, "certificate", "names")) is not None
     for certificate, says in (
