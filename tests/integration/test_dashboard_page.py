@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import armrig
+import made_recordings
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from driving import STOPPED_S, bring_to_rest
@@ -282,6 +284,28 @@ def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) ->
         assert "cursor at -" in text(page, "#cursor")
         page.keyboard.press("Escape")
         page.wait_for_selector("#follow", state="hidden")
+
+
+def test_a_drag_across_a_recording_shows_that_part(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """And a double-click the whole of it again."""
+    recording = made_recordings.of_the_arm(armrig.telegraph(500, 0.05, seed=1))
+    (served.recordings / "drag.mcap").write_bytes(recording)
+    with opened(browser, client.url) as page:
+        page.click("#tab-recordings")
+        page.click("[data-file='drag.mcap']")
+        until(page, lambda: "drag across a plot" in text(page, "#seen"))
+        plot = page.locator("#curves .u-over").first
+        width = plot.bounding_box()["width"]
+        ends = [{"x": share * width, "y": 20} for share in (0.4, 0.6)]
+        plot.drag_to(plot, source_position=ends[0], target_position=ends[1])
+        until(page, lambda: "are seen" in text(page, "#seen"))
+        found = re.match(r"([\d.]+) to ([\d.]+) s are seen", text(page, "#seen"))
+        assert found
+        assert [*map(float, found.groups())] == pytest.approx([2.0, 3.0], abs=0.1)
+        plot.dblclick()
+        until(page, lambda: "drag across a plot" in text(page, "#seen"))
 
 
 @pytest.mark.exhaustive

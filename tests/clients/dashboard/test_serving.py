@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import closing
+from pathlib import Path
 
-from armrig.dashboard.serving import HOST, _listening
+from armrig.dashboard.serving import HOST, Settings, _listening, dashboard
 
 
 def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
@@ -17,3 +19,13 @@ def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
     ):
         assert first.getsockname()[1] == port
         assert second.getsockname()[1] != port
+
+
+def test_a_dashboard_that_has_ended_listens_to_no_rig(tmp_path: Path) -> None:
+    """Its threads end with it; a session that lives on would be asked for ever."""
+    before = {*threading.enumerate()}
+
+    with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):
+        pass
+
+    assert not [t.name for t in {*threading.enumerate()} - before if t.name == "listener"]
