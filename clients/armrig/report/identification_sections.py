@@ -86,7 +86,7 @@ def _hints(study: HandoutStudy) -> Section:
     integrator = "one of them an integrator, " if found.integrator else ""
     shown = ", ".join(f"{v:.2g}" for v in found.singular_values[:5])
     peaks, dips = (
-        ", ".join(number(w) for w in marks) or "none"
+        f"{', '.join(number(w) for w in marks)} rad/s" if marks else "none"
         for marks in (found.resonances, found.antiresonances)
     )
     return Section(
@@ -96,8 +96,8 @@ def _hints(study: HandoutStudy) -> Section:
             f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}; output "
             "error, because the noise is the potentiometer's.",
             f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} ± "
-            f"{found.low_slope_std:.1f} dB a decade, by 20 with an integrator. Resonance at "
-            f"{peaks}, antiresonance at {dips} rad/s: two poles and two zeros. Of the Hankel "
+            f"{found.low_slope_std:.1f} dB a decade, by 20 with an integrator. Resonances, two "
+            f"poles each: {peaks}; antiresonances, two zeros each: {dips}. Of the Hankel "
             f"singular values {shown} … uncertainty makes {found.threshold:.2g}: "
             f"{found.order - found.integrator} stand out.",
         ),

@@ -133,6 +133,17 @@ def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
     assert "(F = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
 
 
+def test_what_does_not_stand_out_of_a_spectrum_is_none(done: HandoutStudy) -> None:
+    """And stands for no poles and no zeros."""
+    assert done.hints is not None
+    hints = replace(done.hints, resonances=(31.0, 62.0), antiresonances=())
+
+    found = sections(replace(done, hints=hints))["3.2"].answer[1]
+
+    assert "two poles each: 31, 62 rad/s;" in found
+    assert "two zeros each: none." in found
+
+
 def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStudy) -> None:
     """Coefficients with the classic deviation, the error, and both p values."""
     assert done.black is not None
