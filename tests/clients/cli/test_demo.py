@@ -13,6 +13,7 @@ from armrig.cli.demo_plan import Experiment
 from armrig.cli.demo_rig import Patience, TooBusyError
 from armrig.rig import client as rig_module
 from armrig.rig.client import RefusedError, Rig
+from armrig.rig.session import RigError
 from armrig_core import commands
 from fake_daemon import FakeDaemon
 from rich.console import Console
@@ -138,6 +139,22 @@ def test_a_rig_that_trips_behind_a_refusal_is_reset(
 
     assert str(path) == daemon.recording
     assert daemon.fault == ""
+
+
+def test_a_rig_that_stays_in_its_fault_is_named_with_it(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reset that changes nothing is not repeated for ever."""
+    monkeypatch.setattr(demo_rig, "_SAFE_S", 0.0)
+    daemon = FakeDaemon(where, demo_plan.RIG)
+    daemon.fault = "the device stopped by itself: WATCHDOG"
+
+    with (
+        daemon,
+        Rig(demo_plan.RIG, connect=where) as rig,
+        pytest.raises(RigError, match=f"not ready after 0 s: {daemon.fault}"),
+    ):
+        demo_rig.wait_until_safe(rig)
 
 
 class LateTrippingDaemon(StallingDaemon):

@@ -187,13 +187,19 @@ def test_a_model_judged_on_its_own_data_is_told_so(
     assert "judged on the very data that they were estimated from" in capsys.readouterr().err
 
 
-def test_compare_names_the_recording_that_it_validates_on(
-    three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("horizon", "how"), [([], "simulated"), (["--horizon", "3"], "predicted 3 samples ahead")]
+)
+def test_compare_says_how_and_on_which_recording_it_validates(
+    three_recordings: tuple[Path, ...],
+    capsys: pytest.CaptureFixture[str],
+    horizon: list[str],
+    how: str,
 ) -> None:
     """A step is not identified from: the other one is halved."""
-    assert main(["compare", str(three_recordings[1]), str(three_recordings[0])]) == 0
+    assert main(["compare", str(three_recordings[1]), str(three_recordings[0]), *horizon]) == 0
 
-    assert f"simulated on {three_recordings[1]}, its second half" in capsys.readouterr().out
+    assert f"\n{how} on {three_recordings[1]}, its second half" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -242,4 +242,8 @@ def test_a_pole_that_no_rig_has_is_told_once(poles: list[complex], about: list[s
     found = SimpleNamespace(values=np.array(poles, complex), std=np.full(len(poles), 1e-4))
     fit: Any = SimpleNamespace(poles=lambda: found)
 
-    assert [told.about for told in _about_poles(fit)] == about
+    findings = [*_about_poles(fit)]
+
+    assert [finding.about for finding in findings] == about
+    ways_out = {"unstable": "look at delay and orders", "poles": "lower the order"}
+    assert all(finding.text.endswith(ways_out[finding.about]) for finding in findings)
