@@ -11,7 +11,8 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
@@ -24,6 +25,9 @@ from armrig.rig.session import RigError
 from armrig_core.volts import applied_code, code_of, volts_of
 from made_recordings import recorded, sample, written
 from running import running
+
+if TYPE_CHECKING:
+    from armrig.recordings.recording import Recording
 
 SAID = """\
 # /dev/cpu_dma_latency set to 0us
@@ -43,7 +47,7 @@ SAID = """\
 
 SAMPLES = np.dtype(
     [
-        *(("k", "<u8"), ("t_sched_ns", "<i8"), ("t_host_ns", "<i8")),
+        *(("k", "<u8"), ("t_sched_ns", "<i8"), ("t_host_ns", "<i8"), ("t_device_us", "<u8")),
         *(("u_cmd_v", "<f8"), ("u_applied_v", "<f8")),
     ]
 )
@@ -207,6 +211,17 @@ def test_the_way_to_a_subscriber_is_judged_against_a_bare_put(way_us: float, met
     target = of(against_targets(made, 20), "sample to subscriber")
 
     assert (target.value, target.met) == (pytest.approx(way_us / 100), met)
+
+
+def test_the_way_to_a_subscriber_is_counted_in_microseconds_of_this_run() -> None:
+    """From the sample's time to the subscriber's; of another run's samples nothing is counted."""
+    made, run = rate(), SimpleNamespace(samples=samples([5, 6, 7]), Ts=0.001)
+    heard = np.array([[4, 0, 9_000_000], [5, 1_000, 121_000], [6, 2_000, 142_000]])
+
+    rounds._scheduled(made, cast("Recording", run), [heard])
+
+    assert made.pooled(targets.SUBSCRIBER).tolist() == [120.0, 140.0]
+    assert made.counts["subscribers missed"] == 1
 
 
 def test_what_the_same_load_and_a_pipe_cost_anybody_is_told_beside_the_ratios() -> None:
