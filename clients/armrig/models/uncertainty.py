@@ -51,10 +51,9 @@ def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
 
 
 def frequency_bands(
-    model: Model, answer: FrequencyResponse, draws: Draws | None = None
+    model: Model, answer: FrequencyResponse, draws: Draws | None
 ) -> tuple[Band, Band]:
     """Return the 95 % bands of |G| and of arg G, the latter in rad about that of the answer."""
-    draws = drawn(model) if draws is None else draws
     G = answer.G
     magnitudes = phases = None
     if draws is not None:
@@ -67,9 +66,8 @@ def frequency_bands(
     )
 
 
-def step_band(model: Model, answer: StepResponse, draws: Draws | None = None) -> Band:
+def step_band(model: Model, answer: StepResponse, draws: Draws | None) -> Band:
     """Return the 95 % band of a step response."""
-    draws = drawn(model) if draws is None else draws
     if draws is None:
         return band(answer.y, answer.std, None)
     samples = step_responses(model, draws.theta, answer.y.size + answer.rate)

@@ -56,7 +56,7 @@ class Row(Protocol):
     def on_estimation_data(self) -> bool: ...  # noqa: D102
 
 
-def table(rows: Sequence[Row], *, brief: bool = False) -> list[str]:
+def table(rows: Sequence[Row], *, brief: bool) -> list[str]:
     """Return the figures of all models side by side, those of a claim without deviations.
 
     Where the linearisation is poor a 95 % range of draws stands in place of the deviation; in a
