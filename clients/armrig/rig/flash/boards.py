@@ -47,7 +47,7 @@ def plugged_in() -> list[Board]:
     return [
         _board(port.device, port.vid, port.pid, port.description)
         for port in sorted(comports())
-        if port.vid is not None and port.pid is not None
+        if port.vid is not None
     ]
 
 
