@@ -93,6 +93,13 @@ def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
     assert ports.wait(realtime.now_ns() + MS) == []
 
 
+def test_a_late_wakeup_is_told_as_late(ports: ProcessPorts) -> None:
+    """The time that it is, and not that which was asked for."""
+    past = realtime.now_ns() - MS
+
+    assert past + MS <= ports.sleep_until(past) <= realtime.now_ns()
+
+
 def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.telemetry import Sample
 from armrig_daemon.config import Arm, Config
-from armrig_daemon.pipe import Host, State
+from armrig_daemon.pipe import Distribution, Host, State, Timing
 from armrig_daemon.service.rig_view import RigView
 from armrig_protocol.messages import Flag
 
@@ -61,3 +62,18 @@ def test_alpha_at_the_end_of_its_range_keeps_from_arming_where_there_is_one(
         rig.note_sample(Sample(k, k * S, k * S, k * S // 1000, 0.0, 0.0, 0.0, 0.0, 0, 0, flags))
 
     assert rig.objection().startswith("alpha reads 0 of 65535") == is_kept
+
+
+def test_a_second_s_timing_is_published_with_what_the_machine_was_doing(
+    rig: RigView, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The loop does not know of it."""
+    none = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=0, missed=0)
+    loop = dict.fromkeys(
+        ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth"), none
+    )
+    monkeypatch.setattr(rig, "_pressure", SimpleNamespace(read=lambda: (12.5, 3)))
+
+    published = rig.note_timing(Timing(t_host_ns=1, **loop))
+
+    assert (published.cpu_pressure_percent, published.run_queue) == (12.5, 3)
