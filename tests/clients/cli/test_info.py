@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
+from armrig.cli.recording_info import _replay_verdict
+from armrig.cli.replay import Replay
 from made_recordings import manifest, recorded, sample, written
 from told import told
 
@@ -141,3 +143,22 @@ def test_what_is_missing_is_told_with_what_it_is(capsys: pytest.CaptureFixture[s
     assert "--model JSON is missing: model that identify --save has written" in option
     assert "F is missing: recording (*.mcap, @last or @NAME)" in argument
     assert "--model FILE (from `armrig identify --save FILE`)" in either
+
+
+@pytest.mark.parametrize(
+    ("difference", "until", "verdict"),
+    [
+        ("", "", "decided the same, to the last bit"),
+        ("", "cut off", "decided the same, to the last bit, as far as both go: cut off"),
+        ("frame 7", "cut off", "DIFFERS: frame 7"),
+    ],
+)
+def test_a_replay_of_a_part_is_not_one_of_the_whole(
+    difference: str, until: str, verdict: str
+) -> None:
+    """Its verdict says where the recording ends."""
+    found = Replay(
+        steps=9, frames=9, samples=9, seconds=0.1, difference=difference, until=until, said=()
+    )
+
+    assert _replay_verdict(found) == verdict

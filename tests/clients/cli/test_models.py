@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.cli.model_output import coefficients
 from armrig.cli.model_output import tests_sentence as sentence
 from armrig.cli.spinner import estimating
 from armrig.numerics.whiteness import Whiteness
@@ -68,6 +71,7 @@ def test_compare_puts_the_models_and_the_physics_side_by_side(
 
     assert [m["model"] for m in facts["models"]] == ["ARX", "OE", "physics"]
     assert all(f"{m['rms_error']:.4g}" in text for m in facts["models"])
+    assert all(f"velocity fit {m['velocity_fit_percent']:7.2f} %" in text for m in facts["models"])
 
 
 def test_a_model_that_is_estimated_here_anyway_is_shown_once(
@@ -185,6 +189,17 @@ def test_a_model_judged_on_its_own_data_is_told_so(
     assert main(["compare", path, path]) == 0
 
     assert "judged on the very data that they were estimated from" in capsys.readouterr().err
+
+
+def test_an_estimate_has_two_digits_of_its_standard_deviation() -> None:
+    """Of the smaller one, where the robust one is another."""
+    u = np.random.default_rng(1).standard_normal(100)
+    fit = armrig.arx(armrig.Dataset(u=u, y=np.append(0.0, u[:-1]) + 0.1 * u, Ts=1.0), na=1, nb=1)
+    fit = replace(fit, covariance=np.eye(2) * 0.03**2, covariance_robust=np.eye(2) * 0.2**2)
+
+    rows = [line.split() for line in coefficients(fit)[1:]]
+
+    assert [row[2] for row in rows] == [f"{value:.3f}" for value in fit.theta]
 
 
 @pytest.mark.parametrize(

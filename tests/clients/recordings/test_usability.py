@@ -62,6 +62,8 @@ def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
     assert np.hypot(0.5, 12**-0.5) * step < found.noise_rad < 2 * step
     assert found.hidden_share == pytest.approx(8 / 360 + 0.01, abs=0.005)
     assert found.missing_share == 0
+    signal = next(finding for finding in found.findings if finding.about == "signal")
+    assert f"({found.noise_rad / step:.2g} steps of the converter)" in signal.text
 
 
 @pytest.mark.parametrize(
