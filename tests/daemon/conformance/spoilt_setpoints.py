@@ -14,12 +14,15 @@ from armrig_daemon.emulator import (
 from armrig_daemon.emulator.firmware import Firmware
 from armrig_daemon.emulator.queue import SetpointQueue
 from armrig_protocol.messages import (
+    TYPES,
+    Ack,
     Cause,
+    Code,
     Config,
     Message,
     Setpoints,
 )
-from spoiling import Patch, SpoiltDevice
+from spoiling import Patch, SpoiltDevice, changed_answers
 
 
 def _drifts(patch: Patch) -> None:
@@ -115,6 +118,14 @@ def _n_of_25(patch: Patch) -> None:
     patch.setattr(setpoints, "SETPOINTS_PER_FRAME", 300)
 
 
+def _bad_setpoints_are_of_the_wrong_state(patch: Patch) -> None:
+    def other_code(m: Message) -> Message:
+        is_refusal = isinstance(m, Ack) and m.of_type == TYPES[Setpoints]
+        return m._replace(code=Code.WRONG_STATE) if is_refusal else m
+
+    changed_answers(patch, other_code)
+
+
 def _setpoints_feed(patch: Patch) -> None:
     tick = Firmware.tick
 
@@ -157,6 +168,9 @@ SPOILT: dict[str, SpoiltDevice] = {
     "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "gone with it"),
     "too few frames in the queue": SpoiltDevice(_half_the_setpoint_frames, "`queue`/8"),
     "n of 25 is taken": SpoiltDevice(_n_of_25, "n of 0 or above 24"),
+    "n of 25 has another code": SpoiltDevice(
+        _bad_setpoints_are_of_the_wrong_state, "n of 0 or above 24"
+    ),
     "queued setpoints feed": SpoiltDevice(_setpoints_feed, "do not feed"),
     "padding is looked at": SpoiltDevice(_padding_counts, "padding"),
     "a late repeat is a step": SpoiltDevice(_late_repeat_steps, "A repeat that ends"),
