@@ -65,6 +65,14 @@ def test_however_wrong_samples_are_the_others_are_kept(size: float) -> None:
     assert marked(clean(3), hampel(spoilt(clean(3), where, size))) == where
 
 
+def test_the_unit_of_y_decides_nothing() -> None:
+    """A current in ampere is as small as 1e-10."""
+    data = spoilt(clean(3), [400, 900], 1.0)
+    small = data.replaced(y=1e-10 * data.y, step=None)
+
+    assert marked(small, hampel(small)) == marked(data, hampel(data)) == [400, 900]
+
+
 def test_a_rare_pulse_that_the_input_made_is_no_outlier() -> None:
     """However far it is from its neighbours, and from the noise."""
     u = np.zeros(2000)
