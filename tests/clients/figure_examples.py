@@ -1,0 +1,258 @@
+"""The examples of drawn_figures.txt: every figure that armrig draws, of short data."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import armrig
+import control
+import numpy as np
+import pytest
+from armrig import Dataset, plots
+from armrig.cli.figures import write_plot
+from armrig.cli.recording_info import _plot_timing
+from armrig.excitation import telegraph
+from armrig.nonparametric.step_analysis import StepAnalysis
+from armrig.numerics.polynomial import filtered
+from armrig.physics.integrators.accuracy import convergence, sinusoid
+from armrig.physics.physical_model import PhysicalModel, physical_model
+from armrig.physics.systems import beside_the_handout
+from armrig.recordings.calibration import estimate
+from armrig.recordings.overview import overview
+from armrig.recordings.recording import Recording
+from armrig.report.figures import _residuals_figure, write_figures
+from armrig.report.handout_figures import write_handout_figures
+from armrig.report.handout_study import handout_study
+from armrig.report.study import Study, study
+from armrig.rig.bench import machine
+from armrig.rig.bench.results import Result, write_figure
+from armrig.rig.bench.rounds import Plan
+from armrig.rig.bench.targets import DEFINITIONS, Rate
+from armrig.validation.search_result import SearchResult
+from armrig_core.arm import ArmParameters, arm_matrices
+from chassis_data import angle
+from handout_plant import HandoutPlant
+from made_turns import made_turns, still
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+P = ArmParameters()
+A, B, _ = arm_matrices(P)
+PROBLEM = sinusoid(A, B, omega=5.0, span=1.0)
+OMEGA = np.geomspace(0.1, 3.0, 20)
+TURNS = made_turns(noise=32.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Examples:
+    """What the figures are of."""
+
+    step: Recording
+    first: Recording
+    second: Recording
+    study: Study
+    plant: HandoutPlant
+
+    @property
+    def steps(self) -> StepAnalysis:
+        """What ten holds of a second say, smoothed, and late."""
+        u = np.tile(np.repeat([0.5, 4.5], 100), 5)
+        y = self.plant.angle(u) + 1e-3 * np.random.default_rng(1).standard_normal(u.size)
+        found = armrig.step_analysis(Dataset(u=u, y=y, Ts=0.01, output="theta_1", unit="rad"))
+        return replace(found, window=5, dead_time=0.03)
+
+    @property
+    def periods(self) -> Dataset:
+        """Four periods of noise, a little of it in the angle."""
+        u = np.tile(np.random.default_rng(1).uniform(0, 5, 100), 4)
+        y = self.plant.angle(u) + 1e-3 * np.random.default_rng(2).standard_normal(u.size)
+        return Dataset(u=u, y=y, Ts=0.01, output="theta_1", unit="rad")
+
+
+def second_order(
+    seed: int = 0, N: int = 300, std: float = 1.0, F: Any = (1, -1.2, 0.6), lost: slice = slice(0)
+) -> Dataset:
+    """Return data of a damped system; of a few samples y may be lost."""
+    rng = np.random.default_rng(seed)
+    u = rng.standard_normal(N)
+    y = filtered([0, 0.1, 0.05], F, u)
+    valid = np.ones(N, bool)
+    valid[lost] = False
+    return Dataset(u=u, y=y + std * np.std(y) * rng.standard_normal(N), Ts=1.0, valid=valid)
+
+
+def chassis() -> Dataset:
+    """Return data of the chassis alone."""
+    u = telegraph(600, 0.05, 0.5, 4.5, seed=1)
+    y = angle(u, P) + 2e-3 * np.random.default_rng(5).standard_normal(u.size)
+    return Dataset(u=u, y=y, Ts=2e-3, output="theta_1", unit="rad")
+
+
+def hardly_a_pair() -> armrig.Fit:
+    """Return a fit whose poles are as near to each other as they are uncertain."""
+    F = np.real(np.poly([0.985 + 0.008j, 0.985 - 0.008j]))
+    return armrig.oe(second_order(N=500, F=F), nb=2, nf=2)
+
+
+def exact(B: Any, F: Any) -> PhysicalModel:
+    """Return a model of these polynomials, of which nothing was estimated."""
+    of_the_rig = physical_model(P, Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=1.0))
+    return replace(of_the_rig, B=np.array(B), F=np.array(F), integrator=False)
+
+
+def searched() -> SearchResult:
+    """Return what a small search finds."""
+    return armrig.search(
+        second_order(), second_order(1), families=("arx", "oe"), orders=(1, 2), nk=1
+    )
+
+
+def saved(write: Callable[[Path], object]) -> Iterator[Figure]:
+    """Yield the figures that would be written."""
+    drawn: list[Figure] = []
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as folder:
+        patch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+        write(Path(folder))
+    yield from drawn
+
+
+def handout(e: Examples, folder: Path) -> None:
+    """Draw the handout's figures."""
+    whole = handout_study([e.step, e.first, e.second])
+    data = chassis()
+    grey, split = armrig.greybox(data), armrig.split_study(data, (1, 2, 4))
+    write_handout_figures(replace(whole, chassis=data, grey=grey, split=split), folder)
+
+
+def bench(folder: Path) -> None:
+    """Draw the benchmark's figure of two rates."""
+    times = {name: [np.arange(1.0, k + 3)] for k, name in enumerate(DEFINITIONS)}
+    none: dict[str, list[NDArray[np.float64]]] = {
+        name: [np.zeros(0)] for name in list(DEFINITIONS)[:2]
+    }
+    rates = [Rate(rate_hz=100, times_us=times), Rate(rate_hz=1000, times_us=times | none)]
+    plan = Plan(rates_hz=(100, 1000), seconds=1.0)
+    write_figure(Result(machine=machine.machine(), plan=plan, rates=rates), folder / "b.png")
+
+
+def punctual(recording: Recording) -> Recording:
+    """Return a recording whose samples all came when they were due."""
+    samples = recording.samples.copy()
+    samples["t_device_us"] = 10_000 * np.arange(samples.size)
+    return replace(recording, samples=samples)
+
+
+def ax() -> Axes:
+    """Return axes of a figure of their own."""
+    return Figure().add_subplot()
+
+
+FIGURES: dict[str, Callable[[Examples], Any]] = {
+    "report": lambda e: saved(lambda to: write_figures(e.study, to)),
+    "report, three models": lambda e: _residuals_figure(
+        replace(e.study, estimated=(*e.study.estimated, e.study.estimated[0]))
+    ),
+    "handout": lambda e: saved(lambda to: handout(e, to)),
+    "armrig bench": lambda e: saved(bench),
+    "armrig info": lambda e: saved(lambda to: _plot_timing(e.first, to / "a.svg")),
+    "write_plot": lambda e: saved(
+        lambda to: write_plot(to / "a.svg", *2 * [lambda ax: ax.plot(0, 0)], height=2.0)
+    ),
+    "plot_data, samples lost": lambda e: second_order(N=40, lost=slice(10, 13)).plot(ax=ax()),
+    "plot_data, placed": lambda e: second_order(N=40).plot(
+        ax=Figure().add_axes((0.1, 0.2, 0.5, 0.6))
+    ),
+    "plot_data, alpha": lambda e: e.second.dataset("alpha").plot(ax=ax()),
+    "plot_spectrum": lambda e: second_order().plot("spectrum", ax=ax()),
+    "plot_spectrum, periodic": lambda e: e.periods.plot("spectrum", ax=ax()),
+    "plot_values": lambda e: e.second.dataset().plot("values", ax=ax()),
+    "plot_timing, all the same": lambda e: plots.plot_timing(punctual(e.first), ax=ax()),
+    "plot_overview": lambda e: replace(
+        overview(e.second), outliers={"theta_1": e.second.t[[50, 400]]}
+    ).plot(ax=ax()),
+    "plot_calibration": lambda e: estimate(
+        still(), TURNS, meter=[(0.5, 0.47), (2.5, 2.44), (4.5, 4.42)]
+    ).plot(TURNS, ax=ax()),
+    "plot_calibration, no speeds": lambda e: replace(estimate(still(), TURNS), speeds=None).plot(
+        TURNS, ax=ax()
+    ),
+    "plot_impulse": lambda e: armrig.impulse_response(e.plant.dataset(1, 600), 20).plot(ax=ax()),
+    "plot_impulse, negative lags": lambda e: armrig.impulse_response(
+        second_order(), 20, None, 5, integrator=False
+    ).plot(level=0.95, ax=ax()),
+    "plot_correlation": lambda e: armrig.correlation(second_order(), 12).plot(ax=ax()),
+    "plot_spectral, spa": lambda e: armrig.spa(second_order(), "log").plot(ax=ax()),
+    "plot_spectral, etfe": lambda e: armrig.etfe(e.periods).plot(ax=ax()),
+    "plot_spectral, bla": lambda e: armrig.bla([e.periods, e.periods]).plot(ax=ax()),
+    "plot_step_analysis": lambda e: e.steps.plot(),
+    "plot_sampling_time, impulse": lambda e: armrig.sampling_time(e.plant.dataset(1)).plot(ax=ax()),
+    "plot_structure": lambda e: armrig.structure_hints(e.plant.dataset(1)).plot(ax=ax()),
+    "plot_orders": lambda e: armrig.select_orders(second_order(), nb=(1, 2, 3)).plot(ax=ax()),
+    "plot_orders, validated": lambda e: armrig.select_orders(
+        second_order(), validation=second_order(1)
+    ).plot("mdl", ax=ax()),
+    "plot_input": lambda e: armrig.describe_input(telegraph(3000, 0.1, seed=1), 0.01).plot(),
+    "plot_input, constant": lambda e: armrig.describe_input(np.ones(40), 0.01).plot(),
+    "plot_fit, draws": lambda e: hardly_a_pair().plot(),
+    "plot_fit, exact": lambda e: e.study.reference.model.plot(),
+    "plot_bode, others": lambda e: plots.plot_bode(
+        control.tf([1.0], [1.0, 1.0]), armrig.spa(second_order()), omega=OMEGA, ax=ax()
+    ),
+    "plot_step, mixed": lambda e: plots.plot_step(
+        exact([0, 1.0], [1, -1.0]), exact([0, 1.0], [1, -0.5]), n=30, ax=ax()
+    ),
+    "plot_poles_zeros, cancelling": lambda e: plots.plot_poles_zeros(
+        armrig.oe(second_order(N=1000, std=0.1, F=(1, -0.8)), nb=3, nf=2), ax=ax()
+    ),
+    "plot_poles_zeros, far": lambda e: plots.plot_poles_zeros(
+        exact([0, 1.0, 3.0], [1, -0.5]), exact([0, 1.0], [1, 3.0]), ax=ax()
+    ),
+    "plot_poles_zeros, all far": lambda e: plots.plot_poles_zeros(
+        exact([0, 1.0], [1, 3.0]), ax=ax()
+    ),
+    "plot_compare, samples lost": lambda e: armrig.compare(
+        second_order(N=40, lost=slice(10, 13)), exact([0, 0.1], [1, -0.5]), exact([0, 9.0], [1, 0])
+    ).plot(ax=ax()),
+    "plot_compare, one model": lambda e: armrig.compare(
+        second_order(N=40), exact([0, 0.1], [1, -0.5])
+    ).plot(ax=ax()),
+    "plot_residuals": lambda e: armrig.residuals(
+        armrig.oe(second_order(), nb=2, nf=2), second_order(1), 8
+    ).plot(ax=ax()),
+    "plot_search": lambda e: searched().plot(ax=ax()),
+    "plot_search, some far off": lambda e: replace(
+        searched(), rms=np.array([1.0, 5.0, 400.0, 2000.0]), chosen_index=1, horizon=3
+    ).plot(ax=ax()),
+    "plot_open_loop": lambda e: armrig.open_loop(second_order()).plot(ax=ax()),
+    "plot_open_loop, no verdict": lambda e: armrig.open_loop(
+        Dataset(u=np.full(1000, 2.5), y=second_order(N=1000).y, Ts=0.01)
+    ).plot(ax=ax()),
+    "plot_delay": lambda e: armrig.delay(second_order(N=1000)).plot(ax=ax()),
+    "plot_split": lambda e: armrig.split_study(chassis(), (1, 2)).plot(ax=ax()),
+    "plot_rig": lambda e: plots.plot_rig(ax=ax()),
+    "plot_physical_step": lambda e: plots.plot_physical_step(
+        beside_the_handout(replace(P, J_1=2 * P.J_1, K_lin=2 * P.K_lin)), u=2, seconds=0.5, ax=ax()
+    ),
+    "plot_sensitivities": lambda e: plots.plot_sensitivities(u=2, seconds=0.5, ax=ax()),
+    "plot_stability_regions": lambda e: plots.plot_stability_regions(A, h=0.01, ax=ax()),
+    "plot_stability_edge": lambda e: plots.plot_stability_edge(A, "ab2", ax=ax()),
+    "plot_convergence": lambda e: plots.plot_convergence(
+        [convergence(PROBLEM, "heun", [1e-2, 5e-3])], ax=ax()
+    ),
+    "plot_solution, two steps": lambda e: plots.plot_solution(
+        PROBLEM, {"heun": 0.01, "ab2": 0.004}, ax=ax()
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def examples(three_recordings: tuple[Path, Path, Path], plant: HandoutPlant) -> Examples:
+    """Give what the figures are of."""
+    step, first, second = map(armrig.load, three_recordings)
+    done = study([step, first, second])
+    return Examples(step=step, first=first, second=second, study=done, plant=plant)
