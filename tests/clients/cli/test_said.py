@@ -1,0 +1,164 @@
+"""What every command says, word for word: it is in `said/`, a file for each.
+
+A new case is a line `$ armrig …` in one of the files. With WRITE_SAID=1 this test writes the files
+again, with what the commands say now; `git diff` shows what has changed, which a person reads.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from difflib import unified_diff
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import armrig
+import pytest
+from armrig.cli import app as armrig_app
+from armrig_core.commands import Run
+from armrig_core.endpoint import endpoint
+from armrig_daemon.command_line import app as armrigd_app
+from armrig_daemon.config import Arm, Config
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
+from calibration_rig import recording_of
+from fake_daemon import FakeDaemon
+from made_recordings import manifest, of_the_arm, recorded, turning, written
+from made_turns import made_turns, still
+from mcap.writer import CompressionType
+from said import said_again
+from typer.main import get_command
+
+SAID = Path(__file__).parent / "said"
+OF_A_HOST = {"lab", "doctor"}
+AGAIN = "If this is what the command is to say: WRITE_SAID=1 pytest tests/clients/cli/test_said.py"
+FILES = sorted(SAID.rglob("*.txt"))
+DATA = Path(__file__).parents[2] / "data" / "0.1.0"
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the folder that each file's commands begin in: what an emulated rig recorded."""
+    folder = tmp_path_factory.mktemp("made")
+    own = folder / "recordings"
+    own.mkdir()
+    rig = VirtualService(Config(), own, seed=1)
+    chassis = Config(arm=Arm(removed=True), emulator=EmulatorSettings(arm_removed=True))
+    bare = VirtualService(chassis, own, seed=100)
+    first = _recorded(rig, armrig.step(200, at=50), "step-first")
+    monday = _recorded(rig, armrig.telegraph(1000, 0.05, seed=1), "blackbox-monday")
+    of = {"validation_of": monday.stem.rpartition("-")[2]}
+    _recorded(rig, armrig.telegraph(800, 0.05, seed=2), "blackbox-validation-monday", of)
+    _recorded(bare, armrig.telegraph(800, 0.05, seed=3), "greybox-chassis")
+    data = armrig.load(monday).dataset()
+    armrig.oe(data, nb=4, nf=4, integrator=True).save(folder / "oe.json")
+    armrig.arx(data, na=4, nb=4).save(folder / "arx.json")
+    shutil.copy(DATA / "n4sid.json", folder / "alpha.json")
+    shutil.copy(first, folder / "step.mcap")
+    whole = {"compression": CompressionType.NONE, "flush_every": 50, "outcome": None}
+    samples = turning([30_000 + 40 * (k % 50) for k in range(200)])
+    torn = recorded(samples, manifest=manifest(k_first=0, samples=400), **whole)[:-5_000]
+    written(folder, torn, "cut.mcap")
+    written(folder, torn, "left.mcap.active")
+    u = armrig.telegraph(600, 0.05, seed=4)
+    written(folder, of_the_arm(u, missing=slice(300, 305)), "gap.mcap")
+    written(folder, recording_of(still(), "calibrate-rest"), "rest.mcap")
+    written(folder, recording_of(made_turns(noise=32.0), "calibrate-turns"), "turns.mcap")
+    rows = zip(data.t, data.u, data.y, strict=True)
+    text = "\n".join(["t,u,y", *(f"{t:.2f},{u:.4f},{y:.6f}" for t, u, y in rows)])
+    (folder / "data.csv").write_text(text)
+    (folder / "words.txt").write_text("no recording\n")
+    return folder
+
+
+def _recorded(
+    rig: VirtualService, u: Any, experiment: str, details: dict[str, Any] | None = None
+) -> Path:
+    request = Run(lease=LEASE, n=0, u=u.tolist(), experiment=experiment, details=details or {})
+    return rig.record(request)
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Give a copy of it, in which we are; nothing of this machine's is looked at."""
+    here = tmp_path / "here"
+    shutil.copytree(made, here)
+    monkeypatch.chdir(here)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", _savefig())
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("TZ", "UTC")
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", "recordings")
+    for name in ("HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "XDG_DATA_HOME"):
+        monkeypatch.setenv(name, str(here / ".home"))
+    # A path of pytest's may be too long for a socket.
+    with tempfile.TemporaryDirectory(prefix="armrig-") as sockets:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", sockets)
+        (Path(sockets) / "armrig").mkdir(mode=0o700)
+        yield here
+
+
+def _savefig() -> Any:
+    """Return what writes the words of a PNG in its place: quick to make, and to be read."""
+    from matplotlib.figure import Figure
+
+    draw = Figure.savefig
+
+    def savefig(figure: Any, path: Any, **options: Any) -> None:
+        if not str(path).endswith(".png"):
+            draw(figure, path, **options)
+            return
+        lines = []
+        for ax in figure.axes:
+            legend = ax.get_legend()
+            named = [text.get_text() for text in legend.get_texts()] if legend else []
+            named += [text.get_text() for text in ax.texts]
+            size = f"{len(ax.lines)} lines, {len(ax.collections)} areas"
+            lines += [f"{ax.get_ylabel()!r} over {ax.get_xlabel()!r}: {ax.get_title()!r}, {size}"]
+            lines += [f"  {name}" for name in named]
+        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+    return savefig
+
+
+@pytest.fixture
+def rig(folder: Path) -> Iterator[None]:
+    """Give a daemon that only answers, at its usual place; its recording is an older one."""
+    sockets = PurePosixPath(os.environ["XDG_RUNTIME_DIR"]) / "armrig"
+    with FakeDaemon(endpoint("1", sockets)) as daemon:
+        daemon.recording = str(next((folder / "recordings").glob("*-blackbox-monday-*")))
+        yield
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_a_command_says_what_it_said(
+    file: Path, folder: Path, request: pytest.FixtureRequest
+) -> None:
+    """The words exactly, and the numbers but for their last digits."""
+    stored = file.read_text(encoding="utf-8")
+    if file.stem == "rig":
+        request.getfixturevalue("rig")
+
+    found = said_again(stored, folder)
+
+    if os.environ.get("WRITE_SAID"):
+        file.write_text(found, encoding="utf-8")
+        return
+    differs = unified_diff(
+        stored.splitlines(), found.splitlines(), f"{file.name}, stored", "now", n=2, lineterm=""
+    )
+    if lines := list(differs):
+        pytest.fail("\n".join([*lines, "", AGAIN]), pytrace=False)
+
+
+def test_every_command_is_in_a_file() -> None:
+    """But for those of which a host and its rig make the words."""
+    text = "".join(file.read_text(encoding="utf-8") for file in FILES)
+
+    for program, app in (("armrig", armrig_app), ("armrigd", armrigd_app)):
+        for name in get_command(app).commands.keys() - OF_A_HOST:
+            assert f"$ {program} {name}" in text

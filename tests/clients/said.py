@@ -1,0 +1,145 @@
+"""What commands print, as text that a person reads, and its comparison with a stored one.
+
+A line `$ armrig …` or `$ armrigd …` is a command, `>>> …` a line of Python. Below it are standard
+output (after two blanks), standard error (`! `), the exit code if it is not 0, and the files that
+were written (`+ `), with the first lines of a text. JSON is a line for each value.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import shlex
+import sys
+from code import InteractiveInterpreter
+from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from difflib import SequenceMatcher
+from pathlib import Path
+from traceback import format_exception_only
+from typing import Any
+
+from armrig.cli import main
+from armrig_daemon.command_line import app as armrigd
+
+WITHIN = 1e-3
+"""Share by which a number may differ from the stored one; a whole number may not."""
+_TINY = 1e-9  # two numbers that are smaller are rounding
+_NUMBER = re.compile(r" *(?<![\w.])[-+−]?\d+(?:\.\d+)*(?:e[-+]?\d+)? *")
+_SHOWN, _ITEMS, _LINES = ("  ", "! ", "+ ", "exit "), 8, 24
+_OTHERS = (  # of another machine, another day, another version of zstd
+    (re.compile(r"(?<![\w.])(?=\w*[a-f])[0-9a-f]{12,64}(?![\w.-])"), "HASH"),
+    (re.compile(r"━ 100% \d\d:\d\d"), "━ 100%"),
+    (re.compile(r"(bytes|_offset_ns): \d+"), r"\1: …"),
+    (re.compile(r"\b20[2-9]\d-\d\d-\d\d([T ]\d\d:\d\d[\d:.]*(Z|[-+]\d\d:\d\d)?)?"), "DATE"),
+)
+
+
+def said_again(stored: str, folder: Path) -> str:
+    """Return a text with what its commands print now, run one after the other in `folder`.
+
+    A line of which only the last digits are others is left as it is stored.
+    """
+    python, lines = _Python({}), list[str]()
+    for line in stored.splitlines():
+        if line.startswith(("$ ", ">>> ")):
+            lines += [line, *_printed(line, python, folder)]
+        elif not line.startswith(_SHOWN):  # a remark
+            lines.append(line)
+    return "\n".join(_rounded_as(stored.splitlines(), lines)) + "\n"
+
+
+class _Python(InteractiveInterpreter):
+    def showtraceback(self) -> None:
+        print(*format_exception_only(sys.exc_info()[1]), end="", file=sys.stderr)
+
+
+def _printed(line: str, python: _Python, folder: Path) -> Iterator[str]:
+    before, out, err = _files(folder), io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = _code(line, python)
+    yield from ("  " + x for x in _lines(out.getvalue(), folder))
+    yield from ("! " + x for x in _lines(err.getvalue(), folder))
+    yield from [f"exit {code}"] if code else []
+    for path, text in sorted(_files(folder).items()):
+        if before.get(path) != text:
+            yield f"+ {path.relative_to(folder)}"
+            if not text.startswith(b"-----BEGIN"):
+                with suppress(UnicodeDecodeError):
+                    yield from ("+   " + x for x in _lines(text.decode(), folder)[:_LINES])
+
+
+def _code(line: str, python: _Python) -> int:
+    if line.startswith(">>> "):
+        python.runsource(line.removeprefix(">>> "))
+        return 0
+    _, program, *words = shlex.split(line)
+    if program == "armrig":
+        return main(words)
+    try:
+        armrigd(words, prog_name=program)
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+def _files(folder: Path) -> dict[Path, bytes]:
+    every = (p for p in folder.rglob("*") if p.is_file() and ".home" not in p.parts)
+    return {path: path.read_bytes() for path in every}
+
+
+def _lines(text: str, folder: Path) -> list[str]:
+    """Return lines, without what is others' on another machine or day."""
+    if text.startswith(("{", "[")):
+        with suppress(ValueError):
+            text = "\n".join(_values(json.loads(text)))
+    text = text.replace(str(folder.resolve()), "HERE")
+    text = text.replace(os.environ["XDG_RUNTIME_DIR"], "SOCKETS")
+    for pattern, name in _OTHERS:
+        text = pattern.sub(name, text)
+    return [line.rstrip() for line in text.splitlines()]
+
+
+def _values(value: Any, name: str = "") -> Iterator[str]:
+    if isinstance(value, dict) and value:
+        for key, item in value.items():
+            yield from _values(item, f"{name}.{key}" if name else key)
+    elif isinstance(value, list) and any(isinstance(x, (dict, list)) for x in value):
+        for i, item in enumerate(value[:_ITEMS]):
+            yield from _values(item, f"{name}[{i}]")
+        yield from [f"{name}: {len(value)} rows"] if len(value) > _ITEMS else []
+    elif isinstance(value, list) and len(value) > _ITEMS:
+        yield f"{name}: [{', '.join(map(_value, value[:_ITEMS]))}] … {len(value)} values"
+    else:
+        yield f"{name}: {_value(value)}"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    return f"{value:.6g}" if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
+
+
+def _rounded_as(stored: list[str], found: list[str]) -> list[str]:
+    """Return the lines found, a stored one in place of each that differs in last digits alone."""
+    words = [[_NUMBER.sub("#", line) for line in lines] for lines in (stored, found)]
+    for i, j, n in SequenceMatcher(None, *words, autojunk=False).get_matching_blocks():
+        for k in range(n):
+            pairs = zip(*map(_NUMBER.findall, (stored[i + k], found[j + k])), strict=True)
+            if all(a == b or _is_close(a, b) for a, b in pairs):
+                found[j + k] = stored[i + k]
+    return found
+
+
+def _is_close(a: str, b: str) -> bool:
+    """Tell whether numbers with the blanks about them are alike, and end in the same column."""
+    if len(a) != len(b) and a.replace(a.strip(), "#") != b.replace(b.strip(), "#"):
+        return False
+    if a.strip().isdecimal() and b.strip().isdecimal():
+        return a.strip() == b.strip()
+    with suppress(ValueError):  # a version is no number
+        x, y = (float(text.strip().replace("−", "-")) for text in (a, b))
+        return abs(x - y) <= max(WITHIN * abs(x), _TINY)
+    return False
