@@ -28,7 +28,7 @@ WITHIN = 1e-3
 """Share by which a number may differ from the stored one; a whole number may not."""
 _TINY = 1e-9  # two numbers that are smaller are rounding
 _NUMBER = re.compile(r" *(?<![\w.])[-+−]?\d+(?:\.\d+)*(?:e[-+]?\d+)? *")
-_SHOWN, _ITEMS, _LINES = ("  ", "! ", "+ ", "exit "), 8, 24
+_SHOWN, _ITEMS, _LINES = ("  ", "! ", "+ ", "exit "), 8, 40
 _OTHERS = (  # of another machine, another day, another version of zstd
     (re.compile(r"(?<![\w.])(?=\w*[a-f])[0-9a-f]{12,64}(?![\w.-])"), "HASH"),
     (re.compile(r"━ 100% \d\d:\d\d"), "━ 100%"),

@@ -56,13 +56,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     data = armrig.load(monday).dataset()
     armrig.oe(data, nb=4, nf=4, integrator=True).save(folder / "oe.json")
     armrig.arx(data, na=4, nb=4).save(folder / "arx.json")
-    shutil.copy(DATA / "n4sid.json", folder / "alpha.json")
+    for released, name in {"n4sid.json": "alpha.json", "exchange.mcap": "exchange.mcap"}.items():
+        shutil.copy(DATA / released, folder / name)
     shutil.copy(first, folder / "step.mcap")
     whole = {"compression": CompressionType.NONE, "flush_every": 50, "outcome": None}
     samples = turning([30_000 + 40 * (k % 50) for k in range(200)])
     torn = recorded(samples, manifest=manifest(k_first=0, samples=400), **whole)[:-5_000]
     written(folder, torn, "cut.mcap")
-    written(folder, torn, "left.mcap.active")
+    for name, part in {"left": torn, "other": torn[:-9_000], "empty": b""}.items():
+        written(folder, part, f"{name}.mcap.active")
     u = armrig.telegraph(600, 0.05, seed=4)
     written(folder, of_the_arm(u, missing=slice(300, 305)), "gap.mcap")
     written(folder, recording_of(still(), "calibrate-rest"), "rest.mcap")
@@ -70,6 +72,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = zip(data.t, data.u, data.y, strict=True)
     text = "\n".join(["t,u,y", *(f"{t:.2f},{u:.4f},{y:.6f}" for t, u, y in rows)])
     (folder / "data.csv").write_text(text)
+    (folder / "flat.csv").write_text("u,y\n" + "1,2\n" * 100)
     (folder / "words.txt").write_text("no recording\n")
     return folder
 
@@ -88,7 +91,8 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
     shutil.copytree(made, here)
     monkeypatch.chdir(here)
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", _savefig())
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", _write_words)
+    monkeypatch.setattr("typst.Compiler", _Compiler)
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setenv("TZ", "UTC")
@@ -102,27 +106,30 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
         yield here
 
 
-def _savefig() -> Any:
-    """Return what writes the words of a PNG in its place: quick to make, and to be read."""
-    from matplotlib.figure import Figure
+def _write_words(figure: Any, path: Any, **_: Any) -> None:
+    """Write the words of a figure in place of a picture: quick to make, and to be read."""
+    lines = []
+    for ax in figure.axes:
+        legend = ax.get_legend()
+        named = [text.get_text() for text in legend.get_texts()] if legend else []
+        named += [text.get_text() for text in ax.texts]
+        size = f"{len(ax.lines)} lines, {len(ax.collections)} areas"
+        lines += [f"{ax.get_ylabel()!r} over {ax.get_xlabel()!r}: {ax.get_title()!r}, {size}"]
+        lines += [f"  {name}" for name in named]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
-    draw = Figure.savefig
 
-    def savefig(figure: Any, path: Any, **options: Any) -> None:
-        if not str(path).endswith(".png"):
-            draw(figure, path, **options)
-            return
-        lines = []
-        for ax in figure.axes:
-            legend = ax.get_legend()
-            named = [text.get_text() for text in legend.get_texts()] if legend else []
-            named += [text.get_text() for text in ax.texts]
-            size = f"{len(ax.lines)} lines, {len(ax.collections)} areas"
-            lines += [f"{ax.get_ylabel()!r} over {ax.get_xlabel()!r}: {ax.get_title()!r}, {size}"]
-            lines += [f"  {name}" for name in named]
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+class _Compiler:
+    """Gives what a report says in place of the PDF that typst makes of it."""
 
-    return savefig
+    def __init__(self, template: str, *, root: str, **_: Any) -> None:
+        self.values = Path(root) / "data.json"
+
+    def compile(self) -> bytes:
+        return self.values.read_bytes()
+
+    def query(self, *_: Any, **__: Any) -> str:
+        return '[["the end", 1.0]]'
 
 
 @pytest.fixture
