@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,26 @@ def test_keys_are_for_their_owner_alone(here: Path) -> None:
         "access.toml": 0o644,
         "alice.pem": 0o600,
     }
+
+
+@pytest.mark.parametrize(
+    ("made", "command"),
+    [
+        ("alice", ["operator", "alice"]),
+        ("bob", ["observer", "bob"]),
+        ("rig-1", ["rig", "1"]),
+        ("router", ["router", "--host", "lab"]),
+    ],
+)
+def test_a_certificate_is_valid_for_its_days(here: Path, made: str, command: list[str]) -> None:
+    """Counted from today; without `--force` a second one is refused."""
+    first = main(["pki", *command, "--days", "7"])
+    second = main(["pki", *command])
+
+    assert (first, second) == (0, 1)
+    certificate = x509.load_pem_x509_certificates((here / f"{made}.pem").read_bytes())[0]
+    days = (certificate.not_valid_after_utc - datetime.now(UTC)) / timedelta(days=1)
+    assert 6.9 < days <= 7
 
 
 def test_a_certificate_says_what_it_is_for(here: Path) -> None:
