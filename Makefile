@@ -47,10 +47,10 @@ coverage: .venv/dev
 
 # N generated bugs over all rooms, by their lines, each of which a test must see. It goes
 # on where it was left, in mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others;
-# EVERYDAY=1 asks only the tests of `make test`.
+# EVERYDAY=1 asks only the tests of `make test`. PART=1/2 and PART=2/2 run side by side.
 N ?= 400
 mutants: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS)) $(if $(EVERYDAY),--everyday)
+	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS)) $(if $(PART),--part $(PART)) $(if $(EVERYDAY),--everyday)
 
 # The bugs that people planted by hand (tests/mutation/planted.toml), each of which a test must see.
 # NAME=… takes those whose name contains it.

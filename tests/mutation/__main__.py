@@ -64,6 +64,7 @@ def main() -> int:
     parser.add_argument("--rooms", nargs="*", default=[], help="draw in these alone")
     parser.add_argument("--only", nargs="*", default=[], help="files, or `file:line`")
     parser.add_argument("--everyday", action="store_true", help="without the exhaustive tests")
+    parser.add_argument("--part", default="1/1", help="2/4: the second of four, side by side")
     parser.add_argument("--within-s", type=float, default=1e9, help="begin none after so long")
     parser.add_argument("--results", type=Path, default=Path("mutants.jsonl"))
     asked = parser.parse_args()
@@ -71,6 +72,8 @@ def main() -> int:
     until = time.monotonic() + asked.within_s
     every = rooms()
     chosen = drawn(every, asked.rooms or list(every), asked.n, asked.seed, asked.only)
+    part, parts = map(int, asked.part.split("/"))
+    chosen = chosen[part - 1 :: parts]
     known, reach = Outcomes(asked.results), Reach(asked.results.with_suffix(".reach"))
     reach.measure(_test_files(["tests/clients", "tests/core", "tests/daemon", "tests/protocol"]))
     preload()
