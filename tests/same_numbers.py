@@ -1,56 +1,88 @@
-"""Print what the estimators make of fixed data, as JSON; with a file of it, compare to 1e-9.
+"""Print every number that the public functions make of fixed data; compare with a file of them.
 
-`python tests/same_numbers.py > before.json`, and after a change `python tests/same_numbers.py
-before.json`: it prints the worst difference of each model and exits with 1 above 1e-9. Only public
-names are called, so it runs in any release's environment. Both runs belong on one machine: another
-BLAS may round otherwise, and a search ends elsewhere within its tolerance.
+Two uses, of the same calls (`same_numbers_calls.py`) and the same walk over what comes of them:
+
+- Another version on the same machine: `python tests/same_numbers.py > before.json`, and after a
+  change `python tests/same_numbers.py before.json`. It prints the worst difference of each call and
+  exits with 1 above 1e-9, or if a number is no longer there. A call that a release does not have is
+  left out and named. Both runs belong on one machine: another BLAS may round otherwise, and a
+  search ends elsewhere within its tolerance.
+- The file of the repository, `tests/clients/same_numbers.txt`, on any machine:
+  tests/clients/test_same_numbers.py compares with it to 7 figures, and
+  `python tests/same_numbers.py --write` writes it again after a change that is meant.
+
+A number in the file is a line. Few values are all listed; of many there are the shape, the first,
+last, least, greatest, mean, effective value, a fixed projection, and how many are not finite.
+Texts are left out: words change.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import enum
+import inspect
 import json
+import os
 import sys
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-import armrig
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
-from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
+import same_numbers_calls as table
 from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+Array = NDArray[np.float64]
+Quantity = tuple[str, Array]
+STORED = Path(__file__).parent / "clients" / "same_numbers.txt"
 WITHIN = 1e-9
-_FIT = ("theta", "std", "std_robust", "noise_variance", "loss", "fit_percent", "whiteness")
-_GREY = ("covariance", "covariance_robust", "noise_variance", "loss", "fit_percent", "whiteness")
-_TESTS = ("autocorrelation", "cross_correlation", "whiteness", "ljung_box", "missing_dynamics")
-_IMPULSE = ("g", "covariance", "noise_variance", "whiteness")
-_SPECTRUM = ("omega", "std_magnitude", "std_phase", "noise_spectrum", "coherence")
+"""Of the largest number of a quantity, between two versions on one machine."""
+OF_SCALE, OF_ITSELF = 1e-5, 1e-5
+"""Of the largest number of a long quantity, and of each number of a short one."""
+_ROUNDING = 1e-9  # of the largest number of a short quantity
+_LISTED = 12  # values that are all listed
+_DEEPEST = 7  # objects within each other
 
 
-def main() -> int:
-    """Print, or compare."""
-    found = {name: _plain(value) for name, value in numbers()}
-    if len(sys.argv) < 2:
-        print(json.dumps(found, indent=1))
+def main(arguments: list[str]) -> int:
+    """Print, write the stored file, or compare."""
+    if arguments == ["--write"]:
+        lines = [f"{name}: {text}\n" for name, text in stored_numbers(table.CALLS)]
+        STORED.write_text("".join(lines))
+        print(f"{STORED}: {len(lines)} quantities")
         return 0
-    before = json.loads(Path(sys.argv[1]).read_text())
-    if before.keys() != found.keys():
-        print(f"other models than in {sys.argv[1]}: {before.keys() ^ found.keys()}")
-        return 1
-    worst = 0.0
-    for name, parts in found.items():
-        off = {part: difference(parts[part], before[name][part]) for part in before[name]}
-        part = max(off, key=lambda part: off[part])
-        print(f"{name:28} {off[part]:8.1e}  {part}")
-        worst = max(worst, off[part])
+    found = {call: dict(_forgiving(call)) for call in table.CALLS}
+    if not arguments:
+        print(json.dumps(_plain(found), indent=1))
+        return 0
+    return compared(found, json.loads(Path(arguments[0]).read_text()))
+
+
+def compared(found: dict[str, dict[str, Array]], before: dict[str, dict[str, Any]]) -> int:
+    """Print the worst difference of each call; return 1 if one is too large or a number is gone."""
+    worst, gone = 0.0, []
+    for call, quantities in before.items():
+        now = found.get(call, {})
+        gone += [name for name in quantities if name not in now]
+        off = {name: difference(now[name], b) for name, b in quantities.items() if name in now}
+        name = max(off, key=lambda name: off[name], default="")
+        print(f"{call:28} {off.get(name, 0.0):8.1e}  {name}")
+        worst = max(worst, off.get(name, 0.0))
+    for name in gone:
+        print(f"no longer there: {name}")
     print(f"{'worst':28} {worst:8.1e}  {'more' if worst > WITHIN else 'not more'} than {WITHIN:g}")
-    return int(worst > WITHIN)
+    return int(worst > WITHIN or bool(gone))
 
 
 def difference(found: Any, before: Any) -> float:
     """Return the largest difference of two arrays, in parts of the largest number before."""
     a, b = (np.atleast_1d(np.array(x, dtype=np.float64)) for x in (found, before))
+    if a.size == b.size == 0:
+        return 0.0
     if a.shape != b.shape or not np.array_equal(np.isfinite(a), np.isfinite(b)):
         return np.inf
     known = np.isfinite(b)
@@ -60,94 +92,250 @@ def difference(found: Any, before: Any) -> float:
     return float(np.max(np.abs(a[known] - b[known]))) / (scale or 1.0)
 
 
-def numbers() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Give each model's numbers by name."""
-    whole, fresh = arm_data(1), arm_data(2)
-    holed = whole.replaced(step=None, valid=np.arange(whole.N) % 250 > 6)
-    two = armrig.merge([arm_data(4, 700), arm_data(5, 900)])
-    for kind, data in {"": whole, " holes": holed, " two": two}.items():
-        for name, estimate in ESTIMATORS.items():
-            fit = estimate(data)
-            poles = np.asarray(fit.poles())
-            parts = {part: getattr(fit, part) for part in _FIT}
-            yield name + kind, parts | {"poles": [poles.real, poles.imag]}
-    fit = ESTIMATORS["oe"](whole)
-    judged = {"residuals": whole, "residuals fresh": fresh, "residuals holes": holed}
-    for name, data in judged.items():
-        yield name, _parts(armrig.residuals(fit, data), _TESTS)
-    yield "compare", {"predicted": fit.predict(fresh), "simulated": fit.simulate(fresh.u)}
-    for kernel in ("tc", None):
-        impulse = armrig.impulse_response(holed, kernel=kernel)
-        yield f"impulse {kernel}", _parts(impulse, _IMPULSE)
-    G = armrig.spa(whole)
-    yield "spa", _parts(G, _SPECTRUM) | {"G": [G.G.real, G.G.imag]}
-    table = armrig.select_orders(holed, range(1, 5), range(1, 5), range(1, 3), validation=fresh)
-    yield "select_orders", _parts(table, ("loss", "validation_loss", "batch_losses"))
-    for name, grey in {
-        "greybox": armrig.greybox(chassis_data(1)),
-        "greybox friction": armrig.greybox(chassis_data(1), friction="viscous"),
-        "greybox fixed_std": armrig.greybox(chassis_data(2), fixed_std={"R_m": 0.03}),
-        "greybox arm": armrig.greybox(whole, armrig.arm, ("J_1", "J_2")),
-        "inverse_dynamics": armrig.inverse_dynamics(chassis_data(1)),
-    }.items():
-        values = [grey.values[name] for name in grey.names]
-        yield name, _parts(grey, _GREY) | {"values": values}
+def _forgiving(call: str) -> Iterator[Quantity]:
+    try:
+        yield from numbers(call)
+    except (AttributeError, ImportError, TypeError, ValueError) as err:
+        print(f"{call}: left out from here on: {type(err).__name__}: {err}", file=sys.stderr)
 
 
-ESTIMATORS: dict[str, Callable[[armrig.Dataset], armrig.Fit]] = {
-    "arx": lambda data: armrig.arx(data, na=4, nb=4),
-    "armax": lambda data: armrig.armax(data, na=4, nb=4, nc=2),
-    "oe": lambda data: armrig.oe(data, nb=4, nf=4),
-    "oe integrator": lambda data: armrig.oe(data, nb=4, nf=4, integrator=True),
-    "oe offset": lambda data: armrig.oe(data, nb=4, nf=4, integrator=True, offset=True),
-    "bj": lambda data: armrig.bj(data, nb=4, nc=1, nd=1, nf=4, integrator=True),
-    "pem": lambda data: armrig.pem(data, nb=2, na=1, nc=1, nf=3),
-    "iv4": lambda data: armrig.iv4(data, na=4, nb=4),
-    "n4sid": lambda data: armrig.n4sid(data, 4),
-    "n4sid integrator": lambda data: armrig.n4sid(data, 4, integrator=True),
-}
-
-
-def arm_data(seed: int, N: int = 1500) -> armrig.Dataset:
-    """Return theta_1 of the handout's arm at 10 ms, with coloured noise."""
-    A, B, C = arm_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, 0.01)
-    return _observed(Phi, Gamma[:, 0], C[0], seed, N, 0.01, 5e-3)
-
-
-def chassis_data(seed: int) -> armrig.Dataset:
-    """Return theta_1 of the chassis alone at 2 ms."""
-    A, B, C = chassis_matrices(ArmParameters())
-    Phi, Gamma = zero_order_hold(A, B, 0.002)
-    return _observed(Phi, Gamma[:, 0], C[0], seed, 4000, 0.002, 2e-3)
-
-
-def _observed(
-    Phi: NDArray[np.float64], Gamma: Vector, c: Vector, seed: int, N: int, Ts: float, std: float
-) -> armrig.Dataset:
-    rng = np.random.default_rng([seed, 12])
-    u = 0.5 + 4.0 * (np.cumsum(rng.random(N) < 5 * Ts) % 2)
-    x, y = np.zeros(Gamma.size), np.empty(N)
-    e = rng.standard_normal(N)
-    for k in range(N):
-        y[k] = c @ x + std * (e[k] + 0.5 * e[k - 1])
-        x = Phi @ x + Gamma * u[k]
-    return armrig.Dataset(u=u, y=y, Ts=Ts, output="theta_1", unit="rad")
-
-
-def _parts(value: Any, names: tuple[str, ...]) -> dict[str, Any]:
-    return {name: getattr(value, name) for name in names if getattr(value, name) is not None}
-
-
-def _plain(parts: dict[str, Any]) -> dict[str, Any]:
+def _plain(found: dict[str, dict[str, Array]]) -> dict[str, dict[str, Any]]:
     """Return arrays as lists; what is not finite as None."""
-    return {name: _listed(np.array(value, dtype=np.float64)) for name, value in parts.items()}
+    return {call: {name: _listed(x) for name, x in q.items()} for call, q in found.items()}
 
 
-def _listed(array: NDArray[np.float64]) -> Any:
+def _listed(array: Array) -> Any:
     flat = [x if np.isfinite(x) else None for x in array.ravel().tolist()]
     return np.array(flat, dtype=object).reshape(array.shape).tolist()
 
 
+# What a call gives, number by number.
+
+
+def numbers(call: str) -> Iterator[Quantity]:
+    """Give the name and the values of each quantity that the variants of a call lead to."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        for variant, result in table.CALLS[call]():
+            name = f"{call} {variant}"
+            for of, values in found_in(result, name):
+                if not any(fnmatch(of, pattern) for pattern in table.LEFT_OUT):
+                    yield of, values
+
+
+def found_in(value: Any, name: str, depth: int = 0) -> Iterator[Quantity]:
+    """Give the numbers of a value, and of whatever it is made of."""
+    array = _array(value)
+    if array is not None:
+        yield name, array
+    elif isinstance(value, np.ndarray) and value.dtype.names:
+        for field in value.dtype.names:
+            yield from found_in(value[field], f"{name}.{field}", depth)
+    elif isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from found_in(item, f"{name}[{key}]", depth)
+    elif isinstance(value, tuple) and hasattr(value, "_fields"):
+        yield from found_in(value._asdict(), name, depth)
+    elif isinstance(value, list | tuple):
+        if value:
+            yield f"{name}.len", np.array(float(len(value)))
+        yield from _rows(value, name, depth)
+    elif _is_figure(value):
+        yield from _drawn(value, name)
+    elif type(value).__module__.startswith("armrig") and not isinstance(value, type | enum.Enum):
+        if depth < _DEEPEST and not inspect.isroutine(value):
+            yield from _members(value, name, depth + 1)
+    elif type(value).__module__.startswith("control."):
+        for part in ("A", "B", "C", "D", "num_array", "den_array", "omega", "frdata"):
+            yield from found_in(getattr(value, part, None), f"{name}.{part}", depth)
+
+
+def _array(value: Any) -> Array | None:
+    """Return what is a number, or an array of numbers, as floats; complex ones in pairs."""
+    if isinstance(value, bool | int | float | complex | np.number | np.bool_):
+        value = np.asarray(value)
+    if isinstance(value, slice | range):
+        value = np.array([value.start, value.stop, value.step or 1], dtype=np.float64)
+    if isinstance(value, list | tuple) and not hasattr(value, "_fields") and value:
+        numeric = all(isinstance(x, bool | int | float | complex | np.number) for x in value)
+        value = np.array(value) if numeric else value
+    if not isinstance(value, np.ndarray):
+        return None
+    if value.dtype == object and value.shape and all(isinstance(x, np.ndarray) for x in value.flat):
+        value = np.concatenate([np.ravel(x) for x in value.flat])
+    if value.dtype.kind == "c":
+        value = np.stack([value.real, value.imag], axis=-1)
+    return value.astype(np.float64) if value.dtype.kind in "biuf" else None
+
+
+def _rows(items: Any, name: str, depth: int) -> Iterator[Quantity]:
+    """Give what all items have in one shape as one array, and the rest item by item."""
+    found = [dict(found_in(item, "", depth)) for item in items]
+    first = found[0] if len(found) > 1 else {}
+    alike = [k for k, x in first.items() if all(k in f and f[k].shape == x.shape for f in found)]
+    for of in alike:
+        yield f"{name}[*]{of}", np.stack([f[of] for f in found])
+    for i, quantities in enumerate(found):
+        for of, x in quantities.items():
+            if of not in alike:
+                yield f"{name}[{i}]{of}", x
+
+
+def _members(value: Any, name: str, depth: int) -> Iterator[Quantity]:
+    """Give the numbers of each public attribute, property, and method that the table can call."""
+    kind = type(value)
+    fields = [f.name for f in dataclasses.fields(kind)] if dataclasses.is_dataclass(kind) else []
+    public = [n for n in dir(kind) if not n.startswith("_") and n not in fields]
+    brief = table.BRIEF.get(kind.__name__) if depth > 1 else None
+    for member in brief or (*fields, *public):
+        if any(fnmatch(f"{kind.__name__}.{member}", p) for p in table.NO_MEMBERS):
+            continue
+        described = inspect.getattr_static(kind, member, None)
+        if isinstance(described, classmethod | staticmethod):
+            continue
+        if not inspect.isfunction(described):
+            try:
+                found = getattr(value, member)
+            except ValueError:
+                yield f"{name}.{member} raises", np.array(1.0)
+                continue
+            yield from found_in(found, f"{name}.{member}", depth)
+            continue
+        # Methods of what is a part of a result: another call has such a part as its result.
+        for shown, arguments in _arguments(value, member, described) if depth == 1 else ():
+            try:
+                found = getattr(value, member)(**arguments)
+            except ValueError:
+                yield f"{name}.{member}({shown}) raises", np.array(1.0)
+                continue
+            yield from found_in(found, f"{name}.{member}({shown})", depth)
+
+
+def _arguments(
+    value: Any, member: str, function: Callable[..., Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Give what the table calls a method with; a method that it cannot call is an error."""
+    if member in table.METHODS:
+        for shown, make in table.METHODS[member].items():
+            yield shown, make(value)
+        return
+    parameters = list(inspect.signature(function).parameters.values())[1:]
+    variadic = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    required = [p.name for p in parameters if p.default is p.empty and p.kind not in variadic]
+    if not all(p in table.ARGUMENTS for p in required):
+        msg = f"{type(value).__name__}.{member}({', '.join(required)}) is public and has no "
+        msg += "argument: add it to ARGUMENTS, METHODS or NO_MEMBERS of same_numbers_calls.py"
+        raise LookupError(msg)
+    yield "", {p: table.ARGUMENTS[p](value) for p in required}
+
+
+def _is_figure(value: Any) -> bool:
+    return type(value).__module__.startswith("matplotlib.figure")
+
+
+def _drawn(figure: Any, name: str) -> Iterator[Quantity]:
+    """Give the coordinates of all lines and areas of a figure."""
+    for i, ax in enumerate(figure.axes):
+        shapes = [line.get_xydata() for line in ax.lines]
+        shapes += [path.vertices for c in ax.collections for path in c.get_paths()]
+        shapes += [p.get_path().transformed(p.get_patch_transform()).vertices for p in ax.patches]
+        if shapes:
+            every = np.concatenate(
+                [np.ma.filled(np.asarray(s, np.float64), np.nan) for s in shapes]
+            )
+            for axis, column in zip("xy", every.T, strict=True):
+                yield f"{name}[{i}].{axis}", column
+
+
+# The stored file.
+
+
+def stored_numbers(calls: Any) -> Iterator[tuple[str, str]]:
+    """Give the lines of calls, without those that say what another one of their call says."""
+    for call in calls:
+        known: set[str] = set()
+        for name, text in lines(call):
+            if len(text) < 8 or text not in known:
+                yield name, text
+            known.add(text)
+
+
+def lines(call: str) -> Iterator[tuple[str, str]]:
+    """Give the line of each quantity of a call."""
+    return ((name, line(values)) for name, values in numbers(call))
+
+
+def line(values: Array) -> str:
+    """Return the text of a quantity."""
+    flat = values.ravel()
+    if flat.size <= _LISTED:
+        shape = f"{list(values.shape)} " if values.ndim else ""
+        return shape + " ".join(f"{x:.10g}" if x == np.rint(x) else f"{x:.7g}" for x in flat)
+    x = flat[np.isfinite(flat)]
+    lost = f" {flat.size - x.size} not finite" if x.size < flat.size else ""
+    if not x.size:
+        return f"{list(values.shape)}{lost}"
+    # The weights are of no library's generator, whose stream may change.
+    weights = np.modf(np.arange(1, flat.size + 1) * 0.6180339887498949)[0] - 0.5
+    projection = weights[np.isfinite(flat)] @ x / np.sqrt(flat.size)
+    rms = np.sqrt(np.mean(x**2))
+    seven = (x[0], x[-1], x.min(), x.max(), x.mean(), rms, projection)
+    return f"{list(values.shape)} " + " ".join(f"{v:.7g}" for v in seven) + lost
+
+
+def read_stored() -> dict[str, str]:
+    """Return the lines of the stored file."""
+    return dict(row.split(": ", 1) for row in STORED.read_text().splitlines())
+
+
+def unlike(name: str, now: str, before: str) -> bool:
+    """Tell whether a line is another one, beyond rounding."""
+    within = next((t for p, (t, _) in table.LOOSER.items() if fnmatch(name, p)), None)
+    heads, values = zip(*(_parted(text) for text in (now, before)), strict=True)
+    if heads[0] != heads[1] or values[0].shape != values[1].shape:
+        return True
+    a, b = values
+    if not np.array_equal(np.isfinite(a), np.isfinite(b)):
+        return True
+    a, b = a[np.isfinite(b)], b[np.isfinite(b)]
+    if np.array_equal(a, b):
+        return False
+    scale = np.abs(b).max()
+    summary = _many(heads[1])
+    allowed = (within or OF_SCALE) * scale if summary else (within or OF_ITSELF) * np.abs(b)
+    return bool((np.abs(a - b) > allowed + _ROUNDING * scale + table.ZERO).any())
+
+
+def _parted(text: str) -> tuple[str, Array]:
+    """Return shape and the number that is not finite as a text, and the values."""
+    shape, _, rest = text.rpartition("] ") if text.startswith("[") else ("", "", text)
+    words = rest.split()
+    lost = ""
+    if words[-2:] == ["not", "finite"]:
+        lost, words = words[-3], words[:-3]
+    return f"{shape}]{lost}", np.array(words, dtype=np.float64)
+
+
+def _many(head: str) -> bool:
+    shape = [int(n) for n in head.partition("]")[0].strip("[").split(",") if n]
+    return int(np.prod(shape)) > _LISTED if shape else False
+
+
+def changes(call: str, before: dict[str, str]) -> Iterator[str]:
+    """Give a line for each quantity of a call that is not as it was."""
+    now, known = dict(lines(call)), {n: t for n, t in before.items() if n.split(" ")[0] == call}
+    same = {now[name] for name in known if name in now}
+    for name, text in now.items():
+        if name in known:
+            if unlike(name, text, known[name]):
+                yield f"{name}: was {known[name]}\n{'':{len(name)}}   is {text}"
+        # What is not in the file says what another line says, perhaps with other roundings.
+        elif text not in same and all(unlike(name, text, t) for t in known.values()):
+            yield f"{name}: is new: {text}"
+    for name, text in known.items():
+        if name not in now:
+            yield f"{name}: is gone, was {text}"
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

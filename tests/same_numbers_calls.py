@@ -1,0 +1,1355 @@
+"""What `same_numbers.py` calls, with which data, and what it leaves out with the reason.
+
+Each function marked with @variants is called like the public name that it calls, and gives
+variants: their names and their results. The data are small, fixed, and made here: not by the
+signals of armrig, so that a change of those is seen where it is.
+"""
+
+# ruff: noqa: D103 - a call is named for what it calls
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+sys.path.append(str(Path(__file__).parent / "clients"))  # recordings are made there
+
+Vector = NDArray[np.float64]
+Variants = Iterator[tuple[str, Any]]
+
+CALLS: dict[str, Callable[[], Variants]] = {}
+"""What to call, by name."""
+
+
+def variants(function: Callable[[], Variants]) -> Callable[[], Variants]:
+    """Enter a call into the table."""
+    CALLS[function.__name__] = function
+    return function
+
+
+NOT_CALLED = {
+    "Catalogue": "what catalogue returns",
+    "DataFileError": "an error",
+    "Fit": "what arx and others return",
+    "GreyFit": "what greybox returns",
+    "LiveGap": "of a live rig",
+    "ModelFileError": "an error",
+    "RarxState": "what rarx_step returns",
+    "Recording": "what load returns",
+    "RecordingError": "an error",
+    "Rig": "a live rig",
+    "RigError": "an error",
+    "SearchResult": "what search returns",
+    "SubspaceFit": "what n4sid returns",
+    "stream": "of a live rig",
+}
+"""Public names that are not called, and why."""
+
+NO_MEMBERS = {
+    "*.plot": "plots draws it",
+    "*.save": "load_fit reads it again",
+    "*.to_pandas": "export has the columns",
+    "*.to_xarray": "export has the columns",
+    "RecordingSummary.names": "the name that was asked for",
+    "*.to_parquet": "columns are the same",
+    "*Fit.Ts": "given",
+    "*Fit.nk": "given",
+    "Dataset.N": "the length of u",
+    "*.names": "texts",
+    "*.history": "texts",
+    "*Fit.orders": "given",
+    "*Fit.integrator": "given",
+    "*Fit.offset": "given",
+    "*.estimated_from": "of other data",
+    "*.summary": "summary calls it: it takes long",
+    "*.explain": "a text",
+    "*.table": "a text, or a table of texts",
+    "*.lines": "a text",
+    "*.texts": "texts",
+    "*.require_result": "the fit itself",
+    "*.origin": "texts",
+    "*.facts": "the fields again",
+    "*.metadata": "texts",
+    "Dataset.replaced": "a copy",
+    "Dataset.experiments": "Dataset calls it",
+    "Dataset.select": "Dataset calls it",
+    "Dataset.split": "Dataset calls it",
+    "*.fixed": "a parameter that was given",
+    "*.slice_of": "numbers of parameters, which names has",
+    "*.polynomial": "A, B, C, D and F again",
+    "GreyFit.physics": "what was given",
+    "Recording.dataset": "dataset calls it",
+    "Recording.manifest": "what the table wrote",
+    "Estimate.calibration": "calibration calls it",
+    "Candidate.estimated": "search estimates it",
+    "Study.model": "models again",
+    "Study.recording_of": "recordings again",
+    "Study.recordings": "load has them",
+    "HandoutStudy.recordings": "load has them",
+    "*.coefficients": "of internal bases",
+    "*.without": "of internal bases",
+}
+"""Members, by class and name, whose numbers are left out, and why."""
+
+_MODEL = ("theta", "std_robust", "loss", "fit_percent")
+BRIEF = {
+    "Fit": _MODEL,
+    "SubspaceFit": _MODEL,
+    "PhysicalModel": ("theta",),
+    "SpectralEstimate": ("G", "std_magnitude", "noise_spectrum", "coherence"),
+    "StepAnalysis": ("tau", "settling", "gain"),
+    "Dataset": ("u", "y", "starts"),
+    "ArmParameters": ("J_1", "b_1"),
+    "Calibration": ("theta_1",),
+}
+"""Members by which these are known where they are parts of a result."""
+
+LEFT_OUT = {
+    "*.starts[[]*].iterations": "the way of a search",
+    "*.starts[[]*].converged": "the way of a search",
+    "bj two.starts*": "two of its starts end in a valley without a minimum",
+    "rarx*.R": "LAPACK chooses the signs of its rows",
+    "rarx *.error": "the first ones rest on parameters that are hardly determined; see errors",
+    "*.densest.scale": "LAPACK chooses the signs of its columns",
+    "*.draws.reals": "roots of draws in LAPACK's order; the borders rest on them",
+    "*.draws.upper": "roots of draws in LAPACK's order; the borders rest on them",
+}
+"""Quantities that are left out, by name with * and ?, and why."""
+
+LOOSER = {
+    "*.std[[]resonance]": (5e-3, "differences of a peak that a search finds"),
+    "*.std[[]overshoot]": (5e-3, "differences of a peak that a search finds"),
+    "plots plot_stability_regions*": (1e-2, "a contour through a grid"),
+}
+"""Relative tolerances of quantities, by name with * and ?, and why. The first that fits counts."""
+
+ZERO = 1e-13
+"""What rounding leaves of 0."""
+
+
+def data_for(model: Any) -> armrig.Dataset:
+    """Return data that a model with its Ts, output and units can be asked about."""
+    u = switching(90, 3, 0.2)
+    y = 0.3 * np.cumsum(u - u.mean()) * min(1.0, model.Ts) + np.sin(0.7 * np.arange(90))
+    units = {"unit": model.unit, "input_unit": model.input_unit}
+    return armrig.Dataset(u=u, y=y, Ts=model.Ts, output=model.output, **units)
+
+
+def frequencies(of: Any) -> Vector:
+    """Return frequencies that are no special ones, up to Nyquist's."""
+    Ts = of.Ts if hasattr(of, "Ts") else 0.01
+    return np.array([0.013, 0.11, 0.29, 0.53, 0.97]) * np.pi / float(Ts)
+
+
+ARGUMENTS: dict[str, Callable[[Any], Any]] = {
+    "omega": frequencies,
+    "data": data_for,
+    "u": lambda of: switching(40, 5, 0.3),
+    "n": lambda of: 20,
+    "t": lambda of: np.array([0.0, 0.013, 0.1, 0.37]),
+    "seconds": lambda of: 0.37,
+    "z": lambda of: 0.7 + 0.1j,
+    "x": lambda of: np.array([0.7, 0.1]),
+    "counts": lambda of: 31234,
+    "criterion": lambda of: "mdl",
+}
+"""Required arguments of methods by their names, made of the object."""
+
+METHODS: dict[str, dict[str, Callable[[Any], dict[str, Any]]]] = {
+    "step_response": {
+        "25": lambda m: {"n": 25} if hasattr(m, "theta") else {},
+        "rate": lambda m: {"n": 25, "rate": True} if hasattr(m, "theta") else {},
+    },
+    "orders": {"": lambda table: {"i": 1}},
+    "predict": {
+        "1": lambda m: {"data": data_for(m), "horizon": 1},
+        "7": lambda m: {"data": data_for(m), "horizon": 7},
+        "all": lambda m: {"data": data_for(m), "horizon": None},
+    },
+    "values": {c: partial(lambda c, t: {"criterion": c}, c) for c in ("aic", "mdl", "loss")},
+    "chosen": {c: partial(lambda c, t: {"criterion": c}, c) for c in ("aic", "mdl")},
+    "envelope": {c: partial(lambda c, t: {"criterion": c}, c) for c in ("aic", "mdl")},
+    "best": {c: partial(lambda c, t: {"criterion": c}, c) for c in ("aic", "mdl")},
+    "band": {"": lambda of: {}, "90": lambda of: {"level": 0.9}},
+    "solve": {"": lambda of: {"h": 0.01, "n": 15, "method": "heun"}},
+    "error": {"": lambda of: {"h": 0.01, "method": "ab2"}},
+}
+"""What these methods are called with, each way by a name."""
+
+
+# Data.
+
+
+def switching(N: int, seed: int, p: float, low: float = 0.5, high: float = 4.5) -> Vector:
+    """Return an input that switches with probability p."""
+    rng = np.random.default_rng([seed, 77])
+    return low + (high - low) * (np.cumsum(rng.random(N) < p) % 2)
+
+
+def of_a_system(
+    B: Any,
+    F: Any,
+    *,
+    N: int = 400,
+    Ts: float = 0.1,
+    C: Any = (1.0,),
+    D: Any = (1.0,),
+    std: float = 0.1,
+    seed: int = 1,
+    u: Vector | None = None,
+    u_0: float = 0.0,
+    y_0: float = 0.0,
+    output: str = "y",
+    unit: str = "",
+) -> armrig.Dataset:
+    """Return data of B/F u + C/D e, about levels."""
+    rng = np.random.default_rng([seed, 5])
+    u = rng.standard_normal(N) if u is None else u
+    y = lfilter(B, F, u) + lfilter(C, D, std * rng.standard_normal(N))
+    return armrig.Dataset(u=u + u_0, y=y + y_0, Ts=Ts, output=output, unit=unit)
+
+
+COMPLEX = ([0.0, 0.5, 0.3], np.poly([0.8 + 0.3j, 0.8 - 0.3j]))
+REAL = ([0.0, 0.0, 0.0, 0.4, 0.1], np.poly([0.9, 0.4]))
+
+
+def observed(matrices: Any, seed: int, N: int, Ts: float, std: float) -> armrig.Dataset:
+    """Return theta_1 of the handout's rig, with coloured noise."""
+    A, B, C = matrices(ArmParameters())
+    Phi, Gamma = zero_order_hold(A, B, Ts)
+    rng = np.random.default_rng([seed, 12])
+    u = 0.5 + 4.0 * (np.cumsum(rng.random(N) < 5 * Ts) % 2)
+    x, y = np.zeros(Gamma.shape[0]), np.empty(N)
+    e = rng.standard_normal(N)
+    for k in range(N):
+        y[k] = C[0] @ x + std * (e[k] + 0.5 * e[k - 1])
+        x = Phi @ x + Gamma[:, 0] * u[k]
+    return armrig.Dataset(u=u, y=y, Ts=Ts, output="theta_1", unit="rad")
+
+
+@cache
+def arm_data(seed: int = 1, N: int = 800) -> armrig.Dataset:
+    """Return theta_1 of the arm at 10 ms."""
+    return observed(arm_matrices, seed, N, 0.01, 2e-3)
+
+
+@cache
+def chassis_data(seed: int = 1, N: int = 900) -> armrig.Dataset:
+    """Return theta_1 of the chassis alone at 4 ms."""
+    return observed(chassis_matrices, seed, N, 0.004, 1e-3)
+
+
+def holed(data: armrig.Dataset, every: int = 90, lost: int = 3) -> armrig.Dataset:
+    """Return the data with gaps."""
+    return data.replaced(step=None, valid=np.arange(data.N) % every >= lost)
+
+
+@cache
+def data() -> dict[str, armrig.Dataset]:
+    """Return the data of most calls."""
+    white = {"C": [1.0, 0.6], "D": [1.0, -0.7]}
+    plain = of_a_system(*COMPLEX, u_0=0.2, seed=1)
+    odd = of_a_system(*REAL, N=401, Ts=0.02, u=switching(401, 2, 0.2), y_0=5.0, seed=2, **white)
+    third = of_a_system(*COMPLEX, N=251, u_0=2.0, y_0=-3.0, seed=3)
+    slope = plain.replaced(step=None, y=plain.y + 3.0 + 0.02 * plain.t + 0.003 * plain.t**2)
+    return {
+        "plain": plain,
+        "odd": odd,
+        "holes": holed(plain, 60, 4),
+        "two": armrig.merge([plain[:180], holed(third, 80, 2)]),
+        "mean": armrig.detrend(third),
+        "line": armrig.detrend(armrig.merge([slope[:150], slope[150:]]), 1),
+        "resampled": armrig.resample(arm_data(3, 1600), 0.03),
+    }
+
+
+@cache
+def integrating() -> armrig.Dataset:
+    """Return data of a system with an integrator and an input about a level."""
+    B, F = np.array([0.0, 0.3, 0.2]), np.convolve([1.0, -0.7], [1.0, -1.0])
+    return of_a_system(B, F, N=500, Ts=0.05, u=switching(500, 4, 0.1, -1.5, 2.0), std=0.05, seed=4)
+
+
+@cache
+def fed_back() -> armrig.Dataset:
+    """Return data of a loop that is closed."""
+    rng = np.random.default_rng([6, 6])
+    N, (B, F) = 500, COMPLEX
+    r, e, u, y = rng.standard_normal(N), 0.3 * rng.standard_normal(N), np.zeros(N), np.zeros(N)
+    v = lfilter([1.0], [1.0, -0.8], e)
+    x = np.zeros(N)
+    for t in range(N):
+        for k in (1, 2):
+            if t >= k:
+                x[t] += B[k] * u[t - k] - F[k] * x[t - k]
+        y[t] = x[t] + v[t]
+        u[t] = r[t] - 0.3 * y[t]
+    return armrig.Dataset(u=u, y=y, Ts=0.1)
+
+
+@cache
+def late() -> armrig.Dataset:
+    """Return data with a delay of four samples."""
+    return of_a_system([0.0] * 5 + [0.5, 0.3], COMPLEX[1], seed=8, N=600)
+
+
+@cache
+def steps() -> armrig.Dataset:
+    """Return a response to steps, with a dead time."""
+    u = np.repeat([0.0, 2.0, 0.0, 2.0, 0.0], 60)
+    return of_a_system([0.0, 0.0, 0.0, 0.1, 0.05], np.poly([0.85, 0.5]), u=u, N=300, std=0.01)
+
+
+@cache
+def folder() -> Path:
+    """Return a folder for files; it is removed at the end."""
+    kept = tempfile.TemporaryDirectory(prefix="armrig-")
+    _KEPT.append(kept)
+    return Path(kept.name)
+
+
+_KEPT: list[Any] = []
+
+
+# Data and their treatment.
+
+
+@variants
+def Dataset() -> Variants:
+    yield from data().items()
+    two = armrig.merge([data()["line"], armrig.detrend(data()["plain"])])
+    yield "experiments", list(two.experiments())
+    yield "select", two.select(2, 0)
+    yield "split", two.split(3)
+    yield "part", two[40:170]
+    yield "trend", [t.later(0.7) for t in two.trends]
+
+
+@variants
+def merge() -> Variants:
+    yield "trends", armrig.merge([data()["mean"], data()["plain"], data()["line"]])
+
+
+@variants
+def detrend() -> Variants:
+    drifting = integrating().replaced(step=None, y=integrating().y + 4 + 0.1 * integrating().t)
+    for name, d in {"holes": holed(drifting, 70), "two": data()["two"]}.items():
+        for order in (0, 1):
+            yield f"{name}-{order}", armrig.detrend(d, order)
+    yield "twice", armrig.detrend(armrig.detrend(data()["two"], 0), 1)
+
+
+@variants
+def retrend() -> Variants:
+    d = data()
+    yield "mean", armrig.retrend(d["mean"])
+    yield "line", armrig.retrend(d["line"])
+    yield "numbers", armrig.retrend(d["line"], np.sin(np.arange(d["line"].N)))
+    yield "resampled", armrig.retrend(armrig.resample(armrig.detrend(arm_data(3), 1), 0.03))
+    yield "part", armrig.retrend(d["line"][60:260])
+
+
+@variants
+def resample() -> Variants:
+    line = armrig.detrend(holed(arm_data(3), 300), 1)
+    yield "3", armrig.resample(line, 0.03)
+    yield "odd", armrig.resample(armrig.merge([arm_data(3, 401), arm_data(4, 500)]), 0.02)
+
+
+@variants
+def difference() -> Variants:
+    yield "two", armrig.difference(data()["two"])
+    yield "line", armrig.difference(data()["line"])
+    yield "arm", armrig.difference(arm_data())
+
+
+@variants
+def prefilter() -> Variants:
+    d = data()
+    yield "fir", armrig.prefilter(d["two"], [1.0, -0.5])
+    yield "iir", armrig.prefilter(d["holes"], [0.2, 0.1], [1.0, -0.7])
+    yield "low", armrig.prefilter(d["plain"], band=(0.0, 8.0))
+    yield "high", armrig.prefilter(d["odd"], band=(5.0, np.inf), order=2)
+    yield "band", armrig.prefilter(d["plain"], band=(1.0, 20.0), order=2)
+
+
+@variants
+def hampel() -> Variants:
+    rng = np.random.default_rng(9)
+    for name in ("plain", "two", "resampled"):
+        d = data()[name]
+        size = np.linspace(0.5, 9, d.N) * np.nanstd(d.y)  # of all sizes: one is at any limit
+        y = np.where(rng.random(d.N) < 0.02, d.y + size, d.y)
+        wrong = d.replaced(step=None, y=y)
+        yield name, armrig.hampel(wrong)
+        yield f"{name} low", armrig.hampel(wrong, threshold=4.0, order=3)
+
+
+@variants
+def drift() -> Variants:
+    d = data()["plain"]
+    jump = d.replaced(step=None, y=d.y + 0.4 * (d.t > 21.7))
+    yield "jump", armrig.drift(jump, 4)
+    yield "two", armrig.drift(data()["two"], 3, integrator=False)
+    yield "holes", armrig.drift(holed(jump), 4, integrator=False)
+    yield "odd", armrig.drift(data()["odd"])
+
+
+@variants
+def load_data() -> Variants:
+    d, path = data()["holes"], folder() / "data.csv"
+    for name, sep, decimal in (("comma", ",", "."), ("semicolon", ";", ",")):
+        rows = (f"{t:.6g}{sep}{u:.6g}{sep}{y:.6g}" for t, u, y in zip(d.t, d.u, d.y, strict=True))
+        path.write_text("\n".join([sep.join(["time [ms]", "u", "y"]), *rows]).replace(".", decimal))
+        yield name, armrig.load_data(path)
+    yield "Ts", armrig.load_data(path, Ts=0.2, time="time")
+    np.savez(path.with_suffix(".npz"), u=d.u[:50], y=d.y[:50], Ts=0.3)
+    yield "npz", armrig.load_data(path.with_suffix(".npz"))
+
+
+# Estimation.
+
+
+@variants
+def arx() -> Variants:
+    for name, d in data().items():
+        yield name, armrig.arx(d, na=2, nb=2)
+    yield "late", armrig.arx(data()["odd"], na=2, nb=4, nk=3)
+    yield "direct", armrig.arx(data()["two"], na=1, nb=3, nk=0)
+    yield "stable", armrig.arx(integrating(), na=4, nb=3, stable=True)
+    yield "fir", armrig.arx(data()["plain"], na=0, nb=8)
+    yield "arm", armrig.arx(holed(arm_data(), 300), na=4, nb=4)
+
+
+@variants
+def iv4() -> Variants:
+    for name in ("plain", "odd", "holes", "two", "line"):
+        yield name, armrig.iv4(data()[name], na=2, nb=2)
+    yield "late", armrig.iv4(data()["odd"], na=2, nb=3, nk=2)
+    yield "arm", armrig.iv4(arm_data(), na=4, nb=4, stable=True)
+
+
+@variants
+def armax() -> Variants:
+    for name in ("odd", "holes", "two"):
+        yield name, armrig.armax(data()[name], na=2, nb=2, nc=1)
+    yield "integrator", armrig.armax(integrating(), na=2, nb=2, nc=2, integrator=True)
+    yield "offset", armrig.armax(integrating(), na=2, nb=2, nc=1, integrator=True, offset=True)
+    yield "zero", armrig.armax(data()["mean"], na=2, nb=3, nc=1, nk=0, initial="zero")
+
+
+@variants
+def oe() -> Variants:
+    for name in ("plain", "holes", "two", "mean"):
+        yield name, armrig.oe(data()[name], nb=2, nf=2)
+    yield "late", armrig.oe(data()["odd"], nb=2, nf=2, nk=3)
+    yield "integrator", armrig.oe(integrating(), nb=2, nf=2, integrator=True)
+    two = armrig.merge([integrating()[:250], integrating()[250:]])
+    yield "offset", armrig.oe(two, nb=2, nf=2, integrator=True, offset=True)
+    shifted = integrating().replaced(step=None, u=integrating().u + 0.8)
+    yield "shifted", armrig.oe(shifted, nb=2, nf=2, integrator=True, offset=True)
+    yield "zero", armrig.oe(data()["mean"], nb=3, nf=1, nk=0, initial="zero", stable=True)
+
+
+@variants
+def bj() -> Variants:
+    yield "odd", armrig.bj(data()["odd"], nb=2, nc=1, nd=1, nf=2, nk=3)
+    odd = data()["odd"]
+    two = armrig.merge([odd[:200], odd[200:]])
+    yield "two", armrig.bj(two, nb=2, nc=1, nd=1, nf=2, nk=3)
+    yield "integrator", armrig.bj(integrating(), nb=2, nc=1, nd=1, nf=2, integrator=True)
+    yield "holes", armrig.bj(data()["holes"], nb=2, nc=0, nd=1, nf=2, stable=True)
+
+
+@variants
+def pem() -> Variants:
+    yield "odd", armrig.pem(data()["odd"], nb=2, na=1, nc=1, nf=1, nk=3)
+    yield "two", armrig.pem(data()["two"], nb=2, nf=2, nd=1)
+    yield "a", armrig.pem(data()["plain"], nb=2, na=2, nc=1, initial="zero")
+
+
+@variants
+def n4sid() -> Variants:
+    for name in ("plain", "holes", "two", "mean"):
+        yield name, armrig.n4sid(data()[name], 2)
+    for weights in ("moesp", "n4sid"):
+        yield weights, armrig.n4sid(data()["odd"], 2, weights, nk=3)
+    yield "chosen", armrig.n4sid(data()["plain"], horizon=8)
+    yield "simulation", armrig.n4sid(data()["two"], 2, focus="simulation")
+    yield "integrator", armrig.n4sid(integrating(), 2, integrator=True, stable=True)
+    yield "direct", armrig.n4sid(data()["mean"], 3, nk=0)
+
+
+@variants
+def rarx() -> Variants:
+    for name in ("plain", "holes", "two", "line"):
+        plain = armrig.rarx(data()[name], na=2, nb=2)
+        forgetting = armrig.rarx(data()[name], na=1, nb=4, nk=0, forgetting=0.96)
+        yield name, plain
+        yield f"{name} forgetting", forgetting
+        yield f"{name} errors", (plain.error[30:], forgetting.error[30:])
+    yield "nb", armrig.rarx(data()["two"], na=1, nb=5, nk=2)
+
+
+@variants
+def rarx_start() -> Variants:
+    yield "plain", armrig.rarx_start(na=2, nb=3, nk=2, forgetting=0.9)
+
+
+@variants
+def rarx_step() -> Variants:
+    d = data()["holes"]
+    for forgetting in (1.0, 0.9):
+        state, seen = armrig.rarx_start(na=2, nb=3, nk=0, forgetting=forgetting), []
+        for u, y in zip(d.u[:80], d.y[:80], strict=True):
+            state = armrig.rarx_step(state, float(u), float(y))
+            seen.append(state)
+        yield f"{forgetting}", seen[8::6]
+
+
+@variants
+def select_orders() -> Variants:
+    d, orders = data(), (range(1, 4), range(1, 4), range(1, 3))
+    yield "plain", armrig.select_orders(d["plain"], *orders)
+    yield "validation", armrig.select_orders(d["holes"], *orders, validation=d["two"])
+    yield "two", armrig.select_orders(d["two"], (0, 2), (1, 4), (0, 3))
+
+
+# Validation.
+
+
+@variants
+def residuals() -> Variants:
+    d = data()
+    fit = armrig.oe(d["plain"], nb=2, nf=2)
+    for name in ("plain", "holes", "two", "mean"):
+        yield name, armrig.residuals(fit, d[name])
+    yield "lags", armrig.residuals(armrig.arx(d["odd"], na=2, nb=2), d["odd"], 9)
+    yield "high", armrig.residuals(armrig.arx(d["odd"], na=5, nb=5), d["odd"])
+    yield "arm", armrig.residuals(armrig.arx(arm_data(), na=4, nb=4), holed(arm_data(2), 200))
+
+
+@variants
+def compare() -> Variants:
+    d = data()
+    fits = armrig.arx(d["plain"], na=2, nb=2), armrig.oe(d["plain"], nb=2, nf=2)
+    for horizon in (None, 1, 4):
+        yield f"{horizon}", armrig.compare(d["two"], *fits, horizon=horizon)
+    fit = armrig.oe(integrating(), nb=2, nf=2, integrator=True, offset=True)
+    yield "integrator", armrig.compare(integrating(), fit, labels=["one"])
+    fit, physics = (
+        armrig.arx(arm_data(), na=4, nb=4),
+        armrig.physical_model(ArmParameters(), arm_data()),
+    )
+    yield "physics", armrig.compare(holed(arm_data(2)), fit, physics)
+
+
+@variants
+def search() -> Variants:
+    d = data()
+    yield "plain", armrig.search(d["plain"], d["mean"], orders=range(1, 4))
+    yield (
+        "few",
+        armrig.search(
+            d["plain"][:70], families=("arx", "oe", "n4sid"), orders=(2, 5, 9), horizon=3
+        ),
+    )
+    yield "integrator", armrig.search(integrating(), families=("oe",), orders=(1, 2, 3), nk=(1, 2))
+    # The highest order fails: fewer samples than it needs.
+    failing = armrig.search(data()["plain"][:70], families=("arx",), orders=(1, 2, 30))
+    yield "failing", (failing, len(failing.failed), len(failing.reasons))
+
+
+@variants
+def advice() -> Variants:
+    yield "data", armrig.advice(data()["line"])
+    yield "feedback", armrig.advice(fed_back())
+    yield "fit", armrig.advice(armrig.arx(data()["odd"], na=4, nb=4))
+
+
+@variants
+def delay() -> Variants:
+    yield "late", armrig.delay(late())
+    yield "odd", armrig.delay(holed(data()["odd"]))
+    yield "integrator", armrig.delay(integrating(), integrator=True)
+    yield "feedback", armrig.delay(fed_back())
+
+
+@variants
+def open_loop() -> Variants:
+    yield "feedback", armrig.open_loop(fed_back())
+    yield "open", armrig.open_loop(holed(data()["plain"]), 0.01)
+    yield "two", armrig.open_loop(armrig.merge([late(), late()[:300]]))
+    yield "integrator", armrig.open_loop(integrating())
+    ends = np.cumsum(np.arange(1, 15) + 26)
+    lost = np.concatenate([np.arange(end - n, end) for n, end in enumerate(ends, 1)])
+    valid = ~np.isin(np.arange(500), lost)  # gaps of 1 to 14 samples: one is at any limit
+    yield "gaps", armrig.open_loop(fed_back().replaced(step=None, valid=valid))
+
+
+# Without structure.
+
+
+@variants
+def spa() -> Variants:
+    d = data()
+    for name in ("plain", "odd", "holes", "two"):
+        yield name, armrig.spa(d[name])
+    yield "window", armrig.spa(d["plain"], 21, [0.1, 3.0, 12.0, 31.0], delay=1)
+    yield "log", armrig.spa(d["plain"], "log")
+    yield "welch", armrig.spa(d["holes"], method="welch")
+    yield "welch-window", armrig.spa(d["odd"], 64, method="welch", delay=2)
+    yield "integrator", armrig.spa(integrating(), integrator=True)
+
+
+@cache
+def periodic(noise: float = 0.05, output: bool = True) -> armrig.Dataset:
+    """Return five periods of a signal with many lines, after the transient of a first."""
+    rng = np.random.default_rng([3, 9])
+    period = rng.standard_normal(80)
+    u = np.tile(period, 5)
+    return of_a_system(*COMPLEX, N=400, u=u, std=noise, seed=11)
+
+
+@variants
+def etfe() -> Variants:
+    yield "plain", armrig.etfe(data()["plain"])
+    yield "odd", armrig.etfe(data()["odd"])
+    yield "periodic", armrig.etfe(periodic(), period_length=80)
+    yield "integrator", armrig.etfe(integrating(), integrator=True)
+
+
+@variants
+def bla() -> Variants:
+    yield "one", armrig.bla(periodic(), period_length=80)
+    rng = np.random.default_rng(4)
+    several = [
+        of_a_system(*COMPLEX, N=240, u=np.tile(rng.standard_normal(60), 4), seed=20 + i)
+        for i in range(3)
+    ]
+    yield "several", armrig.bla(several, period_length=60, transient=2)
+
+
+@variants
+def impulse_response() -> Variants:
+    d = data()
+    for kernel in ("tc", "dc", "ss", None):
+        yield f"{kernel}", armrig.impulse_response(d["plain"], 20, kernel)
+    yield "holes", armrig.impulse_response(d["holes"], 25)
+    yield "two", armrig.impulse_response(d["two"], 15, None, negative_lags=4)
+    yield "odd", armrig.impulse_response(d["odd"])
+    yield "integrator", armrig.impulse_response(integrating(), 30, integrator=True)
+
+
+@variants
+def correlation() -> Variants:
+    d = data()
+    for name in ("plain", "odd", "holes", "two"):
+        yield name, armrig.correlation(d[name], 12)
+    yield "order", armrig.correlation(d["odd"], 8, 3)
+    yield "integrator", armrig.correlation(integrating(), 10, integrator=True)
+
+
+@variants
+def step_analysis() -> Variants:
+    yield "steps", armrig.step_analysis(steps())
+    u = np.repeat([0.0, 2.0, 0.0, 2.0, 0.0, 2.0], [50, 60, 40, 60, 20, 60])
+    yield (
+        "unequal",
+        armrig.step_analysis(of_a_system([0, 0.1], np.poly([0.8]), u=u, N=290, std=0.02)),
+    )
+    yield "one", armrig.step_analysis(holed(steps()[40:119], 30, 1))
+    u = np.repeat([0.0, 1.0], [40, 160])
+    yield "overshoot", armrig.step_analysis(of_a_system(*COMPLEX, N=200, u=u, std=0.02, y_0=2.0))
+    ramp = of_a_system([0.0, 0.05, 0.03], np.convolve([1, -0.8], [1, -1]), N=200, u=u, std=0.02)
+    yield "integrator", armrig.step_analysis(ramp, integrator=True)
+
+
+@variants
+def sampling_time() -> Variants:
+    yield "steps", armrig.sampling_time(steps())
+    yield "plain", armrig.sampling_time(data()["plain"])
+    yield "noisy", armrig.sampling_time(of_a_system(*COMPLEX, std=2.0, N=500))
+    yield "arm", armrig.sampling_time(arm_data(2, 2000))
+    yield "odd", armrig.sampling_time(data()["odd"])
+    yield "integrator", armrig.sampling_time(integrating(), integrator=True)
+
+
+@variants
+def structure_hints() -> Variants:
+    yield "plain", armrig.structure_hints(data()["plain"])
+    yield "odd", armrig.structure_hints(holed(data()["odd"]), seed=3)
+    yield "integrator", armrig.structure_hints(integrating(), integrator=True)
+
+
+# Excitation.
+
+
+@variants
+def prbs() -> Variants:
+    yield "plain", armrig.prbs(60)
+    yield "clock", armrig.prbs(61, 3, 1.0, 2.0, 5)
+    yield "register", armrig.prbs(70, 2, seed=np.random.default_rng(4), register=5)
+
+
+@variants
+def telegraph() -> Variants:
+    yield "plain", armrig.telegraph(200, 0.1)
+    yield "levels", armrig.telegraph(101, 0.4, 1.0, 3.0, 7)
+
+
+@variants
+def chirp() -> Variants:
+    yield "linear", armrig.chirp(100, 0.01, 1.0, 20.0)
+    yield "logarithmic", armrig.chirp(101, 0.02, 0.5, 15.0, 1.0, 2.0, sweep="logarithmic")
+
+
+@variants
+def multisine() -> Variants:
+    yield "plain", armrig.multisine(64)
+    yield "lines", armrig.multisine(90, (1, 3, 7), 1.0, 4.0, 5, periods=3)
+    yield "rms", armrig.multisine(65, range(1, 9), 0.0, 5.0, seed=2, rms=0.6)
+
+
+@variants
+def staircase() -> Variants:
+    yield "plain", armrig.staircase(61)
+    yield "levels", armrig.staircase(50, (1.0, 3.0, 2.0), 0.5, 4.0)
+
+
+@variants
+def step() -> Variants:
+    yield "plain", armrig.step(20)
+    yield "late", armrig.step(20, low=1.0, high=2.0, at=7)
+
+
+@variants
+def white_noise() -> Variants:
+    yield "uniform", armrig.white_noise(50)
+    yield "normal", armrig.white_noise(51, 1.0, 3.0, 9, distribution="normal")
+
+
+@variants
+def from_csv() -> Variants:
+    path = folder() / "input.csv"
+    path.write_text("\n".join(f"{x:.4f}" for x in switching(40, 6, 0.3)))
+    yield "plain", armrig.from_csv(path, 0.01)
+
+
+@variants
+def describe_input() -> Variants:
+    yield "switching", armrig.describe_input(switching(300, 1, 0.1), 0.01)
+    yield "noise", armrig.describe_input(np.random.default_rng(1).uniform(0.5, 4.5, 201), 0.05)
+    yield "constant", armrig.describe_input(np.full(50, 2.0), 0.01)
+    sines = 2.5 + np.sin(2 * np.pi * 5 * np.arange(200) / 100)
+    yield "sine", armrig.describe_input(sines, 0.02)
+
+
+@variants
+def named_signal() -> Variants:
+    from armrig.excitation import named_signals as n
+
+    for name in n.NAMES:
+        yield name, n.named_signal(name, 90, 0.01, a=0.1, low=1.0, high=4.0, seed=3)
+    yield "step", n.step_at(50, 0.02, low=1.0, high=2.0, at=0.3)
+    yield "levels", n.up_and_down(60, low=1.0, high=3.0, levels=4)
+    yield "realisations", n.realisations(120, 3, 0.5, 4.5, 2, periods=2)
+    yield "clock", n.clock_of(0.07)
+
+
+@variants
+def PlannedModel() -> Variants:
+    yield "plain", planned()
+
+
+def planned(**more: Any) -> armrig.PlannedModel:
+    """Return a model for the design of an experiment."""
+    return armrig.PlannedModel(B=COMPLEX[0], F=COMPLEX[1], noise_variance=0.02, Ts=0.1, **more)
+
+
+@variants
+def predicted_std() -> Variants:
+    u = switching(201, 3, 0.2)
+    yield "oe", armrig.predicted_std(planned(), u)
+    yield "bj", armrig.predicted_std(planned(C=[1, 0.5], D=[1, -0.6]), u, noise_variance=0.1)
+    arx = armrig.PlannedModel(A=COMPLEX[1], B=COMPLEX[0], noise_variance=0.02, Ts=0.1)
+    yield "arx", armrig.predicted_std(arx, armrig.merge([late(), late()[:70]]), initial="zero")
+    F = np.convolve([1.0, -0.7], [1.0, -1.0])
+    model = armrig.PlannedModel(B=[0, 0.3, 0.2], F=F, noise_variance=0.1, Ts=0.1, integrator=True)
+    yield "integrator", armrig.predicted_std(model, u)
+    yield "fit", armrig.predicted_std(armrig.oe(data()["holes"], nb=2, nf=2), data()["holes"])
+
+
+@variants
+def predicted_parameter_std() -> Variants:
+    predicted = partial(armrig.predicted_parameter_std, Ts=0.005, noise_variance=1e-5)
+    u = switching(400, 5, 0.02)
+    yield "chassis", predicted(armrig.chassis, u)
+    yield "two", predicted(armrig.chassis, u, free=("J_1", "K_m"), initial="zero")
+    yield "arm", predicted(armrig.arm, u, free=("J_1", "J_2"), output="alpha")
+
+
+# Physics.
+
+
+OTHER = ArmParameters(J_1=0.0021, J_2=0.004, K_lin=0.9, R_m=2.8, b_1=0.002)
+
+
+@variants
+def ArmParameters_() -> Variants:
+    yield "own", ArmParameters()
+    yield "other", OTHER
+
+
+CALLS["ArmParameters"] = CALLS.pop("ArmParameters_")
+
+
+@variants
+def arm() -> Variants:
+    yield "own", armrig.arm(ArmParameters())
+    yield "other", armrig.arm(OTHER)
+
+
+@variants
+def chassis() -> Variants:
+    yield "own", armrig.chassis(ArmParameters())
+    yield "other", armrig.chassis(OTHER)
+
+
+@variants
+def characteristics() -> Variants:
+    yield "own", armrig.characteristics()
+    yield "other", armrig.characteristics(OTHER)
+    yield "stiff", armrig.characteristics(replace(OTHER, K_lin=12.0))
+
+
+@variants
+def step_sensitivities() -> Variants:
+    t = np.linspace(0, 0.8, 40)
+    yield "rate", armrig.step_sensitivities(ArmParameters(), t)
+    few = {"names": ("J_1", "b_1"), "u": 2.0, "state": "theta_1"}
+    yield "chassis", armrig.step_sensitivities(OTHER, t, model=armrig.chassis, **few)
+    yield "alpha", armrig.step_sensitivities(OTHER, t, names=("K_lin",), state="alpha")
+
+
+@variants
+def step_response() -> Variants:
+    from armrig.physics.step_response import step_response
+
+    t = np.linspace(0, 0.8, 40)
+    for state in ("theta_1", "alpha_rate"):
+        yield state, step_response(OTHER, t, state=state)
+
+
+@variants
+def physical_model() -> Variants:
+    yield "angle", armrig.physical_model(OTHER, arm_data())
+    yield "rate", armrig.physical_model(OTHER, armrig.difference(arm_data()))
+
+
+@variants
+def rehearse() -> Variants:
+    u = switching(300, 2, 0.03)
+    yield "plain", armrig.rehearse(u, 0.01)
+    yield "chassis", armrig.rehearse(u, 0.005, parameters=OTHER, arm_removed=True)
+    yield "from", armrig.rehearse(u, 0.01, theta_1_rad=0.4, revolutions=9.0, alpha_rad=2.0)
+
+
+LINEAR = arm_matrices(ArmParameters())[:2]
+DAMPED = np.array([[0.0, 1.0], [-9.0, -0.8]]), np.array([[0.0], [2.0]])
+METHODS_OF_INTEGRATION = ("forward_euler", "ab2", "trapezoidal", "heun", "midpoint")
+
+
+@variants
+def exact() -> Variants:
+    yield "plain", armrig.exact(*DAMPED, 2.0, 3.0, [1.0, -0.5], np.linspace(0, 3, 20))
+
+
+@variants
+def integrate() -> Variants:
+    for method in METHODS_OF_INTEGRATION:
+        found = armrig.integrate(*DAMPED, lambda t: np.sin(2 * t) + t, [1.0, 0.2], 0.05, 30, method)
+        yield method, found
+
+
+@variants
+def sinusoid() -> Variants:
+    yield "plain", armrig.sinusoid(*LINEAR, omega=10.0, amplitude=2.5)
+    yield "from", armrig.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)
+
+
+@variants
+def convergence() -> Variants:
+    problem = armrig.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)
+    for method in METHODS_OF_INTEGRATION:
+        yield method, armrig.convergence(problem, method, [0.05, 0.025, 0.0125])
+    yield "own", armrig.convergence(problem, "heun")
+
+
+@variants
+def stability_limit() -> Variants:
+    for method in METHODS_OF_INTEGRATION:
+        yield (
+            method,
+            (armrig.stability_limit(LINEAR[0], method), armrig.stability_limit(DAMPED[0], method)),
+        )
+
+
+@variants
+def recommend_step() -> Variants:
+    yield "arm", armrig.recommend_step(*LINEAR, omega=10.0, amplitude=2.5, methods=("ab2", "heun"))
+    yield "damped", armrig.recommend_step(*DAMPED, omega=2.0, tolerance=1e-4, span=4.0)
+
+
+@variants
+def greybox() -> Variants:
+    whole = chassis_data()
+    two = armrig.merge([holed(whole[:400], 130), chassis_data(3, 500)])
+    yield "plain", armrig.greybox(whole)
+    yield "two", armrig.greybox(two, free=("J_1", "K_m"))
+    fixed = {"fixed": replace(ArmParameters(), R_m=3.0), "fixed_std": {"R_m": 0.03, "K_m": 1e-4}}
+    yield "fixed", armrig.greybox(whole, **fixed)
+    yield "friction", armrig.greybox(rubbing(), friction="coulomb")
+    yield "both ways", armrig.greybox(both_ways(), friction="coulomb")
+    yield "viscous", armrig.greybox(rubbing(), friction="viscous", fixed_std={"K_m": 2e-4})
+    yield "arm", armrig.greybox(holed(arm_data(), 160), armrig.arm, ("J_1", "J_2"))
+
+
+@cache
+def rubbing() -> armrig.Dataset:
+    """Return the chassis with dry friction, which the voltage always overcomes."""
+    d = chassis_data(5)
+    lag = np.cumsum(np.sign(d.u - 2.5) * 2e-5)
+    return d.replaced(step=None, y=d.y - 0.3 * d.t + lag)
+
+
+@cache
+def both_ways() -> armrig.Dataset:
+    """Return the emulator's chassis with dry friction, driven both ways."""
+    import chassis_data
+
+    u = 0.7 * switching(1200, 8, 0.01, -3.0, 3.0) + 0.5 * np.sin(0.02 * np.arange(1200))
+    y = chassis_data.rubbing(u, ArmParameters(), 0.02)
+    y += 1e-3 * np.random.default_rng(8).standard_normal(u.size)
+    return armrig.Dataset(u=u, y=y, Ts=chassis_data.Ts, output="theta_1", unit="rad")
+
+
+@variants
+def inverse_dynamics() -> Variants:
+    whole = chassis_data()
+    yield "plain", armrig.inverse_dynamics(whole)
+    yield "two", armrig.inverse_dynamics(armrig.merge([whole[:450], chassis_data(3, 500)]))
+    yield "friction", armrig.inverse_dynamics(rubbing(), friction="coulomb")
+    more = {"width": 0.02, "fixed_std": {"R_m": 0.05}, "friction": "viscous"}
+    yield "width", armrig.inverse_dynamics(holed(whole, 200), OTHER, **more)
+
+
+@variants
+def agreement() -> Variants:
+    for name, d in {"plain": chassis_data(), "friction": rubbing()}.items():
+        friction = None if name == "plain" else "coulomb"
+        a, b = armrig.greybox(d, friction=friction), armrig.inverse_dynamics(d, friction=friction)
+        yield name, armrig.agreement(a, b)
+        yield f"{name} back", armrig.agreement(b, a)
+
+
+@variants
+def split_study() -> Variants:
+    yield "plain", armrig.split_study(chassis_data())
+    yield "three", armrig.split_study(holed(chassis_data(), 200), (1, 3))
+    fit = partial(armrig.arx, na=2, nb=2)
+    yield "arx", armrig.split_study(data()["plain"], (1, 2), fit, parameter="b1")
+
+
+# Recordings.
+
+
+@cache
+def recorded(kind: str) -> Path:
+    """Return the path of a recording: the arm's with jitter, reports and events, and a gap."""
+    import made_recordings as made
+
+    inputs: dict[str, tuple[Vector, dict[str, Any]]] = {
+        "estimation": (switching(700, 1, 0.05), {}),
+        "validation": (switching(500, 2, 0.05), {"seed": 2, "missing": slice(300, 305)}),
+        "step": (np.repeat([0.5, 4.5], [50, 150]), {"experiment": "step"}),
+        "turned": (switching(400, 4, 0.05), {"seed": 4, "start": 3.0}),
+    }
+    u, options = inputs[kind]
+    return made.written(folder(), made.of_the_arm(u, **options), f"{kind}.mcap")
+
+
+@cache
+def told() -> Path:
+    """Return the path of a recording with the daemon's reports, flags and a rail."""
+    import made_recordings as made
+    from armrig_core import protobuf
+
+    rng = np.random.default_rng(12)
+    counts = 32768 + np.cumsum(np.repeat(rng.integers(100, 900, 40), 5)) * 1
+    samples = made.turning([int(c) % 67000 if c % 67000 < 65536 else 0 for c in counts * 1])
+    messages: list[Any] = []
+    for k, s in enumerate(samples):
+        late = int(3_000 + 9_000 * rng.random())
+        if 120 <= k < 124:
+            messages += [made.gap(120, 4, 2.5)] if k == 120 else []
+            continue
+        messages.append(
+            s._replace(t_host_ns=s.t_sched_ns + late, t_device_us=s.t_device_us + late // 900)
+        )
+        if k % 50 == 49:
+            report = made.timing(k)
+            report.link_round_trip_us.max, report.link_round_trip_us.n = 600.0 + k, 100
+            report.collections = k // 10
+            report.run_queue = 2 + k // 60
+            report.cpu_pressure_percent = 1.5 * k
+            clock = protobuf.message_class(protobuf.CLOCK)(t_host_ns=s.t_host_ns)
+            clock.drift_ppm, clock.drift_std_ppm = 12.5 + k, 0.25
+            clock.offset_ns, clock.offset_std_ns, clock.bound_ns = 1000 * k, 40 * k, 500 * k
+            messages += [report, clock, made.event(k, "held up")]
+    about = made.manifest(samples=len(samples))
+    return made.written(folder(), made.recorded(messages, manifest=about), "told.mcap")
+
+
+HIDDEN = (4.9, 5.2, 5.4)
+"""Where a chassis starts whose rise after a step is in the dead band."""
+
+
+@cache
+def hidden(start: float) -> Path:
+    """Return the path of a recording of a step from a voltage that turns the chassis."""
+    import made_recordings as made
+
+    u = np.repeat([0.5, 4.5], [100, 100])
+    data = made.of_the_arm(u, experiment="step", start=start)
+    return made.written(folder(), data, f"hidden-{start}.mcap")
+
+
+@variants
+def load() -> Variants:
+    for kind in ("validation", "step", "turned"):
+        yield kind, armrig.load(recorded(kind))
+    yield "part", armrig.load(recorded("validation"), start=2.5, stop=4.0)
+    for start in (0.37, 0.55, 0.9, 1.3):
+        yield f"from {start}", armrig.load(told(), start=start)
+    yield "told", armrig.load(told())
+    yield "calibrated", armrig.load(recorded("turned"), other_calibration())
+
+
+def other_calibration() -> Any:
+    """Return a calibration that is not the default."""
+    from armrig_core.calibration import Calibration, Driver, Potentiometer
+
+    return Calibration(
+        theta_1=Potentiometer(zero_counts=30000.0, rad_per_count=-9.1e-5, wraps=True),
+        alpha=Potentiometer(zero_counts=33000.0, rad_per_count=7e-5, wraps=False),
+        driver=Driver(gain=0.97, offset_v=0.03),
+    )
+
+
+@variants
+def dataset() -> Variants:
+    for kind in ("validation", "turned"):
+        for output in ("theta_1", "alpha", "velocity"):
+            yield f"{kind} {output}", armrig.load(recorded(kind)).dataset(output)
+
+
+@variants
+def sampling_statistics() -> Variants:
+    for path in (recorded("validation"), told()):
+        yield path.stem, armrig.sampling_statistics(armrig.load(path))
+
+
+@variants
+def data_verdict() -> Variants:
+    for path in (recorded("validation"), recorded("turned"), told()):
+        yield path.stem, armrig.data_verdict(armrig.load(path))
+
+
+@variants
+def of_recordings() -> Variants:
+    from armrig.recordings import doubts, hidden_step, jitter, overview, timing_disturbances
+    from armrig.recordings.export import columns
+    from armrig.recordings.recording_summary import summary_of
+    from armrig.recordings.verification import verify_recording
+
+    for start in HIDDEN:
+        yield f"hidden {start}", hidden_step.hidden_step(armrig.load(hidden(start)))
+    for path in (recorded("validation"), recorded("turned"), told()):
+        r = armrig.load(path)
+        yield f"{path.stem} disturbances", timing_disturbances.disturbances(r)
+        yield f"{path.stem} overview", overview.overview(r)
+        yield f"{path.stem} verification", verify_recording(r)
+        yield f"{path.stem} columns", columns(r, raw=True)
+        yield f"{path.stem} summary", summary_of(path)
+        yield f"{path.stem} jitter", [jitter.jitter_us(r), jitter.lateness_us(r)]
+        yield f"{path.stem} hidden", hidden_step.hidden_step(r)
+        turned = jitter.angle_of_jitter(armrig.sampling_statistics(r), r.dataset())
+        yield f"{path.stem} angle", turned
+        yield f"{path.stem} doubts", doubts.all_doubts([r, armrig.load(recorded("step"))])
+
+
+@variants
+def catalogue() -> Variants:
+    recorded("validation"), recorded("step")
+    lab = folder() / "lab"
+    lab.mkdir(exist_ok=True)
+    for kind in ("validation", "step"):
+        (lab / f"{kind}.mcap").write_bytes(recorded(kind).read_bytes())
+    yield "lab", armrig.catalogue(lab)
+
+
+@variants
+def calibration() -> Variants:
+    from armrig.recordings.calibration import estimate
+    from armrig_core.calibration import Calibration, Made
+    from made_turns import made_turns, still
+
+    rest = still()
+    meter = [(1.0, 1.03), (2.5, 2.51), (4.5, 4.46)]
+    made = Made(date="2026-11-20", rig="1", device_uid="0001", armrig="0.1.0", figures={})
+    cases: dict[str, Any] = {
+        "rest": estimate(rest),
+        "turns": estimate(rest, made_turns(noise=40.0)),
+        "one": estimate(rest, made_turns(omega=(2.5,), direction=-1, noise=20.0)),
+        "three": estimate(rest, made_turns(omega=(1.9, 3.1, 4.4), noise=30.0, seed=2), meter=meter),
+        "meter": estimate(rest, meter=meter[:2], meter_std_v=0.02),
+    }
+    deflected = replace(rest, alpha=rest.alpha + 3000.0)
+    cases["deflected"] = estimate(
+        rest, made_turns(noise=40.0), deflected=deflected, meter=meter[:1]
+    )
+    for name, found in cases.items():
+        yield name, found
+        yield f"{name} made", found.calibration(Calibration(), made)
+
+
+# What rests on all of it.
+
+
+@variants
+def load_fit() -> Variants:
+    path = folder() / "model.json"
+    armrig.bj(data()["odd"], nb=2, nc=1, nd=1, nf=2, nk=3).save(path)
+    yield "bj", armrig.load_fit(path)
+    armrig.n4sid(data()["plain"], 2).save(path)
+    yield "n4sid", armrig.load_fit(path)
+
+
+@variants
+def summary() -> Variants:
+    d = data()
+    yield "arx", armrig.arx(d["plain"], na=2, nb=2).summary()
+    yield "oe", armrig.oe(integrating(), nb=2, nf=2, integrator=True).summary()
+    yield "bj", armrig.bj(d["odd"], nb=2, nc=1, nd=1, nf=2, nk=3).summary()
+    yield "high", armrig.arx(d["odd"], na=5, nb=5).summary()
+    yield "n4sid", armrig.n4sid(d["plain"], 3).summary()
+
+
+@variants
+def uncertainty() -> Variants:
+    from armrig.models import uncertainty as u
+    from armrig.models.parameter_draws import drawn
+
+    d = data()
+    few = d["odd"][:60]
+    fits = {
+        "oe": armrig.oe(d["plain"], nb=2, nf=2),
+        "poor": armrig.arx(few, na=3, nb=3),
+        "integrator": armrig.oe(integrating(), nb=2, nf=2, integrator=True),
+    }
+    for name, fit in fits.items():
+        draws = drawn(fit, n=200, rng=np.random.default_rng(1))
+        yield f"{name} draws", draws
+        yield f"{name} poles", u.pole_regions(fit, draws)
+        yield f"{name} zeros", u.zero_regions(fit, draws)
+        yield (
+            f"{name} bands",
+            u.frequency_bands(fit, fit.frequency_response(frequencies(fit)), draws),
+        )
+        yield f"{name} step", u.step_band(fit, fit.step_response(20), draws)
+        yield f"{name} rate", u.step_band(fit, fit.step_response(20, rate=True), None)
+
+
+def numbers_in(rows: Any) -> list[list[float]]:
+    """Return the numbers of a table whose cells are texts."""
+    import re
+
+    texts = (" ".join(map(str, row)).replace("−", "-") for row in rows)
+    return [[float(x) for x in re.findall(r"-?\d+(?:\.\d+)?", text)] for text in texts]
+
+
+@variants
+def report() -> Variants:
+    from armrig.report import figures, model_facts, recording_facts
+    from armrig.report.handout_study import handout_study
+    from armrig.report.study import study
+
+    paths = (recorded("step"), recorded("estimation"), recorded("validation"), told())
+    read = [armrig.load(path) for path in paths]
+    found = study(read[:3])
+    yield "study", found
+    yield "half", study(read[1:2]).estimated
+    for name in ("timing", "data", "velocity", "compare"):
+        yield f"{name}-figure", getattr(figures, f"_{name}_figure")(found)
+    table = model_facts.model_table(found.best, found.reference)
+    yield "model", [numbers_in(table[part]) for part in ("rows",)]
+    yield "residuals", numbers_in(row[1:] for row in model_facts.residual_rows(found))
+    yield "timing", numbers_in(row[1:] for row in recording_facts.timing_rows(found.timing))
+    disturbed = study([*read[1:3], read[3]]).disturbances
+    yield "disturbances", numbers_in(row[1:] for row in recording_facts.disturbance_rows(disturbed))
+    facts = [row[1:] for row in recording_facts.facts(found)[4:-1]]
+    yield "facts", numbers_in(facts)
+    handout = handout_study(read[:1])
+    yield "handout", (handout.step, handout.sampling, handout.steps)
+
+
+@variants
+def batch() -> Variants:
+    from armrig.batch.items import items_in
+    from armrig.batch.rows import row_of
+    from armrig.batch.tasks import Identify, Validate, Verify
+
+    lab = folder() / "batch"
+    lab.mkdir(exist_ok=True)
+    for kind in ("estimation", "validation"):
+        (lab / f"{kind}.mcap").write_bytes(recorded(kind).read_bytes())
+    items = items_in(lab, rigs=(), kinds=())
+    yield "validations", validations()
+    model = folder() / "batch.json"
+    armrig.arx(armrig.load(recorded("estimation")).dataset(), na=4, nb=4).save(model)
+    tasks = {
+        "oe": Identify(structure="oe", orders={"nb": 4, "nf": 4}, integrator=True),
+        "arx": Identify(
+            structure="arx", orders={"na": 3, "nb": 3}, signal="velocity", detrend=True
+        ),
+        "validate": Validate(model=model.read_text()),
+        "verify": Verify(),
+    }
+    for name, task in tasks.items():
+        rows = [row_of(task, item) for item in items]
+        yield name, [{k: v for k, v in row.items() if k != "modified_ns"} for row in rows]
+
+
+def validations() -> list[int]:
+    """Return the number of the recording that validates each of a folder, of several the newest."""
+    import made_recordings as made
+    from armrig.batch.items import items_in
+
+    lab = folder() / "pairs"
+    lab.mkdir(exist_ok=True)
+    for i in range(3):
+        details = {"validation_of": "run-0"} if i else {}
+        times = {"run_id": f"run-{i}", "started": f"2026-11-20T05:0{i}:00+01:00"}
+        kind = "blackbox-validation" if i else "blackbox"
+        about = made.manifest(details=details, experiment=kind, **times)
+        made.written(lab, made.recorded([made.sample(0)], manifest=about), f"of-{i}.mcap")
+    items = items_in(lab)
+    return [int(Path(i.validation).stem[-1]) if i.validation else -1 for i in items]
+
+
+@variants
+def live() -> Variants:
+    from armrig.dashboard import bins
+    from armrig.dashboard.live_model import LiveModel
+
+    r = armrig.load(recorded("validation"))
+    k = np.flatnonzero(r.present)
+    angles = np.degrees((r.theta_1[k] + np.pi) % (2 * np.pi) - np.pi), np.degrees(r.alpha[k])
+    found = np.column_stack([k, r.t[k], r.u[k], *angles])
+    model = LiveModel(r.Ts)
+    model.take(found)
+    yield "model", numbers_in([line] for line in model.lines())
+    slope = bins.rate(found[:100], found[100:], 10)
+    rows = bins.binned(found[100:], slope)
+    yield "bins", [slope, rows, bins.coarser(rows, 0.07)]
+
+
+@variants
+def quantities() -> Variants:
+    from armrig.numerics import quantities as q
+
+    values = (0.0, 1.7e-4, 0.0123, 0.5, 9.96, 99.96, 1234.5, 5.6e7, -0.25, -3.4e-5)
+    for f in (q.number, q.microseconds, q.milliseconds, q.percent):
+        yield f.__name__, numbers_in([f(x)] for x in values)
+    yield "scaled", numbers_in([q.scaled(x, abs(x) / 30 + 1e-9, "m")] for x in values)
+    yield "with_std", numbers_in([q.with_std(x, abs(x) / 30 + 1e-9)] for x in values)
+    yield "error", numbers_in([q.error(x, "rad")] for x in values)
+    yield "p", numbers_in([q.p_value(p)] for p in (1e-9, 0.003, 0.04, 0.6, 0.9999))
+    yield "times", numbers_in([q.times(x, 2 * x)] for x in values[1:8])
+
+
+@variants
+def plots() -> Variants:
+    from armrig import plots as p
+
+    d = data()
+    oe, arx = armrig.oe(d["plain"], nb=2, nf=2), armrig.arx(d["plain"], na=4, nb=4)
+    integrator = armrig.oe(integrating(), nb=2, nf=2, integrator=True)
+    recording = armrig.load(recorded("validation"))
+    few = armrig.arx(d["odd"][:60], na=3, nb=3)
+    grey = armrig.greybox(chassis_data())
+    from armrig.recordings.calibration import estimate
+    from made_turns import made_turns, still
+
+    turns = made_turns(noise=40.0)
+    problem = armrig.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)
+    drawn: dict[str, Callable[[], Any]] = {
+        "plot_bode": lambda: p.plot_bode(oe, arx, armrig.spa(d["plain"])),
+        "plot_bode-few": lambda: p.plot_bode(few, integrator),
+        "plot_calibration": lambda: p.plot_calibration(estimate(still(), turns), turns),
+        "plot_compare": lambda: p.plot_compare(d["two"], oe, arx),
+        "plot_convergence": lambda: p.plot_convergence([armrig.convergence(problem, "heun")]),
+        "plot_correlation": lambda: p.plot_correlation(armrig.correlation(d["odd"], 12)),
+        "plot_data": lambda: p.plot_data(recording),
+        "plot_data-two": lambda: p.plot_data(d["two"]),
+        "plot_delay": lambda: p.plot_delay(armrig.delay(late())),
+        "plot_fit": lambda: p.plot_fit(integrator),
+        "plot_greybox": lambda: p.plot_greybox(grey, chassis_data()),
+        "plot_impulse": lambda: p.plot_impulse(armrig.impulse_response(d["plain"], 20)),
+        "plot_input": lambda: p.plot_input(armrig.describe_input(switching(200, 1, 0.1), 0.01)),
+        "plot_open_loop": lambda: p.plot_open_loop(armrig.open_loop(fed_back())),
+        "plot_orders": lambda: p.plot_orders(
+            armrig.select_orders(d["plain"], (1, 2, 3), (1, 2), (1,))
+        ),
+        "plot_physical_step": lambda: p.plot_physical_step({"other": OTHER}),
+        "plot_poles_zeros": lambda: p.plot_poles_zeros(oe, few),
+        "plot_residuals": lambda: p.plot_residuals(oe, d["two"]),
+        "plot_rig": p.plot_rig,
+        "plot_sampling_time": lambda: p.plot_sampling_time(armrig.sampling_time(steps())),
+        "plot_search": lambda: p.plot_search(
+            armrig.search(d["plain"], families=("arx", "oe"), orders=(1, 2))
+        ),
+        "plot_sensitivities": lambda: p.plot_sensitivities(OTHER),
+        "plot_solution": lambda: p.plot_solution(problem, 0.05, methods=("heun",)),
+        "plot_spectral": lambda: p.plot_spectral(armrig.spa(d["holes"])),
+        "plot_spectrum": lambda: p.plot_spectrum(d["plain"]),
+        "plot_split": lambda: p.plot_split(armrig.split_study(chassis_data(), (1, 2))),
+        "plot_stability_edge": lambda: p.plot_stability_edge(DAMPED[0], "heun", n=300),
+        "plot_stability_regions": lambda: p.plot_stability_regions(LINEAR[0], h=0.01),
+        "plot_step": lambda: p.plot_step(oe, arx),
+        "plot_step-rate": lambda: p.plot_step(integrator),
+        "plot_step_analysis": lambda: p.plot_step_analysis(armrig.step_analysis(steps())),
+        "plot_structure": lambda: p.plot_structure(armrig.structure_hints(d["plain"])),
+        "plot_timing": lambda: p.plot_timing(recording),
+        "plot_timing-lateness": lambda: p.plot_timing(recording, quantity="lateness"),
+        "plot_values": lambda: p.plot_values(d["holes"]),
+    }
+    from matplotlib import pyplot as plt
+
+    for name, draw in drawn.items():
+        plt.close("all")
+        figure = draw()
+        yield name, getattr(figure, "figure", figure)
+    plt.close("all")
