@@ -1,0 +1,41 @@
+"""The numbers of every public function have not changed.
+
+Other tests prove that numbers are right; this one proves that they are what they were. It compares
+each number that the calls of tests/same_numbers_calls.py lead to with the stored file. After a
+change of numbers that is meant, `python tests/same_numbers.py --write` writes the file again, and
+its difference belongs in the same commit.
+"""
+
+from __future__ import annotations
+
+import armrig
+import pytest
+import same_numbers
+import same_numbers_calls
+
+BEFORE = same_numbers.read_stored()
+
+
+@pytest.mark.parametrize("call", same_numbers_calls.CALLS)
+def test_the_numbers_are_what_they_were(call: str) -> None:
+    """Each quantity, to its tolerance; none is gone and none is new."""
+    changed = list(same_numbers.changes(call, BEFORE))
+
+    advice = "; if that is meant: python tests/same_numbers.py --write"
+    assert not changed, f"{len(changed)} numbers changed{advice}\n" + "\n".join(changed[:12])
+
+
+def test_every_public_name_is_called() -> None:
+    """What is new in `armrig.__all__` is called here, too."""
+    calls, others = same_numbers_calls.CALLS.keys(), same_numbers_calls.NOT_CALLED.keys()
+
+    missing = set(armrig.__all__) - calls - others
+    assert not missing, (
+        f"add a function that calls armrig.{', armrig.'.join(sorted(missing))} to "
+        "tests/same_numbers_calls.py, marked with @variants, or the reason to NOT_CALLED"
+    )
+
+
+def test_the_stored_file_has_no_line_of_another_call() -> None:
+    """A call that was taken out leaves no numbers."""
+    assert {name.split(" ")[0] for name in BEFORE} <= same_numbers_calls.CALLS.keys()
