@@ -6,7 +6,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage mutants planted shake bench fuzz simulate firmware fil lock lowest audit release format clean
+.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench fuzz simulate firmware fil lock lowest audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -44,6 +44,11 @@ check: .venv/dev
 coverage: .venv/dev
 	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
 	  core/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
+
+# Write again what is stored of what the programs print, draw and compute; read the difference.
+stored: .venv/dev
+	WRITE_STORED=1 $(BIN)/pytest -q tests/clients/test_drawn_figures.py tests/clients/cli/test_said.py tests/integration/test_stories.py
+	$(BIN)/python tests/same_numbers.py --write
 
 # N generated bugs over all rooms, by their lines, each of which a test must see. It goes
 # on where it was left, in mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others;

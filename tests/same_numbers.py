@@ -9,7 +9,7 @@ Two uses, of the same calls (`same_numbers_calls.py`) and the same walk over wha
   search ends elsewhere within its tolerance.
 - The file of the repository, `tests/clients/same_numbers.txt`, on any machine:
   tests/clients/test_same_numbers.py compares with it to 7 figures, and
-  `python tests/same_numbers.py --write` writes it again after a change that is meant.
+  `make stored` writes it again after a change that is meant.
 
 A number in the file is a line. Few values are all listed; of many there are the shape, the first,
 last, least, greatest, mean, effective value, a fixed projection, and how many are not finite.

@@ -1179,7 +1179,7 @@ def uncertainty() -> Variants:
             u.frequency_bands(fit, fit.frequency_response(frequencies(fit)), draws),
         )
         yield f"{name} step", u.step_band(fit, fit.step_response(20), draws)
-        yield f"{name} rate", u.step_band(fit, fit.step_response(20, rate=True), None)
+        yield f"{name} rate", u.step_band(fit, fit.step_response(20, rate=True), drawn(fit))
 
 
 def numbers_in(rows: Any) -> list[list[float]]:

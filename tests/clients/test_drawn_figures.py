@@ -1,8 +1,6 @@
 """Every figure draws what drawn_figures.txt lists: its axes, and each artist with its numbers.
 
-After a wanted change of a figure, write the list again, and read its diff:
-
-    ARMRIG_WRITE_FIGURES=1 .venv/bin/pytest tests/clients/test_drawn_figures.py
+After a wanted change of a figure, `make stored` writes the list again: read its difference.
 
 A line is an artist: its look, the number of points (and of gaps), and of x and y the first, last,
 least, greatest and mean; a single number if all are the same. The words of titles, labels and
@@ -39,7 +37,7 @@ from matplotlib.ticker import FixedLocator
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["examples"]
-WRITES = "ARMRIG_WRITE_FIGURES" in os.environ
+WRITES = bool(os.environ.get("WRITE_STORED"))
 LIST = Path(__file__).with_name("drawn_figures.txt")
 NEAR = 1e-3
 """Share of a number, and of a linear axis, by which versions of libraries may differ."""

@@ -2,8 +2,8 @@
 
 Other tests prove that numbers are right; this one proves that they are what they were. It compares
 each number that the calls of tests/same_numbers_calls.py lead to with the stored file. After a
-change of numbers that is meant, `python tests/same_numbers.py --write` writes the file again, and
-its difference belongs in the same commit.
+change of numbers that is meant, `make stored` writes the file again, and its difference belongs in
+the same commit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def test_the_numbers_are_what_they_were(call: str) -> None:
     """Each quantity, to its tolerance; none is gone and none is new."""
     changed = list(same_numbers.changes(call, BEFORE))
 
-    advice = "; if that is meant: python tests/same_numbers.py --write"
+    advice = "; if that is meant: make stored"
     assert not changed, f"{len(changed)} numbers changed{advice}\n" + "\n".join(changed[:12])
 
 

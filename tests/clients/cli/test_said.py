@@ -1,6 +1,6 @@
 """What every command says, word for word: it is in `said/`, a file for each.
 
-A new case is a line `$ armrig …` in one of the files. With WRITE_SAID=1 this test writes the files
+A new case is a line `$ armrig …` in one of the files. `make stored` writes the files
 again, with what the commands say now; `git diff` shows what has changed, which a person reads.
 """
 
@@ -34,7 +34,7 @@ from typer.main import get_command
 
 SAID = Path(__file__).parent / "said"
 OF_A_HOST = {"lab", "doctor"}
-AGAIN = "If this is what the command is to say: WRITE_SAID=1 pytest tests/clients/cli/test_said.py"
+AGAIN = "If this is what the command is to say: make stored"
 FILES = sorted(SAID.rglob("*.txt"))
 DATA = Path(__file__).parents[2] / "data" / "0.1.0"
 
@@ -152,7 +152,7 @@ def test_a_command_says_what_it_said(
 
     found = said_again(stored, folder)
 
-    if os.environ.get("WRITE_SAID"):
+    if os.environ.get("WRITE_STORED"):
         file.write_text(found, encoding="utf-8")
         return
     differs = unified_diff(
