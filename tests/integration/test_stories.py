@@ -57,7 +57,7 @@ class Stage:
                 self._stack.enter_context(driven(self._bench, 6000))
             case "unplug":
                 self._emulator.end()
-                wait_for(lambda: not self._answers())
+                wait_for(lambda: "cannot be opened" in self._daemon.said)  # half a second later
             case "plug in":
                 self._emulator = self._bench.emulate()
                 wait_for(self._answers)
