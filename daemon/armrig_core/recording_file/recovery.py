@@ -138,6 +138,10 @@ class Recovery:
             )
             if OUTCOME in rewriter.metadata:
                 outcome = _told(path, outcome_of, rewriter.metadata[OUTCOME])
+                if tally.samples < outcome.samples:
+                    msg = f"{path}: {tally.samples} of its {outcome.samples} samples are whole, "
+                    msg += "and its run was recorded to the end; it stays as it is: copy it again"
+                    raise RecoveryError(msg)
             else:
                 rewriter.add_metadata(OUTCOME, outcome.metadata())
             recovered = Recovered(

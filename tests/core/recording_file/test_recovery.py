@@ -145,6 +145,14 @@ def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
     assert done.recovered.cut_off_bytes == 0
 
 
+def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path) -> None:
+    """Its outcome stands before its samples: to keep it would claim samples that are lost."""
+    data = _data(outcome=Outcome(outcome="complete", samples=N, missing=0))
+    left = written(tmp_path, data, LEFT)
+
+    _untouched(left, data, f"{N - 3} of its {N} samples are whole, .* copy it again")
+
+
 def test_a_run_of_no_sample_is_a_recording_too(tmp_path: Path) -> None:
     """Its daemon died before the first flush: how the run was made is kept."""
     nothing = recorded([], manifest=manifest(k_first=0), outcome=None, u=[1.0] * 10)
