@@ -91,7 +91,8 @@ def test_a_run_of_many_parts_is_read_in_the_order_of_their_numbers(tmp_path: Pat
     found = part_paths(tmp_path / "run.mcap")
 
     assert [part_number(path) for path in found] == [1, 2, 3, 9_999, 10_000]
-    assert {part_number(tmp_path / name) for name in ("run.mcap", "run.part-x.mcap")} == {0}
+    others = ("run.mcap", "run.part-x.mcap", "1.mcap", ".part-1.mcap")
+    assert {part_number(tmp_path / name) for name in others} == {0}
 
 
 def test_a_second_part_given_as_a_calibration_is_told_how_parts_are_given(tmp_path: Path) -> None:
