@@ -58,7 +58,7 @@ def _missing(parameter: Any) -> str:
     """Return which parameter is missing and what it is."""
     name = parameter.metavar
     if parameter.param_type_name == "option":
-        name = f"{max(parameter.opts, key=len)} {name}"
+        name = " ".join(filter(None, (max(parameter.opts, key=len), name)))
     what = (parameter.help or "").rstrip(".")
     return f"{name} is missing" + (f": {what[:1].lower()}{what[1:]}" if what else "")
 
