@@ -34,5 +34,6 @@ def part_number(path: Path) -> int:
     """Return which part of a run a file is by its name, from 1; 0 for what is named as none."""
     run, _, rest = path.name.rpartition(PART)
     number, _, ending = rest.partition(".")
-    is_one = bool(run) and number.isascii() and number.isdigit() and ending in ("mcap", f"mcap{ACTIVE}")
+    is_number = number.isascii() and number.isdigit()
+    is_one = bool(run) and is_number and ending in ("mcap", f"mcap{ACTIVE}")
     return int(number) if is_one else 0
