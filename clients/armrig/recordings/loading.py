@@ -177,7 +177,7 @@ _OF_A_TABLE = (
 _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
 
-def _read(path: Path, part: Part | None, *, digest: bool = True) -> _File:
+def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
     """Return what is in a file, its manifest, outcome and calibration; raises as `load`."""
     try:
         content = read(path, part=part, digest=digest)
