@@ -49,3 +49,9 @@ def test_a_configuration_that_cannot_be_read_is_told_with_its_path(tmp_path: Pat
     """It may name another directory."""
     with pytest.raises(ValueError, match=f"{tmp_path}: Is a directory"):
         directory_to_look_in([tmp_path], {})
+
+
+def test_the_home_of_nobody_is_refused() -> None:
+    """With what was configured."""
+    with pytest.raises(ValueError, match="= '~nobody-is-called-so/runs': there is no such user"):
+        directory_of("~nobody-is-called-so/runs")

@@ -244,12 +244,13 @@ def test_a_report_is_made_again_where_a_validation_has_come() -> None:
 
 
 def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
-    """By the time in its name; a validation itself has none."""
+    """By the time in its name; a validation itself has none, and one may be of a run elsewhere."""
     of = {"validation_of": "0000000a"}
     runs = (
         ("blackbox", "13", "0000000a", {}),
         ("blackbox-validation", "14", "0000000b", of),
         ("blackbox-validation", "15", "0000000c", of),
+        ("blackbox-validation", "16", "0000000d", {"validation_of": "0000000e"}),
     )
     for experiment, hour, run_id, details in runs:
         about = made_recordings.manifest(experiment=experiment, run_id=run_id, details=details)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from armrig_daemon.config import Config
 from armrig_daemon.loop.process import Settings
 from armrig_daemon.pipe import Host, Record, record_bytes
+from armrig_daemon.service import child as child_module
 from armrig_daemon.service.child import LoopChild, start
 from armrig_protocol.decoder import Received, feed
 from armrig_protocol.messages import Estop
@@ -32,15 +35,19 @@ def device() -> Iterator[tuple[int, str]]:
 @pytest.fixture
 def child(device: tuple[int, str]) -> Iterator[LoopChild]:
     """Return a loop that ticks."""
-    _, port = device
+    child = _started(device[1])
+    yield child
+    child.kill()
+    child.end()
+
+
+def _started(port: str) -> LoopChild:
     rules = Config().rules()
     child = start(
         Settings(rules=rules, port=port, baud=rules.baud, priority=0, cpu=None, spin_ns=0)
     )
     _heard(child, Host)
-    yield child
-    child.kill()
-    child.end()
+    return child
 
 
 def _said(child: LoopChild) -> list[bytes | Record] | None:
@@ -106,3 +113,32 @@ def test_the_loop_waits_for_neither_of_its_pipes(child: LoopChild) -> None:
     for name in arguments[module + 1 : module + 3]:
         told = Path(f"/proc/{child._process.pid}/fdinfo/{name.decode()}").read_text()
         assert int(told.split("flags:")[1].split()[0], 8) & os.O_NONBLOCK
+
+
+def test_a_loop_that_does_not_end_is_killed(
+    device: tuple[int, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The device's watchdog then stops the motor; the service must end all the same."""
+    monkeypatch.setattr(child_module, "EXIT_S", 0.01)
+    child = _started(device[1])
+    child._process.send_signal(signal.SIGSTOP)
+
+    try:
+        code = child.end()
+    finally:
+        child.kill()
+
+    assert code == -signal.SIGKILL
+
+
+def test_the_pipes_have_room_for_seconds(child: LoopChild) -> None:
+    """1 MiB, or what the kernel allows this user: the service may be held up for so long."""
+    out, into = os.pipe()
+    with suppress(OSError):
+        fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 1 << 20)
+
+    sizes = {fcntl.fcntl(fd, fcntl.F_GETPIPE_SZ) for fd in (child.orders_fd, child.records_fd)}
+
+    assert sizes == {fcntl.fcntl(out, fcntl.F_GETPIPE_SZ)}
+    os.close(out)
+    os.close(into)
