@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from armrig.cli import demo, demo_plan, demo_rig
+from armrig.cli import demo, demo_plan, demo_rig, demo_virtual
 from armrig.cli.demo_plan import Experiment
 from armrig.cli.demo_rig import Patience, TooBusyError
 from armrig.rig import client as rig_module
@@ -193,6 +194,31 @@ def test_what_cannot_be_done_in_real_time_is_done_in_virtual_time(
     assert "the demonstration goes on in virtual time" in said
     assert len(list(folder.glob("*.mcap"))) == 3
     assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_an_interrupted_demonstration_leaves_no_player_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would write into a folder that is being removed."""
+    players = []
+
+    class Player(subprocess.Popen[bytes]):
+        def __init__(self, *args: Any, **how: Any) -> None:
+            super().__init__(*args, **how)
+            players.append(self)
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(subprocess, "Popen", Player)
+
+    with pytest.raises(KeyboardInterrupt):
+        demo_virtual.record_in_virtual_time(
+            [], tmp_path, tmp_path / "armrig.toml", seed=1, meanwhile=interrupted
+        )
+
+    [player] = players
+    assert player.returncode is not None
 
 
 def test_the_report_says_what_was_made_in_virtual_time_and_why() -> None:

@@ -98,6 +98,18 @@ def test_the_posterior_is_the_textbook_s(second: Any) -> None:
     np.testing.assert_allclose(found.covariance, P - gain @ Phi @ P, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("unit", [1e-3, 1e6])
+def test_the_unit_of_u_changes_nothing_else(second: Any, kernel: Kernel, unit: float) -> None:
+    """The search for the kernel's scale begins where that of the data is."""
+    data = second.dataset(np.random.default_rng(3), 150)
+    scaled = Dataset(u=unit * data.u, y=data.y, Ts=data.Ts)
+
+    found, of_scaled = (impulse_response(d, 20, kernel, integrator=False) for d in (data, scaled))
+
+    np.testing.assert_allclose(unit * of_scaled.g, found.g, atol=0.01 * np.abs(found.g).max())
+
+
 def test_the_hyperparameters_maximise_the_marginal_likelihood() -> None:
     """The density of y itself, through the covariance of all samples, is least nowhere near."""
     rng = np.random.default_rng(4)

@@ -206,6 +206,16 @@ def test_a_number_that_is_cut_within_is_damage(tmp_path: Path) -> None:
         load_data(path, Ts=1)
 
 
+def test_a_shape_below_nothing_is_damage(tmp_path: Path) -> None:
+    """Though -2 times -3 are as many as the numbers that are there."""
+    head = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<3i", -2, -3, 1))
+    path = tmp_path / "data.mat"
+    path.write_bytes(mat5(element(14, head + element(1, b"u") + element(2, bytes(6)))))
+
+    with pytest.raises(DataFileError, match=r"6 numbers in a shape of \(-2, -3, 1\)"):
+        load_data(path, Ts=1)
+
+
 def old(name: str, values: np.ndarray[Any, Any], order: str) -> bytes:
     """Return a vector as version 4 saves it."""
     kind = {"<": 0, ">": 1000}[order] + {"f8": 0, "f4": 10, "i2": 30}[values.dtype.str[1:]]

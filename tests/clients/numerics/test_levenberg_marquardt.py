@@ -1,0 +1,19 @@
+"""Where the search for a minimum ends."""
+
+from __future__ import annotations
+
+import numpy as np
+from armrig.numerics.levenberg_marquardt import levenberg_marquardt
+
+
+def test_residuals_of_nothing_end_the_search() -> None:
+    """Of data without noise, where no relative change is left to be small."""
+    truth = np.array([3.0, -5.0])
+
+    found = levenberg_marquardt(
+        lambda theta: (truth - theta, np.eye(2)), np.zeros(2), admissible=lambda _: True
+    )
+
+    assert found.converged
+    assert found.cost == 0
+    assert found.theta.tolist() == truth.tolist()
