@@ -44,10 +44,10 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, tag="report"):
 
     folder: str
     """Where the PDFs go, each named as its recording."""
-    na: int = 4
-    nb: int = 4
-    nf: int = 4
-    nk: int = 1
+    na: int
+    nb: int
+    nf: int
+    nk: int
 
 
 Task = Identify | Validate | Verify | Report

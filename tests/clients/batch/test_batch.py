@@ -36,6 +36,7 @@ from deadly import deadly
 
 pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
 ARX = Identify(structure="arx", orders={"na": 4, "nb": 4})
+report = partial(Report, na=4, nb=4, nf=4, nk=1)
 MANY = 36
 OTHER_RIG, BROKEN, CUT, STEP = "m-other-rig.mcap", "m-broken.mcap", "m-cut.mcap", "m-step.mcap"
 
@@ -191,7 +192,7 @@ def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> N
         assert rows[name]["samples"] == armrig.load(folder / name).samples.size
 
 
-@pytest.mark.parametrize("task", [ARX, Validate(model=""), Verify(), Report(folder="")])
+@pytest.mark.parametrize("task", [ARX, Validate(model=""), Verify(), report(folder="")])
 def test_no_two_columns_have_one_name(task: Task) -> None:
     """What a task finds hides nothing of what is known of the run."""
     of_all = {*OF_THE_FILE, *OF_THE_RUN, *OF_THE_RESULT}
@@ -205,12 +206,12 @@ def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
     few.mkdir()
     for name in ("a-00.mcap", STEP):
         shutil.copy2(folder / name, few)
-    rows = done(few, Report(folder=str(tmp_path)), tmp_path / "reports.parquet")
+    rows = done(few, report(folder=str(tmp_path)), tmp_path / "reports.parquet")
     assert [row["report"] for row in rows] == ["a-00.pdf", None]
     assert (tmp_path / "a-00.pdf").read_bytes().startswith(b"%PDF-")
     assert "nothing to identify from" in rows[1]["problem"]
     (tmp_path / "a-00.pdf").unlink()
-    done(few, Report(folder=str(tmp_path)), tmp_path / "reports.parquet")
+    done(few, report(folder=str(tmp_path)), tmp_path / "reports.parquet")
     assert (tmp_path / "a-00.pdf").exists()
 
 
@@ -236,7 +237,7 @@ def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
 def test_a_report_is_made_again_where_a_validation_has_come() -> None:
     """The one that is there was judged by its own data."""
     item = Item(name="a.mcap", path="/f/a.mcap", bytes=1, modified_ns=2, validation="")
-    columns = columns_of(Report(folder="reports"))
+    columns = columns_of(report(folder="reports"))
     known = {"recording": "a.mcap", "bytes": 1, "modified_ns": 2, "problem": ""}
     row = dict.fromkeys(columns) | known | {"validated_by": ""}
     assert still_right([row], [item], columns) == {"a.mcap": row}
@@ -628,7 +629,7 @@ def test_what_failed_a_check_is_told_beside_what_is_broken(
 def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
     """Which file, and why: no number of an error."""
     (tmp_path / "taken").touch()
-    task = Report(folder=str(tmp_path / "taken"))
+    task = report(folder=str(tmp_path / "taken"))
     problem = row_of(task, items_in(folder, rigs=["1"])[0])["problem"]
     assert problem == f"{tmp_path}/taken: File exists"
 
