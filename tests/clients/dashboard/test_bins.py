@@ -56,6 +56,11 @@ def test_a_wrap_ends_a_bin() -> None:
     assert rows[:, 4].round().tolist() == [359, 2]
 
 
+def test_less_than_half_a_turn_is_no_wrap() -> None:
+    """A chassis that turns so far between two samples stays in one bin."""
+    assert _binned(_samples([0, 170])).shape[0] == 1
+
+
 def test_a_wrap_inside_of_the_dead_band_ends_a_bin() -> None:
     """Where the potentiometer wraps it shows no angle."""
     nan = float("nan")

@@ -43,6 +43,17 @@ def _hello_feeds(patch: Patch) -> None:
     other_handler(patch, Hello, feeding)
 
 
+def _ready_runs_out(patch: Patch) -> None:
+    feed = Firmware.feed
+
+    def idle_after_a_silence(self: Firmware, now_ns: int) -> None:
+        if self.state is State.READY and now_ns - self.fed_ns > 50_000_000:
+            self.state = State.IDLE
+        feed(self, now_ns)
+
+    patch.setattr(Firmware, "feed", idle_after_a_silence)
+
+
 def _spoilt_feeds(patch: Patch) -> None:
     handle = requests.handle
 
@@ -177,6 +188,7 @@ SPOILT: dict[str, SpoiltDevice] = {
     "a spoilt frame feeds the watchdog": SpoiltDevice(_spoilt_feeds, "feeds the watchdog"),
     "the watchdog is 2 ms late": SpoiltDevice(_late_watchdog, "silence of `watchdog_ms`"),
     "the watchdog is 0.2 ms early": SpoiltDevice(_early_watchdog, "silence of `watchdog_ms`"),
+    "READY goes to IDLE in a silence": SpoiltDevice(_ready_runs_out, "there is no watchdog"),
     "no watchdog in ARMED": SpoiltDevice(_watchdog_in_run_only, "silence of `watchdog_ms`"),
     "ARM of another boot arms": SpoiltDevice(_any_boot, "ARM carries"),
     "any nonce arms": SpoiltDevice(_any_nonce, "do not arm again"),
