@@ -221,6 +221,9 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_compare, one model": lambda e: armrig.compare(
         second_order(N=40), exact([0, 0.1], [1, -0.5])
     ).plot(ax=ax()),
+    "plot_compare, no errors": lambda e: armrig.compare(
+        Dataset(u=[0.0, 2.0, 1.0] * 4, y=[1.0, 0.0, 2.0] * 4, Ts=1.0), exact([0, 1.0], [1, 0])
+    ).plot(ax=ax()),
     "plot_residuals": lambda e: armrig.residuals(
         armrig.oe(second_order(), nb=2, nf=2), second_order(1), 8
     ).plot(ax=ax()),
