@@ -95,7 +95,8 @@ def _axes(ax: Axes) -> str:
             low, high = 1.0, 9.0  # elsewhere versions differ
         elif free[name] and not isinstance(locator, FixedLocator):
             continue
-        words.append(f"ticks={sum(low <= t <= high for t in locator.tick_values(low, high))}")
+        ticks = {t for t in locator.tick_values(low, high) if low <= t <= high}
+        words.append(f"ticks={len(ticks)}")
     return " ".join(words)
 
 
