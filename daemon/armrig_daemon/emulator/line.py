@@ -183,5 +183,7 @@ def _watch(path: Path) -> int:
     fd: int = _libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
     if fd < 0 or _libc.inotify_add_watch(fd, os.fsencode(path), IN_OPEN | IN_CLOSE) < 0:
         msg = f"{path}: inotify: {os.strerror(ctypes.get_errno())}"
+        if fd >= 0:
+            os.close(fd)
         raise PortError(msg)
     return fd

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import pytest
 import serial
-from armrig_daemon.emulator.line import Terminal
+from armrig_daemon.emulator.line import Terminal, _watch
 from armrig_daemon.emulator.real_time import PortError, emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import decoder, frame
@@ -279,6 +279,16 @@ def test_a_link_left_behind_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
 
     assert "is there and no link" in done.stderr
     assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:
+    """In the kernel's words, with no descriptor left open."""
+    before = {*Path("/proc/self/fd").iterdir()}
+
+    with pytest.raises(PortError, match=r"gone: inotify: No such file or directory"):
+        _watch(tmp_path / "gone")
+
+    assert {*Path("/proc/self/fd").iterdir()} <= before
 
 
 def test_a_port_or_trace_that_cannot_be_made_is_named(tmp_path: Path) -> None:
