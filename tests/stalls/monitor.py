@@ -1,17 +1,21 @@
 """Measure the stalls of the host.
 
 The program waits for deadlines and compares the clock with each of them. Its priority is that of
-an emulated rig, so it waits for a processor as long as an emulated rig does. It is a process of its
-own, because a thread would also wait for the interpreter of the tests. It answers each line of its
-standard input with the stalls since the last answer, and exits at the end of its input.
+an emulated rig, so it waits for a processor as long as an emulated rig does. It also passes bytes
+through a pseudo-terminal, because a worker of the kernel carries those, with a priority of its own.
+It is a process of its own, because a thread would also wait for the interpreter of the tests. It
+answers each line of its standard input with the stalls since the last answer, and exits at the end
+of its input.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import pty
 import select
 import time
+import tty
 
 PERIOD_NS = 5_000_000
 SHORTEST_NS = 20_000_000  # shorter stalls are not reported
@@ -20,7 +24,10 @@ SHORTEST_NS = 20_000_000  # shorter stalls are not reported
 def main() -> None:
     """Wait, compare and answer until the end of the input."""
     stalls: list[tuple[int, int]] = []
-    now_ns = time.monotonic_ns()
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    os.write(master, b"x")
+    now_ns = sent_ns = time.monotonic_ns()
     while True:
         # From the last reading, so that a stall after it counts wherever it lies.
         due_ns = now_ns + PERIOD_NS
@@ -28,6 +35,13 @@ def main() -> None:
         now_ns = time.monotonic_ns()
         if now_ns - due_ns > SHORTEST_NS:
             stalls.append((due_ns, now_ns))
+        has_come = bool(select.select([slave], [], [], 0)[0])
+        if (asked or has_come) and now_ns - sent_ns > SHORTEST_NS + PERIOD_NS:
+            stalls.append((sent_ns, now_ns))
+        if has_come:
+            os.read(slave, 1)
+            os.write(master, b"x")
+            sent_ns = now_ns
         if asked:
             if not os.read(0, 1):
                 return
