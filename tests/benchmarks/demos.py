@@ -136,7 +136,7 @@ def main() -> int:
     if asked.ordinary and not shutil.which(_WITHOUT_RIGHTS[0]):
         parser.error(f"--ordinary needs {_WITHOUT_RIGHTS[0]} (util-linux)")
     results = []
-    with burning(asked.busy):
+    with burning(asked.busy, apart=True):
         for i in range(asked.n):
             rng = Random(asked.seed + i) if asked.stop else None
             with tempfile.TemporaryDirectory(prefix="armrig-demo-") as folder:

@@ -22,7 +22,7 @@ from pathlib import Path
 import msgspec
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
-from processes import BURNER
+from processes import burning
 from stand import Stand
 from under_load import Pacing, flooding
 
@@ -52,14 +52,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 @contextlib.contextmanager
 def busy(_endpoint: str) -> Iterator[None]:
     """Keep the machine busy by programs that the kernel gives a share each, as those of users."""
-    command = [sys.executable, "-c", BURNER]
-    programs = [subprocess.Popen(command, start_new_session=True) for _ in range(_N_BUSY)]
-    try:
+    with burning(_N_BUSY, apart=True):
         yield
-    finally:
-        for program in programs:
-            program.kill()
-            program.wait()
 
 
 LOADS_HERE = {"four busy programs": busy, "flood of status": flooding}
