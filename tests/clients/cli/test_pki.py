@@ -44,6 +44,18 @@ def test_a_laboratory_is_set_up_in_four_commands(
     assert read_credential(here / "bob.pem", "client").name == "bob"
 
 
+def test_an_authority_that_is_no_certificate_is_told(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line, before anything is made."""
+    (here / "authority.pem").write_text("none")
+
+    assert main(["pki", "operator", "alice"]) == 1
+
+    assert "authority.pem: holds no certificate" in capsys.readouterr().err
+    assert not (here / "alice.pem").exists()
+
+
 def test_keys_are_for_their_owner_alone(here: Path) -> None:
     """Whatever the umask is; what others must read, they can."""
     main(["pki", "operator", "alice"])

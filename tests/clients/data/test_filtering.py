@@ -175,6 +175,15 @@ def test_a_rate_that_cannot_be_made_is_refused(Ts: float, message: str) -> None:
         resample(noise_free(300), Ts)
 
 
+def test_an_experiment_as_long_as_the_filter_is_resampled() -> None:
+    """One sample less is refused."""
+    data = noise_free(33)
+
+    assert resample(data, 0.02).N == 1
+    with pytest.raises(ValueError, match=r"has 32 samples; resampling to 0.02 s needs 33"):
+        resample(noise_free(32), 0.02)
+
+
 def test_gaps_everywhere_are_refused_before_nothing_is_left() -> None:
     """For the filter and for the slower rate."""
     data = noise_free(300).replaced(valid=np.arange(300) % 30 > 0, step=None)

@@ -54,6 +54,17 @@ def test_a_daemon_in_a_directory_of_ours_is_asked(directory: Path) -> None:
         assert rig.status().rig == "1"
 
 
+def test_the_endpoint_of_the_configuration_comes_first(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before that of this user's daemon."""
+    ours = Rig().endpoint
+    monkeypatch.setenv("ARMRIG_CLIENT_CONNECT", "tcp/lab:7447")
+
+    assert ours == str(endpoint("1", PurePosixPath(directory)))
+    assert Rig().endpoint == "tcp/lab:7447"
+
+
 @pytest.mark.parametrize(
     ("spoil", "wrong"),
     [
