@@ -87,6 +87,14 @@ def test_the_area_below_the_spectrum_is_the_variance() -> None:
     assert d.omega[-1] == pytest.approx(np.pi / 0.01)
 
 
+def test_sixteen_samples_have_a_spectrum() -> None:
+    """They are the fewest that are allowed, and one segment."""
+    omega, density = power_spectrum([telegraph(16, 0.5)], 0.01)
+
+    assert omega.size == density.size == 9
+    assert np.sum(density) > 0
+
+
 def test_a_spectrum_leaves_out_what_it_cannot_use() -> None:
     """A hole splits a stretch, and nothing is put into it."""
     x = np.cos(0.5 * np.arange(4000))
