@@ -48,6 +48,18 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
     assert t.poles == pytest.approx([-1 / tau])
 
 
+def test_the_slow_pair_of_real_poles_is_the_one_whose_deviations_are_poor() -> None:
+    """The poles are sorted slowest first, and what is said of each with them."""
+    F = np.real(np.poly([0.97 * np.exp(1j), 0.97 * np.exp(-1j), 0.9, 0.86]))
+    P = 1e-6 * np.eye(5)
+    fit = replace(_any_fit(), F=F, covariance=P, covariance_robust=P)
+
+    t = model_characteristics(fit)
+
+    assert np.abs(fit.poles().values[0]) > 0.95  # the fast pair comes first there
+    assert (t.poles_sampled == (t.poles.imag == 0)).all()
+
+
 def test_errors_are_as_large_as_the_deviations_reported(
     plant: HandoutPlant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
