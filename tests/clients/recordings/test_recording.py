@@ -982,6 +982,13 @@ def test_what_disturbed_the_timing_is_listed_with_the_clock(tmp_path: Path) -> N
     }
 
 
+def test_seconds_without_a_round_trip_have_no_longest_one(tmp_path: Path) -> None:
+    """A run may have reports and no exchange in them."""
+    rec = load(written(tmp_path, recorded([*map(sample, range(10)), timing(5)])))
+
+    assert "longest round trip" not in disturbances(rec).texts()
+
+
 def test_a_recording_without_reports_has_no_disturbances(tmp_path: Path) -> None:
     """Nothing is claimed of what was not watched."""
     rec = load(written(tmp_path, recorded([*map(sample, range(10))])))
