@@ -142,6 +142,17 @@ def test_the_choice_is_explained_in_words() -> None:
     assert validated.explain().splitlines()[0] in repr(validated)
 
 
+def test_the_best_of_fewer_parameters_is_named() -> None:
+    """That is the structure of least loss among them, wherever it stands in the table."""
+    table = select_orders(_data(1, 1000), validation=_data(2, 1000))
+    loss, d = table.values("validation"), table.parameters
+    fewer = d < d[table.chosen()]
+    best = int(np.argmin(np.where(fewer, loss, np.inf)))
+    named = ", ".join(f"{name}={n}" for name, n in dict(table.orders(best)).items())
+
+    assert f"fewer parameters are not enough: {named} is " in table.explain()
+
+
 def test_the_criteria_are_those_of_a_fit() -> None:
     """Where all samples are the same: the largest structure."""
     data = _data(1)
