@@ -31,6 +31,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 
 
 def said(ax: Axes) -> list[str]:
@@ -148,7 +149,7 @@ def test_models_are_told_apart_without_colour(done: Study) -> None:
 def test_the_names_stand_above_the_data(
     plot: Plot, size: tuple[float, float], done: Study, recording: Recording
 ) -> None:
-    """A legend covers no axes, its own or another's, and nothing is cut off."""
+    """A legend covers no axes, its own or another's, nor its recording; nothing is cut off."""
     figure = Figure(figsize=size, layout="constrained")
     ax = plot(done, recording, figure.add_subplot())
     canvas = FigureCanvasAgg(figure)
@@ -160,6 +161,10 @@ def test_the_names_stand_above_the_data(
             assert legend is not None
             named, data = legend.get_window_extent(), other.get_window_extent()
             assert named.y0 >= data.y1 or named.y1 <= data.y0
+        for text in panel.findobj(Text) if legend else []:
+            if isinstance(text, Text) and text.get_text() == panel.get_title(loc="right") != "":
+                assert legend is not None
+                assert text.get_window_extent().y0 >= legend.get_window_extent().y1
     seen = figure.get_tightbbox()
     width, height = size
     assert -0.02 < seen.x0 < seen.x1 < width + 0.02
