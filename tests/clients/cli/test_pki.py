@@ -126,6 +126,27 @@ def test_nothing_is_overwritten_unless_asked(
     assert {path.name: path.read_bytes() for path in here.iterdir()} != before
 
 
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("alice", ["operator", "alice"]),
+        ("rig-1", ["rig", "1"]),
+        ("router", ["router", "--host", "lab"]),
+    ],
+)
+def test_a_renewed_certificate_is_valid_for_its_days(
+    here: Path, name: str, command: list[str]
+) -> None:
+    """The days of the old one are not looked at."""
+    main(["pki", *command, "--days", "30"])
+
+    assert main(["pki", "renew", name, "--days", "7"]) == 0
+
+    certificate = x509.load_pem_x509_certificates((here / f"{name}.pem").read_bytes())[0]
+    days = (certificate.not_valid_after_utc - datetime.now(UTC)) / timedelta(days=1)
+    assert 6.9 < days <= 7
+
+
 def test_renewal_keeps_the_name_the_hosts_and_the_role(here: Path) -> None:
     """The key is a new one."""
     main(["pki", "rig", "1", "--host", "lab-1.example.edu", "--days", "5"])
