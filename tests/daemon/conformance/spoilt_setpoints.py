@@ -30,9 +30,17 @@ def _drifts(patch: Patch) -> None:
     patch.setattr(timer.Timer, "due_ns", property(lambda self: due(self) + self.k * 300))
 
 
-def _one_late(patch: Patch) -> None:
+def _one_shifted(patch: Patch, by_ns: int) -> None:
     due = timer.Timer.due_ns.fget  # type: ignore[attr-defined]
-    patch.setattr(timer.Timer, "due_ns", property(lambda self: due(self) + 5_000 * (self.k == 17)))
+    patch.setattr(timer.Timer, "due_ns", property(lambda self: due(self) + by_ns * (self.k == 17)))
+
+
+def _one_late(patch: Patch) -> None:
+    _one_shifted(patch, 5_000)
+
+
+def _one_early(patch: Patch) -> None:
+    _one_shifted(patch, -5_000)
 
 
 def _starts_at_once(patch: Patch) -> None:
@@ -159,6 +167,7 @@ def _late_repeat_steps(patch: Patch) -> None:
 SPOILT: dict[str, SpoiltDevice] = {
     "the timer drifts": SpoiltDevice(_drifts, "to 1 us"),
     "one sample is 5 us late": SpoiltDevice(_one_late, "to 1 us"),
+    "one sample is 5 us early": SpoiltDevice(_one_early, "to 1 us"),
     "START samples at once": SpoiltDevice(_starts_at_once, "one Ts behind START"),
     "each u is one sample late": SpoiltDevice(_one_sample_late, "every u at its k"),
     "HOLD does not hold": SpoiltDevice(_hold_is_zero, "dry queue"),
