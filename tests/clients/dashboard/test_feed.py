@@ -91,6 +91,19 @@ def test_what_is_new_is_told_once() -> None:
     assert (second.newest.k, third.newest.k) == (2, 2)
 
 
+def test_the_rate_is_the_same_however_few_samples_come_at_once() -> None:
+    """It is a slope over ten samples, most of which came in earlier pieces."""
+    whole, piecewise = Feed(), Feed()
+    whole.add_samples(samples(*range(30)))
+    for k in range(0, 30, 3):
+        piecewise.add_samples(samples(k, k + 1, k + 2))
+
+    rates = whole.news().rows[:, 5:7]
+
+    assert np.isfinite(rates[10:]).all()
+    np.testing.assert_array_equal(piecewise.news().rows[:, 5:7], rates)
+
+
 def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
     """The listener's thread adds nothing while they are taken: a row between would be lost."""
     feed = Feed()
