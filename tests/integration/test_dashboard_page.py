@@ -117,7 +117,7 @@ def test_data_grow_and_have_an_age(browser: Any, client: Client) -> None:
 
 
 def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
-    """No run without what it does; whoever changes a figure sees it anew; then it is recorded."""
+    """No run without what it does, the second neither; a figure that changes is shown again."""
     with opened(browser, client.url) as page:
         show_step(page, "2")
         assert "the chassis turns" in text(page, "#preview-lines")
@@ -128,6 +128,7 @@ def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, serv
         page.wait_for_selector("#recording:not([hidden])")
         page.wait_for_selector("#look:not([hidden])")
         assert "is recorded" in text(page, "#running-text")
+        assert not page.is_visible("#run")
 
 
 def test_a_refusal_is_in_sight(browser: Any, client: Client) -> None:
