@@ -6,9 +6,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from armrig.cli import app, main
+from armrig.cli.recorded_data import between
+from armrig.data.dataset import Dataset
 
 WHOLE = {"report", "calibrate"}
 """A report tells of whole runs, and a calibration is of one."""
@@ -53,3 +56,12 @@ def test_the_part_is_what_is_used(
         assert 600 < found[1]["N"] <= 700
     assert main([*arguments, "--from", "1000"]) == 1
     assert "1000" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("t", "k"), [(0.07, 7), (0.57, 57), (0.065, 7), (0.071, 8)])
+def test_a_part_begins_and_ends_at_the_sample_that_is_due_then(t: float, k: int) -> None:
+    """0.07 s over 0.01 s is 7 and a rounding error."""
+    data = Dataset(u=np.arange(100.0), y=np.zeros(100), Ts=0.01)
+
+    assert between(data, t, None).u[0] == k
+    assert len(between(data, None, t)) == k
