@@ -265,6 +265,18 @@ def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
     assert validations == {"", "1-blackbox-validation-20261120T150000-0000000c.mcap"}
 
 
+def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
+    """And as long as all of them: a part that is replaced makes another item of it."""
+    for number, seconds in ((1, 20), (2, 30), (3, 10)):
+        part = tmp_path / f"a.part-{number:04}.mcap"
+        part.write_bytes(bytes(number))
+        os.utime(part, (seconds, seconds))
+
+    [item] = items_in(tmp_path)
+
+    assert (item.name, item.bytes, item.modified_ns) == ("a.mcap", 6, 30 * 10**9)
+
+
 def test_the_time_left_is_that_of_this_start(folder: Path, tmp_path: Path) -> None:
     """What an earlier start did took none of this one's time."""
     few = tmp_path / "few"
