@@ -317,6 +317,16 @@ def test_a_file_cut_off_behind_its_outcome_is_told_in_the_table(done: Study) -> 
     assert rows["outcome"] == ["complete, but the file cut off", "complete", "complete"]
 
 
+def test_models_are_compared_up_to_nyquist() -> None:
+    """At a long sampling time that is below 100 rad/s."""
+    u = np.tile([1.0, 2.0], 20)
+    data = Dataset(u=u, y=np.cumsum(u), Ts=0.1, output="theta_1", unit="rad")
+
+    found = assessed({}, physical_model(ArmParameters(), data), data)
+
+    assert found["omega"][-1] == pytest.approx(np.pi / 0.1)
+
+
 def study_data() -> Dataset:
     """Return two samples at 100 Hz."""
     return Dataset(u=np.zeros(2), y=np.zeros(2), Ts=0.01, output="theta_1", unit="rad")
