@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from armrig.recordings.calibration import (
     CalibrationError,
+    Readings,
     compressed,
     decompressed,
     estimate,
@@ -203,6 +204,13 @@ def test_a_rest_that_is_none_is_refused(change: dict[str, np.ndarray], said: str
     """With what to do."""
     with pytest.raises(CalibrationError, match=said):
         estimate(replace(still(), **change))
+
+
+@pytest.mark.parametrize(("t", "alpha"), [(np.zeros(3), np.zeros(2)), (np.zeros(0), np.zeros(0))])
+def test_readings_are_columns_of_as_many_samples(t: np.ndarray, alpha: np.ndarray) -> None:
+    """Refused where they are made, not where two columns meet."""
+    with pytest.raises(CalibrationError, match="all four must have as many, and at least one"):
+        Readings(t=t, u=t, theta_1=t, alpha=alpha)
 
 
 def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:

@@ -44,7 +44,8 @@ class Readings:
         """Refuse columns of different lengths, and none."""
         sizes = {column.size for column in (self.t, self.u, self.theta_1, self.alpha)}
         if len(sizes) != 1 or 0 in sizes:
-            msg = "a recording without samples calibrates nothing: record again"
+            found = ", ".join(map(str, sorted(sizes)))
+            msg = f"columns of {found} samples: all four must have as many, and at least one"
             raise CalibrationError(msg)
 
     @property
