@@ -85,6 +85,7 @@ def test_an_experiment_is_shown_before_it_runs(page: Client) -> None:
     status, shown = page.ask("/api/preview", STEP)
 
     assert status == 200
+    assert (shown["N"], shown["seconds"], shown["Ts"]) == (12000, 120.0, 0.01)
     assert (shown["t"], shown["u"]) == ([0.0, 0.1, 120.0], [1.0, 4.0, 4.0])
     assert shown["rehearsal"].startswith("rehearsed on the model: the chassis turns ")
     assert shown["deviations"][0].startswith("J_1 to ± ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import armrig
@@ -265,6 +266,8 @@ def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:
     assert next_of(high, searched=True) == "--structure oe --nb 2 --nf 2 --nk 1"
     right = armrig.oe(data, nb=2, nf=2)
     assert next_of(right) == options_of(right) == "--structure oe --nb 2 --nf 2 --nk 1"
+    lost = replace(right, converged=False)
+    assert next_of(lost) == "--structure oe --nb 1 --nf 1 --nk 1"
 
 
 def test_the_next_line_searches_where_residuals_are_coloured_and_nothing_says_why() -> None:

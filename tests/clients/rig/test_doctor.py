@@ -179,6 +179,19 @@ def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Pat
     assert "idle-set" in finding.mend
 
 
+def test_deep_idle_states_that_cannot_be_held_off_are_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was found, then what it costs."""
+    made = host(tmp_path)
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write to each
+
+    finding = found(examine(made), "cpu_dma_latency")
+
+    assert (finding.level, finding.found) == ("note", "may not be written")
+    assert finding.costs == "the loop cannot hold off deep idle states"
+
+
 def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
     """The kernel does not use it."""
     state = "sys/devices/system/cpu/cpu0/cpuidle/state1"

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.estimation.arx import arx
+from armrig.estimation.estimators import ESTIMATORS
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit
 from armrig.numerics.polynomial import filtered
@@ -154,6 +156,15 @@ def test_a_pole_outside_the_circle_is_never_chosen(family: Family) -> None:
     moved = "stable=True reflected" in found.explain()
     assert moved == any("stable=True reflected" in w for w in found.fit.warnings)
     assert moved or family in ("oe", "bj", "n4sid")  # those look inside the circle only
+
+
+def test_a_pole_that_rounding_leaves_outside_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of four poles at 1, which are hardly reflected: the model is not ranked."""
+    data = _of_one_pole(1.004, 200, 1)
+    monkeypatch.setitem(ESTIMATORS, "arx", lambda data, stable, **orders: arx(data, **orders))
+
+    with pytest.raises(ValueError, match=r"first, ARX\[1 1 1\]: a pole at \|z\| = 1.0040 is not"):
+        search(data, families=("arx",), orders=(1,))
 
 
 def test_a_model_whose_output_has_no_bound_is_not_ranked() -> None:
