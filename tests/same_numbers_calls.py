@@ -535,6 +535,10 @@ def residuals() -> Variants:
     fit = armrig.oe(d["plain"], nb=2, nf=2)
     for name in ("plain", "holes", "two", "mean"):
         yield name, armrig.residuals(fit, d[name])
+    yield (
+        "still",
+        armrig.residuals(fit, d["plain"].replaced(step=None, u=np.full(d["plain"].N, 1.0))),
+    )
     yield "lags", armrig.residuals(armrig.arx(d["odd"], na=2, nb=2), d["odd"], 9)
     yield "high", armrig.residuals(armrig.arx(d["odd"], na=5, nb=5), d["odd"])
     yield "arm", armrig.residuals(armrig.arx(arm_data(), na=4, nb=4), holed(arm_data(2), 200))
