@@ -40,6 +40,8 @@ def toml_of(calibration: Calibration) -> str:
     tables: dict[str, Any] = msgspec.to_builtins(calibration)
     if tables["made"] is None:
         del tables["made"]
+    else:
+        del tables["made"]["file"]  # where it was read
     lines = [_HEADING]
     _write(tables, "", lines)
     return "\n".join(lines) + "\n"
@@ -143,12 +145,10 @@ def _raw(path: Path, sha256: str) -> bytes:
 def _write(table: Mapping[str, Any], name: str, lines: list[str]) -> None:
     """Append a table: its own values first, then the tables in it."""
     inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
-    plain = {key: value for key, value in table.items() if key not in inner and value != ""}
-    if name and (plain or not inner):
-        lines.append(f"[{name}]")
-    lines += [f"{key} = {_value(value)}" for key, value in plain.items()]
+    plain = {key: value for key, value in table.items() if key not in inner}
     if plain:
-        lines.append("")
+        values = (f"{key} = {_value(value)}" for key, value in plain.items())
+        lines += [f"[{name}]", *values, ""]
     for key, value in inner.items():
         _write(value, f"{name}.{key}" if name else key, lines)
 

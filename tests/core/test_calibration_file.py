@@ -34,6 +34,7 @@ MEASURED = Calibration(
     driver=Driver(gain=0.98, offset_v=-0.02),
     made=MADE,
 )
+OF_NO_DEVICE = replace(MEASURED, made=replace(MADE, device_uid="", figures={}))
 
 
 def _written(folder: Path, calibration: Calibration = MEASURED) -> Path:
@@ -43,7 +44,7 @@ def _written(folder: Path, calibration: Calibration = MEASURED) -> Path:
     return path
 
 
-@pytest.mark.parametrize("calibration", [MEASURED, Calibration()])
+@pytest.mark.parametrize("calibration", [MEASURED, OF_NO_DEVICE, Calibration()])
 def test_what_was_written_is_read_to_the_last_bit(calibration: Calibration, tmp_path: Path) -> None:
     """Only where it was read is new."""
     path = _written(tmp_path, calibration)
