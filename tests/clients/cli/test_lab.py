@@ -8,11 +8,14 @@ import signal
 import subprocess
 import sys
 import time
+import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
+from armrig.cli.lab import _page
+from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
 from sampling import sampled
@@ -138,3 +141,24 @@ def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
     phases = [json.loads(line)["phase"] for line in lines if line.startswith("{")]
     assert phases[-2:] == ["safe", "armed"]
     assert "armrig: ending: the motor goes to 0 V" in lines
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+@pytest.mark.parametrize("screen", ["DISPLAY", "WAYLAND_DISPLAY", ""])
+def test_a_browser_is_opened_from_a_terminal_on_a_screen(
+    screen: str, terminal: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a screen, as through ssh, a browser of text would take the terminal."""
+    served, opened = serving.Served(url="http://page", browser_url="http://token"), list[str]()
+    monkeypatch.setattr(serving, "dashboard", lambda _: nullcontext(served))
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    if screen:
+        monkeypatch.setenv(screen, ":0")
+
+    with _page("1") as url:
+        assert url == "http://page"
+
+    assert opened == (["http://token"] if terminal and screen else [])
