@@ -129,6 +129,19 @@ def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
     }
 
 
+def test_each_row_of_the_status_is_shown_in_one_of_two_lists(page: Path) -> None:
+    """The first list has what is looked at most, the second one all others."""
+    rows = [["sampled", "at 100 Hz"], ["motor", "at 0 V"], ["firmware", "0"]]
+    told = _run(
+        page,
+        f"status.showStatus({{ rows: {json.dumps(rows)}, phase: 'safe' }});"
+        "const words = (id) => document.getElementById(id).children.map((x) => x.textContent);"
+        "told.lists = [words('status'), words('status-all')];",
+    )
+
+    assert told["lists"] == [["motor", "at 0 V"], ["sampled", "at 100 Hz", "firmware", "0"]]
+
+
 def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
     """Run where it is safe or armed, arm where it is safe, release where it is armed."""
     told = _run(
