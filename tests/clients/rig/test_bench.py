@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from armrig.cli import main
 from armrig.rig.bench import cyclictest, machine, programs, rounds, targets
 from armrig.rig.bench.programs import program
 from armrig.rig.bench.rounds import ROUNDS, Plan
+from armrig.rig.bench.sleeper import Done, Task
 from armrig.rig.bench.targets import Rate, Target, against_targets
 from armrig.rig.session import RigError
 from armrig_core.volts import applied_code, code_of, volts_of
@@ -304,6 +306,26 @@ def test_a_program_that_does_not_end_is_ended() -> None:
         programs.output(process, 0.1)
 
     assert process.returncode is not None
+
+
+@pytest.mark.parametrize(("fifo", "priority"), [(True, machine.PRIORITY), (False, 0)])
+def test_the_bare_loop_has_the_daemons_priority_where_that_is_allowed(
+    fifo: bool, priority: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without it the daemon would be compared with a loop that anybody may hold up."""
+    tasks = list[Task]()
+
+    def slept(task: Task, _: float) -> Done:
+        tasks.append(task)
+        return Done(fifo=fifo, late_ns=[1], trip_ns=[1], cpu_ns=[1])
+
+    monkeypatch.setattr(rounds, "_slept", slept)
+    monkeypatch.setattr(rounds, "program", lambda _: nullcontext())
+    monkeypatch.setattr(rounds, "line", lambda _: "/dev/echo")
+
+    rounds._bare(Rate(rate_hz=100), 1, replace(machine.machine(), fifo=fifo))
+
+    assert [task.priority for task in tasks] == [priority]
 
 
 @pytest.mark.parametrize(("installed", "fifo"), [(None, True), ("/usr/bin/cyclictest", False)])
