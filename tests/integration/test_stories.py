@@ -21,6 +21,7 @@ from processes import Bench, wait_for
 
 STORIES = Path(__file__).with_name("stories")
 _OF_A_RUN = re.compile(r"\d{8}T\d{6}|\b[0-9a-f]{8,}\b|\d{4}-\d\d-\d\dT[\d:.+]+")
+_CLOSED = re.compile("end of file|Connection reset by peer|Broken pipe")  # as it comes
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 _BAR = re.compile(r"^\S+ +━.*", re.MULTILINE)
 _OF_THIS_HOST = re.compile(
@@ -86,7 +87,7 @@ def plain(text: str, folder: Path) -> str:
 
 def words(text: str, folder: Path) -> list[str]:
     """Return the lines of a text, `#` in place of what differs from run to run."""
-    text = _NUMBER.sub("#", _OF_A_RUN.sub("#", plain(text, folder)))
+    text = _CLOSED.sub("closed", _NUMBER.sub("#", _OF_A_RUN.sub("#", plain(text, folder))))
     return [line.rstrip() for line in text.splitlines()]
 
 
