@@ -8,11 +8,13 @@ import sys
 from collections.abc import Iterator
 from math import tau
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import armrig
 import pytest
 from armrig.cli import main
+from armrig.cli.calibrate import _measured, _Wanted
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig.rig import collection
@@ -331,3 +333,25 @@ def test_info_tells_a_rig_that_was_not_calibrated(
     assert "The calibration is of another device: it was made on 0002" in stale
     if "--json" in command:
         assert json.loads(good)["remarks"] == []
+
+
+def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
+    """First the rest at the mark, then the arm, held by hand for as long."""
+    done: list[str] = []
+    ask: Any = SimpleNamespace(ready=done.append)
+    play: Any = SimpleNamespace(rest=lambda experiment, _: done.append(experiment))
+    wanted = _Wanted(
+        readings=[],
+        levels=[],
+        level_seconds=1.0,
+        rest_seconds=3.0,
+        by_hand=True,
+        rest_file=None,
+        turns_file=None,
+    )
+
+    _measured(wanted, ask, play)
+
+    assert [text[:15] for text in done] == [
+        *("Turn the chassi", "calibrate-rest", "Deflect the arm", "calibrate-hand"),
+    ]
