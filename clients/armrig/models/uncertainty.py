@@ -53,7 +53,10 @@ def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
 def frequency_bands(
     model: Model, answer: FrequencyResponse, draws: Draws | None
 ) -> tuple[Band, Band]:
-    """Return the 95 % bands of |G| and of arg G, the latter in rad about that of the answer."""
+    """Return the 95 % bands of |G| and of arg G, the latter in rad about that of the answer.
+
+    Without draws the bands are linearised.
+    """
     G = answer.G
     magnitudes = phases = None
     if draws is not None:
@@ -67,7 +70,7 @@ def frequency_bands(
 
 
 def step_band(model: Model, answer: StepResponse, draws: Draws | None) -> Band:
-    """Return the 95 % band of a step response."""
+    """Return the 95 % band of a step response; without draws it is linearised."""
     if draws is None:
         return band(answer.y, answer.std, None)
     samples = step_responses(model, draws.theta, answer.y.size + answer.rate)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import msgspec
@@ -136,7 +137,8 @@ class Listener:
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
         self._buckets: dict[str, token_bucket.Bucket] = {}
-        with group_may_open():
+        # A network has no socket in a folder, and opening one must not hold up another session.
+        with group_may_open() if network is None else nullcontext():
             self._session = zenoh.open(session_config(endpoint, network))
         self._publishers = {
             stream: self._session.declare_publisher(
