@@ -2,7 +2,8 @@
 
 A line `$ armrig …` or `$ armrigd …` is a command, `>>> …` a line of Python. Below it are standard
 output (after two blanks), standard error (`! `), the exit code if it is not 0, and the files that
-were written (`+ `), with the first lines of a text. JSON is a line for each value.
+were written (`+ `), with the first lines of a text: all of one named whole. JSON is a line for each
+value.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _TINY = 1e-9  # two numbers that are smaller are rounding
 _NUMBER = re.compile(r" *(?<![\w.])[-+−]?\d+(?:\.\d+)*(?:e[-+]?\d+)? *")
 _SHOWN, _ITEMS, _LINES = ("  ", "! ", "+ ", "exit "), 8, 40
 _OTHERS = (  # of another machine, another day, another version of zstd
-    (re.compile(r"(?<![\w.])(?=\w*[a-f])[0-9a-f]{12,64}(?![\w.-])"), "HASH"),
+    (re.compile(r"(?<![\w.])(?=\w*[a-f])[0-9a-f]{12,64}(?![\w-]|\.\w)"), "HASH"),
     (re.compile(r"━ 100% \d\d:\d\d"), "━ 100%"),
     (re.compile(r"(bytes|_offset_ns): \d+"), r"\1: …"),
     (re.compile(r"\b20[2-9]\d-\d\d-\d\d([T ]\d\d:\d\d[\d:.]*(Z|[-+]\d\d:\d\d)?)?"), "DATE"),
@@ -68,7 +69,10 @@ def _printed(line: str, python: _Python, folder: Path) -> Iterator[str]:
             yield f"+ {path.relative_to(folder)}"
             if not text.startswith(b"-----BEGIN"):
                 with suppress(UnicodeDecodeError):
-                    yield from ("+   " + x for x in _lines(text.decode(), folder)[:_LINES])
+                    if path.stem == "whole":
+                        yield from ("+   " + x for x in _lines(text.decode(), folder, whole=True))
+                    else:
+                        yield from ("+   " + x for x in _lines(text.decode(), folder)[:_LINES])
 
 
 def _code(line: str, python: _Python) -> int:
@@ -90,11 +94,12 @@ def _files(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in every}
 
 
-def _lines(text: str, folder: Path) -> list[str]:
+def _lines(text: str, folder: Path, *, whole: bool = False) -> list[str]:
     """Return lines, without what is others' on another machine or day."""
     if text.startswith(("{", "[")):
         with suppress(ValueError):
-            text = "\n".join(_values(json.loads(text)))
+            value = json.loads(text)
+            text = "\n".join(_words(value) if whole else _values(value))
     text = text.replace(str(folder.resolve()), "HERE")
     text = text.replace(os.environ["XDG_RUNTIME_DIR"], "SOCKETS")
     for pattern, name in _OTHERS:
@@ -114,6 +119,18 @@ def _values(value: Any, name: str = "") -> Iterator[str]:
         yield f"{name}: [{', '.join(map(_value, value[:_ITEMS]))}] … {len(value)} values"
     else:
         yield f"{name}: {_value(value)}"
+
+
+def _words(value: Any, name: str = "") -> Iterator[str]:
+    """Give every value that says something; texts that stand in a row on one line."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _words(item, key)
+    elif isinstance(value, list) and any(isinstance(x, (dict, list)) for x in value):
+        for item in value:
+            yield from _words(item, name)
+    elif value:
+        yield f"{name}: {' | '.join(map(str, value)) if isinstance(value, list) else value}"
 
 
 def _value(value: Any) -> str:

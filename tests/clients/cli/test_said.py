@@ -18,6 +18,7 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import app as armrig_app
+from armrig_core.calibration_file import toml_of
 from armrig_core.commands import Run
 from armrig_core.endpoint import endpoint
 from armrig_daemon.command_line import app as armrigd_app
@@ -29,6 +30,7 @@ from fake_daemon import FakeDaemon
 from made_recordings import manifest, of_the_arm, recorded, turning, written
 from made_turns import made_turns, still
 from mcap.writer import CompressionType
+from odd_recording import FORWARD, odd_recording
 from said import said_again
 from typer.main import get_command
 
@@ -67,6 +69,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         written(folder, part, f"{name}.mcap.active")
     u = armrig.telegraph(600, 0.05, seed=4)
     written(folder, of_the_arm(u, missing=slice(300, 305)), "gap.mcap")
+    odd = armrig.load(written(folder, odd_recording(), "odd.mcap"))
+    armrig.arx(odd.dataset("alpha"), na=3, nb=2).save(folder / "odd.json")
+    (folder / "forward.toml").write_text(toml_of(FORWARD))
     written(folder, recording_of(still(), "calibrate-rest"), "rest.mcap")
     written(folder, recording_of(made_turns(noise=32.0), "calibrate-turns"), "turns.mcap")
     rows = zip(data.t, data.u, data.y, strict=True)

@@ -1,0 +1,211 @@
+"""A recording of which nothing is at its default is read as what the rig did."""
+
+from __future__ import annotations
+
+from math import tau
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.recordings.export import columns
+from armrig.recordings.jitter import fastest_rate, intervals_us, sampling_statistics
+from armrig.recordings.loading import load
+from armrig.recordings.overview import overview
+from armrig.recordings.published import published
+from armrig.recordings.recording import Recording
+from armrig.recordings.recording_summary import summary_of
+from armrig.recordings.timing_disturbances import disturbances
+from armrig_core.telemetry import decode_sample
+from odd_recording import (
+    CLIPPED,
+    GAPS,
+    K_FIRST,
+    MISSING,
+    ODD,
+    SLOW_PPM,
+    TS,
+    ZERO_NS,
+    N,
+    angles,
+    applied,
+    due_ns,
+    held,
+    odd_recording,
+)
+
+NOISE = 6 * 17.0
+"""Six standard deviations of a reading, in counts: a step of 16, and its rounding."""
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the file."""
+    path = tmp_path_factory.mktemp("odd") / "seven.mcap"
+    path.write_bytes(odd_recording())
+    return path
+
+
+@pytest.fixture(scope="module")
+def odd(path: Path) -> Recording:
+    """Give the recording."""
+    return load(path)
+
+
+def test_each_row_is_what_the_rig_did_then(odd: Recording) -> None:
+    """Terminal volts, angles with their signs, and what is missing: a row for each sample."""
+    theta_1, alpha = angles()
+    unknown = [120, *range(280, 284)]
+
+    whole_turns = (odd.theta_1 - theta_1)[odd.valid] / tau
+
+    assert (odd.k_first, odd.N, odd.missing, odd.asked_s) == (4_000, 518, 21, 30.0)
+    np.testing.assert_allclose(odd.t, np.arange(N) * TS)
+    np.testing.assert_array_equal(np.flatnonzero(~odd.present), MISSING)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(odd.u)), unknown)
+    expected = np.where(held() > 0, 0.9 * held() + 0.2, 0.0)
+    np.testing.assert_allclose(odd.u, np.where(np.isnan(odd.u), np.nan, expected))
+    turned = np.round(whole_turns)
+    np.testing.assert_allclose(whole_turns, turned, atol=NOISE * 9.4e-5 / tau)
+    assert set(turned[: np.flatnonzero(odd.valid).searchsorted(200)]) == {0.0}
+    np.testing.assert_allclose(
+        odd.alpha[odd.valid_alpha], alpha[odd.valid_alpha], atol=NOISE * 1e-4
+    )
+    clipped = odd.present & ~odd.valid_alpha
+    np.testing.assert_array_equal(np.flatnonzero(clipped), CLIPPED)
+    assert odd.turns_unknown == (207,)
+
+
+def test_the_data_are_cut_where_u_or_the_turns_are_not_known(odd: Recording) -> None:
+    """Rows whose u is unknown are left out; each stretch of the others is an experiment."""
+    theta_1, alpha, rate = odd.dataset(), odd.dataset("alpha"), odd.dataset("velocity")
+    known = np.flatnonzero(np.isfinite(odd.u))
+
+    begins = [0, *np.searchsorted(known, [121, 207, 284]).tolist()]
+
+    assert list(theta_1.starts) == begins == [0, 120, 206, 279]
+    assert list(alpha.starts) == [0, 120, 279]  # the arm does not turn on
+    np.testing.assert_array_equal(theta_1.y, odd.theta_1[known])
+    np.testing.assert_array_equal(alpha.y, odd.alpha[known])
+    np.testing.assert_array_equal(theta_1.u, odd.u[known])
+    assert rate.unit == "rad/s"
+    speeds = np.diff(odd.theta_1, prepend=np.nan) / TS
+    speeds[[121, 207, 284]] = np.nan  # nothing is known across a cut
+    np.testing.assert_allclose(rate.y, speeds[known])
+    assert fastest_rate(theta_1) == pytest.approx(
+        np.nanpercentile(np.abs(np.diff(theta_1.y)) / TS, 99)
+    )
+
+
+def test_its_reports_are_on_its_own_time(odd: Recording) -> None:
+    """In s from the first sample that was due, each with its own figures."""
+    found = disturbances(odd)
+
+    assert [(g.k_first - K_FIRST, g.count, g.reason) for g in odd.gaps] == [
+        (first, n, why) for first, n, _, why in GAPS
+    ]
+    assert [g.t for g in odd.gaps] == pytest.approx([first * TS for first, *_ in GAPS])
+    assert [(e.t, e.level) for e in odd.events] == [
+        (2.05, "info"),
+        (10.5, "warning"),
+        (19.5, "error"),
+    ]
+    assert [t.t for t in odd.timing] == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert [t.wake_lateness_us.p99 for t in odd.timing] == [10, 11, 12, 13, 14]
+    assert [t.queue_depth.p50 for t in odd.timing] == [4, 3, 2, 1, 0]
+    assert [c.t for c in odd.clock] == [1.25, 5.0, 20.0]
+    assert (found.seconds, found.collections, found.run_queue) == (5, 4, 7)
+    assert (found.cpu_pressure_percent, found.round_trip_us) == (31.0, 6500.0)
+    assert (found.drift_ppm, found.drift_std_ppm, found.offset_std_us) == (81.0, 1.2, 1.5)
+    assert found.held_up_ms == 35 + 7
+
+
+def test_its_sampling_is_told_by_the_devices_clock(odd: Recording) -> None:
+    """An interval next to a missing sample is none; the device's clock is 80 ppm slow."""
+    k = odd.samples["k"].astype(np.int64)
+    t_us, late = odd.samples["t_device_us"].astype(np.int64), odd.samples["t_host_ns"]
+    beside = [t_us[i + 1] - t_us[i] for i in range(k.size - 1) if k[i + 1] == k[i] + 1]
+
+    found = sampling_statistics(odd)
+
+    np.testing.assert_array_equal(intervals_us(odd), beside)
+    assert len(beside) == N - len(MISSING) - 6  # stretches of samples that came, one after another
+    assert found.mean_us == pytest.approx(50_000 * (1 - SLOW_PPM * 1e-6), abs=4 * 57 / 491)
+    assert found.std_us == pytest.approx(40 * 2**0.5, rel=0.15)
+    assert found.lateness.p50 == pytest.approx(np.median(late - odd.samples["t_sched_ns"]) / 1e3)
+    assert (found.samples, found.missing, found.longest_gap) == (497, 21, 7)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(2.9, 3.4), (9.9, 14.2), (25.0, None), (0.0, 0.15)])
+def test_a_part_has_the_rows_of_its_time(
+    path: Path, odd: Recording, start: float, stop: float | None
+) -> None:
+    """And the gaps and reports of that time, though both ends lie between two samples' times."""
+    first, end = round(start / TS), N if stop is None else round(stop / TS)
+
+    part = load(path, start=start, stop=stop)
+
+    assert (part.k_first, part.N) == (K_FIRST + first, end - first)
+    for name in ("t", "u", "alpha", "valid", "valid_alpha", "present"):
+        np.testing.assert_array_equal(getattr(part, name), getattr(odd, name)[first:end])
+    assert [g.k_first for g in part.gaps] == [
+        K_FIRST + a for a, n, *_ in GAPS if a < end and a + n > first
+    ]
+    until = end * TS
+    assert [e.t for e in part.events] == [t for t in (2.05, 10.5, 19.5) if start <= t < until]
+    assert [c.t for c in part.clock] == [t for t in (1.25, 5.0, 20.0) if start <= t < until]
+
+
+def test_what_was_published_comes_in_its_order(path: Path) -> None:
+    """Samples when they came, a gap before the sample after it, reports at their times."""
+    run = published(path)
+    part = published(path, 2.9, 14.2)
+
+    messages, of_part = list(run.messages()), list(part.messages())
+    times = [m.t for m in messages]
+    samples = [s for m in messages if m.stream == "sample" and (s := decode_sample(m.data))]
+
+    assert len(run) == len(messages) == 497 + 6 + 5 + 3 + 3
+    assert times == sorted(times)
+    assert [s.k - K_FIRST for s in samples] == [i for i in range(N) if i not in MISSING]
+    assert [s.u_applied_v for s in samples] == [applied()[s.k - K_FIRST] for s in samples]
+    kinds = [m.stream for m in messages]
+    assert kinds[:2] == ["gap", "sample"]  # when its first sample was due it was not known yet
+    last = max(s.t_host_ns for s in samples)
+    assert run.seconds == pytest.approx(max(25.9, (last - ZERO_NS) / 1e9) - messages[0].t)
+    assert {m.stream for m in of_part} == {"sample", "gap", "timing", "clock", "event"}
+    assert sum(m.stream == "sample" for m in of_part) == (284 - 58) - 4 - 1 - 7 - 4
+    assert all(2.9 <= m.t < 14.3 for m in of_part)
+
+
+def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> None:
+    """Raw readings stand in the rows of their samples; the summary needs no sample."""
+    found, summary = columns(odd, raw=True), summary_of(path)
+    row = 400
+
+    np.testing.assert_array_equal(found["k"], np.arange(4_000, 4_518))
+    assert found["t_sched_ns"][row] == due_ns(row)
+    assert found["theta_1_counts"][120] == found["alpha_counts"][120] == 0
+    assert found["alpha_counts"][30] == 65535
+    angle = (found["alpha_counts"][row] - 30_000) * ODD.alpha.rad_per_count
+    assert angle == pytest.approx(odd.alpha[row])
+    assert (summary.kind, summary.is_validation, summary.name) == ("blackbox", True, "odd")
+    assert summary.validation_of == "20261119T050000Z-0dad"
+    assert (summary.samples, summary.missing, summary.seconds) == (497, 21, pytest.approx(25.9))
+    assert (summary.device, summary.pacing, summary.rig) == ("beef", "scheduled", "7")
+    assert (summary.armrig, summary.calibration_sha256) == ("0.2.1", "5ca1e")
+    assert summary.outcome == "stopped by bob"
+    names = summary.names(validation=True)
+    assert names == {"20261119T050000Z-0dad", "odd", "blackbox-odd"}
+    assert "odd" not in summary.names(validation=False)
+    assert summary.size == path.stat().st_size
+
+
+def test_a_first_look_tells_its_own_ranges(odd: Recording) -> None:
+    """Means and ranges of what is known; alpha's sign, and theta_1's turns, as they were."""
+    facts, rows = overview(odd).facts(), dict(overview(odd).rows())
+
+    assert (facts["samples"], facts["missing"], facts["invalid"]) == (518, 21, odd.hidden)
+    assert rows["u"] == f"0 to {np.nanmax(odd.u):.3g} V, {np.nanmean(odd.u):.3g} V on average"
+    assert rows["missing"] == "21 of 518 samples"
+    assert facts["drift"]["velocity"]["unit"] == "rad/s/s"
+    assert facts["drift"]["alpha"]["unit"] == "rad/s"
