@@ -26,7 +26,7 @@ from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
 
 T = TypeVar("T")
 
-GREYBOX, CALIBRATION, BLA = "greybox", "calibration", "bla"
+GREYBOX, CALIBRATION, BLA = "greybox", "calibrate", "bla"
 OTHERS = (STEP, STAIRCASE, GREYBOX, CALIBRATION, BLA)
 """Kinds of experiments that no black-box model is estimated from."""
 METHODS = {"4.1": "forward_euler", "4.2": "ab2", "4.3": "trapezoidal", "4.4": "heun"}
