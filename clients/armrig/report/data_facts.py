@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from armrig_core.calibration import Driver
+
 from armrig.data.dataset import Dataset
 from armrig.numerics.quantities import NBSP, number, percent
 from armrig.recordings.calibration.staleness import calibrated
@@ -30,7 +32,8 @@ def _units(study: Study) -> str:
         calibrated(r.calibration): r.calibration
         for r in (study.recording_of(d.source) for d in (study.estimation, study.validation))
     }
-    made = [c.made for c in calibrations.values() if c and c.made]
+    measured = [c for c in calibrations.values() if c and c.made]
+    made = [c.made for c in measured if c.made]
     if len(made) < len(calibrations):
         return (
             "Angles and voltages rest on configured values that were never measured: what is in "
@@ -41,11 +44,10 @@ def _units(study: Study) -> str:
     angle = f"The rad is that of the calibration of {' and of '.join(calibrations)}"
     if known is not None:
         angle += f", known to {percent(100 * known)} (one standard deviation)"
-    volt = (
-        "the volt that of a meter at the motor's terminals"
-        if all("driver_gain" in m.figures for m in made)
-        else "the volt that of the codes: no meter was read at the motor's terminals"
-    )
+    volt = "the volt that of a meter at the motor's terminals"
+    if not all("driver_gain" in m.figures for m in made):
+        of = "the codes" if all(c.driver == Driver() for c in measured) else "a configured driver"
+        volt = f"the volt that of {of}: no meter was read at the motor's terminals"
     return f"{angle}; {volt}."
 
 

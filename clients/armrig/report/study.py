@@ -196,9 +196,10 @@ def assessed(fits: Mapping[str, Fit], physics: Model, validation: Dataset) -> di
     fits : mapping of str to Fit
         What the report calls each, and the model.
     """
+    # First: a model of another sampling time has no response at these frequencies.
+    table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))
     omega = np.geomspace(0.5, min(100.0, np.pi / validation.Ts), 200)
     G = physics.frequency_response(omega).G
-    table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))
     *rows, reference = table.rows
     estimated = tuple(
         AssessedFit(
