@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import armrig
+import numpy as np
 import pytest
 from armrig.cli import app as armrig_app
 from armrig_core.calibration_file import toml_of
@@ -77,9 +78,27 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = zip(data.t, data.u, data.y, strict=True)
     text = "\n".join(["t,u,y", *(f"{t:.2f},{u:.4f},{y:.6f}" for t, u, y in rows)])
     (folder / "data.csv").write_text(text)
+    (folder / "odd.csv").write_text(_odd_table())
     (folder / "flat.csv").write_text("u,y\n" + "1,2\n" * 100)
     (folder / "words.txt").write_text("no recording\n")
     return folder
+
+
+def _odd_table() -> str:
+    """Return 300 rows from 5 s on, 0.1 s apart: y(t) = 0.8 y(t-1) - 3 u(t-2) about a level of -40.
+
+    The columns stand in another order; three values of y are wrong, and four are not there.
+    """
+    rng = np.random.default_rng(11)
+    u, y, shown = rng.choice([-1.0, 0.5, 2.0], 300), np.zeros(300), list[str]()
+    for k in range(2, 300):
+        y[k] = 0.8 * y[k - 1] - 3 * u[k - 2]
+    for k, x in enumerate(
+        y - 40 + 0.2 * rng.standard_normal(300) + 40 * np.isin(y, y[[80, 140, 260]])
+    ):
+        shown.append("" if k in (30, 31, 32, 200) else f"{x:.4f}")
+    rows = (f"{one},{5 + k / 10:.1f},{u[k]}" for k, one in enumerate(shown))
+    return "\n".join(["rate,t_s,u_v", *rows])
 
 
 def _recorded(
@@ -94,6 +113,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
     """Give a copy of it, in which we are; nothing of this machine's is looked at."""
     here = tmp_path / "here"
     shutil.copytree(made, here)
+    (here / ".home").mkdir()
     monkeypatch.chdir(here)
     monkeypatch.setattr("sys.stdin", io.StringIO())
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", _write_words)
