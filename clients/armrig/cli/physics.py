@@ -214,7 +214,8 @@ def simulate(
     physics = physics_beside(given)
     check_plot(plot, [f for f in (file, *(model or ())) if f is not None])
     if file is None:
-        given_for_file = {"--model": model, "--from": start, "--to": stop}
+        given_for_file: dict[str, Any] = {"--model": model, "--calibration": calibration}
+        given_for_file |= {"--from": start, "--to": stop}
         for option in (name for name, value in given_for_file.items() if value not in (None, [])):
             msg = f"{option} needs a recording, whose input is simulated with: armrig simulate F"
             raise typer.BadParameter(msg)
