@@ -13,6 +13,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.rig.collection import Collected, Plan
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
@@ -59,6 +60,52 @@ def test_collect_plays_the_telegraph_that_was_asked_for(
     assert set(run.u) == {0.5, 4.5}
     assert run.experiment == "blackbox"
     assert run.details == {"input": "telegraph", "a": 0.05, "low": 0.5, "high": 4.5, "seed": 7}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kinds", "own"),
+    [
+        (["blackbox", "--a", "0.3", "--seed", "5", "--validation"], 2, {"a": 0.3, "seed": 5}),
+        (["greybox", "--input", "prbs", "--a", "0.3", "--seed", "5"], 1, {"seed": 5}),
+        (["step", "--at", "0.7"], 1, {"at": 0.7}),
+        (["staircase", "--levels", "4"], 1, {"levels": 4}),
+        (["bla", "--periods", "4", "--realisations", "3", "--seed", "5"], 3, {"periods": 4}),
+    ],
+)
+def test_every_option_of_a_collection_reaches_its_plan(
+    arguments: list[str], kinds: int, own: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """None of them has its default; each experiment passes the shared ones by itself."""
+    made: list[tuple[Plan, str, str | None]] = []
+
+    def collected(plan: Plan, *, rig: str, connect: str | None, tell: object) -> Collected:
+        made.append((plan, rig, connect))
+        return Collected(Path("a.mcap"), 3, 0.02, None, f"run-{len(made)}", None)
+
+    monkeypatch.setattr("armrig.rig.collection.collect", collected)
+    shared = ["--low", "1.25", "--high", "3.5", "--seconds", "4", "--Ts", "0.02", "--name", "odd-1"]
+    shared += ["--pacing", "exchange", "--owner", "a class", "--dead-man", "3", "--rig", "7"]
+
+    assert main(["collect", *arguments, *shared, "--connect", "tcp/far:7447"]) == 0
+
+    assert len(made) == kinds
+    for plan, rig, connect in made:
+        of_the_run = (plan.Ts, plan.pacing, plan.owner, plan.dead_man, plan.seconds)
+        assert of_the_run == (0.02, "exchange", "a class", 3.0, 4.0)
+        assert (rig, connect) == ("7", "tcp/far:7447")
+        assert plan.experiment.removeprefix(arguments[0]) in ("-odd-1", "-validation-odd-1")
+        assert plan.without_arm == (arguments[0] == "greybox")
+        u = plan.make(200, 0.02)
+        near = 0.5 if arguments[0] == "bla" else 1e-9  # its draws share a scale
+        assert 1.25 - 1e-9 <= u.min() <= 1.25 + near
+        assert 3.5 - near <= u.max() <= 3.5 + 1e-9
+        assert plan.details.items() >= {"low": 1.25, "high": 3.5}.items()
+    assert made[0][0].details.items() >= own.items()
+    if kinds == 2:
+        assert made[1][0].details["validation_of"] == "run-1"
+        assert made[1][0].details["seed"] == 6
+    step = made[0][0].make(200, 0.02)
+    assert arguments[0] != "step" or (step[:35].max(), step[35:].min()) == (1.25, 3.5)
 
 
 def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str) -> None:
