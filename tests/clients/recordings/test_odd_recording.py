@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import tau
 from pathlib import Path
 
@@ -209,3 +210,14 @@ def test_a_first_look_tells_its_own_ranges(odd: Recording) -> None:
     assert rows["missing"] == "21 of 518 samples"
     assert facts["drift"]["velocity"]["unit"] == "rad/s/s"
     assert facts["drift"]["alpha"]["unit"] == "rad/s"
+
+
+def test_an_outlier_is_told_at_its_own_time(odd: Recording) -> None:
+    """Though rows before it were left out, as their voltage is not known."""
+    alpha = odd.alpha.copy()
+    alpha[[90, 330, 450]] += 0.5
+
+    found = overview(replace(odd, alpha=alpha))
+
+    assert found.outliers["alpha"].tolist() == pytest.approx([4.5, 16.5, 22.5])
+    assert dict(found.rows())["outliers, alpha"] == "3, at 4.5 s, 16.5 s, 22.5 s"
