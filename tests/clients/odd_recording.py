@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from armrig.excitation import telegraph
+from armrig.recordings.calibration import Readings
 from armrig_core import protobuf
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Driver, Made, Potentiometer
@@ -197,3 +198,24 @@ def _clock(row: int, std_ns: float, drift: float, drift_std: float) -> Any:
         drift_std_ppm=drift_std,
         bound_ns=2e3,
     )
+
+
+def odd_turns() -> tuple[Readings, Readings]:
+    """Return a rest and turns of a shaft that counts down, 1.8 rad/s for each volt above 0.2 V.
+
+    A turn is 70000 counts, the track from 2000 to 61000; alpha falls with growing counts. The
+    voltages neither rise nor are whole, and one of them is too short to count.
+    """
+    rng, n = np.random.default_rng(12), [60, 900, 120, 700, 800]
+    u = np.repeat([0.0, 2.5, 4.0, 0.8, 1.6], n)
+    t = 0.01 * np.arange(u.size)
+    place = 30_000 - 70_000 / tau * np.cumsum(1.8 * np.maximum(u - 0.2, 0)) * 0.01
+    place = (place - 2_000) % 70_000 + 2_000
+    noise = 20 * rng.standard_normal((2, u.size))
+    theta_1 = np.where(place > 61_000, 0.0, np.rint((place + noise[0]) / 16) * 16)
+    swing = 900 * np.exp(-np.maximum(t - 0.6, 0) / 0.2) * (t >= 0.62)
+    turns = Readings(
+        t=t, u=u, theta_1=theta_1, alpha=np.rint((25_000 + swing + noise[1]) / 16) * 16
+    )
+    rest = np.rint((np.array([[41_000], [25_000]]) + 20 * rng.standard_normal((2, 250))) / 16) * 16
+    return Readings(t=t[:250], u=np.zeros(250), theta_1=rest[0], alpha=rest[1]), turns

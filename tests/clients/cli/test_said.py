@@ -31,7 +31,7 @@ from fake_daemon import FakeDaemon
 from made_recordings import manifest, of_the_arm, recorded, turning, written
 from made_turns import made_turns, still
 from mcap.writer import CompressionType
-from odd_recording import FORWARD, odd_recording
+from odd_recording import FORWARD, odd_recording, odd_turns
 from said import said_again
 from typer.main import get_command
 
@@ -75,6 +75,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "forward.toml").write_text(toml_of(FORWARD))
     written(folder, recording_of(still(), "calibrate-rest"), "rest.mcap")
     written(folder, recording_of(made_turns(noise=32.0), "calibrate-turns"), "turns.mcap")
+    nine = {"rig": "9", "device": {"adc_bits": 12, "pwm_bits": 8, "uid": "beef"}}
+    for name, readings in zip(("rest", "turns"), odd_turns(), strict=True):
+        written(folder, recording_of(readings, f"calibrate-{name}", **nine), f"odd-{name}.mcap")
     rows = zip(data.t, data.u, data.y, strict=True)
     text = "\n".join(["t,u,y", *(f"{t:.2f},{u:.4f},{y:.6f}" for t, u, y in rows)])
     (folder / "data.csv").write_text(text)

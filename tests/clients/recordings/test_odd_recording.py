@@ -136,7 +136,9 @@ def test_its_sampling_is_told_by_the_devices_clock(odd: Recording) -> None:
     assert (found.samples, found.missing, found.longest_gap) == (497, 21, 7)
 
 
-@pytest.mark.parametrize(("start", "stop"), [(2.9, 3.4), (9.9, 14.2), (25.0, None), (0.0, 0.15)])
+@pytest.mark.parametrize(
+    ("start", "stop"), [(2.9, 3.4), (1.0, 2.1), (9.9, 14.2), (25.0, None), (0.0, 0.15)]
+)
 def test_a_part_has_the_rows_of_its_time(
     path: Path, odd: Recording, start: float, stop: float | None
 ) -> None:
