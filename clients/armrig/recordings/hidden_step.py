@@ -59,7 +59,8 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:
         return None
     # From where the chassis came to rest, about, on to well beyond the dead band.
-    way = (r.theta_1[gap.stop] + _BEYOND - r.theta_1[known][-1] - v1 * behind) % (2 * np.pi)
+    begin = r.theta_1[gap.stop] + np.copysign(_BEYOND, v0)
+    way = (begin - r.theta_1[known][-1] - v1 * behind) % (2 * np.pi)
     turns = abs(v0) > _MOVES
     later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0 if turns else float("nan")
     later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_S else later

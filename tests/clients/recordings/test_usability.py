@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import tau
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,16 @@ import armrig
 import msgspec
 import numpy as np
 import pytest
+from armrig.numerics.quantities import NBSP
+from armrig.recordings.findings import (
+    check_angle,
+    check_run,
+    check_signal,
+    check_timing,
+    check_turns,
+)
 from armrig.recordings.hidden_step import hidden_step
+from armrig.recordings.jitter import fastest_rate, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.recordings.usability import DataVerdict, data_verdict
@@ -19,6 +29,7 @@ from armrig_core.rehearsal import Rehearsal
 from armrig_protocol.messages import Flag
 from made_recordings import POT, gap, manifest, of_the_arm, recorded, sample, written
 from numpy.typing import NDArray
+from odd_recording import odd_recording
 
 
 def judged(directory: Path, u: NDArray[np.float64], **options: Any) -> DataVerdict:
@@ -248,3 +259,62 @@ def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: 
     found = data_verdict(load(written(tmp_path, whole)))
 
     assert found.missing_share == pytest.approx(8 / 200)
+
+
+def test_a_step_is_made_again_at_one_time_whichever_way_the_angle_counts(tmp_path: Path) -> None:
+    """A reversed potentiometer changes the sign of the angle, and not where its dead band is."""
+    u = np.where(np.arange(200) < 100, 0.5, 4.5)
+    recordings = (
+        load(written(tmp_path, of_the_arm(u, experiment="step", start=float(start))))
+        for start in np.arange(0, tau, 0.1)
+    )
+    found = [(r, hidden) for r in recordings if (hidden := hidden_step(r)) is not None]
+
+    mirrored = [hidden_step(replace(r, theta_1=-r.theta_1)) for r, _ in found]
+
+    assert len(found) >= 2
+    assert mirrored == [hidden for _, hidden in found]
+
+
+def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
+    """The sentences of the rarer branches, of a recording whose figures are all different."""
+    path = tmp_path / "odd.mcap"
+    path.write_bytes(odd_recording())
+    odd = load(path)
+    data, rows = odd.dataset(), np.arange(odd.N)
+    moved = sampling_statistics(odd).std_us * 1e-3 * fastest_rate(data)
+    asleep = replace(odd, valid=odd.valid & ~((rows >= 310) & (rows < 336)))
+    poor = replace(odd, valid=odd.valid & (rows % 4 > 0))
+    three, four = (replace(odd, turns_unknown=tuple(range(21, 21 + 20 * n, 20))) for n in (3, 4))
+    damaged = replace(odd, truncated=True, damage="a bit has flipped")
+
+    [jitter] = check_timing(odd, data, noise=1e-6)
+    said = {
+        "asleep": check_angle(asleep),
+        "poor": check_angle(poor),
+        "three": check_turns(three),
+        "four": check_turns(four),
+        "damaged": check_run(damaged),
+        "unknown": check_run(replace(odd, outcome=None)),
+        "cut": check_run(replace(damaged, cut_off=True)),
+        "quiet": check_signal(0.0299, 0.01, 0.004),
+        "loud": check_signal(0.03, 0.01, 0.004),
+        "nothing": check_signal(0.0029, 0.01, 0.004),
+    }
+    texts = {name: next(iter(found)) for name, found in said.items()}
+
+    assert f"varies by 51.5{NBSP}µs, which moves theta_1 by {moved:.3g}{NBSP}mrad" in jitter.text
+    assert texts["asleep"].text.startswith("theta_1 is hidden for 1.3 s at a stretch")
+    share = 100 * poor.hidden / 497
+    assert f"hidden in {share:.1f}{NBSP}% of the samples" in texts["poor"].text
+    assert "too many for a dead band" in texts["poor"].text
+    assert "lost at 1.05, 2.05, 3.05 s, where" in texts["three"].text
+    assert "lost at 1.05, 2.05, 3.05, … s, where" in texts["four"].text
+    assert texts["damaged"].text == "the file is not whole: a bit has flipped"
+    assert texts["unknown"].text == "the run ended early: the file does not say why"
+    assert texts["cut"].text == "the file is cut off: it holds 25.9 of 30 s"
+    levels = [texts[name].level for name in ("nothing", "quiet", "loud")]
+    assert levels == ["unusable", "warning", "good"]
+    assert texts["quiet"].text.startswith("signal to noise 3 to 1: theta_1 departs from steady")
+    assert f"29.9{NBSP}mrad rms" in texts["quiet"].text
+    assert f"is 10{NBSP}mrad (2.5 steps of the converter); too quiet" in texts["quiet"].text
