@@ -75,6 +75,7 @@ def odd_recording(**changes: Any) -> bytes:
     rng = np.random.default_rng(7)
     u, at_motor, (theta_1, alpha) = asked(), applied(), angles()
     late_us = np.round(700 + 300 * rng.exponential(size=N))
+    late_us[[65, 300]] = -200, -450  # two that came early, one of them after a gap
     jitter_us = np.round(40 * rng.standard_normal(N))
     gaps = {first: _gap(first, n, volts, why) for first, n, volts, why in GAPS}
     reports = _reports()
