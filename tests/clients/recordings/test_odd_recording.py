@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import tau
+from math import isnan, tau
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
+from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.export import columns
 from armrig.recordings.jitter import fastest_rate, intervals_us, sampling_statistics
 from armrig.recordings.loading import load
@@ -16,8 +19,17 @@ from armrig.recordings.published import published
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import summary_of
 from armrig.recordings.timing_disturbances import disturbances
+from armrig.recordings.verification import (
+    check_clock,
+    check_envelope,
+    check_file,
+    check_input,
+    check_timing,
+)
 from armrig_core import protobuf
+from armrig_core.manifest import Outcome
 from armrig_core.telemetry import decode_sample
+from made_recordings import manifest
 from odd_recording import (
     CLIPPED,
     GAPS,
@@ -30,6 +42,7 @@ from odd_recording import (
     N,
     angles,
     applied,
+    asked,
     due_ns,
     held,
     odd_recording,
@@ -229,3 +242,79 @@ def test_an_outlier_is_told_at_its_own_time(odd: Recording) -> None:
 
     assert found.outliers["alpha"].tolist() == pytest.approx([4.5, 16.5, 22.5])
     assert dict(found.rows())["outliers, alpha"] == "3, at 4.5 s, 16.5 s, 22.5 s"
+
+
+def test_each_failure_is_told_with_its_figures(odd: Recording) -> None:
+    """Number of the sample, volts, time and size, each of its own; 0 and 5 V are allowed."""
+
+    def changed(row: int, **fields: float) -> Recording:
+        samples = odd.samples.copy()
+        at = int(np.searchsorted(samples["k"], K_FIRST + row))
+        for name, value in fields.items():
+            samples[name][at] = value
+        known = tuple(g for g in odd.gaps if not isnan(g.u_held_v))
+        return replace(odd, samples=samples, gaps=known)
+
+    u, k = asked(), K_FIRST + 300
+    last = odd.clock[2]
+    # From 5 s to 20 s the offset gains 15 s at 85 ppm; ± is of both offsets and of that drift.
+    jumped = replace(last, offset_ns=last.offset_ns + 900_000)
+    t_us, due = odd.samples["t_device_us"][[0, -1]], odd.samples["t_sched_ns"][[0, -1]]
+    ppm = (float(t_us[1] - t_us[0]) * 1e3 / float(due[1] - due[0]) - 1) * 1e6
+    off_us = (80 - 85) * 15 + 900
+    spread_us = np.sqrt(3.0**2 + 1.5**2 + (6.0 * 15) ** 2)
+    texts = [
+        check_envelope(changed(300, u_cmd_v=5.0, u_applied_v=0.0)).text,
+        check_envelope(changed(300, u_cmd_v=5.25)).text,
+        check_envelope(changed(300, u_applied_v=-0.125)).text,
+        check_input(changed(300, u_cmd_v=u[300] + 0.25), u).text,
+        check_input(changed(300, u_applied_v=u[300] + 0.0098), u).result,  # half a step of 8 bits
+        check_input(changed(300, u_applied_v=u[300] - 0.0099), u).result,
+        check_input(odd, u[:-1]).text,
+        check_timing(changed(300, t_device_us=odd.samples["t_device_us"][0])).text,
+        check_timing(changed(300, t_sched_ns=due_ns(299))).text,
+        check_clock(replace(odd, clock=(*odd.clock[:2], jumped))).text,
+        check_clock(replace(odd, clock=())).text,
+        check_file(replace(odd, outcome=Outcome(outcome="x", samples=490, missing=28))).text,
+    ]
+
+    assert texts == [
+        "0 to 3.301 V applied, inside 0 to 5 V",
+        f"5.25 V was asked for, outside 0 to 5 V, at k={k}",
+        f"-0.125 V was applied, outside 0 to 5 V, at k={k}",
+        f"1 sample with another voltage asked for, the first at k={k}: {u[300] + 0.25:.6g} V for "
+        f"{u[300]:.6g} V",
+        "passed",
+        "failed",
+        "599 voltages are attached, the run has 600 samples",
+        f"the device's time does not go forward at k={k}",
+        f"the host's time does not go forward at k={k}",
+        f"the offset of the clocks jumps by {off_us} µs at 20.0 s, against ± {spread_us:.0f} µs",
+        f"the device's clock is {ppm:+.1f} ppm off; no comparisons recorded",
+        "it says 490 samples and 28 missing, and holds 497 and 21",
+    ]
+
+
+def test_what_speaks_against_a_calibration_names_both_sides() -> None:
+    """Device, rig and age, each of its own; a day more than thirty is too old."""
+    made = ODD.made
+    assert made is not None
+    of = {"rig": "8", "started": "2026-10-30T23:50:00+02:00", "device": {"uid": "beef"}}
+
+    def said(**changes: Any) -> list[str]:
+        uid = changes.pop("made_on", "beef")
+        calibration = msgspec.structs.replace(
+            ODD, made=msgspec.structs.replace(made, device_uid=uid)
+        )
+        return remarks(calibration, manifest(**(of | changes)))
+
+    another = "The calibration is of another device: it was made on "
+    assert said() == []
+    assert said(device={}) == [f"{another}beef, the recording on one that does not say."]
+    assert said(made_on="") == [f"{another}none, the recording on beef."]
+    assert said(rig="9") == ["The calibration is of rig 8, the recording of rig 9."]
+    assert said(started="2026-10-31T23:50:00+02:00") == [
+        "The calibration was 31 days old, and 30 are allowed: calibrate the rig again."
+    ]
+    assert said(started="2026-10-01") == ["The age of the calibration is not known."]
+    assert said(started="2026-01-01T00:00:00+00:00") == []  # made later, it is as good
