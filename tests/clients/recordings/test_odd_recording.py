@@ -19,6 +19,7 @@ from armrig.recordings.published import published
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import summary_of
 from armrig.recordings.timing_disturbances import disturbances
+from armrig.recordings.unwrapping import turns_unknown
 from armrig.recordings.verification import (
     check_clock,
     check_envelope,
@@ -318,3 +319,17 @@ def test_what_speaks_against_a_calibration_names_both_sides() -> None:
     ]
     assert said(started="2026-10-01") == ["The age of the calibration is not known."]
     assert said(started="2026-01-01T00:00:00+00:00") == []  # made later, it is as good
+
+
+@pytest.mark.parametrize(("Ts", "missing"), [(0.05, 5), (0.01, 25), (0.002, 125)])
+def test_turns_are_lost_with_the_first_sample_beyond_a_quarter_of_a_second(
+    Ts: float, missing: int
+) -> None:
+    """The interval before the sample that came back is unseen, too: n samples hide n + 1."""
+    present = np.ones(300, np.bool_)
+    present[100 : 100 + missing] = False
+    one_less = present.copy()
+    one_less[100] = True
+
+    assert turns_unknown(present, present, Ts).tolist() == [100 + missing]
+    assert turns_unknown(one_less, one_less, Ts).tolist() == []
