@@ -1,0 +1,162 @@
+"""Every option of a command that serves, measures or acts reaches what does its work.
+
+None is given its default; the work itself is another room's, and is left out here.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from armrig.cli import main
+from armrig.cli.rig import _sample_line
+from armrig.rig.live_gaps import LiveGap
+from made_recordings import sample
+
+FAR = "tcp/far:7447"
+
+
+class _NoWorkError(RuntimeError):
+    """In place of the work."""
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Give what came of the arguments where the work would begin."""
+    calls: list[Any] = []
+
+    def work(*arguments: Any, **named: Any) -> Any:
+        calls.append((*arguments, *([named] if named else [])))
+        raise _NoWorkError("no work")
+
+    for name in (
+        "armrig.rig.bench.rounds.measure",
+        "armrig.cli.demo.demo",
+        "armrig.rig.local_daemon.running",
+        "armrig.rig.router.open_router",
+        "armrig.cli.record.record_many",
+        "armrig.cli.record._record_one",
+    ):
+        monkeypatch.setattr(name, work)
+    monkeypatch.setattr(os, "execv", work)
+    return calls
+
+
+def test_a_dashboard_is_of_its_rig_at_its_port(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Shared, open in the browser, and with the streams of the same rig for Foxglove."""
+    made: list[Any] = []
+    served = SimpleNamespace(url="U", browser_url="B", shared_url="S", fingerprint="F")
+    monkeypatch.setattr(
+        "armrig.dashboard.serving.dashboard", lambda s: made.append(s) or nullcontext(served)
+    )
+    monkeypatch.setattr(
+        "armrig.dashboard.foxglove.foxglove", lambda **of: made.append(of) or nullcontext("W")
+    )
+    monkeypatch.setattr("armrig.dashboard.share.own_address", lambda: "10.1.2.3")
+    monkeypatch.setattr("webbrowser.open", made.append)
+    ended = SimpleNamespace(wait=lambda: None)
+    monkeypatch.setattr("armrig.cli.dashboard.until_signal", lambda: nullcontext(ended))
+    of = ["--rig", "7", "--connect", FAR, "--port", "8899", "--share", "--foxglove", "--open"]
+
+    assert main(["dashboard", *of, "--json"]) == 0
+
+    settings, streams, opened = made
+    assert (settings.rig, settings.connect, settings.port) == ("7", FAR, 8899)
+    assert (settings.share, streams, opened) == ("10.1.2.3", {"rig": "7", "connect": FAR}, "B")
+    assert capsys.readouterr().out == '{"url":"U","shared_url":"S","foxglove":"W"}\n'
+
+
+def test_a_bench_measures_what_it_was_asked_to(given: list[Any]) -> None:
+    """At these rates, for so long, with every processor busy."""
+    assert main(["bench", "--rates", "200,500", "--seconds", "8", "--burn"]) == 1
+
+    plan, host, _ = given[0]
+    assert (plan.rates_hz, plan.seconds, plan.burners) == ((200, 500), 8.0, host.cpus)
+
+
+@pytest.mark.parametrize(
+    ("way", "virtual"), [("--firmware", True), ("--virtual", True), ("", False)]
+)
+def test_a_demo_is_as_long_and_as_random_as_it_was_asked_to_be(
+    way: str, virtual: bool, given: list[Any], tmp_path: Path
+) -> None:
+    """The firmware runs in virtual time; what is printed goes beside the JSON."""
+    wanted = ["--directory", str(tmp_path / "a"), "--seconds", "7", "--seed", "5", "--json"]
+
+    assert main(["demo", *wanted, *([way] if way else [])]) == 1
+
+    directory, named = given[0]
+    assert directory == tmp_path / "a"
+    assert (named["seconds"], named["seed"]) == (7.0, 5)
+    assert (named["virtual"], named["firmware"]) == (virtual, way == "--firmware")
+    assert named["console"].stderr
+
+
+def test_a_lab_starts_the_daemon_of_its_rig(given: list[Any], tmp_path: Path) -> None:
+    """Of a port it is no emulated one."""
+    config = ["--config", str(tmp_path / "a.toml")]
+
+    assert main(["lab", "--rig", "7", *config, "--json"]) == 1
+    assert main(["lab", "--rig", "7", "--port", "/dev/ttyACM3", "--json"]) == 1
+
+    (emulated, one), (real, other) = given
+    assert emulated == ["--rig", "7", "--emulate", *config]
+    assert real == ["--rig", "7", "--port", "/dev/ttyACM3"]
+    assert one["rig"] == other["rig"] == "7"
+    assert one["log"].name == "lab-7.log"
+
+
+def test_a_router_a_recorder_and_a_conformance_take_what_they_are_given(given: list[Any]) -> None:
+    """Each by its own options."""
+    assert main(["router", "--listen", FAR, "--certificate", "c.pem", "--names", "n.toml"]) == 1
+    many = ["--rig", "7", "--rig", "8", "-o", "folder", "--seconds", "3", "--json"]
+    assert main(["record", "--from", FAR, *many]) == 1
+    assert main(["record", "--from", FAR, "--rig", "7", "-o", "a.mcap", "--seconds", "3"]) == 1
+    assert main(["conformance", "--device", "/dev/a", "--baud", "9600", "--json"]) == 1
+
+    routed, many_of, one_of, replaced = given
+    assert routed == (FAR, Path("c.pem"), Path("n.toml"))
+    assert many_of[:4] == (FAR, ["7", "8"], Path("folder"), 3.0)
+    assert one_of[:4] == (FAR, "7", Path("a.mcap"), 3.0)
+    assert (many_of[-1], one_of[-1]) == ({"json": True}, {"json": False})
+    assert replaced[1][1:] == [
+        *("-m", "armrig_daemon", "conformance", "--device", "/dev/a", "--baud", "9600", "--json")
+    ]
+    assert replaced[0] == replaced[1][0] == sys.executable
+
+
+def test_a_line_of_watch_has_its_units() -> None:
+    """Angles in degrees, lateness in µs, each under its heading; a gap says what is missing."""
+    from armrig.cli.rig import _WATCH_HEADING
+
+    one = sample(42)._replace(
+        u_applied_v=1.25,
+        u_cmd_v=3.0,
+        theta_1_rad=-1.0,
+        alpha_rad=0.5,
+        t_host_ns=0,
+        t_sched_ns=-7_500,
+    )
+
+    gap = LiveGap(
+        k_first=43,
+        count=2,
+        t_from_ns=1,
+        t_to_ns=3,
+        u_held_v=0.0,
+        reason="link silent",
+        published=True,
+    )
+
+    line = _sample_line(one)
+
+    assert line.split() == ["42", "1.250", "-57.30", "28.65", "7.5"]
+    assert len(line) == len(_WATCH_HEADING)
+    assert _sample_line(gap).split() == [*("43", "2", "missing:", "link", "silent")]
