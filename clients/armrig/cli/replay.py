@@ -20,6 +20,7 @@ from armrig_daemon.pipe import Log
 from armrig_protocol.frame import Spoilt, Unknown, decode
 from numpy.typing import NDArray
 
+from armrig.numerics.quantities import plural
 from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.loading import files_of, run_content
 from armrig.recordings.recorded_input import recorded_input
@@ -128,13 +129,14 @@ def _replayed(paths: Sequence[Path], content: Content, begin: bytes) -> Replay:
         compared.add(a.sample for a in actions if isinstance(a, Publish))
         said += list(_messages(actions, first))
     compared.settle()
+    if not difference and (holes := chunks.holes()):  # then samples are missing, too
+        verb = "is" if holes == 1 else "are"
+        difference = f"{plural(holes, 'chunk')} of steps {verb} missing from the file"
     # In a file that is cut off, the samples may reach further than the steps, or less far.
     reach = (min if content.cut_off else max)(compared.ours, compared.theirs.size)
     if not difference and compared.same != reach:
         difference = f"the file has {compared.theirs.size} samples, the replay {compared.ours}; "
         difference += f"{compared.same} are the same"
-    if not difference and (holes := chunks.holes()):
-        difference = f"{holes} chunks of steps are missing from the file"
     return Replay(
         steps=n,
         frames=frames,

@@ -1,0 +1,121 @@
+"""`armrig replay` finds what differs between a recording and what the core decides now."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli.replay import Replay, replay
+from armrig_core.commands import Run
+from armrig_core.telemetry import decode_sample, encode_sample
+from armrig_core.topics import stream_of
+from armrig_daemon.config import Config
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+Change = Callable[[str, int, bytes], bytes | None]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a run of 300 samples whose voltage is another one each time."""
+    rig = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=3)
+    u = np.linspace(0.5, 4.0, 300).tolist()
+    return rig.record(Run(lease=LEASE, n=0, u=u, experiment="blackbox", details={}))
+
+
+def replayed(run: Path, path: Path, change: Change, volts: bytes = b"") -> Replay:
+    """Return the replay of a copy.
+
+    `change` gives the payload of message n of a stream as it is in the copy, or None for none. The
+    input's first voltage is `volts`, if that is given.
+    """
+    counts: dict[str, int] = {}
+    with run.open("rb") as source, path.open("wb") as target:
+        reader, writer = make_reader(source), Writer(target)
+        writer.start()
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        for a in reader.iter_attachments():
+            lines = a.data.split(b"\n")
+            if volts and a.name == "input.csv":
+                lines[1] = volts
+            data = b"\n".join(lines)
+            writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, data)
+        channels: dict[str, int] = {}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            if channel.topic not in channels:
+                own = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "protobuf", own)
+            stream = stream_of(channel.topic)
+            n = counts[stream] = counts.get(stream, -1) + 1
+            data = change(stream, n, message.data)
+            if data is not None:
+                times = message.log_time, data, message.publish_time, message.sequence
+                writer.add_message(channels[channel.topic], *times)
+        writer.finish()
+    return replay(path)
+
+
+def test_a_copy_is_decided_as_the_run_was(run: Path, tmp_path: Path) -> None:
+    """All of its frames and samples, over the time of the run."""
+    found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data)
+
+    assert found.difference == found.until == ""
+    assert found.samples == 300
+    assert found.frames <= found.steps
+    assert found.seconds == pytest.approx(3.0, abs=0.3)
+    assert replay(run) == found
+
+
+@pytest.mark.parametrize("n", [0, 57, 299])
+def test_a_sample_that_was_changed_is_found(run: Path, tmp_path: Path, n: int) -> None:
+    """By one count; those before it are the same."""
+
+    def change(stream: str, i: int, data: bytes) -> bytes:
+        if (stream, i) != ("sample", n):
+            return data
+        one = decode_sample(data)
+        assert one is not None
+        return encode_sample(one._replace(alpha_counts=one.alpha_counts + 1))
+
+    found = replayed(run, tmp_path / "a.mcap", change)
+
+    assert found.samples == n
+    assert found.difference == f"the file has 300 samples, the replay 300; {n} are the same"
+
+
+def test_an_input_that_was_changed_is_found_in_the_frame_that_has_it(
+    run: Path, tmp_path: Path
+) -> None:
+    """What was sent and what is decided now stand beside each other; then the replay ends."""
+    found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data, volts=b"0.75")
+
+    sent, now = found.difference.partition(": ")[2].split(", now decides ")
+    assert found.difference.startswith("step ")
+    assert sent.startswith("sent ")
+    assert sent.removeprefix("sent ") != now
+    assert found.samples < 300
+    assert found.steps < armrig.load(run).N
+
+
+@pytest.mark.parametrize(
+    ("gone", "said"), [({7}, "1 chunk of steps is"), ({3, 4, 9}, "3 chunks of steps are")]
+)
+def test_steps_that_are_missing_are_counted(
+    run: Path, tmp_path: Path, gone: set[int], said: str
+) -> None:
+    """They are numbered, so that those after a hole tell of it; the replay ends before it."""
+
+    def change(stream: str, n: int, data: bytes) -> bytes | None:
+        return None if stream == "trace" and n in gone else data
+
+    found = replayed(run, tmp_path / "a.mcap", change)
+
+    assert found.difference == f"{said} missing from the file"
+    assert 0 < found.samples < 300
