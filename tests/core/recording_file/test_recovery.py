@@ -102,6 +102,22 @@ def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
         done.path.unlink()
 
 
+@pytest.mark.parametrize(
+    ("part", "missing"), [({}, 5 + 5), ({"part": 2, "part_k_first": 43}, 2 + 5)]
+)
+def test_only_samples_that_were_due_count_as_missing(
+    tmp_path: Path, part: dict[str, int], missing: int
+) -> None:
+    """A gap may begin before the run, or its part, and end after it."""
+    messages = [gap(35, 10, 1.0), *(sample(k) for k in range(45, 95)), gap(95, 20, 1.0)]
+    about = manifest(k_first=40, samples=60, **part)
+    data = recorded(messages, manifest=about, outcome=None)
+
+    done = RECOVERY.recover(written(tmp_path, data, LEFT))
+
+    assert done.outcome == Outcome(outcome=CUT_OFF, samples=50, missing=missing)
+
+
 def test_another_project_s_reader_finds_every_message(tmp_path: Path) -> None:
     """By the index at the end, which the cut file had not."""
     half = _edges(DATA)[len(_edges(DATA)) // 2]
