@@ -12,7 +12,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import armrig
+import numpy as np
 import pytest
+from armrig import Dataset
+from armrig.batch.tasks import Identify, Report, Validate, Verify
 from armrig.cli import main
 from armrig.cli.rig import _sample_line
 from armrig.rig.live_gaps import LiveGap
@@ -25,15 +29,19 @@ class _NoWorkError(RuntimeError):
     """In place of the work."""
 
 
-@pytest.fixture
-def given(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Give what came of the arguments where the work would begin."""
-    calls: list[Any] = []
-
+def _taken(calls: list[Any]) -> Any:
     def work(*arguments: Any, **named: Any) -> Any:
         calls.append((*arguments, *([named] if named else [])))
         raise _NoWorkError("no work")
 
+    return work
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Give what came of the arguments where the work would begin."""
+    calls: list[Any] = []
+    work = _taken(calls)
     for name in (
         "armrig.rig.bench.rounds.measure",
         "armrig.cli.demo.demo",
@@ -160,3 +168,52 @@ def test_a_line_of_watch_has_its_units() -> None:
     assert line.split() == ["42", "1.250", "-57.30", "28.65", "7.5"]
     assert len(line) == len(_WATCH_HEADING)
     assert _sample_line(gap).split() == [*("43", "2", "missing:", "link", "silent")]
+
+
+def test_a_batch_does_its_task_for_the_recordings_that_were_chosen(
+    given: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of the four with the orders, the choice and the workers of its own."""
+    monkeypatch.setattr("armrig.batch.batch.batch", _taken(given))
+    monkeypatch.chdir(tmp_path)
+    armrig.arx(_data(), na=1, nb=2).save("m.json")
+    shared = ["weeks", "-o", "t.parquet", "--rig", "7", "--rig", "8", "--kind", "bla", "--force"]
+    orders = ["--na", "2", "--nb", "3", "--nf", "5", "--nk", "6"]
+    bj = ["--structure", "bj", "--nb", "3", "--nc", "2", "--nd", "5", "--nf", "4", "--nk", "6"]
+    bj += ["--offset", "--stable", "--signal", "velocity", "--detrend"]
+
+    assert main(["batch", "identify", *shared, *bj, "--workers", "3"]) == 1
+    assert main(["batch", "identify", *shared, "--integrator", "--scheduler", "tcp://a:1"]) == 1
+    assert main(["batch", "validate", *shared, "--model", "m.json", "--detrend"]) == 1
+    assert main(["batch", "verify", *shared]) == 1
+    assert main(["batch", "report", *shared, *orders, "--reports", "pdfs"]) == 1
+
+    tasks = [task for _, task, _, _ in given]
+    wanted = {"nb": 3, "nc": 2, "nd": 5, "nf": 4}
+    assert tasks[0] == Identify(
+        structure="bj",
+        orders=wanted,
+        nk=6,
+        offset=True,
+        stable=True,
+        signal="velocity",
+        detrend=True,
+    )
+    assert tasks[1] == Identify(structure="oe", orders={"nb": 4, "nf": 4}, integrator=True)
+    assert isinstance(tasks[2], Validate)
+    assert tasks[2].detrend
+    assert '"structure": "arx"' in tasks[2].model
+    assert tasks[3] == Verify()
+    assert tasks[4] == Report(folder=str(tmp_path / "pdfs"), na=2, nb=3, nf=5, nk=6)
+    for folder, _, table, named in given:
+        assert (folder, table) == (tmp_path / "weeks", Path("t.parquet"))
+        assert (named["rigs"], named["kinds"], named["anew"]) == (("7", "8"), ("bla",), True)
+    opened = [
+        (n["at_once"], n["open_executor"].func.__name__, n["open_executor"].args) for *_, n in given
+    ]
+    assert opened[:2] == [(6, "processes", (3,)), (256, "cluster", ("tcp://a:1",))]
+
+
+def _data() -> Dataset:
+    u = np.random.default_rng(1).standard_normal(200)
+    return Dataset(u=u, y=np.cumsum(0.1 * u), Ts=0.02, output="theta_1", unit="rad")

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from armrig.recordings.calibration.staleness import remarks
+from armrig.recordings.catalogue import catalogue
 from armrig.recordings.export import columns
 from armrig.recordings.jitter import fastest_rate, intervals_us, sampling_statistics
 from armrig.recordings.loading import load
@@ -221,6 +222,35 @@ def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> 
     assert names == {"20261119T050000Z-0dad", "odd", "blackbox-odd"}
     assert "odd" not in summary.names(validation=False)
     assert summary.size == path.stat().st_size
+
+
+def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time in UTC, whatever offset it was told with."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(path.parent / "cache"))
+
+    row = {name: column[0] for name, column in catalogue(path.parent).columns().items()}
+
+    assert row == {
+        "recording": str(path),
+        "run_id": "20261120T050000Z-0bad",
+        "rig": "7",
+        "started": np.datetime64("2026-11-20T05:00:00.000"),
+        "experiment": "blackbox",
+        "name": "odd",
+        "validation": True,
+        "validation_of": "20261119T050000Z-0dad",
+        "seconds": pytest.approx(25.9),
+        "Ts": 0.05,
+        "samples": 497,
+        "missing": 21,
+        "outcome": "stopped by bob",
+        "part": 0,
+        "pacing": "scheduled",
+        "device": "beef",
+        "calibration_sha256": "5ca1e",
+        "armrig": "0.2.1",
+        "bytes": path.stat().st_size,
+    }
 
 
 def test_a_first_look_tells_its_own_ranges(odd: Recording) -> None:
