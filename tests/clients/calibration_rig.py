@@ -8,6 +8,7 @@ from struct import pack
 import numpy as np
 from armrig.recordings.calibration import Estimate, Readings, estimate
 from armrig_core.arm import ArmParameters
+from armrig_core.calibration import Calibration
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config
@@ -128,8 +129,13 @@ def _rounded_noise(place: float, noise: float, step: float) -> float:
     return sqrt(float(p @ (values - mean) ** 2))
 
 
-def recording_of(readings: Readings, experiment: str, **changes: object) -> bytes:
-    """Return readings as the daemon records them."""
+def recording_of(
+    readings: Readings,
+    experiment: str,
+    calibration: Calibration = Calibration(),  # noqa: B008 - frozen
+    **changes: object,
+) -> bytes:
+    """Return readings as the daemon records them, with the calibration in force."""
     at_rail = (np.abs(readings.theta_1 - 32768) >= 32768 - 64).tolist()
     samples = [
         sample(
@@ -149,4 +155,5 @@ def recording_of(readings: Readings, experiment: str, **changes: object) -> byte
         )
     ]
     fields = {"experiment": experiment, "samples": readings.N, "details": {}}
-    return recorded(samples, manifest=manifest(**(fields | changes)))
+    about = manifest(**(fields | changes))
+    return recorded(samples, manifest=about, calibration=calibration)

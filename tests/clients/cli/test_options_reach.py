@@ -20,7 +20,8 @@ from armrig.batch.tasks import Identify, Report, Validate, Verify
 from armrig.cli import main
 from armrig.cli.rig import _sample_line
 from armrig.rig.live_gaps import LiveGap
-from made_recordings import sample
+from made_recordings import of_the_arm, sample, written
+from told import told
 
 FAR = "tcp/far:7447"
 
@@ -217,3 +218,24 @@ def test_a_batch_does_its_task_for_the_recordings_that_were_chosen(
 def _data() -> Dataset:
     u = np.random.default_rng(1).standard_normal(200)
     return Dataset(u=u, y=np.cumsum(0.1 * u), Ts=0.02, output="theta_1", unit="rad")
+
+
+@pytest.mark.parametrize("handout", [True, False])
+def test_the_chassis_may_stand_beside_the_whole_rig_in_a_handout_alone(
+    handout: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It has sections for both; any other report is of one plant."""
+    work = _taken([])
+    monkeypatch.setattr("armrig.report.handout_study.handout_study", work)
+    monkeypatch.setattr("armrig.report.study.study", work)
+    monkeypatch.chdir(tmp_path)
+    u = armrig.telegraph(310, 0.1, seed=1)
+    for kind in ("blackbox", "greybox"):
+        written(tmp_path, of_the_arm(u, experiment=kind), f"{kind}.mcap")
+
+    assert main(["report", *["--handout"] * handout, "blackbox.mcap", "greybox.mcap"]) == 1
+
+    assert ("are two plants" in told(capsys)) is not handout

@@ -31,7 +31,7 @@ from fake_daemon import FakeDaemon
 from made_recordings import manifest, of_the_arm, recorded, turning, written
 from made_turns import made_turns, still
 from mcap.writer import CompressionType
-from odd_recording import FORWARD, odd_recording, odd_turns
+from odd_recording import FORWARD, ODD, odd_recording, odd_turns
 from said import said_again
 from typer.main import get_command
 
@@ -77,7 +77,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     written(folder, recording_of(made_turns(noise=32.0), "calibrate-turns"), "turns.mcap")
     nine = {"rig": "9", "device": {"adc_bits": 12, "pwm_bits": 8, "uid": "beef"}}
     for name, readings in zip(("rest", "turns"), odd_turns(), strict=True):
-        written(folder, recording_of(readings, f"calibrate-{name}", **nine), f"odd-{name}.mcap")
+        turned = recording_of(readings, f"calibrate-{name}", ODD, **nine)
+        written(folder, turned, f"odd-{name}.mcap")
     rows = zip(data.t, data.u, data.y, strict=True)
     text = "\n".join(["t,u,y", *(f"{t:.2f},{u:.4f},{y:.6f}" for t, u, y in rows)])
     (folder / "data.csv").write_text(text)
@@ -141,7 +142,10 @@ def _write_words(figure: Any, path: Any, **_: Any) -> None:
         legend = ax.get_legend()
         named = [text.get_text() for text in legend.get_texts()] if legend else []
         named += [text.get_text() for text in ax.texts]
-        size = f"{len(ax.lines)} lines, {len(ax.collections)} areas"
+        size = f"{len(ax.lines)} lines"
+        if not ax.get_ylabel().startswith("Im"):  # regions that are sampled have any number
+            size += f" of {sum(len(line.get_xdata()) for line in ax.lines)} points"
+        size += f", {len(ax.collections)} areas"
         lines += [f"{ax.get_ylabel()!r} over {ax.get_xlabel()!r}: {ax.get_title()!r}, {size}"]
         lines += [f"  {name}" for name in named]
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -363,3 +363,17 @@ def test_turns_are_lost_with_the_first_sample_beyond_a_quarter_of_a_second(
 
     assert turns_unknown(present, present, Ts).tolist() == [100 + missing]
     assert turns_unknown(one_less, one_less, Ts).tolist() == []
+
+
+@pytest.mark.parametrize(("changes", "is_searched"), [(19, False), (20, True)])
+def test_outliers_are_searched_where_the_input_changes_twenty_times(
+    odd: Recording, changes: int, is_searched: bool
+) -> None:
+    """Fewer teach no model that tells an outlier from a swing; the reason counts them."""
+    u = 1.0 + (np.minimum(np.arange(odd.N) // 10, changes) % 2)
+
+    found = overview(replace(odd, u=u))
+
+    assert ("theta_1" in found.outliers) is is_searched
+    reason = f"u changes {changes} times; fewer than 20 teach no model"
+    assert found.reasons.get("outliers", "").startswith(reason) is not is_searched

@@ -485,3 +485,19 @@ def test_only_what_has_the_name_of_an_unfinished_recording_is_recovered(tmp_path
         RECOVERY.recover(tmp_path / LEFT)
     assert unfinished.unfinished(tmp_path) == []
     assert unfinished.unfinished(tmp_path / "nowhere") == []
+
+
+def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> None:
+    """Rig 10 is not rig 1: neither its unfinished recordings nor its copies are touched."""
+    names = [
+        f"{rig}-test.mcap{end}" for rig in ("1", "10", "a-1") for end in (".active", ".compact")
+    ]
+    for name in names:
+        (tmp_path / name).write_bytes(b"a")
+
+    found = unfinished.unfinished(tmp_path, "1")
+    removed = unfinished.remove_copies(tmp_path, "1", os.geteuid())
+
+    assert [path.name for path in found] == ["1-test.mcap.active"]
+    assert [path.name for path in removed] == ["1-test.mcap.compact"]
+    assert {path.name for path in tmp_path.iterdir()} == set(names) - {"1-test.mcap.compact"}
