@@ -174,9 +174,13 @@ def check_envelope(r: Recording) -> Check:
 def check_input(r: Recording, u: Vector) -> Check:
     """Check that each sample has the voltage of its index in the input `u` (N,), in V."""
     at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
-    if u.size != r.manifest.samples or (at.size and (at[0] < 0 or at[-1] >= u.size)):
+    if u.size != r.manifest.samples:
         text = f"{u.size} voltages are attached, the run has {r.manifest.samples} samples"
         return _failed("input", text)
+    outside = (at < 0) | (at >= u.size)
+    if outside.any():
+        k = r.samples["k"][outside.argmax()]
+        return _failed("input", f"sample k={k} has none of the {u.size} voltages attached")
     if not at.size:
         return _not_checked("input", "no sample")
     # A device with n bits applies the nearest of its 2^n steps.
