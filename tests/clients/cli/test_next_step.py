@@ -13,6 +13,7 @@ import pytest
 import typer
 from armrig.cli import app, main
 from armrig.cli.next_step import AFTER, next_line
+from armrig.rig.collection import Collected
 from armrig_core.manifest import Outcome
 from made_recordings import manifest, of_the_arm, recorded, sample, written
 
@@ -129,6 +130,16 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
     wanted = f"next: armrig collect step --Ts 0.01 {advised[1]} --name first-again"
     assert hidden == wanted
     assert seen.startswith("next: armrig collect blackbox --Ts ")
+
+    def collected(*_: object, **__: object) -> Collected:
+        path = tmp_path / "hidden.mcap"
+        verdict = armrig.data_verdict(armrig.load(path))
+        return Collected(path, 500, 0.01, verdict, "0000000a", None)
+
+    monkeypatch.setattr("armrig.rig.collection.collect", collected)
+    assert main(["collect", "step", "--rig", "7", "--connect", "tcp/far:7447"]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == wanted.replace("step --Ts", "step --rig 7 --connect tcp/far:7447 --Ts")
 
 
 @pytest.mark.parametrize(
