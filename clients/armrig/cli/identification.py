@@ -48,6 +48,7 @@ from armrig.cli.options import (
 )
 from armrig.cli.output_file import check_output
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
+from armrig.models.structure_table import KINDS
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -154,7 +155,7 @@ def identify(
         time=time,
         Ts=Ts,
         detrend=detrend,
-        offset=offset,
+        offset=offset if structure is None or KINDS[structure].may_offset else None,
         hampel=hampel,
         calibration=calibration,
         start=start,

@@ -179,7 +179,7 @@ _OURS = {
     "stable=True": "--stable",
     "armrig.detrend(data)": "--detrend",
     "armrig.delay(data) decides": "`armrig check` decides",
-    "take an estimator with --offset": "give --offset",
+    "take an estimator with --offset": "take --structure oe with --offset",
     "take --offset": "give --offset",
     "estimate from armrig.hampel(data), which marks": "--hampel marks",
 }

@@ -435,7 +435,9 @@ def test_means_are_taken_off_where_it_is_asked_for(
     found = facts(f"identify {line} --detrend", tmp_path, capsys)
 
     assert f"on average y is {20 + made().y.mean():.4g} and u {3 + made().u.mean():.4g}" in without
-    assert "estimate a level along with --offset, or take the means off with --detrend" in without
+    assert "if u = 0 does not give 0, take the means off with --detrend" in without
+    _, _, of_oe = run("identify level.csv --structure oe --nb 2 --nf 2", tmp_path, capsys)
+    assert "estimate a level along with --offset, or take the means off with --detrend" in of_oe
     _, _, along = run("identify level.csv --structure oe --offset", tmp_path, capsys)
     assert "the means off" not in taken + along + no_level
     assert [p["value"] for p in found["parameters"].values()] == fit.theta.tolist()
@@ -526,7 +528,7 @@ def test_the_way_out_of_a_warning_is_an_option(
     _, arx, _ = run("identify level.csv --structure arx --na 1 --nb 1", tmp_path, capsys)
 
     assert "which the model cannot make: estimate it along, --offset\n" in without
-    assert "remove the means, --detrend, or give --offset" in arx
+    assert "remove the means, --detrend, or take --structure oe with --offset" in arx
     assert [p["value"] for p in found["parameters"].values()] == fit.theta.tolist()
     assert not any("cannot make" in w for w in found["warnings"])
 
