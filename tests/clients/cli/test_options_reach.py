@@ -19,6 +19,7 @@ from armrig import Dataset
 from armrig.batch.tasks import Identify, Report, Validate, Verify
 from armrig.cli import main
 from armrig.cli.rig import _sample_line
+from armrig.report.study import Orders
 from armrig.rig.live_gaps import LiveGap
 from made_recordings import of_the_arm, sample, written
 from told import told
@@ -228,7 +229,8 @@ def test_the_chassis_may_stand_beside_the_whole_rig_in_a_handout_alone(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """It has sections for both; any other report is of one plant."""
-    work = _taken([])
+    calls: list[Any] = []
+    work = _taken(calls)
     monkeypatch.setattr("armrig.report.handout_study.handout_study", work)
     monkeypatch.setattr("armrig.report.study.study", work)
     monkeypatch.chdir(tmp_path)
@@ -236,6 +238,8 @@ def test_the_chassis_may_stand_beside_the_whole_rig_in_a_handout_alone(
     for kind in ("blackbox", "greybox"):
         written(tmp_path, of_the_arm(u, experiment=kind), f"{kind}.mcap")
 
-    assert main(["report", *["--handout"] * handout, "blackbox.mcap", "greybox.mcap"]) == 1
+    orders = ["--na", "2", "--nb", "3", "--nf", "5", "--nk", "6", *["--handout"] * handout]
+    assert main(["report", *orders, "blackbox.mcap", "greybox.mcap"]) == 1
 
+    assert calls[0][-1] == {"orders": Orders(na=2, nb=3, nf=5, nk=6)}
     assert ("are two plants" in told(capsys)) is not handout

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+import warnings
 from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from armrig.cli.figures import write_plot
-from armrig.cli.spinner import AFTER_S, remaining, spinner
+from armrig.cli.spinner import AFTER_S, estimating, remaining, spinner
 from rich.console import Console
 
 
@@ -66,3 +68,15 @@ def test_a_figure_that_takes_long_shows_that_it_is_drawn(
     write_plot(tmp_path / "slow.png", lambda **_: time.sleep(AFTER_S + 0.3))
 
     assert "drawing …" in capsys.readouterr().err
+
+
+def test_an_estimation_prints_no_warning_of_a_library_and_names_its_orders() -> None:
+    """Overflows on the way are the search's own; other warnings are not held back."""
+    with estimating("na and nb"):
+        assert np.isinf(np.exp(np.float64(1e4)))
+        warnings.warn("overflow on the way", RuntimeWarning, stacklevel=1)
+
+    with pytest.raises(UserWarning, match="of another kind"), estimating("na and nb"):
+        warnings.warn("of another kind", UserWarning, stacklevel=1)
+    with pytest.raises(ValueError, match="lower na and nb"), estimating("na and nb"):
+        np.linalg.cholesky(-np.eye(2))

@@ -301,3 +301,15 @@ def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recove
     ]
     assert (joined.missing, joined.truncated) == (3, False)
     assert joined.recovered is not None
+
+
+def test_only_the_name_of_a_recording_stands_for_parts(tmp_path: Path) -> None:
+    """Of another file, or of a longer name, they are no parts; the tenth follows the ninth."""
+    for name in ("run.part-0010.mcap", "run.part-0009.mcap", "run-2.part-0001.mcap"):
+        (tmp_path / name).touch()
+
+    found = [path.name for path in part_paths(tmp_path / "run.mcap")]
+
+    assert found == ["run.part-0009.mcap", "run.part-0010.mcap"]
+    for other in ("run.csv", "run", "run.mcap.active", "ru.mcap"):
+        assert part_paths(tmp_path / other) == [tmp_path / other]
