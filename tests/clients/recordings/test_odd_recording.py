@@ -383,3 +383,27 @@ def test_outliers_are_searched_where_the_input_changes_twenty_times(
     assert ("theta_1" in found.outliers) is is_searched
     reason = f"u changes {changes} times; fewer than 20 teach no model"
     assert found.reasons.get("outliers", "").startswith(reason) is not is_searched
+
+
+def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: Recording) -> None:
+    """Of each signal its own; rings stand on the outliers, and the time is the recording's."""
+    found = replace(overview(odd), outliers={"alpha": odd.t[[33, 451]]})
+
+    input_, _, _, of_alpha = found.plot().axes
+
+    shaded = [(p.get_x(), p.get_x() + p.get_width()) for p in of_alpha.patches]
+    lost = {
+        (30, 32),
+        (60, 61),
+        (62, 65),
+        (120, 121),
+        (150, 151),
+        (200, 207),
+        (280, 284),
+        (515, 518),
+    }
+    expected = [((a - 0.5) * TS, (b - 0.5) * TS) for a, b in sorted(lost | {(0, 2)})]
+    assert shaded == pytest.approx(np.array(expected))
+    ring = of_alpha.lines[1].get_xydata()
+    np.testing.assert_allclose(ring, np.column_stack([odd.t, odd.alpha])[[33, 451]])
+    assert [len(input_.lines[0].get_xdata()), *input_.get_xlim()] == pytest.approx([518, 0, 25.85])
