@@ -243,3 +243,25 @@ def test_the_chassis_may_stand_beside_the_whole_rig_in_a_handout_alone(
 
     assert calls[0][-1] == {"orders": Orders(na=2, nb=3, nf=5, nk=6)}
     assert ("are two plants" in told(capsys)) is not handout
+
+
+def test_a_board_is_asked_what_it_runs_at_the_speed_that_was_given(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it does not answer, that speed is named."""
+    asked: list[Any] = []
+    flash = "armrig.rig.flash"
+    monkeypatch.setattr(f"{flash}.avrdude.find", lambda: "avrdude")
+    monkeypatch.setattr(f"{flash}.avrdude.write", lambda *call: asked.append(call[0]))
+    monkeypatch.setattr(f"{flash}.boards.plugged_in", lambda: [])
+    board = SimpleNamespace(port="/dev/ttyACM3", name="Uno")
+    monkeypatch.setattr(f"{flash}.boards.chosen", lambda port, _: asked.append(port) or board)
+    monkeypatch.setattr(f"{flash}.boards.held", lambda _: nullcontext())
+    monkeypatch.setattr(f"{flash}.greeting.greeting", lambda *of: asked.append(of))
+
+    assert main(["flash", "--port", "/dev/ttyACM3", "--baud", "115200", "--yes"]) == 1
+
+    port, call, greeted = asked
+    assert (port, greeted) == ("/dev/ttyACM3", ("/dev/ttyACM3", 115_200))
+    assert "/dev/ttyACM3" in " ".join(call)
+    assert "does not answer at 115200 baud" in capsys.readouterr().err.replace("\n", " ")

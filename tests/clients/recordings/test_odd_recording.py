@@ -407,3 +407,18 @@ def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: R
     ring = of_alpha.lines[1].get_xydata()
     np.testing.assert_allclose(ring, np.column_stack([odd.t, odd.alpha])[[33, 451]])
     assert [len(input_.lines[0].get_xdata()), *input_.get_xlim()] == pytest.approx([518, 0, 25.85])
+
+
+def test_a_cut_file_tells_the_time_that_it_holds_with_what_is_missing_in_it(path: Path) -> None:
+    """Its samples are fewer than its rows, of which each is a sampling time."""
+    data = path.read_bytes()
+    cut = path.with_suffix(".active")
+    cut.write_bytes(data[: len(data) * 2 // 3])
+
+    rec = load(cut)
+
+    came, saved = rec.samples.size, rec.damage.partition("; saved: ")[2]
+    assert 250 < came < rec.N - 10
+    assert saved.startswith(f"{came} samples, ")
+    assert saved.endswith(f" of {len(data) * 2 // 3} B, {rec.N * TS:g} s of 30 s")
+    assert rec.cut_off
