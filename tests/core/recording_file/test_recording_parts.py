@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import threading
 import time
 from pathlib import Path
 
@@ -313,3 +314,27 @@ def test_only_the_name_of_a_recording_stands_for_parts(tmp_path: Path) -> None:
     assert found == ["run.part-0009.mcap", "run.part-0010.mcap"]
     for other in ("run.csv", "run", "run.mcap.active", "ru.mcap"):
         assert part_paths(tmp_path / other) == [tmp_path / other]
+
+
+def test_a_run_in_parts_whose_folder_is_moved_is_kept_where_it_is(tmp_path: Path) -> None:
+    """Under the name of the run, which stands for its parts there."""
+    folder, elsewhere, changed = tmp_path / "a", tmp_path / "b", threading.Event()
+    folder.mkdir()
+    recording = Recording(
+        folder / "run.mcap",
+        MANIFEST,
+        ATTACHED,
+        t_first_ns=FIRST * 10_000_000,
+        changed=changed.set,
+        limits=PartLimits(200, 1 << 30),
+    )
+    recording.add(WHOLE[:50])
+
+    folder.rename(elsewhere)
+    assert changed.wait(30)
+    recording.add(WHOLE[50:])
+    recording.finish("complete")
+    recording.join(30)
+
+    assert recording.kept == elsewhere / "run.mcap"
+    assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
