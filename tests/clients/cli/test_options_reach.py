@@ -97,7 +97,7 @@ def test_a_bench_measures_what_it_was_asked_to(given: list[Any]) -> None:
 def test_a_demo_is_as_long_and_as_random_as_it_was_asked_to_be(
     way: str, virtual: bool, given: list[Any], tmp_path: Path
 ) -> None:
-    """The firmware runs in virtual time; what is printed goes beside the JSON."""
+    """The firmware runs in virtual time; standard output has the JSON alone."""
     wanted = ["--directory", str(tmp_path / "a"), "--seconds", "7", "--seed", "5", "--json"]
 
     assert main(["demo", *wanted, *([way] if way else [])]) == 1

@@ -93,7 +93,7 @@ def test_a_sample_that_was_changed_is_found(run: Path, tmp_path: Path, n: int) -
 def test_an_input_that_was_changed_is_found_in_the_frame_that_has_it(
     run: Path, tmp_path: Path
 ) -> None:
-    """What was sent and what is decided now stand beside each other; then the replay ends."""
+    """The difference names the frame sent and the one decided now; then the replay ends."""
     found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data, volts=b"0.75")
 
     sent, now = found.difference.partition(": ")[2].split(", now decides ")

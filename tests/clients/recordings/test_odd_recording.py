@@ -137,16 +137,16 @@ def test_its_reports_are_on_its_own_time(odd: Recording) -> None:
     assert found.held_up_ms == 35 + 7
 
 
-def test_its_sampling_is_told_by_the_devices_clock(odd: Recording) -> None:
+def test_its_sampling_is_measured_by_the_devices_clock(odd: Recording) -> None:
     """An interval next to a missing sample is none; the device's clock is 80 ppm slow."""
     k = odd.samples["k"].astype(np.int64)
     t_us, late = odd.samples["t_device_us"].astype(np.int64), odd.samples["t_host_ns"]
-    beside = [t_us[i + 1] - t_us[i] for i in range(k.size - 1) if k[i + 1] == k[i] + 1]
+    adjacent = [t_us[i + 1] - t_us[i] for i in range(k.size - 1) if k[i + 1] == k[i] + 1]
 
     found = sampling_statistics(odd)
 
-    np.testing.assert_array_equal(intervals_us(odd), beside)
-    assert len(beside) == N - len(MISSING) - 6  # stretches of samples that came, one after another
+    np.testing.assert_array_equal(intervals_us(odd), adjacent)
+    assert len(adjacent) == N - len(MISSING) - 6  # one interval less for each stretch
     assert found.mean_us == pytest.approx(50_000 * (1 - SLOW_PPM * 1e-6), abs=4 * 57 / 491)
     assert found.std_us == pytest.approx(40 * 2**0.5, rel=0.15)
     assert found.lateness.p50 == pytest.approx(np.median(late - odd.samples["t_sched_ns"]) / 1e3)
@@ -225,7 +225,7 @@ def test_its_columns_and_its_summary_are_its_own(path: Path, odd: Recording) -> 
 
 
 def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The time in UTC, whatever offset it was told with."""
+    """The time in UTC, whatever its offset from UTC."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(path.parent / "cache"))
 
     row = {name: column[0] for name, column in catalogue(path.parent).columns().items()}
@@ -253,7 +253,7 @@ def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.Monke
     }
 
 
-def test_a_first_look_tells_its_own_ranges(odd: Recording) -> None:
+def test_a_first_look_reports_its_own_ranges(odd: Recording) -> None:
     """Means and ranges of what is known; alpha's sign, and theta_1's turns, as they were."""
     facts, rows = overview(odd).facts(), dict(overview(odd).rows())
 
@@ -264,7 +264,7 @@ def test_a_first_look_tells_its_own_ranges(odd: Recording) -> None:
     assert facts["drift"]["alpha"]["unit"] == "rad/s"
 
 
-def test_an_outlier_is_told_at_its_own_time(odd: Recording) -> None:
+def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
     """Though rows before it were left out, as their voltage is not known."""
     alpha = odd.alpha.copy()
     alpha[[90, 330, 450]] += 0.5
@@ -275,7 +275,7 @@ def test_an_outlier_is_told_at_its_own_time(odd: Recording) -> None:
     assert dict(found.rows())["outliers, alpha"] == "3, at 4.5 s, 16.5 s, 22.5 s"
 
 
-def test_each_failure_is_told_with_its_figures(odd: Recording) -> None:
+def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
     """Number of the sample, volts, time and size, each of its own; 0 and 5 V are allowed."""
 
     def changed(row: int, **fields: float) -> Recording:
@@ -409,7 +409,7 @@ def test_the_first_figure_shades_what_is_missing_half_a_sample_either_way(odd: R
     assert [len(input_.lines[0].get_xdata()), *input_.get_xlim()] == pytest.approx([518, 0, 25.85])
 
 
-def test_a_cut_file_tells_the_time_that_it_holds_with_what_is_missing_in_it(path: Path) -> None:
+def test_a_cut_file_reports_the_time_that_it_holds_with_what_is_missing_in_it(path: Path) -> None:
     """Its samples are fewer than its rows, of which each is a sampling time."""
     data = path.read_bytes()
     cut = path.with_suffix(".active")
