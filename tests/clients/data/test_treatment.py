@@ -227,6 +227,17 @@ def test_each_experiment_has_its_own_drift_and_gaps_are_left_out() -> None:
     assert first.unit == "V"
 
 
+def test_no_drift_is_told_of_data_whose_gaps_leave_too_few_rows() -> None:
+    """It was 0 ± 0, whatever the data did."""
+    data = drifting(1, 0.02, N=300)
+    full_of_gaps = data.replaced(step=None, valid=np.arange(data.N) % 4 > 0)
+
+    with pytest.raises(ValueError, match=r"0 samples .* after 10 others without a gap.* needs 40"):
+        drift(full_of_gaps)
+
+    assert np.isfinite(drift(full_of_gaps, 2)[0].z)
+
+
 def test_an_angle_has_no_drift_but_an_offset_of_its_input() -> None:
     """The error says where to find it."""
     angle = Dataset(u=np.ones(90), y=np.arange(90.0), Ts=1, output="theta_1")

@@ -89,6 +89,10 @@ def _drift_of(part: Dataset, n: int) -> Drift:
         msg += f"needs {needed}: lower the order"
         raise ValueError(msg)
     model = whitening([(part.u, part.y)], n, slope=True)
+    if model.rows < needed - n:
+        msg = f"{model.rows} samples of an experiment come after {n} others without a gap; a drift "
+        msg += f"by a model of order {n} needs {needed - n}: lower the order"
+        raise ValueError(msg)
     gain = float(np.sum(model.A))
     rate = model.d / gain / part.Ts
     by_theta = np.zeros(2 * n + 3)

@@ -33,6 +33,8 @@ class Whitening:
     """Slope, per sample; 0 where there is none."""
     covariance: Array
     """Of (a1 … an, b0 … bn, c, d), (2n + 3, 2n + 3)."""
+    rows: int
+    """Samples with all of their past, which it was estimated from."""
 
     def residuals(self, u: Vector, y: Vector) -> Vector:
         """Return e (N,), NaN where y or the past it needs is missing or before the start."""
@@ -68,6 +70,7 @@ def whitening(parts: Sequence[tuple[Vector, Vector]], n: int, *, slope: bool = F
         c=float(theta[2 * n + 1]),
         d=float(theta[2 * n + 2]) if slope else 0.0,
         covariance=covariance,
+        rows=rows,
     )
 
 
