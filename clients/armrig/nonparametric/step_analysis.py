@@ -18,7 +18,7 @@ from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.step_course import course
 from armrig.nonparametric.step_lag import area_above, lag_of_angle
 from armrig.nonparametric.step_rise import Rise, step_rise
-from armrig.numerics.quantities import plural, with_std
+from armrig.numerics.quantities import plural, times, with_std
 from armrig.numerics.step_times import SHARE, linear_crossing
 from armrig.numerics.stretches import Mask, constant, stretches
 
@@ -396,10 +396,9 @@ def _warnings(
     tail: Vector, rise: Rise, hidden: tuple[float, float] | None, data: Dataset
 ) -> Iterator[str]:
     if hidden:
-        low, high = (f"{1e3 * x:.3g}" for x in hidden)
         yield (
-            f"{data.output} is missing from {low} to {high} ms after the step, on the rise: the "
-            f"63 % time is known to ± {1e3 * rise.crossing_std:.2g} ms only; record the step again "
+            f"{data.output} is missing {times(*hidden)} after the step, on the rise: the "
+            f"63 % time is known to ± {times(rise.crossing_std)} only; record the step again "
             "at another angle of the chassis (`armrig collect step --at SECONDS`)"
         )
     half = tail.size // 2
