@@ -151,7 +151,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
         ticks.append((float(place.mean()), plural(s.k, "part")))
         x += s.k + 1
     ax.set_xticks([t for t, _ in ticks], [name for _, name in ticks])
-    ax.set_ylabel(in_mathtext(f"{symbol(study.parameter)} [{_power(size)}{unit}]"))
+    ax.set_ylabel(in_mathtext(f"{symbol(study.parameter)} [{_of(size, unit)}]"))
     N = np.concatenate([s.N for s in study.splits])
     reported = np.concatenate([s.std for s in study.splits]) / of_std
     line = np.geomspace(N.min() / 1.2, N.max() * 1.2, 20)
@@ -176,7 +176,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     below.minorticks_off()
     logarithmic(below.yaxis, *_with_ticks(*below.get_ylim()))
     below.set_xlabel("samples $N$")
-    below.set_ylabel(in_mathtext(f"σ [{_power(of_std)}{unit}]"))
+    below.set_ylabel(in_mathtext(f"σ [{_of(of_std, unit)}]"))
     finish(ax)
     finish(below)
     legend(below)
@@ -190,7 +190,8 @@ def _with_ticks(low: float, high: float) -> tuple[float, float]:
     return min(low, float(below.max()) * 0.95), max(high, float(above.min()) * 1.05)
 
 
-def _power(size: float) -> str:
-    """Return a power of ten as the head of a unit: 10⁻³ and a blank; nothing for 1."""
+def _of(size: float, unit: str) -> str:
+    """Return a power of ten and a unit, as far as there are any: 10⁻³ kg m²."""
     exponent = round(float(np.log10(size)))
-    return f"10{raised(exponent)} " if exponent else ""
+    power = f"10{raised(exponent)}" if exponent else ""
+    return f"{power} {unit}".strip() or "–"
