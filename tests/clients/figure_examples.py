@@ -37,6 +37,7 @@ from armrig_core.arm import ArmParameters, arm_matrices
 from chassis_data import angle
 from handout_plant import HandoutPlant
 from made_turns import made_turns, still
+from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -145,6 +146,19 @@ def punctual(recording: Recording) -> Recording:
     samples = recording.samples.copy()
     samples["t_device_us"] = 10_000 * np.arange(samples.size)
     return replace(recording, samples=samples)
+
+
+def words(figure: Figure) -> str:
+    """Close a figure and return what a person reads in it, a line for each axes."""
+    plt.close("all")
+    said = []
+    for panel in figure.axes:
+        named = panel.get_legend()
+        inside = [*(named.get_texts() if named else []), *([named.get_title()] if named else [])]
+        read = [panel.get_title(loc="right"), panel.get_title(), panel.get_xlabel()]
+        read += [panel.get_ylabel(), *(text.get_text() for text in [*inside, *panel.texts])]
+        said.append(" | ".join(word.replace("\n", " / ") for word in read if word))
+    return "\n".join(said)
 
 
 def ax() -> Axes:
