@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import armrig
 import control
 import numpy as np
 import pytest
+import same_numbers_calls as of
 from armrig import Dataset, plots
 from armrig.cli.figures import write_plot
 from armrig.cli.recording_info import _plot_timing
@@ -98,6 +100,17 @@ def hardly_a_pair() -> armrig.Fit:
     """Return a fit whose poles are as near to each other as they are uncertain."""
     F = np.real(np.poly([0.985 + 0.008j, 0.985 - 0.008j]))
     return armrig.oe(second_order(N=500, F=F), nb=2, nf=2)
+
+
+@cache
+def late_models() -> tuple[armrig.Fit, armrig.Fit]:
+    """Return models of three unequal experiments of a slow, late system with a negative gain."""
+    return armrig.arx(of.unlike(), na=2, nb=2, nk=3), armrig.n4sid(of.unlike(), 2, nk=3)
+
+
+def backwards() -> armrig.Fit:
+    """Return a model of two unequal experiments that integrate backwards."""
+    return armrig.oe(of.unlike_integrating(), nb=2, nf=2, nk=2, integrator=True, offset=True)
 
 
 def exact(B: Any, F: Any) -> PhysicalModel:
@@ -261,6 +274,36 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_convergence": lambda e: plots.plot_convergence(
         [convergence(PROBLEM, "heun", [1e-2, 5e-3])], ax=ax()
     ),
+    "plot_data, unlike": lambda e: of.unlike(1.0).plot(ax=ax()),
+    "plot_spectrum, unlike": lambda e: of.unlike().plot("spectrum", ax=ax()),
+    "plot_values, unlike": lambda e: of.unlike_integrating().plot("values", ax=ax()),
+    "plot_fit, unlike": lambda e: backwards().plot(),
+    "plot_compare, unlike": lambda e: armrig.compare(of.unlike(), *late_models()).plot(ax=ax()),
+    "plot_residuals, unlike": lambda e: armrig.residuals(
+        late_models()[0], of.unlike().select(2, 0), 9
+    ).plot(ax=ax()),
+    "plot_bode, unlike": lambda e: plots.plot_bode(
+        *late_models(), armrig.spa(of.unlike(), 24), ax=ax()
+    ),
+    "plot_spectral, unlike": lambda e: armrig.spa(
+        of.unlike_integrating(), 24, integrator=True
+    ).plot(ax=ax()),
+    "plot_impulse, unlike": lambda e: armrig.impulse_response(of.unlike(), 12, None, 3).plot(
+        level=0.9, ax=ax()
+    ),
+    "plot_correlation, unlike": lambda e: armrig.correlation(of.unlike(), 9).plot(ax=ax()),
+    "plot_step_analysis, unlike": lambda e: armrig.step_analysis(
+        of.unlike_integrating(), integrator=True
+    ).plot(),
+    "plot_delay, unlike": lambda e: armrig.delay(of.unlike()).plot(ax=ax()),
+    "plot_open_loop, unlike": lambda e: armrig.open_loop(of.unlike(), 0.2).plot(ax=ax()),
+    "plot_input, unlike": lambda e: armrig.describe_input(of.unlike().u, 0.5).plot(),
+    "plot_orders, unlike": lambda e: armrig.select_orders(
+        of.unlike(), (1, 2, 3), (1, 2), (2, 3), of.unlike().select(2, 0)
+    ).plot("fpe", ax=ax()),
+    "plot_split, unlike": lambda e: armrig.split_study(
+        of.unlike(), (1, 2, 3), lambda data: armrig.arx(data, na=2, nb=2, nk=3), parameter="b1"
+    ).plot(ax=ax()),
     "plot_solution, two steps": lambda e: plots.plot_solution(
         PROBLEM, {"heun": 0.01, "ab2": 0.004}, ax=ax()
     ),
