@@ -172,7 +172,9 @@ def structure_hints(
         relative_degree=degree,
         resonances=peaks,
         antiresonances=dips,
-        phase_delay=_phase_delay(spectrum, believed, high, sign=_sign(response)),
+        phase_delay=_phase_delay(
+            spectrum, believed, high, sign=_sign(response), shown=max(nk - 1, 0) * data.Ts
+        ),
         first_lag=first_lag,
         blind=blind,
         nk=nk,
@@ -251,17 +253,24 @@ def _sign(response: ImpulseResponse) -> float:
 
 
 def _phase_delay(
-    spectrum: SpectralEstimate, believed: NDArray[np.int_], slope: float, *, sign: float
+    spectrum: SpectralEstimate,
+    believed: NDArray[np.int_],
+    slope: float,
+    *,
+    sign: float,
+    shown: float,
 ) -> float:
     """Return -(arg sign G - 90° slope/20)/omega over the last third of a decade, in s.
 
+    Only what exceeds the delay `shown`, in s, is read off the phase, which is known up to turns.
     A minimum-phase system's phase is 90° for each 20 dB a decade of slope, nearly so where the
     slope changes little (H. W. Bode, *Network Analysis and Feedback Amplifier Design*, 1945).
     """
     high = _high(spectrum, believed)
     expected = np.pi / 2 * slope / 20
-    excess = np.angle(sign * spectrum.G[high] * np.exp(-1j * expected))
-    return float(-np.mean(excess / spectrum.omega[high]))
+    omega = spectrum.omega[high]
+    excess = np.angle(sign * spectrum.G[high] * np.exp(1j * (omega * shown - expected)))
+    return shown - float(np.mean(excess / omega))
 
 
 def _extremes(

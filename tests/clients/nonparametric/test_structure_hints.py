@@ -187,3 +187,16 @@ def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
 
     assert (found.integrator, found.nb, found.nf, found.nk) == (True, 1, 1, 1)
     assert "none stands out, and the integrator" in found.explain()
+
+
+@pytest.mark.parametrize("samples", [0, 4, 9])
+def test_the_phase_shows_a_delay_of_more_than_half_a_turn(samples: int) -> None:
+    """It has the delay and half a sample of the hold."""
+    rng = np.random.default_rng(3)
+    u = rng.standard_normal(1500)
+    y = filtered([0.0] * (samples + 1) + [0.5], [1.0, -0.5], u) + 0.05 * rng.standard_normal(1500)
+
+    found = structure_hints(Dataset(u=u, y=y, Ts=0.1), integrator=False)
+
+    assert found.nk == samples + 1
+    assert found.phase_delay == pytest.approx(0.1 * samples + 0.05, abs=0.05)
