@@ -7,6 +7,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 from armrig.canvas.colours import GREY
+from armrig.numerics.quantities import three_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,4 +136,4 @@ def named(output: str, unit: str) -> str:
 
 def short(x: float) -> str:
     """Return a number with three digits, or all before the point."""
-    return f"{x:.3g}" if x < 1000 else f"{x:.0f}"
+    return three_digits(x)

@@ -64,7 +64,12 @@ def minus(text: str) -> str:
 
 def number(x: float) -> str:
     """Return a number with three digits, or all before the point."""
-    return minus(f"{x:.3g}" if abs(x) < 1000 else f"{x:.0f}")
+    return minus(three_digits(x))
+
+
+def three_digits(x: float) -> str:
+    """Return a number with three digits, or all before the point, a hyphen for minus."""
+    return f"{x:.3g}" if abs(x) < 999.5 else f"{x:.0f}"
 
 
 def power(x: float) -> str:
@@ -72,7 +77,7 @@ def power(x: float) -> str:
     if not 0 < abs(x) < 1e-3:
         return number(x)
     exponent = floor(log10(abs(x)))
-    return f"{x / 10.0**exponent:.2f}·10{raised(exponent)}"
+    return f"{minus(f'{x / 10.0**exponent:.2f}')}·10{raised(exponent)}"
 
 
 def raised(exponent: int) -> str:
@@ -118,7 +123,7 @@ def times(*seconds: float) -> str:
     """Return times in one unit that suits the longest: 20.6 ms, 32.5 … 46.4 ms, 2.78 h."""
     longest = max(map(abs, seconds))
     scale, unit = next((s, name) for least, s, name in _UNITS_OF_TIME if longest >= least)
-    return f"{' … '.join(f'{x / scale:.3g}' for x in seconds)} {unit}"
+    return f"{' … '.join(three_digits(x / scale) for x in seconds)} {unit}"
 
 
 def plural(n: int, noun: str) -> str:
