@@ -142,7 +142,8 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     """Return the data with y earlier by `delay` samples."""
     parts = [part for part in data.experiments() if delay + 1 < part.N]
     if not parts:
-        msg = f"delay={delay} is as long as every experiment; the longest is {data.N} samples"
+        longest = max(part.N for part in data.experiments())
+        msg = f"delay={delay} is as long as every experiment; the longest is {longest} samples"
         raise ValueError(msg)
     return merge(
         [
