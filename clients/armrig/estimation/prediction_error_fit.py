@@ -23,6 +23,7 @@ from armrig.models.structure import Structure
 from armrig.numerics.inference import Inference, infer
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import plural
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
 
@@ -269,7 +270,7 @@ def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[str]:
     pulses = [Q.shape[1] for past in unknown for _, Q in past.noise][1:]
     if sum(pulses) > MANY_PULSES * N:
         yield (
-            f"the data have {len(pulses)} gaps, after each of which the noise model starts anew: "
-            "A, C and D may be off by up to half a standard deviation, and the test of whiteness "
-            "rejects too often"
+            f"the data have {plural(len(pulses), 'gap')}, after each of which the noise model "
+            "starts anew: A, C and D may be off by up to half a standard deviation, and the test "
+            "of whiteness rejects too often"
         )
