@@ -287,9 +287,6 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "plot_residuals, unlike": lambda e: armrig.residuals(
         late_models()[0], of.unlike().select(2, 0), 9
     ).plot(ax=ax()),
-    "plot_bode, unlike": lambda e: plots.plot_bode(
-        *late_models(), armrig.spa(of.unlike(), 24), ax=ax()
-    ),
     "plot_spectral, unlike": lambda e: armrig.spa(
         of.unlike_integrating(), 24, integrator=True
     ).plot(ax=ax()),
