@@ -781,6 +781,12 @@ def step_analysis() -> Variants:
     ends = down[:90].replaced(step=None, valid=~np.isin(np.arange(90), [10, 33, 34, 60]))
     yield "unlike", armrig.step_analysis(armrig.merge([ends, down[90:]]))
     yield "unlike integrator", armrig.step_analysis(unlike_integrating(), integrator=True)
+    u = np.repeat([-1.0, 2.0], [160, 200])
+    slow = np.poly([0.93, 0.9, 0.8])
+    yield (
+        "smooth",
+        armrig.step_analysis(of_a_system([0] * 6 + [-0.002], slow, u=u, N=360, std=1e-3)),
+    )
 
 
 @variants
