@@ -16,12 +16,13 @@ import shlex
 import sys
 from code import InteractiveInterpreter
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout, suppress
-from difflib import SequenceMatcher
+from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
+from difflib import SequenceMatcher, unified_diff
 from pathlib import Path
 from traceback import format_exception_only
 from typing import Any
 
+import pytest
 from armrig.cli import main
 from armrig_daemon.command_line import app as armrigd
 
@@ -50,6 +51,23 @@ def said_again(stored: str, folder: Path) -> str:
         elif not line.startswith(_SHOWN):  # a remark
             lines.append(line)
     return "\n".join(_rounded_as(stored.splitlines(), lines)) + "\n"
+
+
+def assert_said(file: Path, folder: Path) -> None:
+    """Compare a stored text with what its commands print now, run in a folder."""
+    with chdir(folder):
+        compare(file, said_again(file.read_text(encoding="utf-8"), folder))
+
+
+def compare(file: Path, found: str) -> None:
+    """Fail where a stored text is another than the one found; or store that (`WRITE_STORED`)."""
+    if os.environ.get("WRITE_STORED"):
+        file.write_text(found, encoding="utf-8")
+        return
+    lines = file.read_text(encoding="utf-8").splitlines(), found.splitlines()
+    differs = unified_diff(*lines, f"{file.name}, stored", "now", n=2, lineterm="")
+    if shown := "\n".join(differs):
+        pytest.fail(f"{shown}\n\nIf it is to be said so: make stored", pytrace=False)
 
 
 class _Python(InteractiveInterpreter):
@@ -101,7 +119,8 @@ def _lines(text: str, folder: Path, *, whole: bool = False) -> list[str]:
             value = json.loads(text)
             text = "\n".join(_words(value) if whole else _values(value))
     text = text.replace(str(folder.resolve()), "HERE")
-    text = text.replace(os.environ["XDG_RUNTIME_DIR"], "SOCKETS")
+    if sockets := os.environ.get("XDG_RUNTIME_DIR"):
+        text = text.replace(sockets, "SOCKETS")
     for pattern, name in _OTHERS:
         text = pattern.sub(name, text)
     return [line.rstrip() for line in text.splitlines()]

@@ -37,7 +37,7 @@ class Preview(msgspec.Struct, frozen=True, kw_only=True):
     revolutions: float
     alpha_deg: float
     deviations: list[str]
-    """What the experiment would teach of the rig's parameters, a line each."""
+    """What the experiment would teach of the rig's parameters, each of them."""
     notes: list[str]
 
 
@@ -100,9 +100,9 @@ def _deviations(u: NDArray[np.float64], Ts: float, *, alone: bool) -> list[str]:
             model, u, Ts=Ts, noise_variance=_NOISE_RAD**2, free=free, fixed=ArmParameters()
         )
     except ValueError:
-        return [f"it does not determine {' and '.join(free)}"]
+        return [f"nothing of {' and '.join(free)}"]
     return [
-        f"{name} to ± {number(100 * std / value)} %"
+        f"{name} to ± {number(100 * std / value)} %" if std < value else f"nothing of {name}"
         for name, value, std in zip(found.names, found.theta, found.std, strict=True)
     ]
 

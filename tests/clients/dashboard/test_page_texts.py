@@ -11,6 +11,7 @@ from typing import Any
 import armrig.dashboard
 import pytest
 from armrig.dashboard.feed import LATE_US
+from said import compare
 
 NODE = shutil.which("node")
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node")
@@ -215,3 +216,19 @@ def test_another_recording_is_shown_in_its_whole_length(page: Path) -> None:
         "zoomed": ["2.00 to 5.00", [2, 5]],
         "second": ["drag across ", [0, 10]],
     }
+
+
+def test_what_the_page_shows_is_what_it_showed(page: Path) -> None:
+    """From its opening to the end of its server: each line of the story, and what it changes."""
+    file = Path(__file__).with_name("page_story.txt")
+    stored = file.read_text(encoding="utf-8")
+    script = "".join(f"{x}\n" for x in stored.splitlines() if x.startswith(("> ", "#")))
+    shutil.copy(Path(__file__).with_name("page_stage.js"), page)
+    command = [str(NODE), str(page / "page_stage.js")]
+
+    done = subprocess.run(
+        command, input=script, capture_output=True, text=True, timeout=60, check=False
+    )
+
+    assert done.returncode == 0, done.stderr
+    compare(file, done.stdout)

@@ -1,13 +1,20 @@
-"""What is said of a collection that somebody has ended."""
+"""How a collection ends, and what is said of one that somebody has ended."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
-from armrig.rig.collection import _interrupted_sentence
-from armrig_core.commands import LastRun
+from armrig.rig.client import Progress, Rig, RunEndedError
+from armrig.rig.collection import Plan, _interrupted_sentence, collect
+from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport
+from fake_daemon import FakeDaemon
+from msgspec.structs import replace
 
 NEW = LastRun(run_id="new", recording="new.mcap", finished=True, samples=7, outcome="stopped")
 OLD = LastRun(run_id="old", recording="old.mcap", finished=True, samples=9, outcome="complete")
@@ -31,3 +38,62 @@ def test_an_interrupted_run_is_told_with_its_own_recording(
     assert _interrupted_sentence(rig, before) == (
         f"interrupted: rig 1 was told to stop (0 V); {said}"
     )
+
+
+class _SlowDisk(FakeDaemon):
+    """Has a run that lacks samples, whose last ones reach the disk while the motor still stops."""
+
+    def status(self) -> StatusReport:
+        """Return what `status` answers: the run is finished before the phase has changed."""
+        found = super().status()
+        if (last := found.last_run) is None or not last.finished:
+            return found
+        late = replace(last, samples=last.samples - 5, synced=last.samples - 7)
+        is_done = self._polls > self.polls_per_run + 1
+        return replace(found, last_run=late, phase="safe" if is_done else "active")
+
+
+def test_a_collection_ends_with_the_last_sample_that_there_is(where: str) -> None:
+    """Then its progress is whole, though samples are missing, and the motor is at rest."""
+    shown: list[tuple[int, int]] = []
+
+    @contextmanager
+    def note(rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
+        shown.append((-1, N))
+        yield lambda done, total: shown.append((done, total))
+
+    plan = Plan(
+        experiment="own",
+        make=lambda N, Ts: np.full(N, 1.0 + Ts),
+        details={"a": 2},
+        seconds=0.6,
+        Ts=0.04,
+        pacing="exchange",
+        owner="Ada",
+    )
+    with _SlowDisk(where) as daemon:
+        told: list[str] = []
+        found = collect(plan, rig="1", connect=where, tell=told.append, shown=note)
+        polls, [arm, run] = daemon._polls, [r for r in daemon.asked if not isinstance(r, Status)]
+
+    assert arm == Arm(owner="Ada", Ts=0.04)
+    assert run == Run(
+        lease="0" * 32, n=1, u=[1.04] * 15, pacing="exchange", experiment="own", details={"a": 2}
+    )
+    assert (found.samples, found.Ts, found.synced, found.verdict) == (15, 0.04, 8, None)
+    assert (found.path, found.run_id) == (Path("/nowhere/run.mcap"), "r1")
+    assert shown == [(-1, 15), (5, 15), (10, 15), (15, 15), (15, 15), (15, 15)]
+    assert polls == 5
+    assert told == []
+
+
+def test_a_recording_is_named_once_where_a_run_ended_early(where: str) -> None:
+    """What became of its file may be said in the daemon's own words."""
+    with FakeDaemon(where) as daemon:
+        daemon.outcome = "the disk is full; /nowhere/run.mcap is whole up to there"
+        with Rig("1", connect=where) as rig:
+            rig.arm("Ada")
+            with pytest.raises(RunEndedError) as ended:
+                rig.run([1.0, 2.0])
+
+    assert str(ended.value) == f"the run ended after 2 of 2 samples: {daemon.outcome}"

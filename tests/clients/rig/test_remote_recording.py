@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,15 @@ from armrig.recordings.grid import MISSING_LIMIT
 from armrig.recordings.verification import verify
 from armrig.rig import remote_recording
 from armrig.rig.live_gaps import MOST_TOLD
-from armrig.rig.remote_recording import CUT_OFF, RemoteRecording
+from armrig.rig.remote_recording import CUT_OFF, STARTED_ANEW, RecordedFile, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
+from armrig.rig.telemetry_stream import decoded
 from armrig_core import protobuf
 from armrig_core.history import Past
 from armrig_core.recording_file import recording_part
 from armrig_core.telemetry import Sample, encode_sample
+from mcap.reader import make_reader
 
 TS_NS = 10_000_000
 OFFSET_NS = 1_750_000_000_000_000_000
@@ -42,6 +45,11 @@ def sample(number: int, **changes: Any) -> Message:
     due = 5_000_000_000 + number * TS_NS
     made = Sample(number, due, due + 9, number * 10_000, 0.1, 0.0, 1.0, 1.0, 32768, 32768, 3)
     return "sample", encode_sample(made._replace(**changes))
+
+
+def sample_ns(number: int) -> int:
+    """Return when the sample of a number was due."""
+    return 5_000_000_000 + number * TS_NS
 
 
 def gap(k_first: int, count: int) -> Message:
@@ -148,6 +156,56 @@ def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecord
 
     assert ks(found) == [0, 2, 3]
     assert [(g.k_first, g.count) for g in found.gaps] == [(1, 1)]
+
+
+def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> None:
+    """Its manifest, gaps, times and counts are of that life, whatever the life before had told."""
+    hour_ns = 3_600_000_000_000
+    at = {"seconds": OFFSET_NS // 10**9 + 5, "nanos": 8 * TS_NS}
+    hello = message("event", message="hello", timestamp=at)
+    recording.add(piece(state(0.0), state(0.02), sample(5), gap(6, 2), sample(8), hello))
+    gone = sample(11, t_host_ns=sample_ns(11) + 500)
+    recording.add(piece(sample(10), gone, gap(24, 3), lost=4))
+    changed = {"anew": True, "offset_ns": OFFSET_NS + hour_ns}
+    recording.add(piece(sample(20), sample(21), sample(23), **changed))
+    recording.add(piece(state(0.05, '{"uid": "8"}'), sample(27), offset_ns=OFFSET_NS + hour_ns))
+
+    first, second = files(recording)
+
+    assert (ks(first), ks(second)) == ([5, 8, 10, 11], [20, 21, 23, 27])
+    assert [
+        (f.manifest.Ts, f.manifest.device, f.manifest.clock_offset_ns - OFFSET_NS)
+        for f in (first, second)
+    ] == [(0.02, {"uid": "7"}, 0), (0.05, {"uid": "8"}, hour_ns)]
+    assert {f.manifest.rig for f in (first, second)} == {"1"}
+    assert first.manifest.details == {"recorded_from": "there"}
+    assert [(g.k_first, g.count, g.u_held_v, g.reason) for g in first.gaps] == [
+        (6, 2, 2.5, "link silent"),
+        (9, 1, pytest.approx(nan, nan_ok=True), CUT_OFF),
+    ]
+    assert [(g.k_first, g.count, g.reason) for g in second.gaps] == [
+        (22, 1, CUT_OFF),
+        (24, 3, CUT_OFF),
+    ]
+    assert next((e.t, e.message) for e in first.events) == (pytest.approx(0.03, abs=1e-6), "hello")
+    assert recording.done == [
+        RecordedFile(path=first.path, outcome=STARTED_ANEW, samples=4, missing=3),
+        RecordedFile(path=second.path, outcome="complete", samples=4, missing=4),
+    ]
+    with first.path.open("rb") as file:
+        raw = [
+            (about.topic, m.log_time - OFFSET_NS, m.publish_time - OFFSET_NS, m.sequence, m.data)
+            for _, about, m in make_reader(file).iter_messages(log_time_order=False)
+        ]
+    assert [entry for entry in raw if "sample" in entry[0]] == [
+        ("/rig/1/sample", sample_ns(k) + late, sample_ns(k), k, sample(k)[1])
+        for k, late in ((5, 9), (8, 9), (10, 9))
+    ] + [("/rig/1/sample", sample_ns(11) + 500, sample_ns(11), 11, gone[1])]
+    held, lost = (decoded("gap", entry[4]) for entry in raw if "gap" in entry[0])
+    assert (held.t_from_ns, held.t_to_ns) == (sample_ns(6), sample_ns(8))
+    assert (lost.t_from_ns, lost.t_to_ns) == (sample_ns(8) + 9, sample_ns(10) + 9)
+    assert next(entry[1] for entry in raw if "event" in entry[0]) == sample_ns(8)
+    assert recording.tell.__self__ == [f"{CUT_OFF}: 4 messages are lost", STARTED_ANEW]  # type: ignore[attr-defined]
 
 
 def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path: Path) -> None:

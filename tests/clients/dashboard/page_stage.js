@@ -1,0 +1,243 @@
+// A browser of stubs: the page's own scripts run on it, and what has changed is told as text.
+
+import { createInterface } from "node:readline";
+
+let now = 0;
+const due = [];
+const listeners = {};
+const replies = {};
+const streams = [];
+const lines = [];
+const say = (text) => lines.push(`  ${text}`);
+
+class Element {
+  constructor(tag = "") {
+    Object.assign(this, { tag, children: [], attributes: {}, on: {}, style: {}, dataset: {}, kinds: new Set() });
+    Object.assign(this, { own: "", hidden: false, disabled: false, className: "", title: "", value: "", type: "", clientWidth: 400 });
+    this.classList = { toggle: (name, is) => (is ? this.kinds.add(name) : this.kinds.delete(name)) };
+  }
+  get textContent() {
+    return this.own + this.children.map((one) => one.textContent ?? one).join("");
+  }
+  set textContent(text) {
+    [this.own, this.children] = [String(text), []];
+  }
+  set id(id) {
+    known.set(id, this);
+    this.known = id;
+  }
+  setAttribute(name, value) {
+    this.attributes[name] = value;
+  }
+  getAttribute(name) {
+    return this.attributes[name] ?? null;
+  }
+  append(...made) {
+    this.children.push(...made);
+    if (this.tag === "select" && made.length) this.value ||= made[0].value;
+  }
+  replaceChildren(...made) {
+    [this.own, this.children] = ["", made];
+  }
+  addEventListener(type, does) {
+    (this.on[type] ??= []).push(does);
+  }
+  fire(type, event = {}) {
+    for (const does of this.on[type] ?? []) does({ type, target: this, preventDefault: () => say(`${type}: prevented`), stopPropagation: () => {}, ...event });
+  }
+  click() {
+    if (this.download) say(`saved as ${this.download}`);
+    this.fire("click");
+  }
+  focus() {}
+  querySelectorAll(tag) {
+    return this.children.flatMap((one) => (one instanceof Element ? [...(one.tag === tag ? [one] : []), ...one.querySelectorAll(tag)] : []));
+  }
+}
+class Input extends Element {
+  constructor(tag) {
+    super(tag);
+    this.type = "text";
+  }
+}
+class Select extends Element {}
+
+const known = new Map();
+const byId = (id) => known.get(id) ?? known.set(id, new Element()).get(id);
+const made = { input: Input, select: Select };
+const body = new Element("body");
+
+Object.assign(globalThis, {
+  HTMLInputElement: Input,
+  HTMLSelectElement: Select,
+  ResizeObserver: class {
+    observe() {}
+  },
+  Path2D: class {
+    constructor() {
+      this.drawn = "";
+    }
+    moveTo(...at) {
+      this.drawn += ` M${at}`;
+    }
+    lineTo(...at) {
+      this.drawn += ` L${at}`;
+    }
+  },
+  TextDecoderStream: class {},
+  location: { hash: "#token=secret" },
+  history: { replaceState: () => {} },
+  innerWidth: 1280,
+  innerHeight: 900,
+  devicePixelRatio: 2,
+  localStorage: { "armrig-owner": "", getItem: (name) => localStorage[name] || null, setItem: (name, value) => (localStorage[name] = value) },
+  matchMedia: () => ({ matches: true, addEventListener: () => {} }),
+  getComputedStyle: () => ({ getPropertyValue: (name) => ` ${name}` }),
+  requestAnimationFrame: (does) => due.push([now, does]),
+  addEventListener: (type, does) => ((listeners[type] ??= []).push(does)),
+  setInterval: (does) => ((listeners.interval ??= []).push(does)),
+  setTimeout: (does, ms) => due.push([now + ms, does]),
+  clearTimeout: (n) => n && (due[n - 1] = [Infinity, () => {}]),
+  document: {
+    getElementById: byId,
+    createElement: (tag) => new (made[tag] ?? Element)(tag),
+    querySelectorAll: () => [byId("tab-recordings")],
+    documentElement: new Element("html"),
+    body,
+    hidden: false,
+    title: "",
+    addEventListener: () => {},
+  },
+});
+Object.defineProperty(globalThis, "performance", { value: { now: () => now } });
+URL.createObjectURL = () => "blob:1";
+URL.revokeObjectURL = () => {};
+
+const charts = [];
+globalThis.uPlot = class {
+  constructor(options, data, where) {
+    Object.assign(this, { options, data, where, width: options.width, height: options.height, bbox: { width: 800 }, cursor: { left: 0 }, select: {} });
+    charts.push(this);
+  }
+  setData(data) {
+    this.data = data;
+    const drawn = this.options.series[1].paths(this, 1, 0, data[0].length - 1).stroke.drawn;
+    const y = this.options.scales.y.range(this, ...ends(data.slice(1).flat()));
+    say(`chart ${charts.indexOf(this)}: x ${short(this.options.scales.x.range(this, 0, 0))}, y ${short(y)},${drawn}`);
+  }
+  valToPos(value) {
+    return +value.toFixed(3);
+  }
+  posToVal(x) {
+    return x / 100 - 1; // 100 pixels a second, the first of them before 0
+  }
+  setSelect() {}
+  setCursor(at) {
+    say(`chart ${charts.indexOf(this)}: cursor at ${JSON.stringify(at)}`);
+  }
+  setSize(size) {
+    say(`chart ${charts.indexOf(this)}: ${JSON.stringify(size)}`);
+  }
+  redraw() {}
+  destroy() {
+    for (const does of this.options.hooks.destroy) does(this);
+  }
+  drag(left, width) {
+    this.select = { left, width };
+    this.options.hooks.setSelect[0](this);
+  }
+  point(left, idx) {
+    this.cursor = { left, idx, event: true };
+    this.options.hooks.setCursor[0](this);
+  }
+};
+const short = (values) => values.map((value) => +value.toFixed(3));
+const ends = (values) => {
+  const found = values.filter((value) => value !== null);
+  return found.length ? [Math.min(...found), Math.max(...found)] : [null, null];
+};
+
+globalThis.fetch = async (path, { method = "GET", body: sent, priority, headers, signal }) => {
+  say(`${method} ${path} ${sent ?? ""} (${priority}, ${headers.Authorization})`);
+  if (path === "api/stream") {
+    const pieces = [];
+    const stream = {
+      give: (text) => {
+        const wake = stream.wake ?? ((piece) => pieces.push(piece));
+        stream.wake = null;
+        wake({ value: text });
+      },
+    };
+    const read = () => (pieces.length ? pieces.shift() : new Promise((wake, fail) => {
+      stream.wake = wake;
+      signal.addEventListener("abort", () => fail(Object.assign(new Error("aborted"), { name: "AbortError" })));
+    }));
+    streams.push(stream);
+    return { ok: true, body: { pipeThrough: () => ({ getReader: () => ({ read }) }) } };
+  }
+  const reply = replies[path.slice(4)] ?? {};
+  return { ok: !reply.error, status: 400, json: async () => reply, blob: async () => ({ size: 77 }) };
+};
+
+// What a story's lines use.
+const stage = {
+  byId,
+  charts,
+  replies,
+  key: (code, more = {}) => listeners[more.type ?? "keydown"].forEach((does) => does({ code, key: code, type: "keydown", target: body, preventDefault: () => say(`${code}: prevented`), stopPropagation: () => {}, ...more })),
+  send: (name, value) => streams.at(-1).give(`event: ${name}\ndata: ${JSON.stringify(value)}\n\n`),
+  raw: (text) => streams.at(-1).give(text),
+  set: (id, value) => {
+    byId(id).value = value;
+    byId("experiment").fire("input", { target: byId(id) });
+  },
+  button: (text) => [...known.values()].flatMap((one) => one.querySelectorAll("button")).find((one) => one.textContent === text),
+  pass: async (ms) => {
+    now += ms;
+    for (const does of listeners.interval) does();
+    for (let i = 0; i < due.length; i += 1) {
+      const [at, does] = due[i];
+      if (at > now) continue;
+      due[i] = [Infinity, () => {}];
+      does();
+    }
+    await settled();
+  },
+};
+
+const settled = async () => {
+  for (let i = 0; i < 8; i += 1) await new Promise((done) => setImmediate(done));
+};
+
+// One element as text: its words, and what is not usual about it. What has an id stands for itself.
+function told(one, isInside) {
+  if (!(one instanceof Element)) return [String(one)];
+  if (isInside && one.known) return [`#${one.known}`];
+  const about = [one.className, ...one.kinds, one.title, one.hidden && "hidden", one.disabled && "disabled", one.value, parseFloat(one.style.height)];
+  about.push(...Object.entries(one.attributes).map(([name, value]) => `${name}=${value}`), ...Object.values(one.dataset), one.download);
+  if (one.open !== undefined) about.push(`open=${one.open}`);
+  const brackets = about.filter(Boolean).join(", ");
+  const own = `${one.own}${brackets && ` [${brackets}]`}`.trim();
+  return [...(own ? [own] : []), ...(one.hidden ? [] : one.children.flatMap((child) => told(child, true)))];
+}
+
+const before = new Map();
+function changes() {
+  for (const [id, one] of known) {
+    const text = told(one).join(" | ");
+    if ((text || before.has(id)) && before.get(id) !== text) say(`${id}: ${text}`);
+    before.set(id, text);
+  }
+  const page = `${document.title} [${[...body.kinds]}; ${document.documentElement.dataset.theme}]`;
+  if (before.get("") !== page) say(`the page: ${page}`);
+  before.set("", page);
+}
+
+for await (const line of createInterface({ input: process.stdin })) {
+  console.log(line);
+  if (!line.startsWith("> ")) continue;
+  await new Function("stage", `with (stage) { return (async () => { ${line.slice(2)} })(); }`)(stage);
+  await settled();
+  changes();
+  for (const text of lines.splice(0)) console.log(text);
+}
