@@ -166,7 +166,8 @@ def _event_time(host: Host) -> None:
     before = host.rx_us
     event = only(Event, host.ask(Estop))
     span = (host.rx_us - before) & 0xFFFF_FFFF
-    expect((event.t_us - before) & 0xFFFF_FFFF <= span, f"t_us {event.t_us} between {before} and")
+    is_between = (event.t_us - before) & 0xFFFF_FFFF <= span
+    expect(is_between, f"t_us {event.t_us}, not from {before} to {host.rx_us}")
 
 
 @rule(3, "PONG carries host_ns back, and its two times are in order")

@@ -123,7 +123,8 @@ globalThis.uPlot = class {
     this.data = data;
     const drawn = this.options.series[1].paths(this, 1, 0, data[0].length - 1).stroke.drawn;
     const y = this.options.scales.y.range(this, ...ends(data.slice(1).flat()));
-    say(`chart ${charts.indexOf(this)}: x ${short(this.options.scales.x.range(this, 0, 0))}, y ${short(y)},${drawn}`);
+    const labels = this.options.axes[0].values(this, [0, 1.23456]);
+    say(`chart ${charts.indexOf(this)}: ${labels} x ${short(this.options.scales.x.range(this, 0, 0))}, y ${short(y)},${drawn}`);
   }
   valToPos(value) {
     return +value.toFixed(3);
@@ -141,6 +142,7 @@ globalThis.uPlot = class {
   redraw() {}
   destroy() {
     for (const does of this.options.hooks.destroy) does(this);
+    say(`chart ${charts.indexOf(this)}: is gone`);
   }
   drag(left, width) {
     this.select = { left, width };
@@ -175,7 +177,8 @@ globalThis.fetch = async (path, { method = "GET", body: sent, priority, headers,
     streams.push(stream);
     return { ok: true, body: { pipeThrough: () => ({ getReader: () => ({ read }) }) } };
   }
-  const reply = replies[path.slice(4)] ?? {};
+  const withdrawn = new Promise((_, fail) => signal?.addEventListener("abort", () => fail(signal.reason)));
+  const reply = await Promise.race([replies[path.slice(4)] ?? {}, withdrawn]);
   return { ok: !reply.error, status: 400, json: async () => reply, blob: async () => ({ size: 77 }) };
 };
 
@@ -184,6 +187,7 @@ const stage = {
   byId,
   charts,
   replies,
+  hold: (name) => (replies[name] = new Promise((give) => (stage.give = give))),
   key: (code, more = {}) => listeners[more.type ?? "keydown"].forEach((does) => does({ code, key: code, type: "keydown", target: body, preventDefault: () => say(`${code}: prevented`), stopPropagation: () => {}, ...more })),
   send: (name, value) => streams.at(-1).give(`event: ${name}\ndata: ${JSON.stringify(value)}\n\n`),
   raw: (text) => streams.at(-1).give(text),

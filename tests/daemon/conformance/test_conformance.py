@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
+from pathlib import Path
+
 import pytest
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, RULES, leave, run
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_protocol.crc import crc32
+from armrig_protocol.decoder import feed
 from armrig_protocol.messages import State, Stop
 from spoiling import other_handler
 from spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
 from virtual_line import VirtualLine
 
 UNO = {"queue": 256}
+STORED = Path(__file__).with_name("results.txt")
+"""What each rule tries, and what becomes of it with each spoilt device."""
 
 
 def tried(settings: EmulatorSettings, *, resets: bool = True) -> list[Result]:
@@ -57,6 +65,58 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
 
     assert [r for r in broken if spoilt.found_by in r.sentence], broken
     assert all(r.came for r in broken)
+    lines = [f"{r.section} {r.sentence[:60]}: {r.came}" for r in broken]
+    rest = "\n".join(lines[3:])
+    compare(
+        how, lines[:3] + [f"and {len(lines) - 3} more, {crc32(rest.encode()):08x}"] * bool(rest)
+    )
+
+
+def test_each_rule_tries_what_it_tried() -> None:
+    """The frames that are sent for it, by their types, and the sum of their bytes."""
+    device = Device(EmulatorSettings(boot_ms=5.0, queue=200, baud=250_000, **AT_A_RAIL), 0)
+    line, lines = Recorded(device), list[str]()
+
+    def note(result: Result) -> None:
+        sent = b"".join(line.sent)
+        line.sent.clear()
+        kinds = Counter(
+            type(m).__name__ if isinstance(m, tuple) else "no frame" for m in feed(b"", sent)[1]
+        )
+        counted = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
+        head = f"{result.section} {result.sentence[:60]}: {result.outcome}"
+        lines.append(f"{head}: {counted}; {len(sent)} B, {crc32(sent):08x}")
+
+    run(Host(line, 250_000), note)
+
+    compare("all rules", lines)
+
+
+class Recorded(VirtualLine):
+    """Keeps what was sent."""
+
+    def __init__(self, device: Device) -> None:
+        super().__init__(device)
+        self.sent: list[bytes] = []
+
+    def send(self, data: bytes) -> None:
+        """Put bytes on the wire."""
+        self.sent.append(data)
+        super().send(data)
+
+
+def compare(name: str, found: list[str]) -> None:
+    """Compare lines with those stored under a name; or store them (`WRITE_STORED`)."""
+    parts = dict(
+        part.split("\n", 1) for part in STORED.read_text().removeprefix("# ").split("\n# ")
+    )
+    if os.environ.get("WRITE_STORED"):
+        parts[name] = "\n".join(found)
+        STORED.write_text(
+            "\n".join(f"# {how}\n{parts[how].rstrip()}" for how in sorted(parts)) + "\n"
+        )
+    else:
+        assert found == parts[name].splitlines(), "if it is to be so: make stored"
 
 
 @pytest.mark.parametrize("deaf", [False, True])
