@@ -64,8 +64,9 @@ def compare(file: Path, found: str) -> None:
     if os.environ.get("WRITE_STORED"):
         file.write_text(found, encoding="utf-8")
         return
-    lines = file.read_text(encoding="utf-8").splitlines(), found.splitlines()
-    differs = unified_diff(*lines, f"{file.name}, stored", "now", n=2, lineterm="")
+    stored = file.read_text(encoding="utf-8").splitlines()
+    lines = _rounded_as(stored, found.splitlines())
+    differs = unified_diff(stored, lines, f"{file.name}, stored", "now", n=2, lineterm="")
     if shown := "\n".join(differs):
         pytest.fail(f"{shown}\n\nIf it is to be said so: make stored", pytrace=False)
 

@@ -6,6 +6,8 @@ device, no clock and no pipe: those are its `Ports`.
 
 from __future__ import annotations
 
+from armrig_protocol.messages import Flag
+
 from armrig_daemon.core import step
 from armrig_daemon.core.state import (
     Action,
@@ -120,7 +122,10 @@ class Loop:
                 return self.ports.write(action.data)
             case Publish():
                 self._outbox.put_sample(action.sample)
-                self._meter.sampled(action.sample, self.state.ts_us * 1000)
+                # Outside a run the host asks, also of a device that is to pace one.
+                is_run = action.sample.flags & Flag.RUN
+                ts_ns = self.state.ts_us * 1000 if is_run else self._pace.period_ns
+                self._meter.sampled(action.sample, ts_ns)
                 if action.queued >= 0:
                     self._meter.queued(action.queued)
             case RoundTrip():

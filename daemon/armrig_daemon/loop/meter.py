@@ -17,7 +17,7 @@ class Meter:
     def __init__(self, now_ns: int) -> None:
         """Begin the first second now."""
         self._begin(now_ns)
-        self._device: tuple[int, int] | None = None
+        self._device: tuple[int, int, int] | None = None
 
     def _begin(self, now_ns: int) -> None:
         self._since_ns = now_ns
@@ -38,8 +38,8 @@ class Meter:
 
     def sampled(self, sample: Sample, ts_ns: int) -> None:
         """Count how far the device was from its period."""
-        last, self._device = self._device, (sample.k, sample.t_device_us)
-        if last is not None and sample.k > last[0]:
+        last, self._device = self._device, (sample.k, sample.t_device_us, ts_ns)
+        if last is not None and sample.k > last[0] and ts_ns == last[2]:
             apart_ns = (sample.t_device_us - last[1]) * 1000
             self._error.add(abs(apart_ns - (sample.k - last[0]) * ts_ns))
 

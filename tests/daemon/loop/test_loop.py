@@ -8,8 +8,8 @@ import msgspec
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.core.state import Event, Ordered, Phase, Received, Want
-from armrig_daemon.pipe import Answer, Halt, SetVoltage, Timing
-from virtual_bench import LEASE, MS, Bench
+from armrig_daemon.pipe import Answer, Halt, Play, SetVoltage, Timing
+from virtual_bench import LEASE, MS, Bench, codes
 
 
 def _answer(bench: Bench, order: int) -> Answer:
@@ -74,3 +74,17 @@ def test_a_change_of_the_period_is_no_error_of_the_device() -> None:
     errors = [timing.device_tick_error_us for timing in bench.of(Timing)]
     assert [error.n > 40 for error in errors] == [True] * 3
     assert [error.max for error in errors] == [0.0] * 3
+
+
+def test_a_device_that_is_asked_between_runs_is_held_against_the_asking() -> None:
+    """One that is to pace a run is asked every 10 ms before it, whatever Ts the run is to have."""
+    bench = Bench(msgspec.convert({"limits": {"slew_v": 1.0}}, Config))
+    bench.arm(ts_us=16_000)
+    bench.ask(Play, lease=LEASE, n=1, run_id="r", codes=codes(3.0), scheduled=True)
+    assert bench.phase is Phase.FAULT
+
+    bench.run_for(2000)
+
+    errors = [timing.device_tick_error_us for timing in bench.of(Timing)]
+    assert errors[-1].n > 90
+    assert errors[-1].max < 10.0

@@ -1,0 +1,63 @@
+"""What an odd rig's runs leave on the disk, in virtual time; it is in `odd_runs.txt`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import armrig
+import msgspec
+import numpy as np
+from armrig_core.commands import Run
+from armrig_daemon.service.virtual_service import LEASE, VirtualRunError, VirtualService
+from mcap.reader import make_reader
+from odd_bench import CONFIG, show
+from said import compare
+
+RAMP = [0.25 + 0.02 * k for k in range(180)]
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Give what a recording says: its records, its parts, some rows of its samples."""
+    recording = armrig.load(path)
+    yield f"+ {path.name}"
+    with path.open("rb") as file:
+        records = make_reader(file)
+        yield from (f"  {r.name}: {show(r.metadata)}" for r in records.iter_metadata())
+        for r in records.iter_attachments():
+            yield f"  {r.name} {r.media_type}: {r.data[:200].decode()!r}"
+        kinds = [(c.topic, m.log_time) for _, c, m in records.iter_messages()]
+    for topic in sorted({topic for topic, _ in kinds}):
+        times = [t for name, t in kinds if name == topic]
+        yield f"  {topic}: {len(times)}, {times[0]} to {times[-1]}"
+    for part in (*recording.gaps, *recording.events, *recording.timing[:2], *recording.clock[:1]):
+        yield f"  {type(part).__name__} {show(asdict(part))}"
+    for row in recording.samples[::30]:
+        yield "  " + ", ".join(f"{x:.6g}" for x in row.tolist())
+    yield f"  u {show(np.round(recording.u[::45], 4).tolist())}"
+
+
+def test_what_an_odd_rig_s_runs_leave_is_what_they_left(tmp_path: Path) -> None:
+    """One in parts, of several minutes' limit; one that the host paces; one that trips."""
+    rig = VirtualService(msgspec.structs.replace(CONFIG), tmp_path, seed=2_000_000_000)
+    runs: list[dict[str, Any]] = [
+        {"u": RAMP, "experiment": "ramp", "details": {"a": [1, {"b": None}]}},
+        {"u": [0.2, 1.5, 0.2] * 15, "experiment": "own", "pacing": "exchange"},
+        {"u": [2.0, *[4.4] * 500], "experiment": "too-far"},
+        {"u": [4.4], "experiment": "steep"},
+    ]
+    lines: list[str] = []
+    for run in runs:
+        lines.append(f"# {run['experiment']}")
+        before = {*tmp_path.iterdir()}
+        try:
+            rig.record(Run(lease=LEASE, n=0, **run))
+        except (VirtualRunError, ValueError) as err:
+            lines.append(f"  {type(err).__name__}: {err}")
+        for path in sorted({*tmp_path.iterdir()} - before):
+            lines += _lines(path)
+
+    text = "\n".join(lines).replace(str(tmp_path), "HERE")
+    compare(Path(__file__).with_name("odd_runs.txt"), f"{text}\n")
