@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from armrig_daemon.conformance.host import BOOT_MS, Host
@@ -14,8 +16,17 @@ from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.crc import crc32
 from armrig_protocol.decoder import feed
-from armrig_protocol.messages import State, Stop
-from spoiling import other_handler
+from armrig_protocol.messages import (
+    CalReply,
+    ConfigReply,
+    Flag,
+    HelloReply,
+    Sample,
+    State,
+    Status,
+    Stop,
+)
+from spoiling import changed_answers, other_handler
 from spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
 from virtual_line import VirtualLine
 
@@ -142,3 +153,69 @@ def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
     """So that a person finds it in PROTOCOL.md."""
     assert {rule.section for rule in RULES} == {1, 2, 3, 4, 5, 6, 7}
     assert len({rule.sentence for rule in RULES}) == len(RULES)
+
+
+TOLD_WRONGLY: dict[str, Callable[[Any], dict[str, int]]] = {
+    "CAL: the mean is below the least": lambda m: (
+        {"mean_256": m.least * 256 - 1} if isinstance(m, CalReply) and m.least else {}
+    ),
+    "CAL: one reading has a variance": lambda m: (
+        {"variance_256": 1} if isinstance(m, CalReply) and m.n == 1 else {}
+    ),
+    "CAL: no variance though readings differ": lambda m: (
+        {"variance_256": 0} if isinstance(m, CalReply) and m.channel == 1 else {}
+    ),
+    "CONFIG: another Ts in force after a refusal": lambda m: (
+        {"ts_us": m.ts_us + 1} if isinstance(m, ConfigReply) and m.code and m.nonce else {}
+    ),
+    "CONFIG: a code more after a refusal": lambda m: (
+        {"u_min": m.u_min + 1} if isinstance(m, ConfigReply) and m.code and m.nonce else {}
+    ),
+    "CONFIG: an older nonce after a refusal": lambda m: (
+        {"nonce": m.nonce ^ 1} if isinstance(m, ConfigReply) and m.code and m.nonce else {}
+    ),
+    "CONFIG: a Ts in IDLE": lambda m: (
+        {"ts_us": 5} if isinstance(m, ConfigReply) and m.state == State.IDLE else {}
+    ),
+    "HELLO_R: a token in IDLE": lambda m: (
+        {"token": 7} if isinstance(m, HelloReply) and m.state == State.IDLE else {}
+    ),
+    "SAMPLE: a reading near the rail is told as one at it": lambda m: (
+        {"y0": 100} if isinstance(m, Sample) else {}
+    ),
+    "SAMPLE: the code before is the code now": lambda m: (
+        {"u_km1": m.u_k} if isinstance(m, Sample) else {}
+    ),
+    "SAMPLE: of a fault the state before": lambda m: (
+        {"state": State.RUN} if isinstance(m, Sample) and m.state == State.FAULT else {}
+    ),
+    "SAMPLE: the last CRC_ERR is told again": lambda m: (
+        {"flags": m.flags | Flag.CRC_ERR} if isinstance(m, Sample) else {}
+    ),
+    "SAMPLE: a code less is queued": lambda m: (
+        {"queued": max(0, m.queued - 1)} if isinstance(m, Sample) else {}
+    ),
+    "STATUS: more frames than came": lambda m: (
+        {"frames": 2 * m.frames} if isinstance(m, Status) else {}
+    ),
+}
+
+
+def test_a_field_that_is_told_wrongly_breaks_the_rules_that_it_broke(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of each message some fields, one at a time; the rule that takes longest is left out."""
+    wanted = [rule for rule in RULES if "At 1 kHz" not in rule.sentence]
+    lines = []
+
+    for how, wrong in TOLD_WRONGLY.items():
+        with monkeypatch.context() as patch:
+            changed_answers(patch, lambda m, wrong=wrong: m._replace(**wrong(m)))  # type: ignore[misc]
+            device = Device(EmulatorSettings(boot_ms=5.0, **AT_A_RAIL), 0)
+            results = run(Host(VirtualLine(device)), lambda _: None, wanted)
+        broken = [r for r in results if r.outcome == FAIL]
+        assert broken, how
+        lines += [f"{how}: {r.section} {r.sentence[:40]}: {r.came}" for r in broken[:2]]
+        lines.append(f"{how}: {len(broken)} are broken")
+
+    compare("told wrongly", lines)
