@@ -251,5 +251,5 @@ def odd_live_models() -> None:
         model = LiveModel(0.02)
         theta = np.degrees(np.cumsum(driven) * 0.02) % 360
         found = np.column_stack([50 + np.arange(n), 0 * u, u, theta, 0 * u])
-        model.take(np.delete(found, [100, 101, 500], axis=0))
+        model.take(np.delete(found, [*range(100, 140), 500], axis=0))
         print(*model.lines(), sep="\n")

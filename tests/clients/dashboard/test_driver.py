@@ -5,13 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.rig.collection import Plan
+from armrig.rig.session import NoReplyError
 from armrig_core import commands
+from armrig_core.rehearsal import Rehearsal
 from fake_daemon import FakeDaemon
 
 PLAN = Plan(
@@ -97,3 +100,55 @@ def test_the_end_waits_for_who_arms(where: str) -> None:
         arming.join()
 
         assert daemon.names() == ["arm", "disarm"]
+
+
+def test_a_run_is_told_whole_at_its_end(
+    driver: Driver, daemon: FakeDaemon, three_recordings: tuple[Path, Path, Path]
+) -> None:
+    """What was rehearsed, how far it came, its file, and what the data are good for."""
+    daemon.recording = str(three_recordings[1])
+    daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
+    driver.start(PLAN, asked_s=time.monotonic())
+    _wait_for_the_end(driver)
+
+    run = driver.run
+    assert (run.experiment, run.done, run.total, run.error) == ("step", 100, 100, "")
+    assert "the chassis turns 3.5 times" in run.told
+    assert run.recording == "estimation.mcap"
+    assert run.verdict.startswith("the data are good: signal to noise")
+
+
+def test_a_trip_is_told_with_the_page_s_own_button(driver: Driver, daemon: FakeDaemon) -> None:
+    """Not with a command to type."""
+    daemon.fault, daemon.remedy = "the link is silent", "see to the cable"
+    daemon.refusals["arm"] = "in fault"
+    driver.start(PLAN, asked_s=time.monotonic())
+    _wait_for_the_end(driver)
+
+    assert driver.run.error == (
+        "rig 1 is in fault: the link is silent; see to the cable; then press Reset"
+    )
+
+
+def test_a_stop_finds_a_daemon_that_was_started_anew(where: str) -> None:
+    """The way that was open led to the one before."""
+    driver = Driver(rig="1", connect=where)
+    with FakeDaemon(where):
+        driver.stop("Ada")
+    with FakeDaemon(where) as daemon:
+        driver.stop("Ada")
+        assert daemon.names() == ["stop"]
+    with pytest.raises(NoReplyError):
+        driver.stop("Ada")
+    driver.end()
+
+
+def test_a_rig_that_the_page_has_is_given_back_once(driver: Driver, daemon: FakeDaemon) -> None:
+    """Armed again it is given back before; after that there is nothing to give."""
+    driver.arm("a page", 0.04)
+    driver.arm("a page", None)
+
+    assert [driver.release(), driver.release()] == [True, False]
+    assert daemon.names() == ["arm", "disarm", "arm", "disarm"]
+    asked = [r.Ts for r in daemon.asked if isinstance(r, commands.Arm)]
+    assert asked == [0.04, None]

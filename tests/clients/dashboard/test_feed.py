@@ -237,3 +237,43 @@ def _status(Ts: float) -> StatusReport:
         last_run=None,
         recordings="",
     )
+
+
+def test_the_histogram_is_of_the_last_minute_and_of_what_came_live(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 62 seconds with a sample each 60 count; of the past, which came at once, nothing."""
+    clock = iter(range(1000, 1062))
+    monkeypatch.setattr(feed_module.time, "monotonic", lambda: next(clock) + 0.5)
+    feed = Feed()
+    feed.add_samples(samples(*range(5)), live=False)
+
+    for k in range(5, 67):
+        feed.add_samples([late(k, 60.0 if k < 7 else 300.0)])
+
+    assert sum(feed.timing().late) == 60
+    assert feed.timing().late[1] == 0
+
+
+def test_the_past_teaches_a_live_model_nothing() -> None:
+    """It knows what came since somebody wanted it, and forgets that where nobody does."""
+    feed, rng = Feed(), np.random.default_rng(3)
+    rows = [
+        sample(k, u_applied_v=rng.choice([1.0, 4.0]), theta_1_rad=0.02 * k + rng.uniform(0, 0.1))
+        for k in range(400)
+    ]
+    feed.set_model(wanted=True)
+    feed.add_samples(rows[:200], live=False)
+    before = feed.model_lines()
+    feed.add_samples(rows[200:])
+    taught = feed.model_lines()
+    feed.set_model(wanted=True)  # a second page wants it, too
+    still = feed.model_lines()
+    feed.set_model(wanted=False)
+
+    assert before is not None
+    assert "play an input" in before[0]
+    assert taught is not None
+    assert taught[0].startswith("rate of")
+    assert still == taught
+    assert feed.model_lines() is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import AsyncIterator
 from contextlib import suppress
 
@@ -11,6 +12,7 @@ from armrig.dashboard.feed import Feed
 from armrig.dashboard.messages import event
 from armrig.dashboard.stream import Stream
 from armrig.dashboard.viewers import Viewer
+from made_recordings import sample
 
 BEFORE = RunState(experiment="step", error="refused")
 GOING = RunState(experiment="step", is_going=True)
@@ -64,3 +66,29 @@ def test_a_viewer_who_leaves_makes_room() -> None:
         return found
 
     assert asyncio.run(counts()) == [1, 0, 1, 0]
+
+
+def test_who_connects_is_told_the_whole_past_and_each_state_once() -> None:
+    """The past in pieces, each row once and in order; what does not change is not told again."""
+
+    async def heard() -> tuple[list[bytes], list[bytes]]:
+        feed = Feed()
+        feed.add_samples([sample(k) for k in range(1203)], live=False)
+        feed.news()
+        stream = Stream(feed, Driver(rig="1", connect=None))
+        messages = stream.messages(Viewer(lambda: None, may_command=True))
+        first = await _until("whole", messages)
+        filling = asyncio.create_task(stream.fill())
+        then = [*await _until("live", messages), *await _until("live", messages)]
+        filling.cancel()
+        with suppress(asyncio.CancelledError):
+            await filling
+        return first, then
+
+    first, then = asyncio.run(heard())
+
+    kinds = [message.split(b"\n")[0].decode().removeprefix("event: ") for message in first]
+    assert kinds == ["hello", "status", "run", "timing", "past", "past", "past", "whole"]
+    rows = [row for m in first if m.startswith(b"event: past") for row in json.loads(m[18:])]
+    assert [row[0] for row in rows] == [round(1 + k / 100, 3) for k in range(1203)]
+    assert not [m for m in then if m.startswith((b"event: status", b"event: run"))]

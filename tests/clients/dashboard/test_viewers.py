@@ -74,3 +74,25 @@ def test_visitors_keep_nobody_out_who_drives() -> None:
         return len(viewers)
 
     assert asyncio.run(tried()) == MOST_VIEWERS + 1
+
+
+def test_each_who_is_dropped_is_counted() -> None:
+    """And hears no more of what waits for him; the end of all is no drop."""
+
+    async def told() -> tuple[int, list[bytes], bool]:
+        viewers = Viewers()
+        deaf = [Viewer(lambda: None, may_command=False) for _ in range(3)]
+        for viewer in deaf:
+            viewers.add(viewer)
+        for _ in range(101):
+            viewers.send(b"x")
+        late = Viewer(lambda: None, may_command=False)
+        viewers.add(late)
+        viewers.send(b"y")
+        viewers.end()
+        heard = []
+        for viewer in (*deaf, late):
+            heard += [message async for message in viewer.messages()]
+        return viewers.dropped, heard, late.is_dropped
+
+    assert asyncio.run(told()) == (3, [b"y"], False)
