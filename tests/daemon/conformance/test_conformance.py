@@ -174,6 +174,11 @@ TOLD_WRONGLY: dict[str, Callable[[Any], dict[str, int]]] = {
     "CONFIG: an older nonce after a refusal": lambda m: (
         {"nonce": m.nonce ^ 1} if isinstance(m, ConfigReply) and m.code and m.nonce else {}
     ),
+    "CONFIG: another sum in force after a refusal": lambda m: (
+        {"config_crc": m.config_crc ^ 1}
+        if isinstance(m, ConfigReply) and m.code and m.nonce
+        else {}
+    ),
     "CONFIG: a Ts in IDLE": lambda m: (
         {"ts_us": 5} if isinstance(m, ConfigReply) and m.state == State.IDLE else {}
     ),
