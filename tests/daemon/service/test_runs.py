@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
-from armrig_core.commands import Run
+from armrig_core.commands import LastRun, Run
 from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.rehearsal import rehearse
 from armrig_daemon.config import Arm, Config, Limits
@@ -99,3 +101,34 @@ def test_a_run_that_one_file_may_hold_is_in_one_file(
 ) -> None:
     """By the configured limits: an hour at 1 kHz by default."""
     assert part_limits(config, samples, Ts) == limits
+
+
+@pytest.mark.parametrize(
+    ("error", "moved", "stop_when_full", "disturbed", "unrecorded"),
+    [
+        ("", "", True, "", ""),
+        ("", "it was moved away", True, "it was moved away", ""),
+        ("the disk is full", "", True, "the disk is full", ""),
+        ("the disk is full", "it was moved", True, "the disk is full", ""),
+        ("the disk is full", "", False, "", "the disk is full; the run plays on"),
+        ("the disk is full", "it was moved", False, "it was moved", "the disk is full; the run p"),
+    ],
+)
+def test_what_becomes_of_a_recording_in_hand_is_told(
+    error: str, moved: str, stop_when_full: bool, disturbed: str, unrecorded: str, tmp_path: Path
+) -> None:
+    """What was taken and what is on the disk are two numbers; what is told once is told once."""
+    config = Config(recording=RecordingConfig(stop_when_full=stop_when_full))
+    runs = Runs(config, tmp_path, lambda: None)
+    recording: Any = SimpleNamespace(
+        kept=tmp_path / "a.mcap.active", samples=9, synced=4, error=error, moved=moved
+    )
+    runs._recording = recording
+    runs._last = LastRun(run_id="r", recording="", finished=False, samples=0, outcome="")
+
+    assert runs.disturbed() == disturbed
+    assert runs.unrecorded().startswith(unrecorded)
+    assert runs.unrecorded() == ""
+    assert runs.last is not None
+    assert (runs.last.samples, runs.last.synced) == (9, 4)
+    assert runs.run_id == "r"

@@ -1,0 +1,195 @@
+"""What a service says at the edges of its limits; its words are in `service/said.txt`."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from armrig_core.commands import Renew, Run
+from armrig_core.history import decode_past
+from armrig_core.telemetry import SAMPLE_FIELDS, Sample
+from armrig_daemon.config import Config
+from armrig_daemon.config import Recording as RecordingConfig
+from armrig_daemon.pipe import Distribution, Log, State, Timing
+from armrig_daemon.service import presence, readings, token_bucket
+from armrig_daemon.service.access import Network
+from armrig_daemon.service.history import History
+from armrig_daemon.service.played_input import checked, one_a_line
+from armrig_daemon.service.pressure import outcome, untimely
+from armrig_daemon.service.runs import part_limits
+from armrig_daemon.service.sentences import (
+    endpoint_error,
+    network_error,
+    reached,
+    served,
+    state_sentence,
+    unreachable,
+)
+from armrig_daemon.service.thinning import Thinning
+from armrig_protocol.messages import Flag
+from msgspec.structs import replace
+from odd_bench import CONFIG
+
+__all__ = [
+    "CONFIG",
+    "Config",
+    "RecordingConfig",
+    "checked",
+    "endpoint_error",
+    "late",
+    "network_error",
+    "odd_history",
+    "odd_log",
+    "odd_networks",
+    "odd_questions",
+    "odd_readings",
+    "odd_signs",
+    "odd_state",
+    "one_a_line",
+    "outcome",
+    "part_limits",
+    "served",
+    "state_sentence",
+    "unreachable",
+    "untimely",
+]
+
+
+def odd_state(**changes: Any) -> State:
+    """Return the state of a rig that Ada has."""
+    state = State(t_host_ns=5, phase="armed", reason="", owner="Ada\n", ts_us=8_000, device={})
+    return replace(state, **changes)
+
+
+def late(p99_us: float) -> Timing:
+    """Return a second in which the host was so late, as a rule less."""
+    wake = Distribution(p50=1.0, p90=2.0, p99=p99_us, p999=1e6, max=1e6, n=99, missed=3)
+    return Timing(
+        t_host_ns=1,
+        wake_lateness_us=wake,
+        device_tick_error_us=wake,
+        link_round_trip_us=wake,
+        queue_depth=wake,
+    )
+
+
+def odd_networks() -> None:
+    """Print who may come over networks whose certificates count for a month, and not quite."""
+    now = datetime(2026, 3, 1, 12, tzinfo=UTC)
+    for days, is_router in ((31, False), (30, True), (0, False)):
+        network = Network(
+            endpoint="tls/h:7447",
+            operators=2,
+            observers=5,
+            expires=now + timedelta(days=days) if days else None,
+            is_router=is_router,
+            **NETWORK,
+        )
+        print(reached(network, now))
+
+
+NETWORK: dict[str, Any] = {
+    "known_by": "certificate",
+    "access_control": {},
+    "low_pass_filter": [],
+    "transport": {},
+}
+
+
+def _sample(k: int, **changes: Any) -> Sample:
+    plain = Sample(*(0 for _ in SAMPLE_FIELDS))
+    times = {"k": k, "t_host_ns": k * 8_000_000, "t_device_us": k * 8_000}
+    return plain._replace(**{**times, "alpha_counts": 30_000, **changes})
+
+
+def odd_readings() -> None:
+    """Print what objects to an arming: a theta_1 that stands still, an alpha at its rail."""
+
+    def objections(changes: dict[str, Any], until: range) -> None:
+        known = readings.Readings()
+        for k in range(until.stop):
+            known = readings.updated(known, _sample(k, **changes, theta_1_counts=500 + k % 2 * 256))
+            if k in until:
+                told = readings.objection(known, turns_per_volt_s=0.4, alpha_is_read=True)
+                print(
+                    k, told or "may be armed", readings.theta_1_rad(known), round(known.volt_s, 6)
+                )
+
+    print(readings.objection(readings.Readings(), turns_per_volt_s=0.4, alpha_is_read=True))
+    objections({"u_applied_v": 3.5}, range(124, 127))
+    objections({"u_applied_v": 1.0}, range(200, 201))
+    objections({"flags": int(Flag.ADC1_RAIL), "theta_1_rad": float("nan")}, range(24, 27))
+    apart = readings.updated(readings.Readings(), _sample(1, u_applied_v=4.0))
+    for k in (26, 52):  # 0.2 s, and 8 ms more
+        apart = readings.updated(apart, _sample(k, u_applied_v=4.0))
+        print(k, round(apart.volt_s, 6))
+    moved = readings.updated(apart, _sample(53, theta_1_counts=257))
+    print(moved.volt_s, moved.least, moved.greatest)
+
+
+def odd_log() -> None:
+    """Print what is said at once of a log with numbers, and what each second behind it."""
+    thinning = Thinning()
+
+    def log(ms: int, message: str, level: str = "warning", **fields: str) -> None:
+        line = Log(t_host_ns=ms * 1_000_000, level=level, message=message, fields=fields)
+        if thinning.lets_through(line):
+            print(ms, level, message)
+
+    def due(ms: int, *, end: bool = False) -> None:
+        for line in thinning.due(ms * 1_000_000, end=end):
+            print(ms, "due:", line.t_host_ns, line.message)
+
+    for ms in (0, 300, 900):
+        log(ms, f"late by {ms / 10} ms")
+    log(910, "stop: by group 3", "info", command="stop")
+    log(911, "stop: by group 4", "info", command="stop")
+    log(912, "late by 9 ms", "error")
+    due(999)
+    due(1000)
+    log(1500, "late by 150 ms")
+    due(1899)
+    due(1900)
+    due(2500)
+    log(3600, "late by 1 ms")
+    log(3700, "late by 2 ms")
+    due(3701, end=True)
+
+
+def odd_signs() -> None:
+    """Print until when a client is there, by its signs."""
+    run = Run(lease="a" * 32, n=3, u=[1.0], dead_man=2.5)
+    there = presence.begun(run, 100.0)
+    print(there.gone_s, presence.begun(replace(run, dead_man=None), 100.0).gone_s)
+    for sign in (
+        Renew(lease="a" * 32, n=4),
+        Renew(lease="b" * 32, n=5),
+        Renew(lease="a" * 32, n=4),
+    ):
+        try:
+            there = presence.renewed(there, sign, 101.25)
+            print(there.gone_s)
+        except ValueError as err:
+            print(err)
+
+
+def odd_questions() -> None:
+    """Print how many of a flood are answered at once, after 0.1 s, and after an hour."""
+    bucket = token_bucket.Bucket(at_s=50.0)
+    for now_s in (50.0, 50.1, 50.102, 3650.0):
+        taken = 0
+        while (after := token_bucket.take(bucket, now_s)) is not None:
+            bucket, taken = after, taken + 1
+        print(now_s, taken)
+    print(token_bucket.refusal("status"))
+
+
+def odd_history() -> None:
+    """Print what is kept of messages of 40 B where 100 B may be."""
+    history = History(bytes(range(16)), most_bytes=100)
+    for n in range(5):
+        history.add("sample" if n % 2 else "gap", bytes([n]) * 40)
+    for first in (0, 3, 4, 5, 99):
+        past = decode_past(history.reply(first, 77))
+        shown = [(stream, data[0], len(data)) for stream, data in past.messages]
+        print(first, past.first, past.clock_offset_ns, shown)
