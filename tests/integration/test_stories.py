@@ -1,8 +1,8 @@
 """What people read who work at a rig: commands and the daemon's log, word for word.
 
 A file in `stories/` is a script and its stored output. A line that begins with `$` is a command; a
-line that begins with `%` is done to the rig. The other lines are what was read. Words are compared
-exactly; numbers, names of recordings and folders are not. `make stored` writes the files again:
+line that begins with `%` is done to the rig, one that begins with `=` stands in its configuration,
+behind `[emulator]`. The other lines are what was read. Words are compared exactly; numbers, names of recordings and folders are not. `make stored` writes the files again:
 read the difference before you commit it.
 """
 
@@ -32,8 +32,10 @@ _OF_THIS_HOST = re.compile(
 class Stage:
     """A rig with its daemon, and what is done to it."""
 
-    def __init__(self, bench: Bench, stack: ExitStack) -> None:
+    def __init__(self, bench: Bench, stack: ExitStack, configuration: str = "") -> None:
         self._bench = bench
+        if configuration:
+            bench.configure(more=configuration)
         self._emulator = bench.emulate()
         self._daemon = bench.serve()
         self._logged = 0
@@ -99,7 +101,7 @@ def told(script: str, stage: Stage) -> str:
             parts.append(line + stage.command(line[2:].strip()))
         elif line.startswith("% "):
             parts.append(line + stage.act(line[2:].strip()))
-        elif line.startswith("# "):
+        elif line.startswith(("# ", "= ")):
             parts.append(line)
     return "".join(parts)
 
@@ -108,9 +110,10 @@ def told(script: str, stage: Stage) -> str:
 def test_a_story_is_told_word_for_word(bench: Bench, story: Path) -> None:
     """Commands print, and the daemon logs, what the file says."""
     stored = story.read_text()
+    configured = [line[2:] for line in stored.splitlines() if line.startswith("= ")]
 
     with ExitStack() as stack:
-        now = told(stored, Stage(bench, stack))
+        now = told(stored, Stage(bench, stack, "\n".join(configured)))
 
     found, wanted = words(now, bench.folder), words(stored, bench.folder)
     if os.environ.get("WRITE_STORED") and found != wanted:
