@@ -5,17 +5,19 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
+from armrig_core import protobuf
 from armrig_core.commands import Renew, Run
 from armrig_core.history import decode_past
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
-from armrig_daemon.pipe import Distribution, Log, State, Timing
+from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
 from armrig_daemon.service import presence, readings, token_bucket
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.history import History
 from armrig_daemon.service.played_input import checked, one_a_line
 from armrig_daemon.service.pressure import outcome, untimely
+from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import part_limits
 from armrig_daemon.service.sentences import (
     endpoint_error,
@@ -40,6 +42,7 @@ __all__ = [
     "network_error",
     "odd_history",
     "odd_log",
+    "odd_messages",
     "odd_networks",
     "odd_questions",
     "odd_readings",
@@ -193,3 +196,35 @@ def odd_history() -> None:
         past = decode_past(history.reply(first, 77))
         shown = [(stream, data[0], len(data)) for stream, data in past.messages]
         print(first, past.first, past.clock_offset_ns, shown)
+
+
+def odd_messages() -> None:
+    """Print what is published of each kind of record."""
+    part = Distribution(p50=1.5, p90=2.5, p99=3.5, p999=4.5, max=5.5, n=6, missed=7)
+    timing = Timing(
+        t_host_ns=3,
+        wake_lateness_us=part,
+        device_tick_error_us=replace(part, p50=11.0),
+        link_round_trip_us=replace(part, p50=12.0),
+        queue_depth=replace(part, p50=13.0),
+        collections=8,
+        cpu_pressure_percent=9.5,
+        run_queue=10,
+    )
+    state = odd_state(reason="r", fault="f", motor="m", remedy="y", device={"uid": "7"})
+    clock = Clock(
+        t_host_ns=4,
+        offset_ns=-5,
+        offset_std_ns=6.5,
+        drift_ppm=-7.5,
+        drift_std_ppm=8.5,
+        bound_ns=9.5,
+    )
+    gap = Gap(k_first=2, count=3, t_from_ns=4, t_to_ns=5, u_held_v=0.5, reason="late")
+    log = Log(t_host_ns=6, level="debug", message="hello", fields={"a": "b"})
+    trace = Trace(t_host_ns=7, number=8, state=b"s", steps=b"t")
+    for record in (timing, state, clock, gap, log, trace):
+        made = outgoing(record, 1_000_000_000_000)
+        name = protobuf.TRACE if made.stream == "trace" else protobuf.OF_STREAM[made.stream]
+        message = protobuf.message_class(name).FromString(made.data)
+        print(*made[:4], " ".join(str(message).split()))

@@ -53,6 +53,7 @@ from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.service import Service
 from loop_ends import LoopEnds
 from mcap.reader import make_reader
+from odd_bench import CONFIG
 
 LEASE = "a" * 32
 FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
@@ -84,11 +85,11 @@ TOLD_IN_A_RUN = {
 class Between:
     """A service in its place, with a client's session and the loop's ends beside it."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, config: Config | None = None) -> None:
         self.loop = LoopEnds()
         self.has_come = threading.Event()
         endpoint = f"unixsock-stream/{directory}/s"
-        self.service = Service(Config(), endpoint, directory)
+        self.service = Service(config or Config(), endpoint, directory)
         self.service._connect(self.loop.child, Session(endpoint, "1", self.has_come.set))
         self.commands = self.service._commands
         self.commands.note_lease(LEASE)
@@ -113,16 +114,28 @@ class Between:
         self.service._handle([Answer(order=play.order), started])
         return play.run_id
 
+    def close(self) -> None:
+        """End all."""
+        self.client.close()
+        self.service._session.__exit__(None, None, None)
+        self.loop.close()
+        self.service._signals.close()
+
 
 @pytest.fixture
 def between(tmp_path: Path) -> Iterator[Between]:
     """Return a service that is in no loop of its own: it does what a test has it do."""
     between = Between(tmp_path)
     yield between
-    between.client.close()
-    between.service._session.__exit__(None, None, None)
-    between.loop.close()
-    between.service._signals.close()
+    between.close()
+
+
+@pytest.fixture
+def narrow(tmp_path: Path) -> Iterator[Between]:
+    """Return such a service of a rig with narrow limits on a slow line."""
+    between = Between(tmp_path, CONFIG)
+    yield between
+    between.close()
 
 
 def _refusal(replies: Any) -> str:
@@ -600,3 +613,47 @@ def test_one_calibration_waits_at_most(between: Between) -> None:
 
     assert b"too many commands are waiting: try again" in next(iter(refused)).err.payload.to_bytes()
     assert len(list(between.service._session.waiting(Kind.CALIBRATE))) == 1
+
+
+@pytest.mark.parametrize(
+    ("request_", "refusal"),
+    [
+        (Set(lease=LEASE, n=1, u=4.41), "u[0]=4.41 V is outside 0.2 … 4.4 V"),
+        (Set(lease=LEASE, n=1, u=0.0), "u[0]=0 V is outside 0.2 … 4.4 V"),
+        (Arm(owner="Ada", Ts=0.0011), "Ts=0.0011 s cannot be carried at 250000 baud"),
+        (Arm(owner="Ada", Ts=0.0020005), "Ts=0.0020005 must be a whole number of microseconds"),
+        (Run(lease=LEASE, n=1, u=[1.0, 4.1]), "u[1] steps by 3.1 V: at most 3 V in a sample"),
+    ],
+    ids=lambda value: type(value).__name__ if not isinstance(value, str) else "",
+)
+def test_what_a_rig_s_own_limits_forbid_is_refused(
+    narrow: Between, request_: Any, refusal: str
+) -> None:
+    """By the limits of its configuration and by its line; the loop hears of none of it."""
+    _ready(narrow)
+    replies = narrow.ask(request_)
+    narrow.commands.serve()
+
+    assert _refusal(replies).startswith(refusal)
+    assert not [order for order in narrow.loop.orders() if order != Alive()]
+
+
+def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> None:
+    """The limit of a step is one from sample to sample of a run; the range is its own."""
+    _ready(narrow)
+    narrow.ask(Set(lease=LEASE, n=4, u=4.4))
+    narrow.commands.serve()
+    narrow.ask(Arm(owner="Ada", Ts=0.002))
+    narrow.commands.serve()
+
+    held, taken = narrow.loop.orders()
+    assert isinstance(held, SetVoltage)
+    assert (held.n, held.code, held.lease) == (4, round(4.4 / 5 * 65_535), LEASE)
+    assert isinstance(taken, Acquire)
+    assert (taken.owner, taken.ts_us) == ("Ada", 2000)
+
+
+def _ready(between: Between) -> None:
+    """Have the loop tell a state and a sample, as of a rig that may be armed."""
+    between.service._handle([FREE, _sample(1)])
+    between.commands.note_lease(LEASE)
