@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, RULES, leave, run
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_protocol.crc import crc32
 from armrig_protocol.decoder import feed
 from armrig_protocol.messages import (
     CalReply,
@@ -78,9 +78,7 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
     assert all(r.came for r in broken)
     lines = [f"{r.section} {r.sentence[:60]}: {r.came}" for r in broken]
     rest = "\n".join(lines[3:])
-    compare(
-        how, lines[:3] + [f"and {len(lines) - 3} more, {crc32(rest.encode()):08x}"] * bool(rest)
-    )
+    compare(how, lines[:3] + [f"and {len(lines) - 3} more, {_sum(rest.encode())}"] * bool(rest))
 
 
 def test_each_rule_tries_what_it_tried() -> None:
@@ -96,7 +94,7 @@ def test_each_rule_tries_what_it_tried() -> None:
         )
         counted = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
         head = f"{result.section} {result.sentence[:60]}: {result.outcome}"
-        lines.append(f"{head}: {counted}; {len(sent)} B, {crc32(sent):08x}")
+        lines.append(f"{head}: {counted}; {len(sent)} B, {_sum(sent)}")
 
     run(Host(line, 250_000), note)
 
@@ -114,6 +112,11 @@ class Recorded(VirtualLine):
         """Put bytes on the wire."""
         self.sent.append(data)
         super().send(data)
+
+
+def _sum(data: bytes) -> str:
+    # Not the CRC-32 of the frames themselves: that of a frame with its CRC is always the same.
+    return blake2b(data, digest_size=4).hexdigest()
 
 
 def compare(name: str, found: list[str]) -> None:

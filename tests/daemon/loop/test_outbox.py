@@ -122,3 +122,4 @@ def test_what_only_informs_is_dropped_where_too_much_waits_and_told() -> None:
     last = taken[-1]
     assert isinstance(last, Log)
     assert last.message.startswith(f"{2 * MOST_WAITING} messages were dropped")
+    assert last.level == "warning"
