@@ -2,8 +2,9 @@
 
 A file in `stories/` is a script and its stored output. A line that begins with `$` is a command; a
 line that begins with `%` is done to the rig, one that begins with `=` stands in its configuration,
-behind `[emulator]`. The other lines are what was read. Words are compared exactly; numbers, names of recordings and folders are not. `make stored` writes the files again:
-read the difference before you commit it.
+behind `[emulator]`. The other lines are what was read. Words are compared exactly; numbers, names
+of recordings and folders are not. `make stored` writes the files again: read the difference before
+you commit it.
 """
 
 from __future__ import annotations
