@@ -47,10 +47,7 @@ coverage: .venv/dev
 
 # Write again what is stored of what the programs print, draw and compute; read the difference.
 stored: .venv/dev
-	WRITE_STORED=1 $(BIN)/pytest -q tests/clients/test_drawn_figures.py tests/clients/cli/test_said.py \
-	  tests/clients/test_said_of_data.py tests/clients/rig/test_rig_said.py \
-	  tests/clients/dashboard/test_dashboard_said.py tests/clients/dashboard/test_page_texts.py \
-	  tests/integration/test_stories.py
+	WRITE_STORED=1 $(BIN)/pytest -q $$(grep -rlE "assert_said|said_again|WRITE_STORED" tests --include="test_*.py")
 	$(BIN)/python tests/same_numbers.py --write
 
 # N generated bugs over all rooms, by their lines, each of which a test must see. It goes
