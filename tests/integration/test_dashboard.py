@@ -334,10 +334,12 @@ def test_a_thousand_connections_keep_nobody_from_a_stop(page: Client, served: Be
     [
         "POST / HTTP/1.1\r\nHost: {0}\r\nContent-Length: 9\r\nExpect: 100-continue\r\n\r\n",
         "GET /vendor/uPlot.iife.min.js HTTP/1.1\r\nHost: {0}\r\n\r\n" * 8,
+        "POST /api/stop HTTP/1.1\r\nHost: {0}\r\nAuthorization: Bearer {1}\r\n"
+        "Content-Length: 9\r\nExpect: 100-continue\r\n\r\n",
     ],
-    ids=["a body that does not come", "answers that are not read"],
+    ids=["a body that does not come", "answers that are not read", "a body, with the token"],
 )
-def test_questions_without_a_token_keep_nobody_from_a_stop(
+def test_questions_that_do_not_end_keep_nobody_from_a_stop(
     page: Client, served: Bench, asked: str
 ) -> None:
     """On as many connections as there may be."""
@@ -347,7 +349,7 @@ def test_questions_without_a_token_keep_nobody_from_a_stop(
             link = links.enter_context(socket.socket())
             link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             link.connect((page.host, page.port))
-            link.sendall(asked.format(f"{page.host}:{page.port}").encode())
+            link.sendall(asked.format(f"{page.host}:{page.port}", page.token).encode())
             with suppress(ConnectionError):
                 link.recv(1)  # the first answer, or that a body is waited for
         for _ in range(3):

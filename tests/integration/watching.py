@@ -73,7 +73,7 @@ class Client:
     def _link(self) -> http.client.HTTPConnection:
         if not self.is_shared:
             return http.client.HTTPConnection(self.host, self.port, timeout=_ANSWER_S)
-        trusting = ssl.create_default_context()
+        trusting = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
         return http.client.HTTPSConnection(
             self.host, self.port, timeout=_ANSWER_S, context=trusting

@@ -50,7 +50,7 @@ class _Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RigRoutes:
-    """What is asked of the live rig."""
+    """What is asked of the live rig at one door."""
 
     def __init__(self, feed: Feed, driver: Driver, stream: Stream) -> None:
         """Take what knows and moves the rig."""
@@ -58,13 +58,13 @@ class RigRoutes:
         # A stop has threads of its own: it waits behind no other question.
         self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
 
-    def watching(self, connections: Connections, *, may_command: bool) -> list[Route]:
+    def watching(self, connections: Connections) -> list[Route]:
         """Return the routes of who may watch and stop, and no more."""
 
         async def stream(request: Request) -> Response:
             client = request.client
             address = (client.host, client.port) if client else ("", 0)
-            viewer = Viewer(lambda: connections.abort(address), may_command=may_command)
+            viewer = Viewer(lambda: connections.abort(address))
             try:
                 messages = self._stream.messages(viewer)
                 first = await anext(messages)
@@ -73,7 +73,7 @@ class RigRoutes:
             return StreamingResponse(_after(first, messages), media_type="text/event-stream")
 
         async def stop(request: Request) -> Response:
-            return await self._stop(request, by="" if may_command else _VISITOR)
+            return await self._stop(request, by="" if self._stream.may_command else _VISITOR)
 
         return [
             *(Route(path, _page_file(file)) for path, file in PAGE_FILES.items()),

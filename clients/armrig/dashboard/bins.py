@@ -89,12 +89,12 @@ def _wraps(theta_1: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # NaN is not
 
 
-def as_lists(rows: Rows) -> list[list[float | None]]:
-    """Return rows for JSON: t to the millisecond, values to the hundredth, None where unknown."""
-    return [
-        [
-            round(row[0], 3),
-            *(None if v != v else round(v, 3 if i < 2 else 2) for i, v in enumerate(row[1:])),
-        ]
-        for row in rows.tolist()
-    ]
+def as_lists(rows: Rows) -> list[list[float]]:
+    """Return rows for JSON: t and u to the thousandth, angles to the hundredth, NaN where unknown.
+
+    The encoder writes NaN as null.
+    """
+    places = np.full(COLUMNS, 100.0)
+    places[:3] = 1000.0
+    lists: list[list[float]] = (np.rint(rows * places) / places).tolist()
+    return lists

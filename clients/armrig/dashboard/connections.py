@@ -83,8 +83,9 @@ class BoundedProtocol(H11Protocol):
 
     @property
     def is_asked(self) -> bool:
-        """Whether a question is being answered on it."""
-        return self.cycle is not None and not self.cycle.response_complete
+        """Whether a question has come whole, and is being answered."""
+        cycle = self.cycle
+        return cycle is not None and not cycle.more_body and not cycle.response_complete
 
     @property
     def is_unread(self) -> bool:

@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,8 @@ class News:
     """How long ago the newest sample came, in s; inf before the first."""
     newest: Sample | None
     """The newest sample."""
+    pieces: int = 0
+    """Pieces of rows so far, for the next call."""
 
 
 @dataclass(slots=True)
@@ -66,7 +69,7 @@ class Feed:
         self._lock = threading.Lock()
         self._rows: deque[Rows] = deque()  # in pieces, as they came
         self._kept = 0
-        self._fresh: list[Rows] = []
+        self._pieces = 0  # so far
         self._tail = np.zeros((0, 5))
         self._newest: Sample | None = None
         self._came_s = -np.inf
@@ -103,8 +106,8 @@ class Feed:
             if live:
                 self._came_s = time.monotonic()
                 self._note_lateness(samples)
-            self._fresh.append(made)
             self._rows.append(made)
+            self._pieces += 1
             self._kept += made.shape[0]
             while self._rows and (
                 self._kept > _MOST_ROWS or self._rows[0][-1, 0] < found[-1, 1] - HISTORY_S
@@ -154,12 +157,13 @@ class Feed:
         fine = int(np.searchsorted(rows[:, 0], newest - FINE_S))
         return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
 
-    def news(self) -> News:
-        """Return what has come since the last call; for the one that sends it to all viewers."""
+    def news(self, after: int = 0) -> News:
+        """Return what has come after so many pieces of rows; as `News.pieces` had them."""
         with self._lock:
-            fresh, self._fresh = self._fresh, []
+            fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))
-            return News(rows=rows, age_s=time.monotonic() - self._came_s, newest=self._newest)
+            age_s = time.monotonic() - self._came_s
+            return News(rows=rows, age_s=age_s, newest=self._newest, pieces=self._pieces)
 
     def timing(self) -> Timing:
         """Return how well the rig is timed."""

@@ -1,4 +1,4 @@
-"""uvicorn's servers, several of them in one thread."""
+"""uvicorn's server in a thread."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ class Server(uvicorn.Server):
 
 
 class ServerThread:
-    """The loop of all servers, in a thread: the caller's may wait for a terminal."""
+    """The loop of one door's server: what besieges a door takes nothing from the other."""
 
-    def __init__(self, servers: list[Server], stream: Stream) -> None:
-        self._servers, self._stream = servers, stream
+    def __init__(self, server: Server, stream: Stream) -> None:
+        self._server, self._stream = server, stream
         self._thread = threading.Thread(target=self._run, name="server", daemon=True)
 
     def begin(self) -> None:
@@ -68,7 +68,7 @@ class ServerThread:
         self._thread.start()
         pause = threading.Event()
         for _ in range(int(_START_S / 0.01)):
-            if all(s.started for s in self._servers):
+            if self._server.started:
                 return
             pause.wait(0.01)
         msg = "the server does not start"
@@ -76,8 +76,7 @@ class ServerThread:
 
     def end(self) -> None:
         """End, and wait for it."""
-        for server in self._servers:
-            server.should_exit = True
+        self._server.should_exit = True
         self._thread.join(_ENDS_S + 5.0)
 
     def _run(self) -> None:
@@ -87,7 +86,7 @@ class ServerThread:
         filling = asyncio.create_task(self._stream.fill())
         ending = asyncio.create_task(self._end_streams())
         try:
-            await asyncio.gather(*(s.run_here() for s in self._servers))
+            await self._server.run_here()
         finally:
             for task in (filling, ending):
                 task.cancel()
@@ -95,7 +94,7 @@ class ServerThread:
                     await task
 
     async def _end_streams(self) -> None:
-        """End the streams as soon as a server is to end, which waits for them."""
-        while not any(s.should_exit for s in self._servers):
+        """End the streams as soon as the server is to end, which waits for them."""
+        while not self._server.should_exit:
             await asyncio.sleep(0.05)
         self._stream.viewers.end()

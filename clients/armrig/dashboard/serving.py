@@ -26,6 +26,7 @@ from armrig.dashboard.server_thread import QUIET, Server, ServerThread
 from armrig.dashboard.share import PORT as SHARED_PORT
 from armrig.dashboard.share import Certificate, certificate
 from armrig.dashboard.stream import Stream
+from armrig.dashboard.viewers import Viewers
 from armrig.rig.session import RigError
 
 HOST = "127.0.0.1"
@@ -78,30 +79,34 @@ def dashboard(settings: Settings) -> Iterator[Served]:
     _allow_many_files()
     feed = Feed()
     driver = Driver(rig=settings.rig, connect=settings.connect)
-    stream = Stream(feed, driver)
-    live, recorded = RigRoutes(feed, driver, stream), RecordingRoutes(feed, settings.rig)
+    audience: list[Viewers] = []
+    recorded = RecordingRoutes(feed, settings.rig)
     listener = Listener(
         feed, rig=settings.rig, connect=settings.connect, found=driver.be_ready_to_stop
     )
     with ExitStack() as open_files:
         own = _Door(_listening(HOST, PORT, settings.port), names=(HOST, "localhost"))
-        servers = [own.server([*live.commanding(), *recorded.routes()], live, may_command=True)]
+        stream = Stream(feed, driver, audience, may_command=True)
+        live = RigRoutes(feed, driver, stream)
+        threads = [own.served([*live.commanding(), *recorded.routes()], live, stream)]
         served = Served(url=own.url, browser_url=own.browser_url)
         if settings.share is not None:
             made = open_files.enter_context(certificate(settings.share))
             taken = _listening(settings.share, SHARED_PORT, settings.share_port)
             door = _Door(taken, names=(settings.share,), certificate=made)
-            servers.append(door.server([], live, may_command=False))
+            stream = Stream(feed, driver, audience, may_command=False)
+            threads.append(door.served([], RigRoutes(feed, driver, stream), stream))
             served = replace(served, shared_url=door.url, fingerprint=made.fingerprint)
-        thread = ServerThread(servers, stream)
         listener.start()
         try:
-            thread.begin()
+            for thread in threads:
+                thread.begin()
             yield served
         finally:
             driver.end()
             recorded.end()
-            thread.end()
+            for thread in threads:
+                thread.end()
             listener.end()
 
 
@@ -130,12 +135,12 @@ class _Door:
         """Where the page is, with what it exchanges for the token."""
         return f"{self._origins[0]}/#once={self._code}"
 
-    def server(self, more: list[Route], live: RigRoutes, *, may_command: bool) -> Server:
-        """Return the server of who may watch and stop, and of `more`."""
+    def served(self, more: list[Route], live: RigRoutes, stream: Stream) -> ServerThread:
+        """Return what serves who may watch and stop, and `more`."""
         connections = Connections()
-        routes = [*live.watching(connections, may_command=may_command), *more]
+        routes = [*live.watching(connections), *more]
         once = None
-        if may_command:
+        if stream.may_command:
             once = Pass(self._code, until_s=time.monotonic() + _ONCE_S)
             routes.append(Route(Pass.PATH, self._tell_token, methods=["POST"]))
         guard = Guard(application(routes), origins=self._origins, token=self._token, once=once)
@@ -143,7 +148,7 @@ class _Door:
         if self._certificate is not None:
             config.ssl_certfile = str(self._certificate.certificate)
             config.ssl_keyfile = str(self._certificate.key)
-        return Server(config, self._listening, connections)
+        return ServerThread(Server(config, self._listening, connections), stream)
 
     async def _tell_token(self, _: Request) -> Response:
         return value({"token": self._token})

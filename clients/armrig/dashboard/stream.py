@@ -6,40 +6,48 @@ import asyncio
 import time
 from collections.abc import AsyncIterator
 
-from armrig.dashboard.bins import as_lists
 from armrig.dashboard.driver import Driver
 from armrig.dashboard.feed import LATE_US, Feed
+from armrig.dashboard.history import History
 from armrig.dashboard.messages import event, live_facts, status_facts, timing_facts
 from armrig.dashboard.viewers import Viewer, Viewers
 
 PERIOD_S = 0.05
 _TIMING_S = 1.0
-_PIECE = 500  # rows of history in a message
 
 
 class Stream:
-    """Tells all viewers what the feed and the driver know."""
+    """Tells all viewers of one door what the feed and the driver know."""
 
-    def __init__(self, feed: Feed, driver: Driver) -> None:
-        """Begin with no viewer."""
-        self._feed, self._driver = feed, driver
+    def __init__(
+        self, feed: Feed, driver: Driver, audience: list[Viewers], *, may_command: bool
+    ) -> None:
+        """Begin with no viewer, and join the audience: the viewers of all doors."""
+        self._feed, self._driver, self._audience = feed, driver, audience
+        self.may_command = may_command
+        """Whether the viewers of this door may."""
+        self._history = History(feed.history)
         self.viewers = Viewers()
+        audience.append(self.viewers)
         self._told: dict[str, bytes] = {}
 
     async def fill(self) -> None:
         """Send what is new, 20 times a second, until it is cancelled; a late turn skips."""
         due = timing_due = time.monotonic()
+        seen = self._feed.news().pieces
         while True:
             due = max(due + PERIOD_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
-            self.viewers.send(event("live", live_facts(self._feed.news(), self._feed.status)))
+            news = self._feed.news(seen)
+            seen = news.pieces
+            self.viewers.send(event("live", live_facts(news, self._feed.status)))
             self._send_changed()
             if due >= timing_due:
                 self.viewers.send(self._timing())
                 timing_due = due + _TIMING_S
 
     async def messages(self, viewer: Viewer) -> AsyncIterator[bytes]:
-        """Give what one viewer is sent: first the past, then what comes.
+        """Give what one viewer is sent: how all is now, what comes, and the past once it is made.
 
         Raises
         ------
@@ -49,28 +57,26 @@ class Stream:
         # What he is told first the others have heard, too: else a change back would be none.
         self._send_changed()
         self.viewers.add(viewer)
+        # What comes from here on waits for him; the page passes over a row that it has.
+        past = asyncio.create_task(self._offer_past(viewer))
         try:
-            # What comes from here on waits for him; the page passes over a row that it has.
-            past = self._feed.history()
-            first = [
-                event("hello", {"may_command": viewer.may_command, "late_us": LATE_US}),
-                *self._told.values(),
-                self._timing(),
-            ]
-            for message in first:
+            hello = {"may_command": self.may_command, "late_us": LATE_US}
+            for message in (event("hello", hello), *self._told.values(), self._timing()):
                 yield message
-            for i in range(0, past.shape[0], _PIECE):
-                yield event("past", as_lists(past[i : i + _PIECE]))
-                await asyncio.sleep(0)  # others are served, and we hear that he has gone
-            yield event("whole", {})
             async for message in viewer.messages():
                 yield message
+                await asyncio.sleep(0)  # others are served, and we hear that he has gone
         finally:
+            past.cancel()
             self.viewers.remove(viewer)
+
+    async def _offer_past(self, viewer: Viewer) -> None:
+        for message in await self._history.messages():
+            viewer.offer(message)
 
     def _timing(self) -> bytes:
         facts = timing_facts(self._feed.timing())
-        facts |= {"viewers": len(self.viewers), "model": self._feed.model_lines()}
+        facts |= {"viewers": sum(map(len, self._audience)), "model": self._feed.model_lines()}
         return event("timing", facts)
 
     def _send_changed(self) -> None:

@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import AsyncIterator, Callable
 
 MOST_VIEWERS = 64
-"""Of those who may command, and again of visitors: these keep nobody out who drives."""
-_MOST_WAITING = 100  # messages: five seconds at 20 Hz
+"""At one door."""
+_MOST_WAITING = 200  # messages: the past, and five seconds at 20 Hz
 
 
 class TooManyViewersError(RuntimeError):
@@ -17,9 +17,8 @@ class TooManyViewersError(RuntimeError):
 class Viewer:
     """One who watches."""
 
-    def __init__(self, drop: Callable[[], None], *, may_command: bool) -> None:
+    def __init__(self, drop: Callable[[], None]) -> None:
         """Take what ends his connection at once: to write to him would wait."""
-        self.may_command = may_command
         self._waiting: asyncio.Queue[bytes | None] = asyncio.Queue(_MOST_WAITING)
         self._drop = drop
         self.is_dropped = False
@@ -46,7 +45,7 @@ class Viewer:
 
 
 class Viewers:
-    """All who watch."""
+    """All who watch at one door."""
 
     def __init__(self) -> None:
         """Begin with nobody."""
@@ -66,8 +65,7 @@ class Viewers:
         TooManyViewersError
             As many as are allowed watch already.
         """
-        alike = sum(v.may_command == viewer.may_command for v in self._viewers)
-        if alike >= MOST_VIEWERS:
+        if len(self) >= MOST_VIEWERS:
             msg = f"{MOST_VIEWERS} watch already: close a page"
             raise TooManyViewersError(msg)
         self._viewers.add(viewer)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import radians
 
+import msgspec
 import numpy as np
 from armrig.dashboard.bins import as_lists, binned, coarser, rate, signals
 from armrig_core.telemetry import Sample
@@ -78,7 +79,7 @@ def test_what_is_not_known_hides_nothing() -> None:
     rows = _binned(_samples([nan, 5, nan, nan, nan, nan, nan, nan, nan, nan] + [nan] * 10))
 
     assert as_lists(rows)[0][3:5] == [5.0, 5.0]
-    assert as_lists(rows)[1][3:5] == [None, None]
+    assert np.isnan(as_lists(rows)[1][3:5]).all()
 
 
 def test_the_rate_is_the_slope_across_a_wrap() -> None:
@@ -127,3 +128,12 @@ def test_each_signal_has_its_columns_and_unit() -> None:
     rows = as_lists(binned(found, np.array([50.0, 70.0])))
 
     assert rows == [[0.0, 3.0, 3.0, 1.0, 2.0, 50.0, 70.0, -2.0, -1.0]]
+
+
+def test_json_has_three_places_of_time_and_voltage_and_two_of_angles() -> None:
+    """Each the nearest decimal, as short as it is written; what is unknown is null."""
+    row = np.array([[12.34549, 1.23449, 2.71851, -3.14159, 0.005, 1e4 / 3, 99.996, 0.1, np.nan]])
+
+    sent = msgspec.json.encode(as_lists(row))
+
+    assert sent == b"[[12.345,1.234,2.719,-3.14,0.0,3333.33,100.0,0.1,null]]"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -83,12 +85,26 @@ def test_what_is_new_is_told_once() -> None:
     first = feed.news()
     feed.add_samples(samples(2))
 
-    second, third = feed.news(), feed.news()
+    second = feed.news(first.pieces)
+    third = feed.news(second.pieces)
 
     assert [n.rows.shape[0] for n in (first, second, third)] == [2, 1, 0]
+    assert feed.news(first.pieces).rows.shape[0] == 1  # another door has its own
     assert second.newest is not None
     assert third.newest is not None
     assert (second.newest.k, third.newest.k) == (2, 2)
+
+
+def test_another_clock_tells_nothing_old() -> None:
+    """A daemon on a machine that was started anew begins at 0; what was told is not told again."""
+    feed = Feed()
+    feed.add_samples(samples(300, 301))
+    before = feed.news().pieces
+    feed.add_samples(samples(0, 1))
+
+    rows = feed.news(before).rows
+
+    assert rows[:, 0].tolist() == [sample(k).t_sched_ns / 1e9 for k in (0, 1)]
 
 
 def test_the_rate_is_the_same_however_few_samples_come_at_once() -> None:
@@ -109,7 +125,7 @@ def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
     feed = Feed()
     feed.add_samples(samples(0))
     held: list[bool] = []
-    feed._fresh = _Watched(feed._fresh, lambda: held.append(feed._lock.locked()))
+    feed._rows = _Watched(feed._rows, lambda: held.append(feed._lock.locked()))
 
     def now() -> float:
         held.append(feed._lock.locked())
@@ -122,16 +138,16 @@ def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(held)
 
 
-class _Watched(list[Any]):
+class _Watched(deque[Any]):
     """Rows that tell when they are read."""
 
-    def __init__(self, rows: list[Any], is_read: Any) -> None:
+    def __init__(self, rows: deque[Any], is_read: Any) -> None:
         super().__init__(rows)
         self._is_read = is_read
 
-    def __len__(self) -> int:
+    def __reversed__(self) -> Iterator[Any]:
         self._is_read()
-        return super().__len__()
+        return super().__reversed__()
 
 
 def test_what_is_exactly_at_an_edge_is_not_later() -> None:

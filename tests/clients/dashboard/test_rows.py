@@ -122,7 +122,7 @@ def test_five_minutes_are_kept_and_no_more() -> None:
     spans = _run(
         "const kept = new rows.Rows();"
         "for (let t = 0; t < 1000; t += 0.5) kept.add([[t, 0, 0, 0, 0, 0, 0, 0, 0]]);"
-        "const slow = [kept.length, kept.newest - kept.at(0, 0)]; kept.clear();"
+        "const slow = [kept.length, kept.newest - kept.at(0, 0)]; kept.begin();"
         "for (let i = 0; i < 100000; i += 1) kept.add([[i / 1000, 0, 0, 0, 0, 0, 0, 0, 0]]);"
         "console.log(JSON.stringify([...slow, kept.length]));"
     )
@@ -169,3 +169,19 @@ def test_each_signal_is_drawn_from_its_own_columns() -> None:
         assert x == [0, 2 / 64]
         assert low == [10 * s + 1, 10 * s + 3]
         assert high == [10 * s + 3, 10 * s + 5]
+
+
+def test_what_comes_before_the_past_is_drawn_after_it() -> None:
+    """The page is sent what is new while its past is still being made; each row is kept once."""
+    rows = [[t / 10, 0, 0, t, t, 0, 0, 0, 0] for t in range(6)]
+    times = _run(
+        f"const sent = {json.dumps(rows)}; const kept = new rows.Rows();"
+        "const times = () => Array.from({length: kept.length}, (_, i) => kept.at(i, 0));"
+        "kept.add(sent.slice(4)); kept.begin();"
+        "kept.addLive(sent.slice(3, 4)); kept.addLive(sent.slice(4, 5));"
+        "kept.add(sent.slice(0, 4));"
+        "const before = times(); kept.endPast(); kept.addLive(sent.slice(5));"
+        "console.log(JSON.stringify([before, times()]));"
+    )
+
+    assert times == [[0.0, 0.1, 0.2, 0.3], [0.0, 0.1, 0.2, 0.3, 0.4, 0.5]]

@@ -7,11 +7,15 @@ import json
 from collections.abc import AsyncIterator
 from contextlib import suppress
 
+import numpy as np
+import pytest
+from armrig.dashboard.bins import COLUMNS, Rows
 from armrig.dashboard.driver import Driver, RunState
 from armrig.dashboard.feed import Feed
+from armrig.dashboard.history import History, encoded
 from armrig.dashboard.messages import event
 from armrig.dashboard.stream import Stream
-from armrig.dashboard.viewers import Viewer
+from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
 from made_recordings import sample
 
 BEFORE = RunState(experiment="step", error="refused")
@@ -34,11 +38,11 @@ def test_a_run_that_is_over_before_the_next_turn_is_told_as_over() -> None:
     async def heard() -> list[bytes]:
         driver = Driver(rig="1", connect=None)
         driver.run = BEFORE
-        stream = Stream(Feed(), driver)
+        stream = Stream(Feed(), driver, [], may_command=True)
         filling = asyncio.create_task(stream.fill())
-        await _until("live", stream.messages(Viewer(lambda: None, may_command=True)))
+        await _until("live", stream.messages(Viewer(lambda: None)))
         driver.run = GOING
-        late = stream.messages(Viewer(lambda: None, may_command=True))
+        late = stream.messages(Viewer(lambda: None))
         told = await _until("run", late)
         driver.run = BEFORE
         told += await _until("live", late) + await _until("live", late)
@@ -51,13 +55,13 @@ def test_a_run_that_is_over_before_the_next_turn_is_told_as_over() -> None:
 
 
 def test_a_viewer_who_leaves_makes_room() -> None:
-    """In the middle of the past, or while the stream waits for what comes."""
+    """Also before his past is made."""
 
     async def counts() -> list[int]:
-        stream = Stream(Feed(), Driver(rig="1", connect=None))
+        stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
         found = []
         for read in (1, 4):
-            messages = stream.messages(Viewer(lambda: None, may_command=True))
+            messages = stream.messages(Viewer(lambda: None))
             for _ in range(read):
                 await anext(messages)
             found.append(len(stream.viewers))
@@ -75,8 +79,8 @@ def test_who_connects_is_told_the_whole_past_and_each_state_once() -> None:
         feed = Feed()
         feed.add_samples([sample(k) for k in range(1203)], live=False)
         feed.news()
-        stream = Stream(feed, Driver(rig="1", connect=None))
-        messages = stream.messages(Viewer(lambda: None, may_command=True))
+        stream = Stream(feed, Driver(rig="1", connect=None), [], may_command=True)
+        messages = stream.messages(Viewer(lambda: None))
         first = await _until("whole", messages)
         filling = asyncio.create_task(stream.fill())
         then = [*await _until("live", messages), *await _until("live", messages)]
@@ -92,3 +96,82 @@ def test_who_connects_is_told_the_whole_past_and_each_state_once() -> None:
     rows = [row for m in first if m.startswith(b"event: past") for row in json.loads(m[18:])]
     assert [row[0] for row in rows] == [round(1 + k / 100, 3) for k in range(1203)]
     assert not [m for m in then if m.startswith((b"event: status", b"event: run"))]
+
+
+def test_the_viewers_of_all_doors_are_counted() -> None:
+    """The owner is told of visitors, whose stream is another one."""
+
+    async def counted() -> list[int]:
+        driver, audience = Driver(rig="1", connect=None), list[Viewers]()
+        streams = [Stream(Feed(), driver, audience, may_command=c) for c in (True, False)]
+        found = []
+        for stream in streams * 2:
+            messages = await _until("timing", stream.messages(Viewer(lambda: None)))
+            found.append(json.loads(messages[-1].partition(b"data: ")[2])["viewers"])
+        return found
+
+    assert asyncio.run(counted()) == [1, 2, 3, 4]
+
+
+def test_visitors_keep_nobody_out_who_drives() -> None:
+    """A lecture hall full of phones: whoever may command still gets in."""
+
+    async def tried() -> None:
+        driver, audience = Driver(rig="1", connect=None), list[Viewers]()
+        visitors = Stream(Feed(), driver, audience, may_command=False)
+        for _ in range(MOST_VIEWERS):
+            visitors.viewers.add(Viewer(lambda: None))
+        with pytest.raises(TooManyViewersError):
+            await anext(visitors.messages(Viewer(lambda: None)))
+        await anext(
+            Stream(Feed(), driver, audience, may_command=True).messages(Viewer(lambda: None))
+        )
+
+    asyncio.run(tried())
+
+
+def test_the_past_is_made_once_for_all_who_wait() -> None:
+    """A hundred viewers cost one encoding; one who comes while it is made gets the next."""
+    made: list[int] = []
+
+    def rows() -> Rows:
+        made.append(len(made))
+        return np.full((1, COLUMNS), float(len(made)))
+
+    async def heard() -> list[list[bytes]]:
+        history = History(rows)
+        first = [asyncio.create_task(history.messages()) for _ in range(100)]
+        found = await asyncio.gather(*first)
+        return [*found, await history.messages()]
+
+    found = asyncio.run(heard())
+
+    assert made == [0, 1]
+    assert found[:-1] == [encoded(np.full((1, COLUMNS), 1.0))] * 100
+    assert found[-1] == encoded(np.full((1, COLUMNS), 2.0))
+
+
+def test_who_leaves_takes_the_past_from_nobody() -> None:
+    """The one who asked first goes while it is made."""
+
+    async def heard() -> list[bytes]:
+        history = History(lambda: np.zeros((0, COLUMNS)))
+        gone, stays = (asyncio.create_task(history.messages()) for _ in range(2))
+        await asyncio.sleep(0)
+        gone.cancel()
+        return await stays
+
+    assert asyncio.run(heard()) == encoded(np.zeros((0, COLUMNS)))
+
+
+def test_a_long_past_is_in_pieces() -> None:
+    """None of it is lost at the seams, and the last message says that it is whole."""
+    rows = np.zeros((1001, COLUMNS))
+    rows[:, 0] = np.arange(1001)
+
+    *pieces, last = encoded(rows)
+
+    sent = [row for piece in pieces for row in json.loads(piece.partition(b"data: ")[2])]
+    assert [row[0] for row in sent] == [*range(1001)]
+    assert max(map(len, pieces)) < 40_000
+    assert last == event("whole", {})

@@ -90,18 +90,21 @@ function begin() {
   stream = new Stream(
     {
       hello: (hello) => {
-        plots.rows.clear();
+        plots.rows.begin();
         setEdges(hello.late_us);
         document.body.classList.toggle("viewer", !hello.may_command);
         for (const part of document.querySelectorAll("[data-commands]")) part.hidden = !hello.may_command;
       },
       past: (rows) => plots.rows.add(rows),
-      whole: () => plots.wants(),
+      whole: () => {
+        plots.rows.endPast();
+        plots.wants();
+      },
       live: (live) => {
         showLive(live);
         allow();
         if (live.rows.length) {
-          plots.rows.add(live.rows);
+          plots.rows.addLive(live.rows);
           plots.wants();
         }
       },

@@ -9,7 +9,24 @@ const WRAP_PIXELS = 2;
 
 export class Rows {
   #values = new Float64Array(MOST * COLUMNS);
+  #early = null; // what comes before the past is whole
   length = 0;
+
+  begin() {
+    this.length = 0;
+    this.#early = [];
+  }
+
+  addLive(rows) {
+    if (this.#early) this.#early.push(...rows);
+    else this.add(rows);
+  }
+
+  endPast() {
+    const early = this.#early ?? [];
+    this.#early = null;
+    this.add(early);
+  }
 
   add(rows) {
     for (const row of rows) {
@@ -23,10 +40,6 @@ export class Rows {
       this.length += 1;
     }
     if (this.length && this.newest - this.at(0, 0) > KEPT_S * 1.1) this.#forget(this.find(this.newest - KEPT_S));
-  }
-
-  clear() {
-    this.length = 0;
   }
 
   at(row, column) {
