@@ -1,6 +1,6 @@
 """How soon the page's server answers a stop while others besiege it.
 
-`python tests/benchmarks/besieged_page.py [--n 50] [--busy 4]`; with `PYTHONPATH=tests/integration`.
+`python tests/benchmarks/besieged_page.py [--n 50] [--busy 4]`
 
 A rig is emulated, and its dashboard is a process of its own that has five minutes of history. In
 each row one program besieges one door with its own token, and the owner stops N times, each time by
@@ -27,8 +27,10 @@ import numpy as np
 from armrig.dashboard.bins import COLUMNS, WIDTH_S, Rows
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, Feed
 from armrig.dashboard.serving import Settings, dashboard
-from burners import burning
-from processes import Bench
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
+
+from processes import Bench, burning
 from watching import Client, endpoint
 
 SIEGES = ("nobody", "stay 60", "stay 200", "again 60", "again 200", "bodies 300")

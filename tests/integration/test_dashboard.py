@@ -289,6 +289,34 @@ def test_nothing_of_the_disk_is_served_but_recordings(page: Client, served: Benc
         assert page.ask(path)[0] == 404
 
 
+@pytest.mark.parametrize("question", ["mcap", "recording", "curves", "csv", "identify", "report"])
+def test_a_link_in_the_folder_hands_out_no_file(page: Client, served: Bench, question: str) -> None:
+    """Whoever may write there could name any file that the page's user may read."""
+    outside = served.folder / "of-somebody"
+    outside.write_bytes(b"secret")
+    link = served.recordings / "evil.mcap"
+    served.recordings.mkdir(exist_ok=True)
+    link.symlink_to(outside)
+    try:
+        status, told = page.ask(f"/api/{question}", {"file": link.name})
+    finally:
+        link.unlink()
+
+    assert status == 400
+    assert "there is no such recording" in told["error"]
+
+
+def test_a_file_that_is_no_recording_is_not_handed_out(page: Client, served: Bench) -> None:
+    """Its name alone does not make it one."""
+    served.recordings.mkdir(exist_ok=True)
+    (served.recordings / "words.mcap").write_bytes(b"secret")
+
+    assert page.ask("/api/mcap", {"file": "words.mcap"}) == (
+        400,
+        {"error": "words.mcap: not an MCAP file"},
+    )
+
+
 def test_a_body_that_is_too_long_is_refused(page: Client, served: Bench) -> None:
     """Ten megabytes, told or untold, are not read to their end."""
     assert page.ask("/api/run", b"[", Content_Length=str(10 << 20))[0] == 413

@@ -6,7 +6,7 @@ import asyncio
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -14,9 +14,12 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 from armrig_core.recording_directory import directory_to_look_in, installed
+from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.file_records import MAGIC
+from armrig_core.recording_file.opening import regular_file
 from msgspec import Meta
 from starlette.requests import Request
-from starlette.responses import FileResponse, Response
+from starlette.responses import Response, StreamingResponse
 from starlette.routing import Route
 
 from armrig.dashboard.app import Answer, error, value
@@ -27,6 +30,7 @@ from armrig.recordings.catalogue_columns import facts_of
 from armrig.recordings.recording_summary import shown_path
 
 _MOST_LISTED = 200
+_PIECE = 1 << 18  # B
 _Seconds = Annotated[float, Meta(ge=0, le=1e7)]
 
 
@@ -102,7 +106,9 @@ class RecordingRoutes:
         return Response(text, media_type="text/csv")
 
     async def _mcap(self, path: Path, _: _Asked) -> Response:
-        return FileResponse(path, media_type="application/octet-stream")
+        size, pieces = await asyncio.to_thread(whole_file, path)
+        headers = {"content-length": str(size)}
+        return StreamingResponse(pieces, media_type="application/octet-stream", headers=headers)
 
     async def _identified(self, path: Path, asked: _Asked) -> Response:
         validation = await asyncio.to_thread(self._validation_of, path)
@@ -118,7 +124,13 @@ class RecordingRoutes:
             try:
                 asked = msgspec.json.decode(await request.body(), type=_Asked)
                 response: Response = await does(self._path(asked.file), asked)
-            except (msgspec.DecodeError, UnicodeDecodeError, ValueError, OSError) as err:
+            except (
+                msgspec.DecodeError,
+                UnicodeDecodeError,
+                ValueError,
+                OSError,
+                DamageError,
+            ) as err:
                 return error(400, str(err))
             except BrokenProcessPool:
                 self._worker = None
@@ -135,11 +147,12 @@ class RecordingRoutes:
 
     def _path(self, file: str) -> Path:
         """Return the recording of a name as listed; nothing else of the disk is read."""
-        folder = self._folder()
-        if Path(file).name != file or not file.endswith(".mcap") or not (folder / file).is_file():
-            msg = f"{file!r}: there is no such recording in {folder}"
+        path = self._folder() / file
+        is_name = Path(file).name == file and file.endswith(".mcap")
+        if not is_name or path.is_symlink() or not path.is_file():
+            msg = f"{file!r}: there is no such recording in {path.parent}"
             raise ValueError(msg)
-        return folder / file
+        return path
 
     def _validation_of(self, path: Path) -> Path | None:
         """Return the recording that was made to validate one, if there is any."""
@@ -156,6 +169,32 @@ class RecordingRoutes:
             self._worker = ProcessPoolExecutor(1, mp_context=context, initializer=_leave_ctrl_c)
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._worker, does, *arguments)
+
+
+def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
+    """Return size and content of a recording, which is opened once and is no link.
+
+    Raises
+    ------
+    OSError, DamageError
+        It is another file.
+    """
+    file = regular_file(path, may_be_link=False)
+    size = os.fstat(file.fileno()).st_size
+    if file.read(len(MAGIC)) != MAGIC:
+        file.close()
+        msg = f"{path.name}: not an MCAP file"
+        raise DamageError(msg)
+
+    def pieces() -> Iterator[bytes]:
+        with file:
+            file.seek(0)
+            left = size  # a file that grows gives no more than was said
+            while piece := file.read(min(left, _PIECE)):
+                left -= len(piece)
+                yield piece
+
+    return size, pieces()
 
 
 def _leave_ctrl_c() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import socket
 import threading
 from collections.abc import Iterator
@@ -65,6 +66,8 @@ class ServerThread:
 
     def begin(self) -> None:
         """Begin, and wait until it listens."""
+        # As uvicorn's: whoever breaks off what he reads would have a line on the terminal.
+        logging.getLogger("asyncio").setLevel(logging.ERROR)
         self._thread.start()
         pause = threading.Event()
         for _ in range(int(_START_S / 0.01)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import IO
 from armrig_core.manifest import OUTCOME, RUN
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import MAGIC, RECORD_HEAD, RECORD_LIMIT, CutOffError
-from armrig_core.recording_file.opening import opened
+from armrig_core.recording_file.opening import regular_file
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -36,16 +35,12 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
     DamageError
         It is no MCAP file, or has no end that says where the records are.
     """
-    with open(path, "rb", opener=opened) as stream:
-        found = os.fstat(stream.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            msg = "not a regular file"
-            raise DamageError(msg)
+    with regular_file(path) as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             msg = "not an MCAP file"
             raise DamageError(msg)
         try:
-            return _records(stream, found.st_size)
+            return _records(stream, os.fstat(stream.fileno()).st_size)
         except (McapError, error, ValueError, OverflowError) as err:
             msg = f"its index cannot be read ({err or type(err).__name__})"
             raise DamageError(msg) from err

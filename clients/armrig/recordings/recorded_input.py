@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import Place
+from armrig_core.recording_file.opening import regular_file
 from numpy.typing import NDArray
 
 _BLOCK = 1 << 20  # B
@@ -30,7 +31,7 @@ def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
     """
     parts: list[NDArray[np.float64]] = []
     found = 0
-    with path.open("rb") as file:
+    with regular_file(path) as file:
         file.seek(place.at)
         head, size = _head(file.read(min(place.length, _TIMES + 2 * 128)))
         if head + size + 4 != place.length:

@@ -7,10 +7,13 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC
+
+_ROOT = 0
 
 
 @contextmanager
@@ -24,18 +27,56 @@ def byte_source(path: Path, *, is_hashed: bool = False) -> Iterator[ByteSource |
 
     Raises
     ------
+    OSError, DamageError
+        As `regular_file`.
+    """
+    with regular_file(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        source = ByteSource(stream, size, is_hashed=is_hashed)
+        yield source if source.read(len(MAGIC)) == MAGIC else None
+
+
+def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
+    """Open a regular file, and no link of another user: it could lead to what only we may read.
+
+    Parameters
+    ----------
+    may_be_link : bool
+        Whether a link of this user's own, or of root's, is followed.
+
+    Raises
+    ------
     OSError
         The file cannot be opened or read.
     DamageError
-        It is no regular file: a pipe or a device would keep us waiting, or never end.
+        It is a link that is not followed, or no regular file: a pipe or a device would keep us
+        waiting, or never end.
     """
-    with open(path, "rb", opener=opened) as stream:
-        found = os.fstat(stream.fileno())
-        if not stat.S_ISREG(found.st_mode):
-            msg = "not a regular file"
-            raise DamageError(msg)
-        source = ByteSource(stream, found.st_size, is_hashed=is_hashed)
-        yield source if source.read(len(MAGIC)) == MAGIC else None
+    try:
+        stream = open(path, "rb", opener=no_link)  # noqa: SIM115 - the caller's
+    except OSError:
+        if not path.is_symlink():
+            raise
+        if not may_be_link or not _is_own(path):
+            made = "a link" if not may_be_link else "a link that another user made"
+            msg = f"{made}: it is not followed; copy the file that it leads to"
+            raise DamageError(msg) from None
+        stream = open(path, "rb", opener=opened)  # noqa: SIM115 - the caller's
+    if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+        stream.close()
+        msg = "not a regular file"
+        raise DamageError(msg)
+    return stream
+
+
+def _is_own(link: Path) -> bool:
+    user = getattr(os, "geteuid", None)  # Windows has none, and hardly any links
+    return user is None or link.lstat().st_uid in (user(), _ROOT)
+
+
+def no_link(path: str, flags: int) -> int:
+    """Open a file that may be anything but a link, as the opener of `open`."""
+    return opened(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
 def opened(path: str, flags: int) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from armrig_core.recording_file.file_lock import lock
-from armrig_core.recording_file.opening import opened
+from armrig_core.recording_file.opening import no_link
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 
 
@@ -53,7 +53,7 @@ def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
         # Seen before it is opened: opening a device may do something, and a link leads elsewhere.
         before = path.lstat()
         _check_regular(path, before, owner)
-        with open(path, "rb", opener=_no_link) as stream:
+        with open(path, "rb", opener=no_link) as stream:
             found = os.fstat(stream.fileno())
             _check_regular(path, found, owner)
             try:
@@ -66,10 +66,6 @@ def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
             yield stream
     except FileNotFoundError as err:
         raise NotOursError(f"{path}: there is no such file") from err
-
-
-def _no_link(path: str, flags: int) -> int:
-    return opened(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
 def _check_regular(path: Path, found: os.stat_result, owner: int | None) -> None:

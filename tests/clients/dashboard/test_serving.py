@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from contextlib import closing
 from pathlib import Path
 
+import pytest
 from armrig.dashboard.serving import HOST, Settings, _listening, dashboard
 
 
@@ -19,6 +21,16 @@ def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
     ):
         assert first.getsockname()[1] == port
         assert second.getsockname()[1] != port
+
+
+def test_who_breaks_off_writes_nothing_on_the_terminal(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The loop warns of each connection that is gone while it is written to."""
+    with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):
+        logging.getLogger("asyncio").warning("socket.send() raised exception.")
+
+    assert caplog.text == ""
 
 
 def test_a_dashboard_that_has_ended_listens_to_no_rig(tmp_path: Path) -> None:
