@@ -215,8 +215,11 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
     """File that the daemon's configuration names, in force or not; empty where it names none."""
     arm_removed: bool = False
     """Whether the configuration says that the rotating part is taken off."""
+    owner_checked: str = ""
+    """What the daemon has checked of the owner, such as `certificate alice`; empty for nothing."""
 
 
+_FILLERS = "\u115f\u1160\u3164\uffa0"
 TRY_AGAIN = ": try again"
 """How an `error` ends that passes by itself."""
 
@@ -248,17 +251,22 @@ def parse(name: str, payload: bytes) -> Requests:
     except RecursionError as err:
         msg = f"{name}: nested too deeply"
         raise ValueError(msg) from err
-    if isinstance(request, Arm) and not (request.owner.isprintable() and request.owner.strip()):
+    if isinstance(request, Arm) and not _is_name(request.owner):
         # It is shown to all who ask for the state: an escape sequence would reach their terminals.
         msg = (
             f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 characters that print, "
         )
-        msg += "not blanks alone"
+        msg += "one of them a letter or a digit"
         raise ValueError(msg)
     if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
         msg = f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
         raise ValueError(msg)
     return request
+
+
+def _is_name(owner: str) -> bool:
+    """Tell whether an owner can be read: Hangul's fillers are letters that show nothing."""
+    return owner.isprintable() and any(c.isalnum() and c not in _FILLERS for c in owner)
 
 
 def json_schema(name: str) -> bytes:

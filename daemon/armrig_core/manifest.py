@@ -34,8 +34,11 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     details: dict[str, Any] = {}
     """What the experiment was made of, such as the seed of its input."""
     owner: str = ""
-    """Who had the rig: what he said of himself, and the certificate or user that was checked, as in
+    """Who had the rig: what he said of himself, and what was checked in round brackets, as in
     `armrig collect (certificate alice)`; empty in recordings of earlier releases."""
+    owner_checked: str = ""
+    """What the daemon had checked of him, such as `certificate alice`; empty for nothing, and in
+    recordings of earlier releases."""
     Ts: float
     """Sampling time, in s."""
     samples: int

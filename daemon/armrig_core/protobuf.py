@@ -61,6 +61,7 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("fault", "string"),
         ("motor", "string"),
         ("remedy", "string"),
+        ("owner_checked", "string"),
     ),
     "Trace": (
         ("t_host_ns", "sfixed64"),

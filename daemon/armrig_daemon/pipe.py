@@ -103,6 +103,8 @@ class State(Tagged, frozen=True, kw_only=True):
     """What to do about the fault."""
     line: str = ""
     """Why no device answers, and what to try; empty where one does."""
+    owner_checked: str = ""
+    """What the service has checked of the owner; see `Acquire`."""
 
 
 class Trace(Tagged, frozen=True, kw_only=True):
@@ -161,6 +163,8 @@ class Acquire(Order, frozen=True, kw_only=True, tag="Take"):
     owner: str
     lease: str
     ts_us: int
+    owner_checked: str = ""
+    """What the service has checked of him, such as `certificate alice`; "" for nothing."""
 
 
 class Leased(Order, frozen=True, kw_only=True):

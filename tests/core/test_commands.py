@@ -41,7 +41,10 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("arm", '{"owner": "a\\nb"}', r"owner 'a\\nb': allowed are 1 to 80"),
         ("arm", '{"owner": "\\u009b31m"}', r"owner '\\x9b31m': allowed are 1 to 80"),
         ("arm", '{"owner": "\\u202e"}', r"owner '\\u202e': allowed are 1 to 80"),
-        ("arm", '{"owner": "  "}', "owner '  ': allowed are .* not blanks alone"),
+        ("arm", '{"owner": "  "}', "owner '  ': allowed are .* a letter or a digit"),
+        ("arm", '{"owner": "\\u2800"}', "owner '\u2800': allowed are"),  # a blank of Braille
+        ("arm", '{"owner": "\\u3164\\u115f"}', "allowed are"),  # fillers, which are letters
+        ("arm", '{"owner": "-"}', "owner '-': allowed are"),
         ("arm", f'{{"owner": "{81 * "x"}"}}', r"length <= 80.*\$.owner"),
         ("set", f'{{"lease": "{LEASE}", "n": 1, "u": 5.01}}', r"<= 5.0.*\$.u"),
         ("set", f'{{"lease": "{LEASE}", "n": 1, "u": -0.01}}', r">= 0.0.*\$.u"),

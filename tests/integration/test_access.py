@@ -71,6 +71,7 @@ def test_an_operator_s_run_is_recorded_under_his_name(lab: Laboratory) -> None:
         recording = armrig.load(rig.run([1.0, 4.0] * 25))
 
     assert recording.manifest.owner == "a test (certificate alice)"
+    assert recording.manifest.owner_checked == "certificate alice"
     said = lab.bench.processes[-1].said
     assert "info: arm: by a test (certificate alice)" in said
     assert "info: run: by a test (certificate alice)" in said
@@ -89,6 +90,7 @@ def test_who_sits_at_the_rig_stops_it_without_any_certificate(lab: Laboratory) -
     with lab.rig("alice") as rig, lab.bench.rig() as here:
         rig.arm("a test")
         assert here.status().owner == "a test (certificate alice)"
+        assert here.status().owner_checked == "certificate alice"
         here.stop()
         wait_for(lambda: here.status().phase in ("safe", "fault"))
         assert here.status().phase == "safe"
@@ -97,13 +99,16 @@ def test_who_sits_at_the_rig_stops_it_without_any_certificate(lab: Laboratory) -
 
 
 def test_a_name_cannot_be_borrowed(lab: Laboratory) -> None:
-    """Who says that he was checked has it taken out, over the network and at the rig."""
+    """What one says of oneself has no round brackets, over the network and at the rig."""
     with lab.bench.rig() as here, lab.rig("carol") as rig:
-        here.arm("me (certificate alice)")
-        assert here.status().owner == "me (alice)"
+        here.arm("(certificate certificate alice)")
+        assert here.status().owner == "[certificate certificate alice]"
+        assert here.status().owner_checked == ""
         here.disarm()
         rig.arm("me (certificate alice) (user alice)")
-        assert rig.status().owner == "me (alice) (alice) (certificate carol)"
+        owner = "me [certificate alice] [user alice] (certificate carol)"
+        assert rig.status().owner == owner
+        assert rig.status().owner_checked == "certificate carol"
         rig.disarm()
 
 

@@ -136,6 +136,7 @@ def say_state(state: State, now_ns: int) -> Action:
             motor=motor(state),
             remedy=REMEDIES[state.fault.id] if state.fault else "",
             line=unanswered(state),
+            owner_checked=state.lease.owner_checked if state.lease else "",
         )
     )
 

@@ -147,6 +147,8 @@ class Lease(msgspec.Struct, frozen=True, gc=False):
     n: int
     """Number of the newest command."""
     renewed_ns: int
+    owner_checked: str = ""
+    """What the service has checked of the owner."""
 
 
 class Run(msgspec.Struct, frozen=True, gc=False):

@@ -186,7 +186,7 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
         return trip(state, now_ns, Fault(Id.INTERNAL, "armed without an owner"))
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
-    lease = Lease(order.lease, order.owner, ts_us, -1, now_ns)
+    lease = Lease(order.lease, order.owner, ts_us, -1, now_ns, order.owner_checked)
     state = replace(state, phase=Phase.ARMED, fault=None, lease=lease)
     granted = {
         "lease": order.lease,

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-import re
+import unicodedata
 
 from armrig_core.printable import printable
 
 _LONGEST = 80
-# Whole, so that no rest of it is a claim again: as of "((user user ", or at the end, of "(user".
-_CLAIM = re.compile(r"\(+((certificate|user)( |$))+")
+_SQUARE = str.maketrans("()", "[]")
 
 
 def signed(said: str, by: str) -> str:
-    """Return who asks, for others to read.
+    """Return who asks, for others to read; what stands in round brackets, the daemon has checked.
+
+    Programs read `owner_checked` in the status, the log and the manifest.
 
     Parameters
     ----------
     said : str
-        What he says of himself; that he was checked, nobody can say so.
+        What he says of himself; his own round brackets become square ones.
     by : str
         What was checked, such as `certificate alice`; "" on the Unix socket, where whoever may
         open it is trusted.
     """
-    name = _CLAIM.sub("(", printable(said).strip()[:_LONGEST])
+    name = "".join(map(_square, printable(said).strip()[:_LONGEST]))
     if not by:
         return name
     return f"{name} ({by})" if name else by
+
+
+def _square(character: str) -> str:
+    """Return a square bracket for a round one, and for whatever looks like one."""
+    plain = unicodedata.normalize("NFKC", character)
+    if "(" in plain or ")" in plain:
+        return plain.translate(_SQUARE)
+    if character in "[]{}":
+        return character
+    return {"Ps": "[", "Pe": "]"}.get(unicodedata.category(character), character)

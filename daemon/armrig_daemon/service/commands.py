@@ -157,7 +157,14 @@ class Commands:
         if not isinstance(waiting.order, SetVoltage):
             name, who = waiting.command.name, waiting.who or _SOMEBODY
             cause = waiting.order.reason if isinstance(waiting.order, Halt) else ""
-            self._say("info", f"{name}: by {who}", command=name, owner=who, cause=cause)
+            self._say(
+                "info",
+                f"{name}: by {who}",
+                command=name,
+                owner=who,
+                owner_checked=waiting.command.by,
+                cause=cause,
+            )
 
     def refuse_overdue(self) -> None:
         """Refuse what the loop has not answered in time."""
@@ -192,7 +199,11 @@ class Commands:
                     raise ValueError(error)
                 lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
                 owner = signed(request.owner, command.by)
-                self._order(command, Acquire(owner=owner, lease=lease, ts_us=ts_us), who=owner)
+                self._order(
+                    command,
+                    Acquire(owner=owner, lease=lease, ts_us=ts_us, owner_checked=command.by),
+                    who=owner,
+                )
             case commands.Disarm():
                 self._order(command, Release(lease=request.lease, n=request.n))
             case commands.Set():

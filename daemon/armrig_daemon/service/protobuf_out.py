@@ -42,6 +42,7 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
                 fault=record.fault,
                 motor=record.motor,
                 remedy=record.remedy,
+                owner_checked=record.owner_checked,
             )
             return _out("state", record.t_host_ns, message.SerializeToString())
         case Log():

@@ -122,4 +122,5 @@ class RigView:
             calibration_sha256=config.calibration_sha256,
             calibration_file=self._calibration_file,
             arm_removed=config.arm.removed,
+            owner_checked=state.owner_checked,
         )

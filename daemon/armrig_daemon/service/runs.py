@@ -312,6 +312,7 @@ class Runs:
             experiment=planned.request.experiment,
             details=planned.request.details,
             owner=state.owner,
+            owner_checked=state.owner_checked,
             Ts=state.ts_us / 1e6,
             samples=len(planned.request.u),
             k_first=started.k_first,

@@ -293,6 +293,7 @@ class Service:
             "rig": self._config.rig.id,
             "run": self._runs.run_id,
             "owner": self._rig.state.owner,
+            "owner_checked": self._rig.state.owner_checked,
         }
         return about | log.fields
 

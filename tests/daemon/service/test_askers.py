@@ -14,27 +14,36 @@ from armrig_daemon.service.askers import signed
         ("", "certificate bob", "certificate bob"),
         ("", "", ""),
         (" anna\x1b[2J ", "", "anna\\x1b[2J"),
-        ("anna (bench 2)", "", "anna (bench 2)"),
+        ("anna (bench 2)", "user bob", "anna [bench 2] (user bob)"),
         ("a" * 81, "", "a" * 80),
     ],
 )
 def test_who_asks_is_told_with_what_was_checked(said: str, by: str, told: str) -> None:
-    """What he says is bounded and prints; what was checked stands after it in brackets."""
+    """What he says is bounded and prints; what was checked stands after it in round brackets."""
     assert signed(said, by) == told
 
 
-@pytest.mark.parametrize("kind", ["user", "certificate"])
-@pytest.mark.parametrize("said", ["({0} bob)", "(({0} {0} bob)", "((({0} ({0} {0} {0} bob)"])
-@pytest.mark.parametrize("other", ["", "(certificate ", "(user "])
-def test_no_claim_is_left_and_none_is_made_of_another(kind: str, said: str, other: str) -> None:
-    """Doubled and nested ones, too."""
-    told = signed(other + said.format(kind), "")
+@pytest.mark.parametrize(
+    "said",
+    [
+        "(certificate certificate alice)",
+        "((user (user alice))",
+        "anna (certificate alice)",
+        "anna ( certificate alice)",
+        "\uff08certificate alice\uff09",  # of full width
+        "\u207dcertificate alice\u207e",  # superscripts
+        "\ufe59certificate alice\ufe5a",  # small
+        "\u2768certificate alice\u2769",  # ornaments
+        "\u2e28certificate alice\u2e29",  # doubled
+        "\u2474 alice",  # a digit in brackets
+    ],
+)
+def test_what_one_says_of_oneself_has_no_round_brackets(said: str) -> None:
+    """Nor what looks like them: they say what the daemon has checked."""
+    told = signed(said, "")
 
-    assert "(user " not in told
-    assert "(certificate " not in told
-
-
-def test_a_claim_that_others_would_end_is_none() -> None:
-    """In "anna (user has the rig"."""
-    assert signed("anna (user ", "") == "anna ("
-    assert signed("anna (user's bench)", "") == "anna (user's bench)"
+    assert not set(told) & set(
+        "()\uff08\uff09\u207d\u207e\ufe59\ufe5a\u2768\u2769\u2e28\u2e29\u2474"
+    )
+    assert "[" in told
+    assert "alice" in told
