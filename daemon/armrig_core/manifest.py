@@ -110,7 +110,7 @@ class Recovered(msgspec.Struct, frozen=True, kw_only=True):
     cut_off_bytes: int
     """What stood behind it."""
     damage: str
-    """Why that could not be read; empty for a file that was whole."""
+    """What was left out, and why the rest could not be read; empty for a file that was whole."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""

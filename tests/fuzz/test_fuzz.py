@@ -68,14 +68,14 @@ def test_a_file_made_to_cost_memory_costs_64_mib_at_most(name: str, tmp_path: Pa
     """In a process of its own, beyond what an honest file costs."""
     cost = bombs.cost_mib(bombs.BOMBS[name](), tmp_path)
 
-    assert 1.0 < cost <= bombs.MOST_MIB
+    assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
 
 
 def test_a_file_that_yields_nothing_costs_64_mib_at_most(tmp_path: Path) -> None:
     """Without the manifest of a run there is nothing to return, however much is read."""
     cost = bombs.cost_mib(bombs.BOMBS["events"](), tmp_path, alone=True)
 
-    assert 1.0 < cost <= bombs.MOST_MIB
+    assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
 
 
 def test_the_same_seed_gives_the_same_inputs() -> None:

@@ -38,7 +38,7 @@ def verify(file: File, json: Json = False) -> None:
     """Check that a recording is what its run was.
 
     Samples or their gap records, voltages, input, times, hashes, clocks. Exit code 1 where one
-    fails; the data can be loaded and exported all the same.
+    fails; what could be read can be loaded and exported all the same.
     """
     from armrig.cli.spinner import spinner
     from armrig.recordings.verification import rows
@@ -54,7 +54,9 @@ def verify(file: File, json: Json = False) -> None:
         print_table(*rows(found))
     if not found.passed:
         failed = ", ".join(c.about for c in found.checks if c.result == "failed")
-        tell(f"{found.path}: failed: {failed}; its data can be used all the same, with care")
+        n = found.samples
+        use = f"its {n} samples can be used, with care" if n else "it has no sample to use"
+        tell(f"{found.path}: failed: {failed}; {use}")
         raise typer.Exit(1)
 
 

@@ -7,7 +7,6 @@ stops and says where. What it has by then is a prefix without holes.
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -38,6 +37,7 @@ from armrig_core.recording_file.file_records import (
     Record,
     Wanted,
     file_records,
+    spoilt,
 )
 from armrig_core.recording_file.opening import byte_source
 from armrig_core.topics import STREAMS, stream_of
@@ -73,7 +73,7 @@ class Content:
     size: int = 0
     """Of the file, in B."""
     damage: str = ""
-    """Why reading ended early; "" for a whole file."""
+    """What was left out, and why reading ended early; "" for a whole file."""
     cut_off: bool = False
     """That is because the file ends too early; nothing before its end is wrong."""
     read: int = 0
@@ -159,16 +159,17 @@ def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[
             reader.add(record)
             yield
     except DamageError as damage:
-        content.damage, content.cut_off = str(damage), isinstance(damage, CutOffError)
+        reader.end, content.cut_off = str(damage), isinstance(damage, CutOffError)
     except UNREADABLE as err:
-        content.damage = _unreadable(err)
+        reader.end = _unreadable(err)
     content.read = source.whole
     try:
         reader.rows.pack()
     except DamageError as damage:
-        content.damage = content.damage or str(damage)
+        reader.end = reader.end or str(damage)
     except UNREADABLE as err:
-        content.damage = content.damage or _unreadable(err)
+        reader.end = reader.end or _unreadable(err)
+    content.damage = "; ".join(filter(None, [*reader.left_out, reader.end]))
     content.samples = reader.rows.finish()
     yield
 
@@ -189,6 +190,8 @@ class _Reader:
         self.rows = SampleRows(lambda: self.budget.spend(WORK, _SAMPLE_WORK))
         self.chunks = Unpacker(self.budget)
         self._chunks_at = 0  # where the first one stands in the file
+        self.left_out: list[str] = []  # attachments
+        self.end = ""  # why reading ended early
 
     def spend_work(self, cost: int) -> None:
         """Count work with records."""
@@ -245,10 +248,9 @@ class _Reader:
                 pass  # header, indexes, and what later versions may add
 
     def _attachment(self, body: bytes) -> None:
-        (crc,) = Struct("<I").unpack(body[-4:])
-        if crc and crc != zlib.crc32(body[:-4]):
-            msg = "the checksum of an attachment is wrong"
-            raise DamageError(msg)
+        if why := spoilt(body):
+            self.left_out.append(why)
+            return
         attachment = Attachment.read(_stream(body))
         if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG):
             self.content.attachments.setdefault(attachment.name, attachment.data)

@@ -59,6 +59,8 @@ class Verification:
     """Its hash, as `sha256sum` prints it."""
     checks: tuple[Check, ...]
     """In the order in which they were made."""
+    samples: int = 0
+    """How many could be read."""
 
     @property
     def passed(self) -> bool:
@@ -103,7 +105,9 @@ def verify_recording(recording: Recording) -> Verification:
         _check_configuration(recording),
         check_clock(recording),
     )
-    return Verification(path=recording.path, sha256=recording.sha256, checks=checks)
+    return Verification(
+        path=recording.path, sha256=recording.sha256, checks=checks, samples=recording.samples.size
+    )
 
 
 def check_file(r: Recording) -> Check:

@@ -6,6 +6,7 @@ Nothing is believed that a file says of its own sizes, and at the first damage r
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -18,6 +19,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import DataEnd
 
+from armrig_core.printable import printable
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 
@@ -50,6 +52,7 @@ _DATA = (
 )
 _ATTACHMENT_HEAD = 8 + 8 + 4  # B: two times, the length of a name
 _NAME_LIMIT = 100  # B
+_CRC = Struct("<I")
 
 
 class CutOffError(DamageError):
@@ -153,6 +156,17 @@ def file_records(
             ended = True
         else:
             yield Record(opcode, body, place)
+
+
+def spoilt(attachment: bytes) -> str:
+    """Return that the checksum of an attachment is wrong, with its name; "" where it is right."""
+    (crc,) = _CRC.unpack(attachment[-_CRC.size :])
+    if not crc or crc == zlib.crc32(attachment[: -_CRC.size]):
+        return ""
+    at = _ATTACHMENT_HEAD - 4
+    n = int.from_bytes(attachment[at : at + 4], "little")  # it, too, may be wrong
+    name = attachment[at + 4 : at + 4 + min(n, _NAME_LIMIT)].decode(errors="replace")
+    return f"the checksum of the attachment '{printable(name)}' is wrong: it is left out"
 
 
 def _stays(begin: bytes, name: str) -> bool:

@@ -149,7 +149,7 @@ class Recovery:
                 armrig=self.armrig,
                 kept_bytes=source.whole,
                 cut_off_bytes=behind,
-                damage=damage,
+                damage="; ".join([*rewriter.left_out, *([damage] if damage else [])]),
             )
             if RECOVERED in rewriter.metadata:  # by one who died before it had its name
                 recovered = _told(path, recovered_of, rewriter.metadata[RECOVERED])

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import os
 import sys
-import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from struct import Struct
 from typing import IO
 
 from mcap.data_stream import ReadDataStream
@@ -31,11 +29,11 @@ from armrig_core.recording_file.file_records import (
     Record,
     Wanted,
     file_records,
+    spoilt,
 )
 from armrig_core.recording_file.opening import byte_source
 
 CHUNK = 1 << 20
-_CRC = Struct("<I")
 
 
 class Rewriter:
@@ -47,6 +45,8 @@ class Rewriter:
         """Metadata records written so far, by name."""
         self.topics: dict[int, str] = {}
         """Topic of each channel of the source."""
+        self.left_out: list[str] = []
+        """Attachments that were spoilt, and are not written."""
         self._writer = Writer(
             target, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
@@ -119,10 +119,9 @@ class Rewriter:
         )
 
     def _add_attachment(self, body: bytes) -> None:
-        (crc,) = _CRC.unpack(body[-_CRC.size :])
-        if crc and crc != zlib.crc32(body[: -_CRC.size]):
-            msg = "the checksum of an attachment is wrong"
-            raise DamageError(msg)
+        if why := spoilt(body):
+            self.left_out.append(why)
+            return
         a = Attachment.read(_stream(body))
         self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
 
@@ -150,6 +149,8 @@ def compact(source: Path, target: Path) -> None:
         except UNREADABLE as err:
             msg = f"a record cannot be read ({err or type(err).__name__})"
             raise DamageError(msg) from err
+        if rewriter.left_out:
+            raise DamageError(rewriter.left_out[0])
         rewriter.finish()
         written.flush()
         os.fsync(written.fileno())

@@ -501,3 +501,18 @@ def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> 
     assert [path.name for path in found] == ["1-test.mcap.active"]
     assert [path.name for path in removed] == ["1-test.mcap.compact"]
     assert {path.name for path in tmp_path.iterdir()} == set(names) - {"1-test.mcap.compact"}
+
+
+def test_a_spoilt_attachment_is_left_out_and_told(tmp_path: Path) -> None:
+    """The samples after it stay, and the new file says what it lacks."""
+    spoilt = bytearray(DATA)
+    spoilt[DATA.index(b"zero_counts")] ^= 1
+    before = armrig.load(written(tmp_path, bytes(spoilt), "before.mcap"))
+
+    done = RECOVERY.recover(written(tmp_path, bytes(spoilt), LEFT))
+
+    after = armrig.load(done.path)
+    assert done.recovered.damage.startswith("the checksum of the attachment 'calibration.json' is")
+    assert after.samples.tobytes() == before.samples.tobytes()
+    assert after.samples.size
+    assert (after.calibration, after.truncated) == (None, False)

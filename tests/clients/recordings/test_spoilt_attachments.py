@@ -1,0 +1,61 @@
+"""An attachment with a flipped bit is left out, and named; the samples after it stay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig.recordings.verification import verify
+from made_recordings import recorded, sample, written
+from mcap.opcode import Opcode
+
+DATA = recorded([sample(k) for k in range(5)], u=[1.0] * 5)
+
+
+def _attachment(name: str) -> range:
+    """Return where the content of an attachment stands in the file, from its times to its CRC."""
+    named = len(name).to_bytes(4, "little") + name.encode()
+    begin = DATA.index(named) - 16
+    assert DATA[begin - 9] == Opcode.ATTACHMENT
+    return range(begin, begin + int.from_bytes(DATA[begin - 8 : begin], "little"))
+
+
+@pytest.mark.parametrize("bit", [0, 7])
+def test_every_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path, bit: int) -> None:
+    """Also in its name, in a length, and in the checksum itself."""
+    for at in _attachment("calibration.json"):
+        spoilt = bytearray(DATA)
+        spoilt[at] ^= 1 << bit
+
+        recording = armrig.load(written(tmp_path, bytes(spoilt)))
+
+        assert recording.samples.size == 5, at
+        assert recording.calibration is None
+        assert recording.truncated
+        assert recording.damage.startswith("the checksum of the attachment '"), at
+        assert "is wrong: it is left out" in recording.damage
+
+
+def test_the_attachment_is_named(tmp_path: Path) -> None:
+    """By what verify says, too, with how many samples there are all the same."""
+    spoilt = bytearray(DATA)
+    spoilt[_attachment("calibration.json")[-10]] ^= 1
+
+    found = verify(written(tmp_path, bytes(spoilt)))
+
+    failed = {check.about: check.text for check in found.checks if check.result == "failed"}
+    assert failed["file"].startswith("the checksum of the attachment 'calibration.json' is wrong")
+    assert found.samples == 5
+
+
+def test_a_spoilt_input_leaves_the_samples(tmp_path: Path) -> None:
+    """It stays in the file, and is read only to be compared."""
+    spoilt = bytearray(DATA)
+    spoilt[_attachment("input.csv")[-10]] ^= 1
+
+    found = verify(written(tmp_path, bytes(spoilt)))
+
+    assert found.samples == 5
+    failed = {check.about: check.text for check in found.checks if check.result == "failed"}
+    assert failed["input"].startswith("the checksum of the attached input is wrong")
