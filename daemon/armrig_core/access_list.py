@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta
 
-from armrig_core.bounded import TextError, read_text
 from armrig_core.credential import RIG_PREFIX, check_name
+from armrig_core.toml_file import read_toml
 
 LIMIT = 1 << 20
 """Longest access list, in B."""
@@ -80,12 +79,12 @@ def read_access_list(path: Path) -> AccessList:
         It cannot be read, is no TOML, or holds a key or a name that is not allowed.
     """
     try:
-        return msgspec.convert(tomllib.loads(read_text(path, LIMIT)), AccessList)
+        return msgspec.convert(read_toml(path, LIMIT), AccessList)
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file; `armrig pki ca` writes one"
         raise AccessListError(msg) from err
     except OSError as err:
         msg = f"{path}: {err.strerror}; it must be a file that this user may read"
         raise AccessListError(msg) from err
-    except (TextError, ValueError, RecursionError) as err:
+    except ValueError as err:
         raise AccessListError(f"{path}: {err}") from err

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-from math import inf, isfinite, radians
+from math import radians
 
 import msgspec
 
 from armrig_core.volts import U_MAX_V
+
+_MOST_COUNTS = 655_360  # ten times what the converter reads
+_LEAST_RAD, _MOST_RAD = 1e-8, 0.1  # 0.04° and a thousand turns over the whole range
 
 
 class Potentiometer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One potentiometer: angle = (counts - zero_counts) · rad_per_count, in rad."""
 
     zero_counts: float = 0.0
-    """Reading at angle 0, of 65536."""
+    """Reading at angle 0, of 65536; at most ten ranges beyond it."""
     rad_per_count: float = radians(352) / 65536
-    """Angle of one count; negative where it is mounted the other way round. Not 0."""
+    """Angle of one count, 1e-8 to 0.1 rad; negative where it is mounted the other way round."""
     wraps: bool = True
     """Whether it turns through its dead band and starts anew after one turn."""
 
     def __post_init__(self) -> None:
         """Refuse a calibration that gives no angles."""
-        if not isfinite(self.zero_counts):
-            msg = f"zero_counts={self.zero_counts!r} must be finite"
+        if not abs(self.zero_counts) <= _MOST_COUNTS:  # NaN fails this, too
+            msg = f"zero_counts={self.zero_counts!r} must be from -{_MOST_COUNTS} to {_MOST_COUNTS}"
             raise ValueError(msg)
-        if not 0 < abs(self.rad_per_count) < inf:
-            msg = f"rad_per_count={self.rad_per_count!r} must be finite and not 0"
+        if not _LEAST_RAD <= abs(self.rad_per_count) <= _MOST_RAD:
+            msg = f"rad_per_count={self.rad_per_count!r} must be from {_LEAST_RAD:g} to "
+            msg += f"{_MOST_RAD:g}, or as far below 0"
             raise ValueError(msg)
 
     def angle(self, counts: float) -> float:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from armrig_core.bounded import TextError, read_bounded, read_text
+from armrig_core.bounded import read_bounded
 from armrig_core.calibration import Calibration, Made
+from armrig_core.toml_file import TomlError, read_toml
 
 RAW_LIMIT = 1 << 20
 """Most that the samples of a calibration may take, compressed, in B."""
@@ -57,15 +57,12 @@ def tables_of(path: Path) -> dict[str, Any]:
         estimated from.
     """
     try:
-        tables = tomllib.loads(read_text(path, _TOML_LIMIT))
+        tables = read_toml(path, _TOML_LIMIT)
     except OSError as err:
         msg = f"{path}: {err.strerror}"
         raise CalibrationFileError(msg) from err
-    except TextError as err:
+    except TomlError as err:
         msg = f"{path}: {err}"
-        raise CalibrationFileError(msg) from err
-    except (ValueError, RecursionError) as err:  # TOMLDecodeError is one
-        msg = f"{path}: not a TOML file: {err}"
         raise CalibrationFileError(msg) from err
     made = tables.get("made")
     if isinstance(made, dict):

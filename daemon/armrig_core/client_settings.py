@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
+from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.endpoint import anchored
+from armrig_core.toml_file import TomlError, read_toml
 
 _PREFIX = "ARMRIG_CLIENT_"
 
@@ -55,14 +55,14 @@ def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> Client
 
 def _table(path: Path) -> Any:
     try:
-        tables = tomllib.loads(read_text(path, CONFIGURATION_LIMIT))
+        tables = read_toml(path, CONFIGURATION_LIMIT)
     except PermissionError:
         return {}
     except OSError as err:
         msg = f"{path}: {err.strerror}"
         raise ValueError(msg) from err
-    except (TextError, tomllib.TOMLDecodeError, RecursionError) as err:
-        msg = f"{path}: not a TOML file: {err}"
+    except TomlError as err:
+        msg = f"{path}: {err}"
         raise ValueError(msg) from err
     return _anchored(tables.get("client", {}), path.absolute().parent)
 

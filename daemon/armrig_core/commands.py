@@ -158,7 +158,7 @@ class RunAccepted(msgspec.Struct, frozen=True, kw_only=True):
 class Done(msgspec.Struct, frozen=True, kw_only=True):
     """The command was carried out."""
 
-    done: bool = True
+    done: bool
     """False where there was nothing to do."""
 
 

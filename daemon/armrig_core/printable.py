@@ -6,6 +6,11 @@ do the marks that turn the direction of writing. None of them is shown as it is.
 
 from __future__ import annotations
 
+import re
+
+_LONGEST, _KEPT = 400, 100  # characters; a path may have some hundred
+_LONG = re.compile(rf"'[^']{{{_LONGEST},}}'|\"[^\"]{{{_LONGEST},}}\"|\S{{{_LONGEST},}}")
+
 
 def printable(text: str, keep: str = "") -> str:
     r"""Return the text with what does not print escaped as Python does, such as \x1b.
@@ -31,6 +36,19 @@ def json_printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else _json_escaped(c) for c in text)
+
+
+def brief(message: str) -> str:
+    """Return a message in which no word, and nothing in quotes, is longer than a person reads.
+
+    A value that was given may have any length, and what is to be done stands behind it.
+    """
+    return _LONG.sub(_shortened, message)
+
+
+def _shortened(found: re.Match[str]) -> str:
+    text = found[0]
+    return f"{text[:_KEPT]}… ({len(text)} characters){text[-1]}"
 
 
 def _escaped(character: str) -> str:

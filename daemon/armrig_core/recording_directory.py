@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import platformdirs
 
-from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
+from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.toml_file import TomlError, read_toml
 
 SYSTEM = Path("/etc/armrig/armrig.toml")
 VARIABLE = "ARMRIG_RECORDING_DIRECTORY"
@@ -98,12 +98,12 @@ def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> P
 def _named_in(path: Path, otherwise: str) -> str:
     """Return the directory that a configuration file names, or what holds without it."""
     try:
-        table: Any = tomllib.loads(read_text(path, CONFIGURATION_LIMIT)).get("recording", {})
+        table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
     except OSError as err:
         msg = f"{path}: {err.strerror}"
         raise ValueError(msg) from err
-    except (TextError, tomllib.TOMLDecodeError, RecursionError) as err:
-        msg = f"{path}: not a TOML file: {err}"
+    except TomlError as err:
+        msg = f"{path}: {err}"
         raise ValueError(msg) from err
     given = table.get("directory", otherwise) if isinstance(table, dict) else None
     if not isinstance(given, str):

@@ -17,7 +17,7 @@ import msgspec
 import typer
 from armrig_core.endpoint import distrust, endpoint, socket_directory
 from armrig_core.held_up import held_up
-from armrig_core.printable import printable
+from armrig_core.printable import brief, printable
 from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
@@ -85,6 +85,7 @@ def run(
         loaded = load()
         directory = configuration.recordings(loaded)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
+        _check_no_file(Path(where.partition("/")[2]))
     except ValueError as err:
         _refuse(str(err), MEND)
     os.umask(0o027)  # the group may read a recording, and nobody but us change it
@@ -374,9 +375,15 @@ def _socket_directory() -> Path:
     return path
 
 
+def _check_no_file(path: Path) -> None:
+    """Refuse to start where something else has the socket's name: zenoh would delete it."""
+    if os.path.lexists(path) and not path.is_socket():
+        _refuse(f"{path}: there is another file where the socket belongs; move it away", MEND)
+
+
 def _refuse(message: str, code: int = 1) -> NoReturn:
     from armrig_daemon.service.sentences import log_prefix
 
     text = f"{log_prefix('error') or 'armrigd: '}{message}"
-    typer.echo(printable(text, keep="\n"), err=True)
+    typer.echo(printable(brief(text), keep="\n"), err=True)
     raise typer.Exit(code)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import tomllib
 from collections.abc import Mapping
 from math import tau
 from pathlib import Path
@@ -24,6 +23,7 @@ from armrig_core.emulator_socket import socket_path
 from armrig_core.endpoint import anchored, check_listen, network_address
 from armrig_core.printable import printable
 from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
+from armrig_core.toml_file import TomlError, toml_tables
 from armrig_core.topics import check_own_id
 from armrig_core.volts import U_MAX_V, code_of
 from armrig_protocol.messages import (
@@ -407,7 +407,7 @@ def _read(path: Path) -> dict[str, Any]:
     text = ""
     try:
         text = read_text(path, CONFIGURATION_LIMIT)
-        return tomllib.loads(text + "\n")  # so that an error at the end has a line, too
+        return toml_tables(text + "\n")  # so that an error at the end has a line, too
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file"
         raise ConfigError(msg) from err
@@ -420,11 +420,8 @@ def _read(path: Path) -> dict[str, Any]:
     except TextError as err:
         msg = f"{path}: {err}"
         raise ConfigError(msg) from err
-    except ValueError as err:  # TOMLDecodeError is one
-        msg = f"{path}: {_duplicate(text, str(err)) or f'not a TOML file: {err}'}"
-        raise ConfigError(msg) from err
-    except RecursionError as err:
-        msg = f"{path}: nested too deeply"
+    except TomlError as err:
+        msg = f"{path}: {_duplicate(text, err.why) or err}"
         raise ConfigError(msg) from err
 
 
@@ -494,6 +491,6 @@ def _fields_of(table: str) -> dict[str, Any]:
 def _value(text: str) -> Any:
     """Return what TOML makes of the text, or the text itself."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+        return toml_tables(f"value = {text}")["value"]
+    except TomlError:
         return text

@@ -121,4 +121,4 @@ class FakeDaemon:
             )
         if isinstance(request, commands.Stop):
             self.outcome, self.polls_per_run = "stopped", 0
-        return commands.Done()
+        return commands.Done(done=True)

@@ -62,6 +62,6 @@ def test_a_file_of_the_daemon_s_alone_says_nothing(monkeypatch: pytest.MonkeyPat
     def refuse(path: Path, most: int) -> str:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(settings_module, "read_text", refuse)
+    monkeypatch.setattr(settings_module, "read_toml", refuse)
 
     assert client_settings([Path("/etc/armrig/1.toml")], {}) == ClientSettings()

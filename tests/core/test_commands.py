@@ -61,7 +61,7 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("calibrate", _calibration('"driver": {"gain": 11}'), r"gain=11.0 .* 0.1 to 10.*\$.c"),
         ("calibrate", _calibration('"driver": {"gain": NaN}'), "calibrate: "),
         ("calibrate", _calibration('"driver": {"offset_v": -6}'), "offset_v=-6.0 .* -5 to 5"),
-        ("calibrate", _calibration('"theta_1": {"rad_per_count": 0}'), "must be finite and not 0"),
+        ("calibrate", _calibration('"theta_1": {"rad_per_count": 0}'), "must be from 1e-08 to 0.1"),
         ("calibrate", _calibration('"alpha": {"zero_counts": 1e999}'), "calibrate: "),
         ("calibrate", _calibration('"beta": {}'), "unknown field `beta`"),
         ("calibrate", _calibration("", '"raw": "no base64!"'), r"Invalid base64.*\$.raw"),

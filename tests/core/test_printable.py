@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 
-from armrig_core.printable import json_printable, printable
+import pytest
+from armrig_core.printable import brief, json_printable, printable
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,3 +42,27 @@ def test_json_keeps_its_value(text: str) -> None:
 
     assert shown.isprintable()
     assert json.loads(shown) == {"owner": text}
+
+
+@pytest.mark.parametrize("quote", ["'", '"'])
+def test_a_message_quotes_no_more_than_a_person_reads(quote: str) -> None:
+    """A value of any length, with blanks in it; what stands around it stays."""
+    told = brief(f"rig.id = {quote}{'a b ' * 1250}{quote}: 1 to 40 characters are allowed")
+
+    begin = f"rig.id = {quote}{'a b ' * 24}a b"
+    assert told == f"{begin}… (5002 characters){quote}: 1 to 40 characters are allowed"
+
+
+def test_a_word_without_end_is_shortened() -> None:
+    """Where no quotes say what it is."""
+    assert (
+        brief(f"key {'x' * 4999}: no such key")
+        == f"key {'x' * 100}… (5000 characters): no such key"
+    )
+
+
+def test_an_ordinary_message_is_left_as_it_is() -> None:
+    """A long path, and many words."""
+    message = f"{'/folder' * 50}: there is no such file; " + "many words " * 100
+
+    assert brief(message) == message

@@ -171,6 +171,20 @@ def test_a_directory_of_sockets_that_others_can_write_to_is_refused(bench: Bench
     assert daemon.said.count("\n") == 1
 
 
+def test_a_file_at_the_place_of_the_socket_is_left_there(bench: Bench) -> None:
+    """Whoever listens there would delete it."""
+    place = bench.folder / "armrig" / "1.sock"
+    place.parent.mkdir(mode=0o700)
+    place.write_text("somebody's notes")
+
+    daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
+
+    assert daemon.popen.wait(WITHIN_S) == MEND
+    assert place.read_text() == "somebody's notes"
+    assert f"{place}: there is another file where the socket belongs; move it away" in daemon.said
+    assert daemon.said.count("\n") == 1
+
+
 def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
     """What it waits for is said once, status says it too; the rig is ready when it is there."""
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TextIO
 
 import typer
-from armrig_core.printable import json_printable, printable
+from armrig_core.printable import brief, json_printable, printable
 
 RigId = Annotated[str, typer.Option("--rig", help="Id of the rig.")]
 Connect = Annotated[
@@ -107,7 +107,7 @@ SAME_DATA = (
 def tell(message: str) -> None:
     """Print a line for the person, beside what was asked for."""
     with suppress(OSError):  # the terminal may be closed
-        line = _for_terminal(f"armrig: {' '.join(message.split())}")
+        line = _for_terminal(f"armrig: {brief(' '.join(message.split()))}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
 
 

@@ -290,13 +290,17 @@ class Rig:
         ------
         NoReplyError
             The daemon does not answer; the device itself stops soon after a daemon that is gone.
+        RigError
+            What answers does not confirm the stop: pull the motor's plug.
         """
         who = by or self._owner or _this_user()
         try:
-            self._ask(commands.Stop(by=who), commands.Done)
+            reply = self._ask(commands.Stop(by=who), commands.Done)
         except RefusedError:
             # A daemon of an earlier version takes a stop of nobody only.
-            self._ask(commands.Stop(), commands.Done)
+            reply = self._ask(commands.Stop(), commands.Done)
+        if not reply.done:
+            raise no_daemon(self.rig, self.endpoint, "the answer to 'stop' does not say done")
 
     def reset(self) -> bool:
         """Leave a latched fault, disarmed; return whether there was one."""

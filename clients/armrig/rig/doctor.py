@@ -10,7 +10,6 @@ import grp
 import os
 import re
 import shutil
-import tomllib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,7 +17,8 @@ from pathlib import Path
 from typing import Literal
 
 import platformdirs
-from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
+from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.toml_file import read_toml
 
 from armrig.rig.bench.machine import PRIORITY, governors, granted, load, preemption, text, virtual
 
@@ -121,7 +121,7 @@ def recordings_directory(root: Path, user: Path) -> Path:
     chosen = ""
     for path in (root / "etc/armrig/armrig.toml", user / "armrig.toml"):
         with suppress(OSError, ValueError, AttributeError):  # the daemon says what is wrong with it
-            tables = tomllib.loads(read_text(path, CONFIGURATION_LIMIT))
+            tables = read_toml(path, CONFIGURATION_LIMIT)
             chosen = tables.get("recording", {}).get("directory", "") or chosen
     if chosen:
         return Path(chosen).expanduser().absolute()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
+from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.toml_file import read_toml
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
 
 from armrig_daemon.tables import convert
@@ -173,7 +173,7 @@ def load(path: Path) -> EmulatorSettings:
         The file cannot be read, is no TOML, or holds a key or value that is not allowed.
     """
     try:
-        tables = tomllib.loads(read_text(path, CONFIGURATION_LIMIT))
+        tables = read_toml(path, CONFIGURATION_LIMIT)
         return convert({"emulator": tables.get("emulator", {})}, _File).emulator
     except OSError as err:
         msg = f"{path}: {err.strerror}"

@@ -220,7 +220,7 @@ class Commands:
                 self._order(command, *self._runs.plan(request, self._Ts, start, alive))
             case commands.Renew():
                 self._runs.renew(request, command.came_s)
-                command.answer(commands.Done())
+                command.answer(commands.Done(done=True))
             case commands.Stop():
                 who = signed(request.by, command.by)
                 halt = Halt(reason=f"stopped by {who}") if who else Halt()

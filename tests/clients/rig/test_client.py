@@ -182,6 +182,17 @@ def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
     assert [r.by for r in daemon.asked if isinstance(r, commands.Stop)] == [""]
 
 
+@pytest.mark.parametrize("answer", [{}, {"stopped": True}, {"done": False}, [], "done"])
+def test_a_stop_that_is_not_confirmed_is_no_stop(
+    daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch, answer: Any
+) -> None:
+    """Whatever else answers on that key: the person has to pull the plug."""
+    monkeypatch.setattr(daemon, "_carry_out", lambda _: answer)
+
+    with Rig("1", connect=where) as rig, pytest.raises(RigError, match="the answer to 'stop'"):
+        rig.stop()
+
+
 def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:
     """It says what to do."""
     with Rig("1", connect=where) as rig, pytest.raises(RefusedError, match=r"call arm\(owner\)"):

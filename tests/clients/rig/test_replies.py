@@ -78,7 +78,14 @@ def test_a_reply_that_is_none_is_told(body: bytes) -> None:
 def test_a_reply_is_read() -> None:
     """As the daemon wrote it."""
     assert reply_of("status", _status(Ts=0.02), StatusReport).Ts == 0.02
-    assert reply_of("stop", b"{}", Done) == Done()
+    assert reply_of("stop", b'{"done": true}', Done) == Done(done=True)
+
+
+@pytest.mark.parametrize("body", [b"{}", b'{"x": 1}', b'{"done": 1}', b"[]", b"null"])
+def test_an_answer_that_does_not_say_done_is_none(body: bytes) -> None:
+    """A stop that anybody's JSON could confirm is no stop."""
+    with pytest.raises(MalformedReplyError, match="the answer to 'stop' cannot be read"):
+        reply_of("stop", body, Done)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from armrig.data.files.arrays import MOST_BYTES, ArrayTable, table_of
+from armrig.data.files.arrays import ArrayTable, most_unpacked, table_of
 from armrig.data.files.mat_variables import DamageError, TooLongError, Unread, variables
 from armrig.data.files.table import DataFileError
 
@@ -22,14 +22,15 @@ def read(data: bytes) -> ArrayTable:
     """
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}
+    most = most_unpacked(len(data))
     try:
-        for name, value in variables(data, MOST_BYTES):
+        for name, value in variables(data, most):
             _sort(name, value, arrays, refused)
     except DamageError as err:
         msg = f"is a damaged MAT-file ({err}); {_AGAIN}"
         raise DataFileError(msg) from err
     except TooLongError as err:
-        msg = f"unpacked it has more than {MOST_BYTES >> 20} MiB; {_AGAIN}"
+        msg = f"unpacked it has more than {most >> 20} MiB; {_AGAIN}"
         raise DataFileError(msg) from err
     return table_of(arrays, refused)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from io import BytesIO
-from typing import Any
+from math import prod
+from typing import IO, Any
 from zipfile import ZipFile
 
 import numpy as np
 
-from armrig.data.files.arrays import MOST_BYTES, ArrayTable, table_of
+from armrig.data.files.arrays import ArrayTable, most_unpacked, table_of
 from armrig.data.files.table import DataFileError
 
 _PICKLED = "holds Python objects, which are programs and never loaded; save numbers instead"
@@ -26,14 +27,15 @@ def read(data: bytes) -> ArrayTable:
     refused: dict[str, str] = {}
     try:
         with ZipFile(BytesIO(data)) as archive:
-            members = [m for m in archive.infolist() if m.filename.endswith(".npy")]
-            if sum(m.file_size for m in members) > MOST_BYTES:
-                msg = f"unpacked it has more than {MOST_BYTES >> 20} MiB; save only input and "
+            members = [m.filename for m in archive.infolist() if m.filename.endswith(".npy")]
+            most = most_unpacked(len(data))
+            if sum(_size(archive, member) for member in members) > most:
+                msg = f"unpacked it has more than {most >> 20} MiB; save only input and "
                 raise DataFileError(msg + "output")
             for member in members:
                 with archive.open(member) as file:
-                    array = _array(file.read())
-                name = member.filename.removesuffix(".npy")
+                    array = _array(file)
+                name = member.removesuffix(".npy")
                 if array is None:
                     refused[name] = _PICKLED
                 else:
@@ -49,10 +51,22 @@ def read(data: bytes) -> ArrayTable:
     return table_of(arrays, refused)
 
 
-def _array(data: bytes) -> Any:
+def _size(archive: ZipFile, member: str) -> int:
+    """Return what an array takes once its numbers have 8 B each, by its head."""
+    with archive.open(member) as file:
+        is_first = np.lib.format.read_magic(file) == (1, 0)
+        # The third version has the form of the second, and names in UTF-8.
+        head = (
+            np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
+        )
+        shape, _, kind = head(file)
+    return prod(shape) * max(8, kind.itemsize)
+
+
+def _array(file: IO[bytes]) -> Any:
     """Return the array of an .npy; None where it would have to be unpickled."""
     try:
-        return np.lib.format.read_array(BytesIO(data), allow_pickle=False)
+        return np.lib.format.read_array(file, allow_pickle=False)
     except ValueError as err:
         if "allow_pickle" in str(err):
             return None

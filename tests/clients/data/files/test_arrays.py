@@ -13,6 +13,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 import pytest
 from armrig import DataFileError, load_data
+from armrig.data.files.arrays import most_unpacked
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
 
@@ -147,19 +148,40 @@ def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_data(path, signal="z", Ts=1).y, Y)
 
 
+@pytest.mark.parametrize("kind", [np.int8, np.float64])
 def test_an_archive_that_unpacks_without_end_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type
 ) -> None:
-    """By what it says of its length, before it is unpacked."""
+    """By what it says of its length, before it is unpacked; a byte becomes a number of 8 B."""
     from armrig.data.files import npz
 
-    monkeypatch.setattr(npz, "MOST_BYTES", 1 << 20)
-    path = tmp_path / "bomb.npz"
-    with ZipFile(path, "w", ZIP_DEFLATED) as archive, archive.open("u.npy", "w") as file:
-        file.write(bytes((1 << 20) + 1))
+    monkeypatch.setattr(npz, "most_unpacked", lambda _: 1 << 20)
+    n = (1 << 20) // 8
+    whole, bomb = tmp_path / "whole.npz", tmp_path / "bomb.npz"
+    np.savez_compressed(whole, u=np.arange(n - 50.0).astype(kind), y=np.ones(50, kind))
+    np.savez_compressed(bomb, u=np.zeros(n - 50, kind), y=np.ones(51, kind))
 
     with pytest.raises(DataFileError, match="unpacked it has more than 1 MiB; save only input"):
-        load_data(path, Ts=1)
+        load_data(bomb, Ts=1)
+    with pytest.raises(DataFileError, match="both need one"):  # unequal lengths: it was read
+        load_data(whole, Ts=1)
+
+
+def test_an_array_that_lies_of_its_length_costs_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its head says four numbers; a gigabyte follows, of which no more is unpacked."""
+    from armrig.data.files import npz
+
+    monkeypatch.setattr(npz, "most_unpacked", lambda _: 1 << 20)
+    path = tmp_path / "liar.npz"
+    honest = BytesIO()
+    np.save(honest, np.arange(4.0))
+    with ZipFile(path, "w", ZIP_DEFLATED) as archive:
+        for name in ("u.npy", "y.npy"):
+            archive.writestr(name, honest.getvalue() + bytes(1 << 21))
+
+    assert load_data(path, Ts=1).y.tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
 def element(kind: int, values: bytes, order: str = "<") -> bytes:
@@ -262,7 +284,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
     """As soon as it is too large."""
     from armrig.data.files import matlab
 
-    monkeypatch.setattr(matlab, "MOST_BYTES", 1 << 20)
+    monkeypatch.setattr(matlab, "most_unpacked", lambda _: 1 << 20)
     packed = zlib.compress(bytes(1 << 22))
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat5(struct.pack("<II", 15, len(packed)) + packed))
@@ -402,3 +424,10 @@ def test_an_archive_of_other_things_is_told(tmp_path: Path) -> None:
         DataFileError, match="is a ZIP archive without arrays, such as an Excel wor"
     ):
         load_data(path, Ts=1)
+
+
+def test_a_small_file_holds_little() -> None:
+    """What was measured does not pack a hundredfold; a short one may be anything."""
+    assert most_unpacked(500_000) == most_unpacked(0) == 1 << 26
+    assert most_unpacked(1_000_000) == 100_000_000
+    assert most_unpacked(100_000_000) == 1 << 28

@@ -1,0 +1,47 @@
+"""A TOML that anybody may have written is read, or refused in a line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig_core.toml_file import TomlError, read_toml, toml_tables
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 32_000 + "a = 1",
+        "[" + "a." * 32_000 + "a]",
+        '"a" . ' * 12_000 + "b = 1",
+        "x = {" + "'a'." * 16_000 + "b = 1}",
+        "x = " + "[" * 30_000,
+        "x = " + "{a = " * 12_000,
+    ],
+    ids=["dots", "a table", "quoted", "inline", "lists", "tables in each other"],
+)
+def test_what_is_nested_too_deeply_is_refused_at_once(text: str) -> None:
+    """The reader's time would grow with the square of the depth: 18 s of a whole file."""
+    with pytest.raises(TomlError, match="nested too deeply"):
+        toml_tables(text)
+
+
+def test_a_key_of_sixteen_parts_is_read() -> None:
+    """And a text, a number or a remark with more dots than that."""
+    parts = [f"k{i}" for i in range(16)]
+    tables = toml_tables(f"{'.'.join(parts)} = 1.5\ntext = '{'. ' * 40}'  # {'.' * 40}")
+
+    for part in parts[:-1]:
+        tables = tables[part]
+    assert tables == {"k15": 1.5}
+
+
+def test_a_file_is_refused_with_the_reader_s_words(tmp_path: Path) -> None:
+    """And with what to save it as, where it is in another encoding."""
+    path = tmp_path / "a.toml"
+    path.write_text("a = ")
+    with pytest.raises(TomlError, match=r"not a TOML file: Invalid value \(at end of document\)"):
+        read_toml(path, 100)
+    path.write_text("a = 1", encoding="utf-16")
+    with pytest.raises(TomlError, match="it is saved as UTF-16: save it as UTF-8"):
+        read_toml(path, 100)
