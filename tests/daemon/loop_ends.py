@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import subprocess
 
 from armrig_daemon.pipe import Orders, take_orders
-from armrig_daemon.service.child import LoopChild
+from armrig_daemon.service.child import LoopChild, Starter
 
 
 class LoopEnds:
@@ -16,7 +15,9 @@ class LoopEnds:
         self.orders_fd, orders_in = os.pipe()
         records_out, self.records_fd = os.pipe()
         os.set_blocking(self.orders_fd, False)
-        self.child = LoopChild(subprocess.Popen(["true"]), orders_in, records_out)
+        starter = Starter(["true"], ())
+        starter.start()
+        self.child = LoopChild(starter, orders_in, records_out)
         self._pending = bytearray()
 
     def orders(self) -> list[Orders]:

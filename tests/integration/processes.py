@@ -55,6 +55,12 @@ def freeze(pid: int) -> None:
     wait_for(lambda: stat.read_text().rpartition(")")[2].split()[0] in "Tt")
 
 
+def children(pid: int) -> list[int]:
+    """Return the processes that any thread of a process has started."""
+    threads = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for t in threads for child in (t / "children").read_text().split()]
+
+
 class Burners:
     """Programs that keep processors busy at ordinary priority, in a `with` block, however often.
 
@@ -247,8 +253,7 @@ class Bench:
 
     def loop_pid(self, daemon: Process) -> int:
         """Return the process of the loop."""
-        children = Path(f"/proc/{daemon.popen.pid}/task/{daemon.popen.pid}/children")
-        (pid,) = (int(text) for text in children.read_text().split())
+        (pid,) = children(daemon.popen.pid)
         return pid
 
     def end(self) -> None:

@@ -171,6 +171,20 @@ def test_a_directory_of_sockets_that_others_can_write_to_is_refused(bench: Bench
     assert daemon.said.count("\n") == 1
 
 
+def test_the_thread_whose_end_the_loop_is_told_waits_for_no_processor(served: Bench) -> None:
+    """It has a real-time priority where the loop has; no other thread of the service has."""
+    daemon = served.processes[-1]
+    loop = served.loop_pid(daemon)
+    if os.sched_getscheduler(loop) != os.SCHED_FIFO:
+        pytest.skip("no real-time rights")
+    tasks = Path(f"/proc/{daemon.popen.pid}/task")
+
+    prompt = {int(t.name) for t in tasks.iterdir() if os.sched_getscheduler(int(t.name))}
+
+    assert len(prompt) == 1
+    assert (tasks / str(*prompt) / "children").read_text().split() == [str(loop)]
+
+
 def test_a_file_at_the_place_of_the_socket_is_left_there(bench: Bench) -> None:
     """Whoever listens there would delete it."""
     place = bench.folder / "armrig" / "1.sock"

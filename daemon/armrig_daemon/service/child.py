@@ -7,6 +7,9 @@ import fcntl
 import os
 import subprocess
 import sys
+import threading
+from collections.abc import Sequence
+from concurrent.futures import Future
 
 import msgspec
 from armrig_core.signal_pipe import held_back
@@ -24,10 +27,12 @@ _READ = 1 << 16
 class LoopChild:
     """A running loop."""
 
-    def __init__(self, process: subprocess.Popen[bytes], orders_fd: int, records_fd: int) -> None:
+    def __init__(self, starter: Starter, orders_fd: int, records_fd: int) -> None:
         """Take over both pipes."""
+        self.starter = starter
+        """Thread whose end the kernel tells the loop."""
         self.records_fd = records_fd
-        self._process = process
+        self._process = starter.process
         self.orders_fd = orders_fd
         os.set_blocking(orders_fd, False)
         self._unsent = bytearray()
@@ -74,11 +79,47 @@ class LoopChild:
             self._process.kill()
             code = self._process.wait()
         os.close(self.records_fd)
+        self.starter.end()
         return code
 
 
+class Starter(threading.Thread):
+    """Starts the loop, and waits.
+
+    The kernel tells a process of the end of the very thread that started it. This one only waits,
+    so that it may keep a real-time priority: killed, it ends at once, where the other threads have
+    to wait for a processor that other programs keep busy.
+    """
+
+    def __init__(self, program: Sequence[str], fds: Sequence[int]) -> None:
+        super().__init__(name="starter", daemon=True)
+        self._program, self._fds = program, fds
+        self._process: Future[subprocess.Popen[bytes]] = Future()
+        self._over = threading.Event()
+
+    def run(self) -> None:
+        """Start the process; wait until it has ended."""
+        try:
+            with held_back():
+                self._process.set_result(subprocess.Popen(self._program, pass_fds=self._fds))
+        except OSError as err:
+            self._process.set_exception(err)
+            return
+        self._over.wait()
+
+    @property
+    def process(self) -> subprocess.Popen[bytes]:
+        """The process, once it is started."""
+        return self._process.result()
+
+    def end(self) -> None:
+        """End the thread of a process that has ended."""
+        self._over.set()
+        self.join()
+
+
 def start(settings: Settings) -> LoopChild:
-    """Start the loop; before any thread or session exists, for it inherits what there is."""
+    """Start the loop; before any session exists, for it inherits what there is."""
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):
@@ -86,10 +127,10 @@ def start(settings: Settings) -> LoopChild:
             fcntl.fcntl(fd, _F_SETPIPE_SZ, _PIPE_BYTES)
     arguments = [str(orders_out), str(records_in), msgspec.json.encode(settings).decode()]
     program = [sys.executable, "-m", "armrig_daemon.loop.process", *arguments]
+    starter = Starter(program, (orders_out, records_in))
+    starter.start()
     try:
-        with held_back():
-            process = subprocess.Popen(program, pass_fds=(orders_out, records_in))
+        return LoopChild(starter, orders_in, records_out)
     finally:
         os.close(orders_out)
         os.close(records_in)
-    return LoopChild(process, orders_in, records_out)

@@ -95,6 +95,40 @@ ends.set()
     assert _run(threads) == "True 0 0"
 
 
+def test_the_thread_whose_end_is_told_keeps_a_priority() -> None:
+    """That which systemd has given, or else the least: killed, it has to end at once."""
+    threads = """
+import threading
+ends = threading.Event()
+kept, other = (threading.Thread(target=ends.wait) for _ in range(2))
+kept.start(), other.start()
+policies = lambda: [os.sched_getscheduler(t.native_id) for t in (kept, other)]
+realtime.leave_fifo(but=kept)
+given = policies()
+os.sched_setscheduler(kept.native_id, os.SCHED_OTHER, os.sched_param(0))
+realtime.be_prompt(kept)
+print(given, policies(), os.sched_getparam(kept.native_id).sched_priority)
+ends.set()
+"""
+    assert _run(threads) == "[1, 0] [1, 0] 1"
+
+
+def test_a_thread_that_gets_no_priority_goes_on() -> None:
+    """A filter without sched_setscheduler, on a service of the ordinary policy."""
+    threads = f"""
+import threading
+ends = threading.Event()
+os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+thread = threading.Thread(target=ends.wait)
+thread.start()
+refuse({_SETSCHEDULER})
+realtime.be_prompt(thread)
+print(os.sched_getscheduler(thread.native_id))
+ends.set()
+"""
+    assert _run(threads) == "0"
+
+
 def test_a_service_that_may_not_leave_the_policy_goes_on() -> None:
     """A filter without sched_setscheduler; it is told, and kills nobody."""
     assert _run(f"refuse({_SETSCHEDULER})\nprint(realtime.leave_fifo())") == "False"

@@ -81,6 +81,24 @@ def _frames_of(master: int, least: int) -> list[Received]:
     return frames
 
 
+def test_the_loop_is_the_child_of_a_thread_that_only_waits(device: tuple[int, str]) -> None:
+    """Whose end the kernel tells it: no other thread's work, or wait for a processor, is before."""
+    child = _started(device[1])
+    tasks = Path("/proc/self/task")
+
+    [of] = [t.name for t in tasks.iterdir() if str(child._process.pid) in _children(t)]
+    waited = child.starter.is_alive()
+    child.kill()
+    child.end()
+
+    assert int(of) == child.starter.native_id
+    assert (waited, child.starter.is_alive()) == (True, False)
+
+
+def _children(task: Path) -> list[str]:
+    return (task / "children").read_text().split()
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_signal_to_the_loop_alone_ends_it_in_good_order(
     child: LoopChild, number: signal.Signals
