@@ -100,9 +100,11 @@ def test_a_run_is_interrupted_before_it_is_killed() -> None:
 def test_all_that_a_run_has_started_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also a process in a session of its own."""
     monkeypatch.setenv(suite.MARK, "a run")
-    with subprocess.Popen(
-        [sys.executable, "-c", ECHO], stdin=subprocess.PIPE, start_new_session=True
-    ) as process:
+    program = [sys.executable, "-c", "print(flush=True); input()"]
+    ends = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(program, **ends, start_new_session=True) as process:
+        assert process.stdout
+        process.stdout.readline()  # the kernel shows its variables from a little after its start on
         killed = suite.kill("a run")
 
     assert (killed, process.returncode) == (1, -signal.SIGKILL)
