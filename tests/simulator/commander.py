@@ -23,7 +23,7 @@ from armrig_daemon.pipe import State as StateRecord
 
 from simulator.options import Options
 
-_OTHER = Calibration(theta_1=Potentiometer(rad_per_count=-1.0), driver=Driver(gain=10.0))
+_OTHER = Calibration(theta_1=Potentiometer(rad_per_count=-0.1), driver=Driver(gain=10.0))
 _PATIENCE = 20
 """Acts after which an answer that has not come is no longer awaited."""
 

@@ -206,8 +206,8 @@ def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, as
 # -- the calibration -----------------------------------------------------------------------------
 
 OTHER = Calibration(
-    theta_1=Potentiometer(zero_counts=100.0, rad_per_count=-1.0),
-    alpha=Potentiometer(zero_counts=200.0, rad_per_count=2.0, wraps=False),
+    theta_1=Potentiometer(zero_counts=100.0, rad_per_count=-0.1),
+    alpha=Potentiometer(zero_counts=200.0, rad_per_count=0.05, wraps=False),
     driver=Driver(gain=10.0, offset_v=5.0),
 )
 CALIBRATE = Calibrate(order=74, calibration=OTHER)
