@@ -206,8 +206,8 @@ def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, as
 # -- the calibration -----------------------------------------------------------------------------
 
 OTHER = Calibration(
-    theta_1=Potentiometer(zero_counts=100.0, rad_per_count=-0.1),
-    alpha=Potentiometer(zero_counts=200.0, rad_per_count=0.05, wraps=False),
+    theta_1=Potentiometer(zero_counts=100.0, rad_per_count=-0.0625),
+    alpha=Potentiometer(zero_counts=200.0, rad_per_count=0.03125, wraps=False),
     driver=Driver(gain=10.0, offset_v=5.0),
 )
 CALIBRATE = Calibrate(order=74, calibration=OTHER)
@@ -235,8 +235,8 @@ def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
 
     later = [s for s in bench.samples if s.k > k]
     assert later
-    assert all(s.theta_1_rad == 100 - s.theta_1_counts for s in later)
-    assert all(s.alpha_rad == 2.0 * (s.alpha_counts - 200) for s in later)
+    assert all(s.theta_1_rad == (100 - s.theta_1_counts) / 16 for s in later)
+    assert all(s.alpha_rad == (s.alpha_counts - 200) / 32 for s in later)
     assert {s.u_applied_v for s in later} == {0.0}
 
 
