@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -57,8 +57,11 @@ def freeze(pid: int) -> None:
 
 def children(pid: int) -> list[int]:
     """Return the processes that any thread of a process has started."""
-    threads = Path(f"/proc/{pid}/task").iterdir()
-    return [int(child) for t in threads for child in (t / "children").read_text().split()]
+    found: list[int] = []
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        with suppress(OSError):  # it has just ended
+            found += map(int, (thread / "children").read_text().split())
+    return found
 
 
 class Burners:

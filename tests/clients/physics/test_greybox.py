@@ -9,6 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
+from armrig.physics.grey_box.verdict import no_model
 from armrig.physics.systems import ArmParameters, arm, chassis
 from chassis_data import Make, Ts, angle
 
@@ -100,6 +101,46 @@ def test_viscous_friction_neglected_shifts_the_inertia_and_estimated_does_not(ma
     assert any("coloured" in w for w in neglected.warnings)
     assert abs(off(estimated)) < 3
     assert abs(off(estimated, "b_1", 5e-3)) < 3
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3, 1e4])
+def test_friction_of_any_size_is_found(make: Make, scale: float) -> None:
+    """In N m s the number may be 200: a parameter of any unit goes as far as it has to."""
+    truth = ArmParameters(J_1=1.7e-3 * scale, b_1=5e-3 * scale, R_m=HANDOUT.R_m / scale)
+    data = make(p=truth)
+    start = ArmParameters(J_1=5e-3 * scale, R_m=truth.R_m)
+
+    fit = armrig.greybox(data, fixed=start, friction="viscous")
+
+    assert fit.converged
+    for name in ("J_1", "b_1"):
+        assert abs(fit.values[name] - getattr(truth, name)) < 4 * fit.std[name]
+        assert fit.std[name] < 0.05 * abs(getattr(truth, name))
+
+
+def test_a_search_that_ends_at_its_bound_says_so(make: Make) -> None:
+    """A start that is 600 000 times too large; its figure is no estimate."""
+    fit = armrig.greybox(make(), fixed=ArmParameters(J_1=1e3))
+
+    [said] = [w for w in fit.warnings if "ended at its bound" in w]
+    assert said.startswith("the search for J_1 ended at its bound, a factor 162755 from its start")
+
+
+def test_a_model_that_explains_less_than_a_constant_says_so() -> None:
+    """Its initial angle alone is a constant: no search that ended well is so poor."""
+    [said] = no_model(-10.26)
+
+    assert said.startswith("the fit is -10.3 %, below 0: a constant explains the output better")
+    assert not [*no_model(0.0)]
+
+
+def test_friction_is_no_hint_where_it_is_estimated(make: Make) -> None:
+    """Something else is left out then."""
+    data = make(coulomb_nm=0.1, low=0.0, high=5.0)
+    hints = [armrig.greybox(data, friction=f).warnings for f in (None, "viscous")]
+
+    assert ["(friction?)" in " ".join(warnings) for warnings in hints] == [True, False]
+    assert all("the residuals are coloured" in " ".join(warnings) for warnings in hints)
 
 
 def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:

@@ -144,9 +144,59 @@ def test_friction_that_is_known_is_part_of_the_balance(make: Make) -> None:
 
 
 def test_too_short_data_are_refused(make: Make) -> None:
-    """Nothing is left of them after smoothing."""
-    with pytest.raises(ValueError, match="leaves 0 values"):
-        armrig.inverse_dynamics(make(N=60))
+    """Nothing is left of them after smoothing, however narrow the kernel is."""
+    with pytest.raises(ValueError, match=r"no kernel from 0\.0025 to .* leaves 10 values for each"):
+        armrig.inverse_dynamics(make(N=20))
+    with pytest.raises(ValueError, match='or with fewer stops; friction="viscous"'):
+        armrig.inverse_dynamics(make(N=60), friction="both")
+
+
+@pytest.mark.parametrize("width", [4.0, 1e9])
+def test_a_kernel_that_is_longer_than_the_data_is_refused_before_it_is_made(
+    make: Make, width: float
+) -> None:
+    """That of 1e9 s would take a terabyte."""
+    with pytest.raises(ValueError, match="the longest experiment has 5000; give 1 s or less"):
+        armrig.inverse_dynamics(make(), width=width)
+
+
+def test_the_width_is_the_data_s(make: Make) -> None:
+    """With more noise it is wider; what the noise of the velocity adds to J_1 is told with it."""
+    quiet, loud = (armrig.inverse_dynamics(make(std=std)) for std in (2e-4, 2e-2))
+
+    assert quiet.width <= loud.width
+    for fit in (quiet, loud):
+        assert abs(fit.values["J_1"] - HANDOUT.J_1) < 4 * fit.std["J_1"]
+        assert 0 < fit.bias["J_1"] < fit.std["J_1"]
+
+
+def test_the_bias_that_is_told_is_there(make: Make) -> None:
+    """Of a narrow kernel, on the mean of 40 experiments; a warning says so."""
+    fits = [armrig.inverse_dynamics(make(seed), width=3e-3) for seed in range(40)]
+
+    off = np.array([fit.values["J_1"] - HANDOUT.J_1 for fit in fits])
+    told = np.array([fit.bias["J_1"] for fit in fits])
+    assert off.mean() > 5 * off.std() / np.sqrt(40)
+    assert abs((off - told).mean()) < 3 * off.std() / np.sqrt(40)
+    assert any("the noise of the velocity shifts J_1 by +" in w for w in fits[0].warnings)
+
+
+@pytest.mark.parametrize("slower", [1.0, 1e3])
+def test_a_slow_machine_is_not_taken_for_one_at_rest(make: Make, slower: float) -> None:
+    """The same motion in other units of time: slow is a share of the machine's own speed."""
+    fast = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0, std=1e-3, N=10_000)
+    # J x'' = a u - (d + b) x' - T: with time, a, d and b by `slower`, J by its square.
+    data = armrig.Dataset(u=fast.u, y=fast.y, Ts=fast.Ts * slower, output="theta_1", unit="rad")
+    truth = {"J_1": HANDOUT.J_1 * slower**2, "b_1": 5e-3 * slower, "T_c": 0.02}
+    other = ArmParameters(
+        J_1=truth["J_1"], N=HANDOUT.N * slower, R_m=HANDOUT.R_m * slower, K_m=HANDOUT.K_m
+    )
+
+    fit = armrig.inverse_dynamics(data, other, friction="both")
+
+    for name, value in truth.items():
+        assert abs(fit.values[name] - value) < 4 * fit.std[name]
+    assert fit.std["J_1"] < 0.01 * truth["J_1"]
 
 
 def test_smoothed_white_noise_is_rejected_as_often_as_is_meant() -> None:

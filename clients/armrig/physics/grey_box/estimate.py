@@ -21,7 +21,7 @@ from armrig.physics.grey_box.free_parameters import (
     require_output,
 )
 from armrig.physics.grey_box.least_squares_problem import GreyBox, GreyBoxWithFriction
-from armrig.physics.grey_box.parameters import COULOMB, NAMES
+from armrig.physics.grey_box.parameters import COULOMB, NAMES, SIGNED
 from armrig.physics.grey_box.sampled_model import Model, Physics
 from armrig.physics.grey_box.uncertainty import (
     by_experiment,
@@ -30,7 +30,13 @@ from armrig.physics.grey_box.uncertainty import (
     named_std,
     scales,
 )
-from armrig.physics.grey_box.verdict import noise_warnings, worse_with_friction
+from armrig.physics.grey_box.verdict import (
+    FURTHEST,
+    at_bound,
+    no_model,
+    noise_warnings,
+    worse_with_friction,
+)
 from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
@@ -115,12 +121,12 @@ def greybox(
     eta = plain.coordinates({name: getattr(p, name) for name in plain.names})
     best = _search(plain, eta)
     if COULOMB not in names:
-        return _fit(data, plain, best, names, given)
+        return _fit(data, plain, best, eta, names, given)
     problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics))
-    without, best = best, _search(problem, problem.start(best.theta))
-    return _fit(
-        data, problem, best, names, given, worse=worse_with_friction(data, without.cost, best.cost)
-    )
+    start = problem.start(best.theta)
+    without, best = best, _search(problem, start)
+    worse = worse_with_friction(data, without.cost, best.cost)
+    return _fit(data, problem, best, start, names, given, worse)
 
 
 def _require_samples(
@@ -136,13 +142,16 @@ def _require_samples(
 
 
 def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
-    # A parameter more than a factor e^12 off is no answer, and its exponential may overflow.
-    d = start.size if isinstance(problem, GreyBox) else len(problem.plain.names)
-    return levenberg_marquardt(
-        problem.linearise,
-        start,
-        admissible=lambda eta: bool(np.all(np.abs(eta - start)[:d] < 12.0)),
-    )
+    """Return the minimum near a start; no logarithm is searched further off than `FURTHEST`."""
+    plain = problem if isinstance(problem, GreyBox) else problem.plain
+    logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])
+
+    def admissible(eta: Vector) -> bool:
+        return bool(np.all(np.abs(eta - start)[logarithms] < FURTHEST))
+
+    # A model that explodes has no finite cost, and is passed over.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return levenberg_marquardt(problem.linearise, start, admissible=admissible)
 
 
 def _speed(physics: Physics) -> int:
@@ -157,6 +166,7 @@ def _fit(
     data: Dataset,
     problem: GreyBox | GreyBoxWithFriction,
     best: Optimum,
+    start: Vector,
     names: tuple[str, ...],
     fixed_std: dict[str, float],
     worse: tuple[str, ...] = (),
@@ -223,9 +233,11 @@ def _fit(
         physics=plain.physics,
         warnings=(
             *([] if converged else [f"no convergence in {best.iterations} steps"]),
+            *at_bound(plain.names, best.theta - start),
+            *no_model(found.fit_percent),
             *worse,
             *below_zero(values, std),
-            *noise_warnings(step, found),
+            *noise_warnings(step, found, has_friction=bool({"b_1", COULOMB} & {*names})),
         ),
         **data.origin(),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -86,6 +86,10 @@ class GreyFit:
     """The search met its tolerance."""
     physics: Physics
     """The model."""
+    width: float = np.nan
+    """Standard deviation of the smoothing kernel in s; NaN where nothing was smoothed."""
+    bias: dict[str, float] = field(default_factory=dict)
+    """What the noise of the smoothed velocity adds to the estimates, by name; none is taken off."""
     warnings: tuple[str, ...] = ()
     """What a reader should know before trusting the numbers."""
     output: str = "y"

@@ -12,7 +12,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +37,7 @@ from armrig.physics.grey_box.least_squares_problem import bipolar
 from armrig.physics.grey_box.parameters import COULOMB
 from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.grey_box.smoothed_noise import SMOOTHED_NOISE, smoothed_noise_p_value
-from armrig.physics.grey_box.smoothing import LEAST_WIDTH, kernels, smoothed
+from armrig.physics.grey_box.smoothing import LEAST_WIDTH, kernels, reach, smoothed
 from armrig.physics.grey_box.uncertainty import named_std
 from armrig.physics.systems import chassis
 
@@ -45,13 +45,16 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _KEPT = 1.5  # one sample for so many standard deviations of the kernel
-_WIDTH = 1.75  # of the chassis' time constant: least mean squared error in trials at 3 mrad
 _HELD = ("N", "R_m", "K_m")
 _COLOURED = (
     "the residuals are more than smoothed noise (p {p}): the model leaves something of the rig out "
     "(friction?), or the noise is not white"
 )
-_SLOW = 0.5  # rad/s, below which the sign of the speed is not trusted
+_SLOW = 0.05  # share of the effective speed below which its sign is not trusted
+_ROWS = 10  # values that are left, for each unknown: fewer show too small a deviation
+_STOPS = 2.0  # widths of the kernel in which it is taken to stop, at its effective acceleration
+_STEP = 2**0.5  # from one width that is tried to the next
+_WIDEST = 6  # such kernels, at least, are in the longest experiment
 
 
 @takes_recordings
@@ -65,8 +68,8 @@ def inverse_dynamics(
 ) -> GreyFit:
     """Estimate J_1 of the chassis alone from its torque balance, by linear least squares.
 
-    The acceleration, the noisiest signal, stands on the left; what noise the velocity brings to
-    the right shifts J_1 by a quarter of its standard deviation (30 s at 1 kHz, 3 mrad).
+    The acceleration, the noisiest signal, stands on the left; the noise of the velocity, on the
+    right, shifts J_1 by `bias`.
 
     Parameters
     ----------
@@ -77,8 +80,9 @@ def inverse_dynamics(
     friction : {"viscous", "coulomb", "both"}, optional
         As for `greybox`, the input's offset too; with T_c stretches nearly at rest are left out.
     width : float, optional
-        Standard deviation of the smoothing kernel in s; by default 1.75 of the chassis' time
-        constants. A narrower one brings noise, a wider one loses excitation and more data.
+        Standard deviation s of the smoothing kernel in s. A narrower one lets more noise into the
+        velocity, which shifts J_1; a wider one loses excitation and data. By default the width,
+        of sqrt(2) apart, with the least std² + bias².
     fixed_std : mapping of str to float, optional
         As for `greybox`.
 
@@ -86,25 +90,40 @@ def inverse_dynamics(
     -------
     GreyFit
         Both standard deviations are those of the sandwich form: smoothed noise is never white.
-        `whiteness` is the p value of residuals that are white noise of the angle, smoothed.
+        `whiteness` is the p value of residuals that are white noise of the angle, smoothed;
+        `width` is s and `bias` what the noise of the velocity adds to each estimate, to first
+        order, of which nothing is taken off.
 
     Raises
     ------
     ValueError
-        An option is unknown, or too little is left after smoothing.
+        An option is unknown, the kernel is wider than the data are long, or too little is left
+        after smoothing.
+
+    Notes
+    -----
+    With columns X, of which g_i v' is column i's part of the velocity, white noise of variance
+    λ on the angle and the kernel h' of the velocity, the estimate is off by ::
+
+        bias = -(X^T X / M)^-1 λ |h'|² g g^T β
+
+    (attenuation by errors in variables); λ is taken from the residuals of the narrowest width.
     """
     p = ArmParameters() if fixed is None else fixed
     require_output(data, "theta_1")
     names = free_names(("J_1",), friction)
     given = checked_fixed_std(fixed_std or {}, names)
-    s = max(_WIDTH * p.J_1 / p.damping if width is None else width, LEAST_WIDTH * data.Ts)
-    solution = _solved(_torque_balance(data, p, names, s), s)
-    values, slope = _parameters(solution.beta, names)
+    tried = _tried(data, p, names, width)
+    chosen = _best(tried)
+    s, solution, values, slope = chosen.s, chosen.solution, chosen.values, chosen.slope
     drift = solution.beta[-1] / solution.beta[0] if _offset_is_free(data, names) else 0.0
     found = solution.inference.transformed(slope)
     physics, held = Physics(model=chassis, fixed=p, output="theta_1"), _held(names)
     by_held = slope @ solution.by_held
-    covariance = found.covariance_robust + _carried(by_held, [given.get(k, 0.0) for k in held])
+    # The widest kernels leave few values, and those the sandwich form may take for too sure.
+    raised = chosen.std / np.sqrt(np.diag(found.covariance_robust))
+    noise = found.covariance_robust * np.outer(raised, raised)
+    covariance = noise + _carried(by_held, [given.get(k, 0.0) for k in held])
     std = named_std(names, covariance)
     white = _whiteness(solution.residuals, values, p, s, data.Ts)
     shares = by_held[0] * [getattr(p, k) for k in held] / values["J_1"]
@@ -113,7 +132,7 @@ def inverse_dynamics(
         names=names,
         values=values,
         std=std,
-        std_noise=named_std(names, found.covariance_robust),
+        std_noise=named_std(names, noise),
         std_robust=std,
         covariance=covariance,
         covariance_robust=covariance,
@@ -132,9 +151,119 @@ def inverse_dynamics(
         N=found.N,
         Ts=data.Ts,
         physics=physics,
-        warnings=(*below_zero(values, std), *_noise_warnings(white)),
+        width=s,
+        bias=dict(zip(names, chosen.bias.tolist(), strict=True)),
+        warnings=(*below_zero(values, std), *_noise_warnings(white), *_of_bias(chosen)),
         **data.origin(),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Tried:
+    """The estimate of one width."""
+
+    s: float
+    solution: _Solution
+    values: dict[str, float]
+    slope: Matrix
+    """Derivatives of the values by the coefficients."""
+    noise: float
+    """Variance of white noise of the angle that leaves such residuals."""
+    bias: Vector
+    """What the noise of the velocity adds to each value."""
+
+    std: Vector
+    """Standard deviations by the noise: by the residuals, or by white noise if that is more."""
+
+
+def _best(tried: Sequence[_Tried]) -> _Tried:
+    """Return the width with the least sum of std² + bias², each by the least std² of any."""
+    least = np.min([one.std for one in tried], axis=0)
+    return min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
+
+
+def _tried(
+    data: Dataset, p: ArmParameters, names: tuple[str, ...], width: float | None
+) -> list[_Tried]:
+    """Return the estimates of all widths that leave enough data, or of the one asked for."""
+    longest = max(part.N for part in data.experiments())
+    least = LEAST_WIDTH * data.Ts
+    if width is not None:
+        s = max(width, least)
+        if 2 * reach(s, data.Ts) + 1 > longest:
+            msg = f"width={width:g} s: the kernel sees {2 * reach(s, data.Ts) + 1} samples, the "
+            msg += f"longest experiment has {longest}; give {longest * data.Ts / 10:.2g} s or less"
+            raise ValueError(msg)
+        return [_at(data, p, names, s)]
+    found: list[_Tried] = []
+    s = least
+    while 2 * reach(s, data.Ts) + 1 <= longest / (_WIDEST if found else 1):
+        try:
+            found.append(_at(data, p, names, s, noise=found[0].noise if found else None))
+        except ValueError:
+            if found:
+                break
+        s *= _STEP
+    if not found:
+        msg = f"no kernel from {least:.2g} to {max(s / _STEP, least):.2g} s leaves {_ROWS} values "
+        msg += "for each unknown: record longer"
+        if COULOMB in names:
+            msg += ', or with fewer stops; friction="viscous" leaves nothing out near a stop'
+        raise ValueError(msg)
+    return found
+
+
+def _at(
+    data: Dataset,
+    p: ArmParameters,
+    names: tuple[str, ...],
+    s: float,
+    noise: float | None = None,
+) -> _Tried:
+    """Return the estimate of a width; `noise` is that of the angle where it is known."""
+    balance = _torque_balance(data, p, names, s)
+    solution = _solved(balance, s)
+    values, slope = _parameters(solution.beta, names)
+    k = kernels(s, data.Ts)
+    braking = p.damping - p.b_1 + values.get("b_1", p.b_1)
+    h = k.second + braking / values["J_1"] * k.first
+    own = solution.inference.noise_variance / float(h @ h)
+    known = own if noise is None else noise
+    g = balance.by_velocity
+    spread = known * float(k.first @ k.first) * np.outer(g, g)
+    robust = solution.inference.transformed(slope).covariance_robust
+    bread = slope @ np.linalg.inv(solution.moment) / solution.inference.N
+    white = known * np.diag(bread @ _meat(solution.blocks, h, _every(s, data.Ts)) @ bread.T)
+    beta_bias = -np.linalg.solve(solution.moment, spread @ solution.beta)
+    return _Tried(
+        s=s,
+        solution=solution,
+        values=values,
+        slope=slope,
+        noise=known,
+        bias=slope @ beta_bias,
+        std=np.sqrt(np.maximum(np.diag(robust), white)),
+    )
+
+
+def _meat(blocks: Sequence[Matrix], h: Vector, m: int) -> Matrix:
+    """Return sum over i, j of x(i) x(j)^T r(j - i), r the autocovariance of h in steps of m."""
+    r = np.correlate(h, h, "full")[h.size - 1 :: m]
+    total = np.zeros((blocks[0].shape[1],) * 2)
+    for X in blocks:
+        for lag, weight in enumerate(r[: X.shape[0]].tolist()):
+            part = weight * X[: X.shape[0] - lag].T @ X[lag:]
+            total += part + part.T if lag else part
+    return total
+
+
+def _of_bias(chosen: _Tried) -> Iterator[str]:
+    """Yield a warning where the noise of the velocity shifts J_1 by more than it varies."""
+    if abs(chosen.bias[0]) > chosen.std[0]:
+        yield (
+            f"the noise of the velocity shifts J_1 by {chosen.bias[0]:+.2g}, more than its "
+            "standard deviation: give a larger width, or compare with greybox"
+        )
 
 
 def _carried(by_held: NDArray[np.float64], std: list[float]) -> NDArray[np.float64]:
@@ -157,6 +286,8 @@ class _TorqueBalance:
     """Torque, velocity and sign as far as they are free, and the offset, (M, columns)."""
     moved: Matrix
     """Derivatives of the torque by what is held, (M, held)."""
+    by_velocity: Vector
+    """Derivatives of the columns by the velocity, (columns,)."""
     sizes: tuple[int, ...]
     """Rows of each experiment."""
 
@@ -175,10 +306,14 @@ class _Solution:
     """Derivatives of beta by what is held: where that is another, so is the right side."""
     condition: float
     """Of the scaled columns."""
+    moment: Matrix
+    """X^T X / M, (columns, columns)."""
     inference: Inference
     """Of beta."""
     residuals: list[Vector]
     """Of each experiment, NaN where they are not known."""
+    blocks: list[Matrix]
+    """Columns of each experiment, 0 where they are not known."""
 
 
 def _solved(balance: _TorqueBalance, s: float) -> _Solution:
@@ -186,9 +321,9 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
     kept = np.isfinite(balance.target)
     X, target, moved = balance.X[kept], balance.target[kept], balance.moved[kept]
     columns = X.shape[1]
-    if target.size < 3 * columns:
+    if target.size < _ROWS * columns:
         msg = f"smoothing over {s:.3g} s leaves {target.size} values for {columns} "
-        msg += "unknowns; give longer data, or a smaller width"
+        msg += f"unknowns, each of which needs {_ROWS}; give longer data, or another width"
         raise ValueError(msg)
     basis = orthonormal(X)
     if basis.rank < columns:
@@ -201,6 +336,7 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
         beta=beta,
         by_held=np.outer(bread[:, 0], e @ moved) - beta[0] * basis.W @ (basis.Q.T @ moved),
         condition=float(np.linalg.cond(X / np.linalg.norm(X, axis=0))),
+        moment=X.T @ X / target.size,
         inference=infer(
             residuals,
             blocks,
@@ -210,6 +346,7 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
             test=None,
         ),
         residuals=residuals,
+        blocks=blocks,
     )
 
 
@@ -241,6 +378,7 @@ def _torque_balance(
     data: Dataset, p: ArmParameters, names: tuple[str, ...], s: float
 ) -> _TorqueBalance:
     targets, rows, moved = [], [], []
+    by_velocity: Vector = np.empty(0)
     every = _every(s, data.Ts)
     by_motor = p.damping - p.b_1
     damping = by_motor if "b_1" in names else p.damping
@@ -248,6 +386,7 @@ def _torque_balance(
         x = smoothed(part, s)
         driving, braking = p.torque_per_volt * x.u, by_motor * x.velocity
         columns = [driving - damping * x.velocity]
+        slopes = [-damping]
         by = {
             "N": (driving - 2 * braking) / p.N,
             "R_m": (braking - driving) / p.R_m,
@@ -258,17 +397,22 @@ def _torque_balance(
         target = x.acceleration.copy()
         if "b_1" in names:
             columns.append(-x.velocity)
+            slopes.append(-1.0)
         if COULOMB in names:
             columns.append(-np.sign(x.velocity))
+            slopes.append(0.0)
             target[_near_standstill(part, s, x.reach)] = np.nan
         if _offset_is_free(data, names):
             columns.append(np.ones(part.N))
+            slopes.append(0.0)
+        by_velocity = np.array(slopes)
         targets.append(target[::every])
         rows.append(np.column_stack(columns)[::every])
     return _TorqueBalance(
         target=np.concatenate(targets),
         X=np.vstack(rows),
         moved=np.vstack(moved),
+        by_velocity=by_velocity,
         sizes=tuple(t.size for t in targets),
     )
 
@@ -276,10 +420,21 @@ def _torque_balance(
 def _near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
     """Return where the kernel's window touches an instant at which the chassis may stand still."""
     # A narrower kernel, or the short stops would be smoothed away.
-    fine = smoothed(part, max(s / 4, LEAST_WIDTH * part.Ts))
-    slow = (np.abs(fine.velocity) < _SLOW).astype(np.float64)
+    width = max(s / 4, LEAST_WIDTH * part.Ts)
+    fine = smoothed(part, width)
+    v = fine.velocity
+    # It may stop for less than the kernel's width, and turn between two samples.
+    within = _STOPS * width * _effective(smoothed(part, s).acceleration)
+    least = max(_SLOW * _effective(v), within)
+    turns = np.append(v[:-1] * v[1:] < 0, False)
+    slow = ((np.abs(v) < least) | turns).astype(np.float64)
     window = np.ones(2 * (reach + fine.reach) + 1)
     return np.asarray(np.convolve(slow, window)[reach + fine.reach :][: part.N] > 0.5)
+
+
+def _effective(x: Vector) -> float:
+    known = x[np.isfinite(x)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
 
 
 def _by_experiment(

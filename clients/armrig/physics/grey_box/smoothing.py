@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
+from scipy.signal import oaconvolve
 
 from armrig.data.dataset import Dataset
 
@@ -26,6 +27,12 @@ _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
 _REACH = 19**0.5  # T / s
 LEAST_WIDTH = 1.25
 """Least s in samples: sums over samples then equal integrals to 1e-6 or so."""
+_LONG = 500  # samples of a kernel from which on the way over the frequencies is faster
+
+
+def reach(s: float, Ts: float) -> int:
+    """Return how many samples to either side a kernel of standard deviation s sees."""
+    return int(np.ceil(_REACH * s / Ts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +65,8 @@ class Kernels:
 
 def kernels(s: float, Ts: float) -> Kernels:
     """Return the kernels of standard deviation s for the sampling time Ts, both in s."""
-    T = _REACH * s
-    reach = int(np.ceil(T / Ts))
-    x = np.clip(Ts * np.arange(-reach, reach + 2) / T, -1.0, 1.0)
+    T, m = _REACH * s, reach(s, Ts)
+    x = np.clip(Ts * np.arange(-m, m + 2) / T, -1.0, 1.0)
     area = _BELL.integ()
     c = area(1.0) - area(-1.0)
     held = np.diff(area(np.clip(x - Ts / T, -1.0, 1.0))) / c
@@ -70,7 +76,7 @@ def kernels(s: float, Ts: float) -> Kernels:
     # Exact on constants and lines: a turn is 6 rad, the noise 1 mrad.
     first /= -(first @ t)
     second -= second.mean()
-    return Kernels(first=first, second=second, held=held, reach=reach)
+    return Kernels(first=first, second=second, held=held, reach=m)
 
 
 def smoothed(data: Dataset, s: float) -> Smoothed:
@@ -88,7 +94,8 @@ def smoothed(data: Dataset, s: float) -> Smoothed:
 def _through(x: Vector, kernel: Vector) -> Vector:
     """Return sum_m kernel(m) x(i - m), NaN where the window does not lie inside."""
     whole = np.full(x.size, np.nan)
-    reach = kernel.size // 2
+    m = kernel.size // 2
     if x.size >= kernel.size:
-        whole[reach : x.size - reach] = np.convolve(x, kernel, mode="valid")
+        convolve = np.convolve if kernel.size < _LONG else oaconvolve
+        whole[m : x.size - m] = convolve(x, kernel, mode="valid")
     return whole
