@@ -1,43 +1,86 @@
-"""Start values beside a minimum: one mode of F at another frequency.
+"""Start values beside a minimum: one mode of C, D or F at another place.
 
 In strong noise the prediction error has minima of little difference, in which a weak mode has
-settled on the noise of some frequency. Where searches disagree, that mode is tried elsewhere.
+settled on the noise of some frequency; slow noise, or a slow input, has others, in which a real root
+has. Where searches disagree, that mode is tried elsewhere.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
 
 import numpy as np
 
 from armrig.estimation.prediction_error import PredictionError
-from armrig.numerics.polynomial import Array, roots
+from armrig.estimation.steiglitz_mcbride import high_order_output, steiglitz_mcbride
+from armrig.numerics.polynomial import Array, filtered, roots
 
 _ANGLES = np.linspace(0.1, 3.0, 15)  # of the moved mode, in rad a sample
+_REAL = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
+_IS_REAL = 1e-9
 _RADIUS = 0.93
+_EACH = 4  # starts of a kind
 
 
-def moved_modes(problem: PredictionError, theta: Array, *, most: int) -> Iterator[Array]:
-    """Yield the `most` start values of least cost in which one pair of F's roots is moved."""
-    C, D, F = problem.polynomials(theta)
-    candidates = []
-    for kept in _without_one_pair(roots(F)):
+def moved_modes(problem: PredictionError, theta: Array) -> Iterator[Array]:
+    """Yield start values in which one mode of C, D or F is moved; those of least cost of each kind.
+
+    A complex pair, or the two smallest real roots, becomes a pair at another frequency, or two other
+    real roots; a real root becomes another one.
+    """
+    polynomials = problem.polynomials(theta)
+    for which, polynomial in enumerate(polynomials):
+        for kind in (_other_pairs, _other_reals, _other_real):
+            starts = []
+            for moved in kind(roots(polynomial)):
+                others = [*polynomials]
+                others[which] = np.real(np.poly(moved))
+                start = np.concatenate([other[1:] for other in others])
+                starts.append((problem.cost(start), start))
+            starts.sort(key=lambda start: start[0])
+            yield from (start for _, start in starts[:_EACH])
+    yield from _with_white_noise(problem, theta)
+
+
+def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]:
+    """Yield starts in which F is estimated anew, from signals filtered by D/C: their noise is white."""
+    n = problem.structure
+    C, D, _ = problem.polynomials(theta)
+    if n.nf == 0 or n.nc + n.nd == 0:
+        return
+    signals = [(filtered(D, C, x.u), filtered(D, C, x.y)) for x in problem.experiments]
+    smooth = high_order_output(signals, n)
+    for F, on in ((np.ones(1), smooth), (np.ones(1), signals)):
+        for better in steiglitz_mcbride(on, F, n, iterations=5):
+            yield np.concatenate([theta[: n.nc + n.nd], better[1:]])
+
+
+def _other_pairs(z: Array) -> Iterator[Array]:
+    for kept in _without_one_pair(z):
         for angle in _ANGLES:
-            moved = _RADIUS * np.exp(1j * np.array([angle, -angle]))
-            f = np.real(np.poly(np.concatenate([kept, moved])))[1:]
-            start = np.concatenate([C[1:], D[1:], f])
-            candidates.append((problem.cost(start), start))
-    candidates.sort(key=lambda candidate: candidate[0])
-    yield from (start for _, start in candidates[:most])
+            yield np.concatenate([kept, _RADIUS * np.exp(1j * np.array([angle, -angle]))])
+
+
+def _other_reals(z: Array) -> Iterator[Array]:
+    for kept in _without_one_pair(z):
+        for pair in combinations(_REAL, 2):
+            yield np.concatenate([kept, pair])
+
+
+def _other_real(z: Array) -> Iterator[Array]:
+    for i in np.flatnonzero(np.abs(z.imag) <= _IS_REAL):
+        for root in _REAL:
+            yield np.append(np.delete(z, i), root)
 
 
 def _without_one_pair(z: Array) -> Iterator[Array]:
     """Yield what is left without each complex pair, and without the two smallest real roots."""
     rest = np.arange(z.size)
-    for i in np.flatnonzero(z.imag > 1e-9):
+    for i in np.flatnonzero(z.imag > _IS_REAL):
         partner = int(np.argmin(np.abs(z - np.conj(z[i]))))
         yield z[(rest != i) & (rest != partner)]
-    real = np.flatnonzero(np.abs(z.imag) <= 1e-9)
+    real = np.flatnonzero(np.abs(z.imag) <= _IS_REAL)
     if real.size >= 2:
         smallest = real[np.argsort(np.abs(z[real]))[:2]]
         yield z[~np.isin(rest, smallest)]

@@ -17,7 +17,8 @@ Ends = list[tuple[str, Optimum]]
 SAME_MINIMUM = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
 _MUCH_NOISE = 0.2  # share of the output's variance from which a mode may settle on noise
-_ROUNDS, _EACH = 3, 3
+_ROUNDS = 6
+_FIRST, _EACH = 10, 5  # steps from each other start, and how many of them go on
 
 
 def searched_minimum(problem: PredictionError, part: PredictionError | None = None) -> Ends:
@@ -35,10 +36,9 @@ def searched_minimum(problem: PredictionError, part: PredictionError | None = No
     ends = _from_starts(problem) if part is None else _through(part, problem)
     for _ in range(_ROUNDS if _doubtful(problem, ends) else 0):
         best = ends[0][1]
-        moved = [
-            problem.minimise(theta, known=best.cost)
-            for theta in moved_modes(problem, best.theta, most=_EACH)
-        ]
+        near = [problem.minimise(start, most=_FIRST) for start in moved_modes(problem, best.theta)]
+        near.sort(key=lambda end: end.cost)
+        moved = [problem.minimise(end.theta, known=best.cost) for end in near[:_EACH]]
         lowest = min(moved, key=lambda end: end.cost, default=best)
         if same_minimum(problem, lowest.cost, best.cost):
             break
@@ -83,10 +83,13 @@ def same_minimum(problem: PredictionError, lower: float, higher: float) -> bool:
 
 
 def _doubtful(problem: PredictionError, ends: Ends) -> bool:
-    if problem.structure.nf < 2:
+    n = problem.structure
+    if n.nc + n.nd + n.nf == 0:
         return False
     if not same_minimum(problem, ends[0][1].cost, ends[-1][1].cost):
         return True
+    if n.nf < 2:
+        return False
     parts = problem.solve(ends[0][1].theta).parts
     left = [(x.y - p.driven)[x.rows] for x, p in zip(problem.experiments, parts, strict=True)]
     y = [x.y[x.rows] for x in problem.experiments]
