@@ -1,7 +1,7 @@
 """Start values beside a minimum: one mode of C, D or F at another place.
 
 In strong noise the prediction error has minima of little difference, in which a weak mode has
-settled on the noise of some frequency; slow noise, or a slow input, has others, in which a real root
+settled on the noise of some frequency. Slow noise and slow inputs have others, in which a real root
 has. Where searches disagree, that mode is tried elsewhere.
 """
 
@@ -26,8 +26,8 @@ _EACH = 4  # starts of a kind
 def moved_modes(problem: PredictionError, theta: Array) -> Iterator[Array]:
     """Yield start values in which one mode of C, D or F is moved; those of least cost of each kind.
 
-    A complex pair, or the two smallest real roots, becomes a pair at another frequency, or two other
-    real roots; a real root becomes another one.
+    A complex pair, or the two smallest real roots, becomes a pair at another frequency, or two
+    other real roots; a real root becomes another one.
     """
     polynomials = problem.polynomials(theta)
     for which, polynomial in enumerate(polynomials):
@@ -44,7 +44,7 @@ def moved_modes(problem: PredictionError, theta: Array) -> Iterator[Array]:
 
 
 def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]:
-    """Yield starts in which F is estimated anew, from signals filtered by D/C: their noise is white."""
+    """Yield starts in which F is estimated again, from signals filtered by D/C."""
     n = problem.structure
     C, D, _ = problem.polynomials(theta)
     if n.nf == 0 or n.nc + n.nd == 0:

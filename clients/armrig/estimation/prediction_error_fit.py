@@ -10,12 +10,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from armrig.data.dataset import Dataset
+from armrig.estimation.curvature import curvature
 from armrig.estimation.data_faults import data_faults
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
 from armrig.estimation.orders import require_samples
 from armrig.estimation.prediction_error import PredictionError, Solution
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
-from armrig.models.estimate import Start
+from armrig.models.estimate import MOST_CURVED, Start
 from armrig.models.fit import Fit
 from armrig.models.free_response import FreeResponse, offset_from_ramp
 from armrig.models.innovations import Errors, Unknown, prepared
@@ -29,6 +30,10 @@ Initial = Literal["estimate", "backcast", "zero", "auto"]
 
 PART = 3000  # samples that the starts are searched from on, where there are more than twice these
 MANY_PULSES = 0.01  # share of the errors from which unknown pasts are worth a word
+CURVED = (
+    "the deviations of the coefficients are not to be trusted: within two of them the loss is no "
+    "parabola, as where a pole and a zero nearly cancel. Those of the responses hold"
+)
 AUTO_LEVEL = 0.05  # of the F-test that keeps the initial state
 
 
@@ -151,13 +156,18 @@ def _fit(
     ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in ends]
     n, best = problem.structure, ends[0][1]
     p = problem.named(solution.ab, theta)
-    found = _inference(data, problem, solution)
+    free = _inference(data, problem, solution)
+    found = free.transformed(with_integrator(n))
+    first = n.na + n.nb
+    curved = 0.0
+    if best.cost > floor:
+        curved = curvature(problem, theta, free.covariance[first:, first:], found.noise_variance)
     agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
     starts = tuple(
         Start(name=start, loss=o.cost / found.N, iterations=o.iterations, converged=o.converged)
         for start, o in ends
     )
-    free = [
+    responses = [
         _free_response(n, p, part, s)
         for part, s in zip(data.experiments(), solution.parts, strict=True)
     ]
@@ -186,9 +196,11 @@ def _fit(
         converged=best.converged,
         starts=starts if len(starts) > 1 else (),
         agreed=agreed,
-        free=tuple(free),
+        free=tuple(responses),
+        curvature=curved,
         warnings=(
             *_warnings(best, starts, found, agreed=agreed),
+            *([CURVED] if curved > MOST_CURVED and not found.white.coloured else []),
             *_gap_warnings([g.unknown for g in solution.given], found.N),
             *data_faults(
                 data,
@@ -201,7 +213,7 @@ def _fit(
 
 
 def _inference(data: Dataset, problem: PredictionError, solution: Solution) -> Inference:
-    """Return what the residuals tell of theta, an integrator's coefficients included."""
+    """Return what the residuals tell of the free parameters."""
     rows = [x.rows for x in problem.experiments]
     return infer(
         _residuals(problem, solution),
@@ -210,7 +222,7 @@ def _inference(data: Dataset, problem: PredictionError, solution: Solution) -> I
         spans=[g.unknown.span for g in solution.given],
         y=data.y,
         rounding=rounding_floor(problem),
-    ).transformed(with_integrator(problem.structure))
+    )
 
 
 def _residuals(problem: PredictionError, solution: Solution) -> list[Array]:

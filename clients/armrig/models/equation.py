@@ -92,4 +92,7 @@ def whiteness_sentence(fit: Estimate, std: str = "std", robust: str = "std_robus
     of = "residuals prewhitened as IV4 does" if fit.structure == "iv4" else "residuals"
     if isnan(fit.whiteness):
         return f"{of} {fit.white}"
-    return f"{of} {fit.white}: trust " + (f"{robust}, not {std}" if fit.trusts_robust else std)
+    if fit.trusts_robust:
+        return f"{of} {fit.white}: trust {robust}, not {std}"
+    of_what = "" if fit.trusts_coefficients else " of the responses, not of the coefficients"
+    return f"{of} {fit.white}: trust {std}{of_what}"

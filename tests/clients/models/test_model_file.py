@@ -74,7 +74,7 @@ def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> 
         *("format", "version", "armrig", "structure", "A", "B", "C", "D", "F", "nk"),
         *("integrator", "offset", "covariance", "covariance_robust", "noise_variance", "loss"),
         *("N", "Ts", "fit_percent", "whiteness", "whiteness_test", "converged", "starts"),
-        *("agreed", "free"),
+        *("agreed", "curvature", "free"),
         *("warnings", "output", "unit", "input_unit", "source", "history", "digest"),
     }
 
