@@ -366,3 +366,24 @@ def test_what_quantisation_hides_is_not_ruled_out(
 
     assert found == low
     assert bool(remarks) == (changes < 10 and t_q is not None)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_plant_of_relative_degree_four_has_no_dead_time(seed: int) -> None:
+    """1/(s + 1)^4 at Ts 0.2 s begins 1 : 15 : 65: one sample of delay is not shown."""
+    rng = np.random.default_rng([seed, 28])
+    u = armrig.telegraph(2000, 0.05, 1.0, 4.0, seed=rng)
+    # Four lags of first order, exactly, for an input that is held.
+    A = -np.eye(4) + np.eye(4, k=-1)
+    Phi, Gamma = zero_order_hold(A, np.eye(4)[:, :1], 0.2)
+    x, clean = np.zeros(4), np.empty(u.size)
+    for k, volts in enumerate(u.tolist()):
+        clean[k] = x[3]
+        x = Phi @ x + Gamma[:, 0] * volts
+    y = clean + 0.01 * clean.std() * rng.standard_normal(u.size)
+
+    found = armrig.delay(Dataset(u=u, y=y, Ts=0.2))
+
+    assert found.interval[0] == 1
+    assert found.interval[1] <= 3
+    assert "An onset that is slower still looks like a delay" in found.explain()

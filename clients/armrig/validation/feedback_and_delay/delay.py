@@ -46,7 +46,9 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     and u acts at the first k that is rejected, at the latest. A coefficient that is not significant
     may only be too small to see, so an earlier lag is ruled out by its size: a first coefficient is
     at least 1/(1 + 3 n) of the one n samples later, the slowest onset of a mechanical rig (t²/2
-    under a hold) having 1/(1 + 2 n), and the data must exclude so large a one (0.1 %, one-sided).
+    under a hold) having 1/(1 + 2 n), or, where the data begin more slowly, as small as an onset
+    (t/Ts)^d makes it whose d is that of their first lags (a plant of relative degree d begins
+    1 : 2^d - 1); the data must exclude so large a one (0.1 %, one-sided).
     Where that leaves several lags and y is an angle, or integrates, the shape of the onset decides
     (`smooth_onsets`).
 

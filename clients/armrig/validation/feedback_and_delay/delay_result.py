@@ -93,6 +93,7 @@ class Delay:
             "zero-order hold: what is applied from one instant on shows at the next. Each test "
             f"has a level of {100 * self.level:g} %.",
             *(f"  {line}" for line in self._tests()),
+            *([] if self.before is None else [_ASSUMED]),
             *([] if self.told else [self._way_out()]),
             "Beside it: the impulse response "
             + (f"of {self.output}'s rate " if self.response.integrator else "")
@@ -166,6 +167,13 @@ class Delay:
         if self.t_q is not None:
             lines.append(f"  t_q = {1e3 * self.t_q:.2g} ms is hidden by quantisation: no delay")
         return "\n".join([*lines, *(f"  note: {r}" for r in self.remarks)])
+
+
+_ASSUMED = (
+    "Assumed of a lag that is not shown: its coefficient is at least 1/(1 + 3 n) of that n samples "
+    "later, or, where the data begin more slowly, that of an onset (t/Ts)^d as slow as their first "
+    "lags. An onset that is slower still looks like a delay."
+)
 
 
 def _lag_sentence(least: int, k: int, p: float) -> str:

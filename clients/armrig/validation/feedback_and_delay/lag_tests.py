@@ -28,6 +28,7 @@ _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 # Share of y's norm below which residuals are rounding: data without noise have F = 0/0.
 _ROUNDING = 1e-10
 _GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the one n samples later
+_ONSET = 2  # lags after the first that is shown, over which the onset's slope is taken
 _AHEAD = 40  # coefficients after the first
 
 
@@ -80,12 +81,14 @@ class LagTests:
         """Test whether u may act first at lag k, its coefficient being too small to be shown.
 
         A first coefficient is at least 1/(1 + 3 n) of any that comes n samples later: the slowest
-        onset of a mechanical rig, t²/2 under a hold, has 1/(1 + 2 n).
+        onset of a mechanical rig, t²/2 under a hold, has 1/(1 + 2 n). Where the data begin more
+        slowly than that, it is as small as their own onset, (t/Ts)^d under a hold, makes it.
         """
         from scipy.special import ndtr
 
         later = np.arange(self.shown, self.response.size)
         least = float(np.max(np.abs(self.response[later]) / (1 + _GROWTH * (later - k))))
+        least = min(least, self._as_smooth(k))
         std = self.std[k - self.first]
         found, predicted = abs(float(self.coefficient[k - self.first])) / std, least / std
         return Before(
@@ -94,6 +97,18 @@ class LagTests:
             predicted=float(predicted),
             p_value=float(ndtr(found - predicted)),
         )
+
+    def _as_smooth(self, k: int) -> float:
+        """Return the coefficient at lag k of an onset s(j) = c (j - k + 1)^d, from those shown.
+
+        s is the answer to a step; d is the steepest slope of log s over the first lags shown.
+        """
+        s = np.abs(np.cumsum(self.response[self.shown :])[: _ONSET + 1])
+        if s.size < 2 or not np.all(s > 0):
+            return float("inf")
+        n = np.log(np.arange(s.size) + self.shown - k + 1)
+        d = float(np.max(np.diff(np.log(s)) / np.diff(n)))
+        return float(s[0] / (self.shown - k + 1) ** max(d, 1.0))
 
     def least(self) -> int:
         """Return the least lag that is not ruled out, going down from the first that is shown."""
