@@ -104,7 +104,7 @@ class LagTests:
         s is the answer to a step; d is the steepest slope of log s over the first lags shown.
         """
         s = np.abs(np.cumsum(self.response[self.shown :])[: _ONSET + 1])
-        if s.size < 2 or not np.all(s > 0):
+        if k == 0 or s.size < 2 or not np.all(s > 0):  # under a hold no smooth onset is at lag 0
             return float("inf")
         n = np.log(np.arange(s.size) + self.shown - k + 1)
         d = float(np.max(np.diff(np.log(s)) / np.diff(n)))
