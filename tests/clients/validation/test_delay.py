@@ -384,6 +384,6 @@ def test_a_plant_of_relative_degree_four_has_no_dead_time(seed: int) -> None:
 
     found = armrig.delay(Dataset(u=u, y=y, Ts=0.2))
 
-    assert found.interval[0] == 1
-    assert found.interval[1] <= 3
+    assert found.nk == 1
+    assert found.interval[0] <= 1 <= found.interval[1] <= 3
     assert "An onset that is slower still looks like a delay" in found.explain()
