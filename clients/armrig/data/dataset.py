@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
+_LARGEST = 1e30  # fourth powers of data are taken, and products of those
 _LISTED = 8  # lengths of parts that a history names
 
 
@@ -112,6 +113,8 @@ class Dataset:
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
         _require_finite("u", u_, "an input that was not applied cannot be identified from: cut it")
         _require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
+        for name, x in (("u", u_), ("y", y_[valid_])):
+            require_size(name, x)
         _require_one_number(Ts)
         if not (isfinite(Ts) and Ts > 0):
             msg = f"Ts={Ts!r} must be finite and > 0, in s"
@@ -382,6 +385,16 @@ def _require_datasets(parts: Any) -> None:
 def _mask(valid: ArrayLike) -> Mask:
     """Return a copy of the bools, False where they are masked themselves."""
     return np.array(np.ma.filled(np.ma.asanyarray(valid), False), dtype=np.bool_)
+
+
+def require_size(name: str, x: Vector) -> None:
+    """Refuse numbers whose powers have no place among those of a computer, by a ValueError."""
+    largest = float(np.max(np.abs(x), initial=0.0))
+    if largest > _LARGEST:
+        msg = (
+            f"the largest |{name}| is {largest:.3g}; take a unit in which it is below {_LARGEST:g}"
+        )
+        raise ValueError(msg)
 
 
 def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:

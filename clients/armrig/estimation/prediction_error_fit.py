@@ -23,7 +23,7 @@ from armrig.models.innovations import Errors, Unknown, prepared
 from armrig.models.structure import Structure
 from armrig.numerics.inference import Inference, infer
 from armrig.numerics.levenberg_marquardt import Optimum
-from armrig.numerics.polynomial import Array
+from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import plural
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
@@ -34,6 +34,7 @@ CURVED = (
     "the deviations of the coefficients are not to be trusted: within two of them the loss is no "
     "parabola, as where a pole and a zero nearly cancel. Those of the responses hold"
 )
+_ON_CIRCLE = 1e-6
 AUTO_LEVEL = 0.05  # of the F-test that keeps the initial state
 
 
@@ -199,7 +200,7 @@ def _fit(
         free=tuple(responses),
         curvature=curved,
         warnings=(
-            *_warnings(best, starts, found, agreed=agreed),
+            *_warnings(best, starts, found, agreed=agreed, at_circle=_at_circle(p["C"])),
             *([CURVED] if curved > MOST_CURVED and not found.white.coloured else []),
             *_gap_warnings([g.unknown for g in solution.given], found.N),
             *data_faults(
@@ -264,13 +265,27 @@ def _free_response(
     return FreeResponse(transients=transients, offset=offset)
 
 
+def _at_circle(C: Array) -> bool:
+    return bool(C.size > 1 and np.max(np.abs(roots(C))) > 1 - _ON_CIRCLE)
+
+
 def _warnings(
-    best: Optimum, starts: tuple[Start, ...], found: Inference, *, agreed: bool
+    best: Optimum,
+    starts: tuple[Start, ...],
+    found: Inference,
+    *,
+    agreed: bool,
+    at_circle: bool,
 ) -> Iterator[str]:
     if not best.converged:
         yield f"the search did not converge in {best.iterations} steps"
     if not agreed:
         yield f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
+    if at_circle:
+        yield (
+            "C has a root on the unit circle, where the search ends: its deviation is none. Lower "
+            "nc, or see whether the data were differenced or a trend was taken from them"
+        )
     d = found.basis.W.shape[0]
     if found.basis.rank < d:
         rank = f"{found.basis.rank} of {d}"

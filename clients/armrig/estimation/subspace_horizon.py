@@ -38,7 +38,8 @@ def usable_windows(
     require_integers(horizon=(i, 3 if order is None else int(order) + 2))
     w = windows(signals, past=i, future=i)
     asked = f"horizon={i}, with windows of {2 * i} samples without a gap,"
-    require_samples(asked, needed=4 * i + 2 + 2 * i, got=w.N + 2 * i - 1)
+    got = w.N + 2 * i - 1 if w.N else min(measured, 2 * i - 1)
+    require_samples(asked, needed=4 * i + 2 + 2 * i, got=got)
     if not w.R[:, w.columns("yf")].any():
         msg = f"{data.output} is constant and shows no state; record an experiment that moves it"
         raise ValueError(msg)

@@ -142,6 +142,15 @@ class Model:
         padded = [np.pad(p, (0, n - p.size)) for p in (self.B, self.denominator)]
         return control.tf(*padded, self.Ts, inputs=["u"], outputs=[self.output])
 
+    def noise_to_control(self) -> control.TransferFunction:
+        """Return the noise model H = C / (D A), from e to y, as a transfer function with dt=Ts."""
+        import control
+
+        D = np.convolve(self.D, self.A)
+        n = max(self.C.size, D.size)
+        padded = [np.pad(p, (0, n - p.size)) for p in (self.C, D)]
+        return control.tf(*padded, self.Ts, inputs=["e"], outputs=[self.output])
+
     def poles(self) -> Roots:
         """Return the poles from u to y, those of A before those of F."""
         parts = [self._roots(self.A, "a", 1), self._roots(self.F, "f", 1)]

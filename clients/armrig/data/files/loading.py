@@ -12,7 +12,7 @@ import numpy as np
 from armrig_core.bounded import read_bounded
 from armrig_core.calls import checked_call
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, require_size
 from armrig.data.files.kinds import table_of
 from armrig.data.files.sampling import sampling_time
 from armrig.data.files.table import DataFileError, Table, Vector, chosen, listed
@@ -103,6 +103,11 @@ def _dataset(
     if u.size != y.size:
         msg = f"the input has {u.size} samples and the signal {y.size}; both need one an instant"
         raise DataFileError(msg)
+    for name, x in (("input", u), ("signal", y)):
+        try:
+            require_size(name, x[~np.isnan(x)])
+        except ValueError as err:
+            raise DataFileError(str(err)) from err
     known = ~np.isnan(u)
     begins = known & ~np.append(False, known[:-1])
     left_out = int(u.size - np.count_nonzero(known))

@@ -18,6 +18,12 @@ def system(
     ValueError
         The shapes do not belong together, or a number is not finite.
     """
+    for name, given in (("A", A), ("B", B), ("x0", x0)):
+        if given is not None and np.iscomplexobj(np.asarray(given)):
+            msg = (
+                f"{name} is complex: give the real system of twice the size, [[Re, -Im], [Im, Re]]"
+            )
+            raise ValueError(msg)
     A_ = np.array(A, dtype=np.float64)
     if A_.ndim != 2 or A_.shape[0] != A_.shape[1] or A_.size == 0:
         msg = f"A has shape {A_.shape}, it must be (n, n)"

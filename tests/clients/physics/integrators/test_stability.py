@@ -7,6 +7,7 @@ from math import inf
 import numpy as np
 import pytest
 from armrig.physics.integrators.accuracy import growth
+from armrig.physics.integrators.linear_system import system
 from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import _positive_roots, stability_limit
 from armrig.physics.integrators.stepping import integrate
@@ -134,3 +135,19 @@ def test_a_system_twice_as_fast_needs_half_the_step(method: str, params: ArmPara
     A, _, _ = arm_matrices(params)
 
     assert stability_limit(2 * A, method) == pytest.approx(stability_limit(A, method) / 2)
+
+
+@pytest.mark.parametrize("name", ["A", "B", "x0"])
+def test_a_complex_system_is_refused(name: str) -> None:
+    """Its imaginary parts were dropped, which doubled the step."""
+    asked = {"A": [[-1.0]], "B": [1.0], "x0": [0.0]} | {name: np.array([[-1 + 1j]])}
+
+    with pytest.raises(ValueError, match=f"{name} is complex: give the real system of twice"):
+        system(**asked)
+
+
+def test_a_complex_matrix_has_no_stability_limit() -> None:
+    """As a real one of twice the size it has."""
+    with pytest.raises(ValueError, match="A is complex"):
+        stability_limit(np.array([[-1 + 1j]]))
+    assert stability_limit([[-1.0, -1.0], [1.0, -1.0]]) == pytest.approx(1.0)

@@ -1,0 +1,77 @@
+"""What has no answer, or one at a limit, says so."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig.numerics.polynomial import filtered
+
+U = armrig.telegraph(500, 0.1, 1.0, 4.0, seed=1)
+E = np.random.default_rng(28).standard_normal(500)
+Y = filtered([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], U) + 0.1 * E
+ESTIMATORS: dict[str, dict[str, Any]] = {
+    "arx": {"na": 2, "nb": 2},
+    "iv4": {"na": 2, "nb": 2},
+    "oe": {"nb": 2, "nf": 2},
+    "armax": {"na": 2, "nb": 2, "nc": 1},
+    "bj": {"nb": 2, "nc": 1, "nd": 1, "nf": 2},
+    "n4sid": {"order": 2},
+}
+
+
+@pytest.mark.parametrize("of", ["u", "y"])
+def test_numbers_whose_powers_are_none_are_refused(of: str) -> None:
+    """Every estimator made another answer, or another fault, of them."""
+    signals = {"u": U, "y": Y}
+    signals[of] = signals[of] * 1e150
+
+    with pytest.raises(ValueError, match=rf"the largest \|{of}\| is .*; take a unit in which it"):
+        armrig.Dataset(**signals, Ts=1.0)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_a_unit_changes_nothing_but_the_numbers(estimator: str, factor: float) -> None:
+    """The fit in percent and the test of whiteness are those of V; no warning of numpy escapes."""
+    estimate = getattr(armrig, estimator)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plain, other = (
+            estimate(armrig.Dataset(u=U, y=Y * k, Ts=1.0), **ESTIMATORS[estimator])
+            for k in (1.0, factor)
+        )
+
+    assert other.fit_percent == pytest.approx(plain.fit_percent, rel=1e-6)
+    assert other.whiteness == pytest.approx(plain.whiteness, rel=1e-4)
+
+
+def test_a_noise_model_at_the_circle_says_so() -> None:
+    """White noise of the differenced output has C = 1 - q^-1."""
+    y = np.diff(filtered([0.0, 1.0], [1.0, -0.5], U) + E)
+
+    fit = armrig.armax(armrig.Dataset(u=np.diff(U), y=y, Ts=1.0), na=1, nb=1, nc=1)
+
+    assert np.abs(np.roots(fit.C)).max() == pytest.approx(1.0, abs=1e-6)
+    assert any(w.startswith("C has a root on the unit circle") for w in fit.warnings)
+
+
+def test_three_samples_are_counted_as_three() -> None:
+    """And not as what a window of them would have."""
+    with pytest.raises(ValueError, match="needs at least 26 samples, got 3"):
+        armrig.n4sid(armrig.Dataset(u=U[:3], y=Y[:3], Ts=1.0), order=2)
+
+
+def test_the_noise_model_is_a_transfer_function() -> None:
+    """H = C / (D A), whose answer to a pulse is that of the noise."""
+    fit = armrig.armax(armrig.Dataset(u=U, y=Y, Ts=0.1), na=2, nb=2, nc=1)
+
+    H = fit.noise_to_control()
+
+    assert (H.dt, H.input_labels, H.output_labels) == (0.1, ["e"], ["y"])
+    z = np.exp(0.7j)
+    expected = np.polyval(np.append(fit.C, 0.0), z) / np.polyval(fit.A, z)
+    assert H(z) == pytest.approx(expected)
