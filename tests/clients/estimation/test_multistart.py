@@ -106,3 +106,17 @@ def test_starts_that_lead_apart_on_a_part_are_all_followed() -> None:
     costs = [end.cost for _, end in ends]
     assert costs == sorted(costs)
     assert all(end.cost == pytest.approx(whole.cost(end.theta), rel=1e-9) for _, end in ends)
+
+
+def test_the_steps_on_a_part_count_among_those_of_a_start() -> None:
+    """The search on the whole begins where the search on the part ended."""
+    data, _ = hard(87)
+    structure = Structure(nb=2, nf=2, nk=1)
+    whole = problem_of(data[:400], structure)
+    part = problem_of(data[:200], replace(structure, at_rest=False))
+
+    on_part = {name: end.iterations for name, end in multistart._from_starts(part)}
+    through = dict(multistart._through(part, whole))
+
+    assert through.keys() == on_part.keys()
+    assert all(through[name].iterations > on_part[name] for name in on_part)

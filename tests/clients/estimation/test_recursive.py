@@ -33,7 +33,7 @@ def _runs(forgetting: float) -> list[RarxState]:
     return found
 
 
-@pytest.mark.parametrize(("na", "nb", "nk"), [(2, 2, 1), (0, 3, 0), (1, 1, 2)])
+@pytest.mark.parametrize(("na", "nb", "nk"), [(2, 2, 1), (0, 3, 0), (1, 1, 2), (3, 1, 1)])
 def test_without_forgetting_it_is_the_estimate_of_all_samples(na: int, nb: int, nk: int) -> None:
     """To rounding, with its deviations, over gaps and the boundary of two experiments."""
     valid = np.ones(400, dtype=np.bool_)
