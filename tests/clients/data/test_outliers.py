@@ -104,6 +104,17 @@ def test_the_history_says_what_was_marked_and_by_which_rule() -> None:
     )
 
 
+@pytest.mark.parametrize(("count", "end"), [(10, "1360, 1500)"), (11, "1360, 1500, …)")])
+def test_the_list_of_outliers_ends_in_an_ellipsis_only_if_it_is_cut(count: int, end: str) -> None:
+    """The history lists ten outliers."""
+    data = spoilt(clean(3), list(range(240, 240 + 140 * count, 140)), 1.0)
+
+    treated = hampel(data, threshold=6.0, order=12)
+
+    assert f"marked {count} of 2000 samples" in treated.history[0]
+    assert end in treated.history[0]
+
+
 def test_clean_data_lose_a_sample_as_seldom_as_said() -> None:
     """One record in twenty, within four standard deviations of 200."""
     records = [clean(seed, N=500) for seed in range(200)]
