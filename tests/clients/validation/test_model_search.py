@@ -184,6 +184,16 @@ def _of_one_pole(pole: float, N: int, seed: int) -> Dataset:
     return Dataset(u=u, y=y + 1e-3 * rng.standard_normal(N), Ts=1.0)
 
 
+def test_orders_one_to_five_are_tried_by_default() -> None:
+    """As the docstring says of its 200 runs."""
+    data = _data(1, [1.0], [1.0], N=200)
+
+    found = search(data, families=("arx",), nk=1, integrator=False, offset=False)
+
+    poles = [dict(scored.candidate.orders)["na"] for scored in found.ranked]
+    assert sorted(poles) == [1, 2, 3, 4, 5]
+
+
 def test_what_cannot_be_searched_is_refused() -> None:
     """With what is allowed."""
     data = _data(1, [1.0], [1.0], 80)
