@@ -217,6 +217,7 @@ def test_a_router_and_its_rigs(here: Path) -> None:
         (["operator", "rig-1"], "'rig-1' would be taken for a rig's"),
         (["observer", "router"], "'router' would be taken for a rig's or a router's"),
         (["rig", "1", "--host", "*.example.edu"], "a name such as lab-1.example.edu or an address"),
+        (["rig", "1", "--host", "lab-1/24"], "a name such as lab-1.example.edu or an address"),
         (["rig", "A/B", "--host", "localhost"], "rig id 'A/B': 1 to 40 of a-z"),
         (["renew", "alice"], "there is nothing to renew"),
         (["revoke", "alice"], "'alice' is neither an operator nor an observer"),

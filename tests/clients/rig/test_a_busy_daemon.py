@@ -106,6 +106,19 @@ def test_a_look_and_a_reset_wait_for_a_flood_of_others(daemon: BusyDaemon) -> No
     assert daemon.refused == {"status": 3, "reset": 3}
 
 
+def test_a_calibration_waits_for_what_passes_by_itself(daemon: BusyDaemon, tmp_path: Path) -> None:
+    """A daemon that has no time for it now has time for it soon."""
+    daemon.busy = {"calibrate": 3}
+    file = tmp_path / "calibration.toml"
+    file.write_text("[theta_1]\nrad_per_count = 1e-4\n")
+
+    with Rig(connect=daemon.endpoint) as rig:
+        rig.calibrate(file)
+
+    assert daemon.refused == {"calibrate": 3}
+    assert daemon.names() == ["calibrate"]
+
+
 @pytest.mark.exhaustive
 def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
     """The reason is the daemon's; what does not pass by itself is told at once."""

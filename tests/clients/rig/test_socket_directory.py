@@ -13,6 +13,7 @@ import pytest
 from armrig.cli import main
 from armrig.rig import session
 from armrig.rig.client import Rig
+from armrig.rig.live_rigs import live_rigs
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.endpoint import endpoint
 from fake_daemon import FakeDaemon
@@ -185,3 +186,16 @@ def test_who_is_not_in_the_group_is_told(service: Path, monkeypatch: pytest.Monk
 
     with pytest.raises(RigError, match="only the group armrig may operate rig 1: `sudo usermod"):
         Rig().__enter__()
+
+
+def test_a_rig_whose_daemon_is_gone_is_listed_with_the_reason(directory: Path) -> None:
+    """A daemon that was killed leaves its socket; the others are listed all the same."""
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(str(directory / "0.sock"))
+
+    where, (gone, there) = live_rigs(None)
+
+    assert where == "this machine"
+    assert (there.rig, there.status is not None, there.why) == ("1", True, "")
+    assert (gone.rig, gone.status) == ("0", None)
+    assert gone.why.startswith("no reply from rig 0 at ")
