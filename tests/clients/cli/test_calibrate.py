@@ -207,6 +207,7 @@ def test_the_person_is_led_through_it(
     assert [p.experiment for p in plans] == ["calibrate-rest", "calibrate-turns"]
     assert {p.pacing for p in plans} == {"scheduled"}
     assert all(p.dead_man for p in plans)
+    assert plans[1].details == {"levels": [1.0, 2.0], "level_seconds": 12.0}
     u = plans[1].make(2450, 0.01)
     assert u.tolist() == [0.0] * 50 + [1.0] * 1200 + [2.0] * 1200
     assert not plans[0].make(300, 0.01).any()
