@@ -17,6 +17,7 @@ import armrig
 import pytest
 from armrig.cli import main
 from armrig.cli.options import folded
+from armrig.rig import live_rigs
 from armrig.rig.realtime_status import scheduling_sentences
 from armrig_core import telemetry
 from fake_daemon import FakeDaemon
@@ -212,6 +213,8 @@ def test_ctrl_c_before_a_recorder_records_is_not_lost(
 
     for name in ("open_session", "open_endpoint"):
         monkeypatch.setattr(f"armrig.rig.session.{name}", connected)
+    # A module that the command loads would keep the function; this one is loaded already.
+    monkeypatch.setattr(live_rigs, "open_endpoint", connected)
 
     assert (
         main(["record", "--from", "tcp/nowhere:1", "-o", str(tmp_path / "a.mcap"), *which]) == 130
