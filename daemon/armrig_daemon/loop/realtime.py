@@ -7,7 +7,6 @@ import ctypes
 import gc
 import os
 import signal
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -104,13 +103,13 @@ def _pin(cpu: int | None) -> bool:
     return True
 
 
-def leave_fifo(but: threading.Thread | None = None) -> bool:
+def leave_fifo(but: int | None = None) -> bool:
     """Go back to the ordinary policy, which children and threads inherit from here on.
 
     Parameters
     ----------
-    but : Thread, optional
-        One that keeps its priority.
+    but : int, optional
+        Thread that keeps its priority.
 
     Returns
     -------
@@ -118,23 +117,19 @@ def leave_fifo(but: threading.Thread | None = None) -> bool:
         Whether no other thread of this process is at SCHED_FIFO any more: a filter of system calls
         without sched_setscheduler keeps them there.
     """
-    kept = but.native_id if but else None
     for path in Path("/proc/self/task").iterdir():  # such as those of numpy's libraries
         thread = int(path.name)
         with contextlib.suppress(OSError):
-            if thread != kept and os.sched_getscheduler(thread) != os.SCHED_OTHER:
+            if thread != but and os.sched_getscheduler(thread) != os.SCHED_OTHER:
                 os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
     return not _fifo_priority()
 
 
-def be_prompt(thread: threading.Thread) -> None:
+def be_prompt(thread: int) -> None:
     """Give a thread that only waits the least real-time priority, where that is allowed."""
-    number = thread.native_id
-    if number is None:  # it has not begun
-        return
     with contextlib.suppress(OSError):
-        if os.sched_getscheduler(number) == os.SCHED_OTHER:
-            os.sched_setscheduler(number, os.SCHED_FIFO, os.sched_param(1))
+        if os.sched_getscheduler(thread) == os.SCHED_OTHER:
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
 
 
 def end_with_parent(parent: int | None = None) -> None:

@@ -112,6 +112,13 @@ class Starter(threading.Thread):
         """The process, once it is started."""
         return self._process.result()
 
+    @property
+    def number(self) -> int:
+        """The kernel's number of this thread, once the process is started."""
+        self._process.result()
+        assert self.native_id is not None  # noqa: S101 - it has begun
+        return self.native_id
+
     def end(self) -> None:
         """End the thread of a process that has ended."""
         self._over.set()

@@ -139,8 +139,8 @@ class Service:
         )
         try:
             # The loop has its priority; whatever starts from here on must not take it.
-            has_left = realtime.leave_fifo(but=loop.starter)
-            realtime.be_prompt(loop.starter)
+            has_left = realtime.leave_fifo(but=loop.starter.number)
+            realtime.be_prompt(loop.starter.number)
             sys.setswitchinterval(_SWITCH_S)
             open_files.raise_limit()
             with Session(

@@ -91,7 +91,7 @@ def test_the_loop_is_the_child_of_a_thread_that_only_waits(device: tuple[int, st
     child.kill()
     child.end()
 
-    assert int(of) == child.starter.native_id
+    assert int(of) == child.starter.number
     assert (waited, child.starter.is_alive()) == (True, False)
 
 
