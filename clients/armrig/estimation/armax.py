@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error_fit import Initial, searched
+from armrig.estimation.prediction_error_fit import Initial, Starts, searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
 from armrig.numerics.checks import require_flags, require_integers
@@ -22,6 +22,7 @@ def armax(
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
+    starts: Starts = "many",
 ) -> Fit:
     """Estimate A, B and C in A(q) y(t) = B(q) u(t) + C(q) e(t).
 
@@ -45,6 +46,9 @@ def armax(
         "backcast" is another name for "estimate": the state of least squares.
     stable : bool, default False
         Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
+    starts : {"many", "few"}
+        Where searches from different starts disagree, from how many more it is searched: "few" is
+        three times as fast, and ends in a poorer minimum more often.
 
     Returns
     -------
@@ -71,4 +75,6 @@ def armax(
         offset=offset,
     )
     orders = f"na={na}, nb={nb}, nc={nc}, nk={nk}"
-    return searched(data, structure, name="armax", orders=orders, initial=initial, stable=stable)
+    return searched(
+        data, structure, name="armax", orders=orders, initial=initial, stable=stable, starts=starts
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error_fit import Initial, searched
+from armrig.estimation.prediction_error_fit import Initial, Starts, searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
 from armrig.numerics.checks import require_flags, require_integers
@@ -23,6 +23,7 @@ def bj(
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
+    starts: Starts = "many",
 ) -> Fit:
     """Estimate B, F, C and D in y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t).
 
@@ -46,6 +47,9 @@ def bj(
     stable : bool, default False
         Reflect poles of the noise, D, outside the unit circle into it, draw those of F on it
         inside, and estimate B anew; the search lets no pole of F pass the circle.
+    starts : {"many", "few"}
+        Where searches from different starts disagree, from how many more it is searched: "few" is
+        three times as fast, and ends in a poorer minimum more often.
 
     Returns
     -------
@@ -74,4 +78,6 @@ def bj(
         offset=offset,
     )
     orders = f"nb={nb}, nc={nc}, nd={nd}, nf={nf}, nk={nk}"
-    return searched(data, structure, name="bj", orders=orders, initial=initial, stable=stable)
+    return searched(
+        data, structure, name="bj", orders=orders, initial=initial, stable=stable, starts=starts
+    )

@@ -21,17 +21,26 @@ _REAL = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
 _IS_REAL = 1e-9
 _RADIUS = 0.93
 _EACH = 4  # starts of a kind
+_OF_F = 2  # its place among the polynomials
 
 
-def moved_modes(problem: PredictionError, theta: Array) -> Iterator[Array]:
+def moved_modes(
+    problem: PredictionError, theta: Array, *, all_kinds: bool = True
+) -> Iterator[Array]:
     """Yield start values in which one mode of C, D or F is moved; those of least cost of each kind.
 
     A complex pair, or the two smallest real roots, becomes a pair at another frequency, or two
     other real roots; a real root becomes another one.
+
+    Parameters
+    ----------
+    all_kinds : bool
+        Or only pairs of F at other frequencies.
     """
     polynomials = problem.polynomials(theta)
+    kinds = (_other_pairs, _other_reals, _other_real) if all_kinds else (_other_pairs,)
     for which, polynomial in enumerate(polynomials):
-        for kind in (_other_pairs, _other_reals, _other_real):
+        for kind in kinds if all_kinds or which == _OF_F else ():
             starts = []
             for moved in kind(roots(polynomial)):
                 others = [*polynomials]
@@ -40,7 +49,8 @@ def moved_modes(problem: PredictionError, theta: Array) -> Iterator[Array]:
                 starts.append((problem.cost(start), start))
             starts.sort(key=lambda start: start[0])
             yield from (start for _, start in starts[:_EACH])
-    yield from _with_white_noise(problem, theta)
+    if all_kinds:
+        yield from _with_white_noise(problem, theta)
 
 
 def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]:

@@ -21,7 +21,9 @@ _ROUNDS = 6
 _FIRST, _EACH = 10, 5  # steps from each other start, and how many of them go on
 
 
-def searched_minimum(problem: PredictionError, part: PredictionError | None = None) -> Ends:
+def searched_minimum(
+    problem: PredictionError, part: PredictionError | None = None, *, thorough: bool = True
+) -> Ends:
     """Return where each start led, best first.
 
     Where the ends differ, or where there is much noise, each mode of the best model is tried at
@@ -32,11 +34,16 @@ def searched_minimum(problem: PredictionError, part: PredictionError | None = No
     part : PredictionError, optional
         A part of much data: the starts are searched from on it first, and only where they lead
         apart is the whole searched from more than once.
+    thorough : bool
+        Whether modes of C and D, and real ones, are moved, too.
     """
     ends = _from_starts(problem) if part is None else _through(part, problem)
+    if not (thorough or problem.structure.nf >= 2):
+        return ends
     for _ in range(_ROUNDS if _doubtful(problem, ends) else 0):
         best = ends[0][1]
-        near = [problem.minimise(start, most=_FIRST) for start in moved_modes(problem, best.theta)]
+        starts = moved_modes(problem, best.theta, all_kinds=thorough)
+        near = [problem.minimise(start, most=_FIRST) for start in starts]
         near.sort(key=lambda end: end.cost)
         moved = [problem.minimise(end.theta, known=best.cost) for end in near[:_EACH]]
         lowest = min(moved, key=lambda end: end.cost, default=best)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error_fit import Initial, searched
+from armrig.estimation.prediction_error_fit import Initial, Starts, searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
 from armrig.numerics.checks import require_flags, require_integers
@@ -21,6 +21,7 @@ def oe(
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
+    starts: Starts = "many",
 ) -> Fit:
     """Estimate B and F in y(t) = B(q)/F(q) u(t) + e(t) by minimising the output error.
 
@@ -43,6 +44,9 @@ def oe(
         "backcast" is another name for "estimate": the state of least squares.
     stable : bool, default False
         Draw poles on the unit circle into it, and estimate B anew; the search lets none pass it.
+    starts : {"many", "few"}
+        Where searches from different starts disagree, from how many more it is searched: "few" is
+        three times as fast, and ends in a poorer minimum more often.
 
     Returns
     -------
@@ -71,4 +75,6 @@ def oe(
         offset=offset,
     )
     orders = f"nb={nb}, nf={nf}, nk={nk}"
-    return searched(data, structure, name="oe", orders=orders, initial=initial, stable=stable)
+    return searched(
+        data, structure, name="oe", orders=orders, initial=initial, stable=stable, starts=starts
+    )

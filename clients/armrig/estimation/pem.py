@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error_fit import Initial, searched
+from armrig.estimation.prediction_error_fit import Initial, Starts, searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
 from armrig.numerics.checks import require_integers
@@ -23,6 +23,7 @@ def pem(
     offset: bool = False,
     initial: Initial = "estimate",
     stable: bool = False,
+    starts: Starts = "many",
 ) -> Fit:
     """Estimate all polynomials of A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) that are asked for.
 
@@ -43,6 +44,9 @@ def pem(
         "backcast" is another name for "estimate": the state of least squares.
     stable : bool, default False
         Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
+    starts : {"many", "few"}
+        Where searches from different starts disagree, from how many more it is searched: "few" is
+        three times as fast, and ends in a poorer minimum more often.
 
     Returns
     -------
@@ -62,4 +66,6 @@ def pem(
     require_integers(nb=(nb, 1), na=(na, 0), nc=(nc, 0), nd=(nd, 0), nf=(nf, 0), nk=(nk, 0))
     structure = Structure(na=na, nb=nb, nc=nc, nd=nd, nf=nf, nk=nk, offset=offset)
     orders = f"na={na}, nb={nb}, nc={nc}, nd={nd}, nf={nf}, nk={nk}"
-    return searched(data, structure, name="pem", orders=orders, initial=initial, stable=stable)
+    return searched(
+        data, structure, name="pem", orders=orders, initial=initial, stable=stable, starts=starts
+    )

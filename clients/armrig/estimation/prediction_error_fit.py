@@ -27,6 +27,7 @@ from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import plural
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
+Starts = Literal["many", "few"]
 
 PART = 3000  # samples that the starts are searched from on, where there are more than twice these
 MANY_PULSES = 0.01  # share of the errors from which unknown pasts are worth a word
@@ -46,6 +47,7 @@ def searched(
     orders: str,
     initial: Initial,
     stable: bool = False,
+    starts: Starts = "many",
 ) -> Fit:
     """Return the best minimum of the prediction error over all start values.
 
@@ -63,6 +65,8 @@ def searched(
         projects the state out, and so has that one at every step.
     stable : bool, default False
         Reflect poles outside the unit circle into it, and estimate B anew.
+    starts : {"many", "few"}
+        How many more starts there are where searches disagree.
 
     Raises
     ------
@@ -73,13 +77,18 @@ def searched(
         allowed = ", ".join(f'"{x}"' for x in get_args(Initial))
         msg = f"initial={initial!r} must be one of {allowed}"
         raise ValueError(msg)
+    if starts not in get_args(Starts):
+        msg = f'starts={starts!r} must be "many" or "few"'
+        raise ValueError(msg)
     if initial == "backcast":
         initial = "estimate"
     if structure.offset and initial != "estimate":
         msg = f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
         raise ValueError(msg)
     if initial == "auto":
-        either = partial(searched, data, structure, name=name, orders=orders, stable=stable)
+        either = partial(
+            searched, data, structure, name=name, orders=orders, stable=stable, starts=starts
+        )
         free, at_rest = either(initial="estimate"), either(initial="zero")
         return free if _state_matters(free, at_rest) else at_rest
     n = replace(structure, at_rest=initial == "zero")
@@ -89,7 +98,7 @@ def searched(
     d = n.na + n.nb + n.nc + n.nd + n.nf
     fewest = d + 1 + _nuisance(problem)
     require_samples(orders, needed=fewest, got=data.N - data.missing)
-    ends = searched_minimum(problem, _part(data, n))
+    ends = searched_minimum(problem, _part(data, n), thorough=starts == "many")
     best = ends[0][1]
     solution = problem.solve(best.theta)
     if solution.rank < n.na + n.nb:

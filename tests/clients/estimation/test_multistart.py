@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
@@ -120,3 +121,36 @@ def test_the_steps_on_a_part_count_among_those_of_a_start() -> None:
 
     assert through.keys() == on_part.keys()
     assert all(through[name].iterations > on_part[name] for name in on_part)
+
+
+def slow_noise(seed: int = 0) -> tuple[armrig.Dataset, float]:
+    """Return data whose noise model has three slow roots, and the loss that the truth leads to."""
+    rng = np.random.default_rng([seed, 28])
+    C, A = np.poly([0.99, 0.967, 0.93]), np.poly([0.9 * np.exp(0.4j), 0.9 * np.exp(-0.4j)]).real
+    period = np.sin(np.outer(np.arange(2000), 2 * np.pi * np.arange(3, 60, 2) / 200)).sum(axis=1)
+    clean = filtered([0.0, 1.0, 0.5], A, period)
+    v = filtered(C, A, rng.standard_normal(2000))
+    data = armrig.Dataset(u=period, y=clean + v * clean.std() / v.std() / 56, Ts=1.0)
+    n = Structure(na=2, nb=2, nc=3, nk=1)
+    problem = PredictionError(experiments=(prepared(data, n),), structure=n)
+    return data, problem.minimise(C[1:]).cost / data.N
+
+
+def test_roots_of_the_noise_model_are_moved_where_searches_disagree() -> None:
+    """Hannan and Rissanen's start ends in a minimum of three times the loss."""
+    data, least = slow_noise()
+
+    fit = armrig.armax(data, na=2, nb=2, nc=3)
+    few = armrig.armax(data, na=2, nb=2, nc=3, starts="few")
+
+    assert fit.loss < least * (1 + 1e-4)
+    assert few.loss > 1.5 * least
+    assert not few.agreed
+
+
+def test_starts_are_many_or_few() -> None:
+    """Anything else is refused, with what is allowed."""
+    data, _ = slow_noise()
+
+    with pytest.raises(ValueError, match='starts=\'some\' must be "many" or "few"'):
+        armrig.armax(data, na=2, nb=2, nc=3, starts="some")  # type: ignore[arg-type]
