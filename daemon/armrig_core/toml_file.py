@@ -9,9 +9,9 @@ from typing import Any
 
 from armrig_core.bounded import TextError, read_text
 
-_DEEPEST = 16
+_DEEPEST, _MOST_LEVELS = 16, 64
 # The reader's time grows with the square of the depth, and what it returns cannot be printed.
-_PART = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
+_PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
 _TOO_DEEP = re.compile(rf"(?:{_PART}[ \t]*\.[ \t]*){{{_DEEPEST}}}{_PART}")
 
 
@@ -51,8 +51,21 @@ def toml_tables(text: str) -> dict[str, Any]:
     if _TOO_DEEP.search(text):
         raise TomlError("", f"nested too deeply: a key has at most {_DEEPEST} parts")
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
     except RecursionError as err:
         raise TomlError("", "nested too deeply") from err
     except ValueError as err:  # TOMLDecodeError is one
         raise TomlError("not a TOML file: ", str(err)) from err
+    _check_depth(tables)
+    return tables
+
+
+def _check_depth(tables: dict[str, Any]) -> None:
+    """Refuse tables and lists so deep in each other that nothing can walk or print them."""
+    level: list[Any] = [tables]
+    for _ in range(_MOST_LEVELS):
+        inner = [x.values() if isinstance(x, dict) else x for x in level]
+        level = [x for values in inner for x in values if isinstance(x, dict | list)]
+        if not level:
+            return
+    raise TomlError("", f"nested too deeply: at most {_MOST_LEVELS} levels are read")

@@ -17,8 +17,10 @@ from armrig_core.toml_file import TomlError, read_toml, toml_tables
         "x = {" + "'a'." * 16_000 + "b = 1}",
         "x = " + "[" * 30_000,
         "x = " + "{a = " * 12_000,
+        '"\\"".' * 10_000 + "b = 1",
+        "x = " + "{a.a.a.a.a.a.a.a = " * 50 + "1" + "}" * 50,
     ],
-    ids=["dots", "a table", "quoted", "inline", "lists", "tables in each other"],
+    ids=["dots", "a table", "quoted", "inline", "lists", "tables", "escaped", "both"],
 )
 def test_what_is_nested_too_deeply_is_refused_at_once(text: str) -> None:
     """The reader's time would grow with the square of the depth: 18 s of a whole file."""

@@ -46,9 +46,9 @@ def armax(
         "backcast" is another name for "estimate": the state of least squares.
     stable : bool, default False
         Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
-    starts : {"many", "few"}
-        Where searches from different starts disagree, from how many more it is searched: "few" is
-        three times as fast, and ends in a poorer minimum more often.
+    starts : {"many", "few"}, default "many"
+        Further starts that are tried where searches disagree. "few" takes a fifth to two thirds of
+        the time, and ends in a poorer minimum more often.
 
     Returns
     -------

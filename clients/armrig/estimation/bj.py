@@ -47,9 +47,9 @@ def bj(
     stable : bool, default False
         Reflect poles of the noise, D, outside the unit circle into it, draw those of F on it
         inside, and estimate B anew; the search lets no pole of F pass the circle.
-    starts : {"many", "few"}
-        Where searches from different starts disagree, from how many more it is searched: "few" is
-        three times as fast, and ends in a poorer minimum more often.
+    starts : {"many", "few"}, default "many"
+        Further starts that are tried where searches disagree. "few" takes a fifth to two thirds of
+        the time, and ends in a poorer minimum more often.
 
     Returns
     -------

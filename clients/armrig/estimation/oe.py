@@ -44,9 +44,9 @@ def oe(
         "backcast" is another name for "estimate": the state of least squares.
     stable : bool, default False
         Draw poles on the unit circle into it, and estimate B anew; the search lets none pass it.
-    starts : {"many", "few"}
-        Where searches from different starts disagree, from how many more it is searched: "few" is
-        three times as fast, and ends in a poorer minimum more often.
+    starts : {"many", "few"}, default "many"
+        Further starts that are tried where searches disagree. "few" takes a fifth to two thirds of
+        the time, and ends in a poorer minimum more often.
 
     Returns
     -------

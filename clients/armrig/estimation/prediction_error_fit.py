@@ -292,8 +292,8 @@ def _warnings(
         yield f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
     if at_circle:
         yield (
-            "C has a root on the unit circle, where the search ends: its deviation is none. Lower "
-            "nc, or see whether the data were differenced or a trend was taken from them"
+            "C has a root on the unit circle, where the search ends: its deviation means nothing. "
+            "Lower nc, or see whether the data were differenced or a trend was taken from them"
         )
     d = found.basis.W.shape[0]
     if found.basis.rank < d:

@@ -187,6 +187,12 @@ class GreyFit:
             if moved:
                 shares = ", ".join(f"{k} {v:+.2f} %" for k, v in moved.items())
                 parts.append(f"It moves with what was held fixed, for 1 % each: {shares}.")
+        if np.isfinite(self.width):
+            added = ", ".join(f"{v:+.2g} to {k}" for k, v in self.bias.items())
+            parts.append(
+                f"Smoothed over {self.width:.3g} s (one standard deviation of the kernel); the "
+                f"noise of the velocity adds {added}."
+            )
         if any(self.fixed_std.values()):
             noise = ", ".join(f"{k} {v:.2g}" for k, v in self.std_noise.items())
             parts.append(f"Standard deviations by the noise alone: {noise}.")

@@ -81,8 +81,8 @@ def inverse_dynamics(
         As for `greybox`, the input's offset too; with T_c stretches nearly at rest are left out.
     width : float, optional
         Standard deviation s of the smoothing kernel in s. A narrower one lets more noise into the
-        velocity, which shifts J_1; a wider one loses excitation and data. By default the width,
-        of sqrt(2) apart, with the least std² + bias².
+        velocity, which shifts J_1; a wider one loses excitation and data. By default widths a
+        factor sqrt(2) apart are tried, and the one with the least std² + bias² is taken.
     fixed_std : mapping of str to float, optional
         As for `greybox`.
 

@@ -27,7 +27,7 @@ _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
 _REACH = 19**0.5  # T / s
 LEAST_WIDTH = 1.25
 """Least s in samples: sums over samples then equal integrals to 1e-6 or so."""
-_LONG = 500  # samples of a kernel from which on the way over the frequencies is faster
+_LONG = 500  # samples; a longer kernel is applied by FFT, which is faster then
 
 
 def reach(s: float, Ts: float) -> int:
