@@ -150,6 +150,18 @@ def test_the_angle_s_own_turns_are_no_outliers(plant: Any) -> None:
     assert not treated.valid[~valid].any()
 
 
+@pytest.mark.parametrize("after", [0, 1, 7, 19])
+def test_a_wrong_sample_after_a_gap_is_found_as_any_other(after: int) -> None:
+    """The residuals of the 20 samples after a gap lack their past: what follows shows the error."""
+    valid = (np.arange(2000) < 700) | (np.arange(2000) >= 704)
+    data = clean(3).replaced(valid=valid, step=None)
+    where = [after, 704 + after]
+
+    treated = hampel(spoilt(data, where, 1.0))
+
+    assert marked(data, treated) == where
+
+
 def test_experiments_are_searched_each_by_itself() -> None:
     """The jump of the level between them is none of theirs."""
     first, second = clean(5), clean(6)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.stretches import Mask, pieces
 
 Indices = NDArray[np.intp]
+_Found = tuple[Mask, Vector]
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
 _NEIGHBOURS = 11  # samples, whose median up to five wrong ones in a row do not move
@@ -27,9 +28,32 @@ _SHOWN = 1e-3  # share of its own trace that a sample must leave beside those ma
 def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[Mask]:
     """Return which samples are wrong, for (u, y) of each experiment, y NaN where it is missing.
 
-    n is the order of the model, `limit` the least size in robust standard deviations. Samples of
-    another order of magnitude than their neighbours would make the first model theirs, and the
-    search is then tried without them, too: what marks fewer samples is taken.
+    n is the order of the model, `limit` the least size in robust standard deviations. In the first
+    n samples after a gap the residuals lack their past, so a model of the data in reverse order,
+    which foresees y(t) from what follows, searches these first.
+    """
+    backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, limit)
+    mended, early = [], []
+    for (u, y), (wrong, expected) in zip(parts, backwards, strict=True):
+        marked = wrong[::-1] & _lacks_past(y, n)
+        mended.append((u, np.where(marked, expected[::-1], y)))
+        early.append(marked)
+    forwards = _marked(mended, n, limit)
+    return [marked | wrong for marked, (wrong, _) in zip(early, forwards, strict=True)]
+
+
+def _lacks_past(y: Vector, n: int) -> Mask:
+    """Return where one of the n samples before is missing."""
+    missing = np.concatenate(([n], np.cumsum(np.isnan(y)) + n))
+    before = np.concatenate((np.arange(n), missing))[: y.size]
+    return missing[:-1] > before
+
+
+def _marked(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[_Found]:
+    """Return which samples do not fit a model, and y as it expects it.
+
+    Samples of another order of magnitude than their neighbours would make the first model theirs,
+    and the search is then tried without them, too: what marks fewer samples is taken.
     """
     gross = [_gross(y) for _, y in parts]
     none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
@@ -37,11 +61,12 @@ def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) 
     if not any(marked.any() for marked in gross):
         return _searched(parts, n, limit, none, most)
     found = _searched(parts, n, limit, gross, most)
-    without = _searched(parts, n, limit, none, min(most, _count(found)))
-    return min(found, without, key=_count)
+    count = _count(wrong for wrong, _ in found)
+    without = _searched(parts, n, limit, none, min(most, count))
+    return without if _count(wrong for wrong, _ in without) < count else found
 
 
-def _count(wrong: list[Mask]) -> int:
+def _count(wrong: Iterable[Mask]) -> int:
     return sum(int(np.count_nonzero(marked)) for marked in wrong)
 
 
@@ -66,8 +91,8 @@ def _searched(
     limit: float,
     wrong: list[Mask],
     most: int,
-) -> list[Mask]:
-    """Return the wrong samples, found from those that are marked to begin with.
+) -> list[_Found]:
+    """Return the wrong samples, found from those that are marked to begin with, and y without.
 
     With far more than `most` it gives up, for the search of very many takes long.
     """
@@ -90,7 +115,7 @@ def _searched(
         if found in seen:
             break
         seen.add(found)
-    return wrong
+    return [(marked, y) for marked, (_, y) in zip(wrong, expected, strict=True)]
 
 
 def _bridged(y: Vector, wrong: Mask) -> Vector:
