@@ -65,6 +65,13 @@ def test_however_wrong_samples_are_the_others_are_kept(size: float) -> None:
     assert marked(clean(3), hampel(spoilt(clean(3), where, size))) == where
 
 
+def test_one_sample_far_off_costs_no_right_one() -> None:
+    """Six times the swing of y: the model was spoilt by it, and 100 right samples were marked."""
+    data = spoilt(clean(3), [700], 30.0)
+
+    assert marked(data, hampel(data)) == [700]
+
+
 def test_the_unit_of_y_decides_nothing() -> None:
     """A current in ampere is as small as 1e-10."""
     data = spoilt(clean(3), [400, 900], 1.0)

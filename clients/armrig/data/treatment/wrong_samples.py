@@ -18,7 +18,7 @@ _Found = tuple[Mask, Vector]
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
 _NEIGHBOURS = 11  # samples, whose median up to five wrong ones in a row do not move
-_GROSS = 1e3  # median deviations from it, beyond which a sample is of another order of magnitude
+_GROSS = 100  # median deviations from it, beyond which a sample is of another order of magnitude
 _ROUNDS = 25
 MOST = 0.1
 """Share of the samples beyond which they are no outliers; twice as many end the search."""
