@@ -51,6 +51,18 @@ def tell_missing(state: State, end: int, now_ns: int, u_before: int | None = Non
     return replace(state, told=end - 1, absent=later), done
 
 
+def due_ns(state: State, k: int) -> int:
+    """Return when sample k was due: by the run that the device paces, else by our last tick."""
+    run = state.run
+    if run is not None and run.scheduled and run.k_first >= 0:
+        return run.t_zero_ns + (k - run.k_first) * state.ts_us * 1000
+    return state.tick_ns - (state.k - k) * state.pace_us * 1000
+
+
+def _unanswered(state: State, k: int, n: int, now_ns: int) -> Absent:
+    return Absent(k, n, NO_ANSWER, None, due_ns(state, k), now_ns)
+
+
 def _pieces(state: State, first: int, end: int, now_ns: int) -> list[Absent]:
     """Return what is known of first … end - 1, and the rest as unanswered, in order."""
     pieces: list[Absent] = []
@@ -60,11 +72,11 @@ def _pieces(state: State, first: int, end: int, now_ns: int) -> list[Absent]:
         if begin >= behind:
             continue
         if begin > k:
-            pieces.append(Absent(k, begin - k, NO_ANSWER, None, state.tick_ns, now_ns))
+            pieces.append(_unanswered(state, k, begin - k, now_ns))
         pieces.append(a._replace(k=begin, n=behind - begin))
         k = behind
     if k < end:
-        pieces.append(Absent(k, end - k, NO_ANSWER, None, state.tick_ns, now_ns))
+        pieces.append(_unanswered(state, k, end - k, now_ns))
     return pieces
 
 

@@ -208,6 +208,8 @@ class State(msgspec.Struct, frozen=True, gc=False):
     fault: Fault | None = None
     """Why the rig is latched; None in every other phase."""
     ts_us: int = 0
+    pace_us: int = 0
+    """Period of our ticks, in µs; a device that paces itself has ticks of its own."""
     link_up: bool = False
     quitting: bool = False
     pending: bytes = b""

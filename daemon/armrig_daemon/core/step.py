@@ -51,7 +51,7 @@ _DRIVING = (_ARMED, _ACTIVE)
 
 def start(rules: Rules) -> State:
     """Return the state before anything has happened."""
-    return State(rules=rules, ts_us=rules.ts_us)
+    return State(rules=rules, ts_us=rules.ts_us, pace_us=rules.ts_us)
 
 
 def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:

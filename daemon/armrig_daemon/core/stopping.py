@@ -26,7 +26,8 @@ def end_run(state: State, now_ns: int) -> Step:
             # What the device would have sampled by now, had it not stopped.
             by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
             n = max(0, min(by_now, run.samples) - run.due)
-            state = gaps.note(state, Absent(end, n, state.outcome, 0, state.tick_ns, now_ns))
+            due_ns = gaps.due_ns(state, end)
+            state = gaps.note(state, Absent(end, n, state.outcome, 0, due_ns, now_ns))
             run, end = replace(run, due=run.due + n), end + n
         state, actions = gaps.tell_missing(state, end, now_ns)
         done += actions
@@ -34,7 +35,7 @@ def end_run(state: State, now_ns: int) -> Step:
     if run.scheduled and run.k_first >= 0:
         # The device has counted on its own: our ticks go on behind its last sample.
         k = run.k_first + run.due - 1
-        state = replace(state, k=k)
+        state = replace(state, k=k, pace_us=state.rules.ts_us)
         done.append(Repace(state.rules.ts_us, k + 1))
     done.append(Emit(RunEnded(run_id=run.run_id, outcome=state.outcome)))
     return replace(state, run=None, outcome=""), done

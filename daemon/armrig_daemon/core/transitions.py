@@ -325,7 +325,8 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         if asked.tries < _TRIES:
             return state, []  # of an earlier CONFIG, late; ours is asked for again in time
         return give_up(state, now_ns, "the device accepted another configuration than was sent")
-    before_us = _pace_us(state.ts_us, scheduled=state.scheduled)
+    before_us = state.pace_us
+    pace_us = CARE_US if asked.scheduled else asked.ts_us
     arms = isinstance(asked.order, Acquire | Play)
     # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
     # frames it answers it does not say, so that it proves no round trip to who wants to drive.
@@ -335,12 +336,12 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         config_crc=reply.config_crc,
         nonce=reply.nonce,
         ts_us=asked.ts_us,
+        pace_us=pace_us,
         scheduled=asked.scheduled,
         beats=(),
         fresh_ns=state.fresh_ns if arms else asked.sent_ns,
         tick_ns=now_ns,
     )
-    pace_us = _pace_us(asked.ts_us, scheduled=asked.scheduled)
     done: list[Action] = [] if before_us == pace_us else [Repace(pace_us, state.k + 1)]
     if arms:
         state, actions = ask(state, now_ns, Want.ARM, asked.order)
@@ -353,11 +354,6 @@ def _is_renewed(state: State, reply: ConfigReply) -> bool:
     """Return whether the configuration in force was accepted once more, under another nonce."""
     same = reply.code == Code.OK and reply.config_crc == state.config_crc
     return same and reply.nonce != state.nonce
-
-
-def _pace_us(ts_us: int, *, scheduled: bool) -> int:
-    """Return the period of our own ticks; a device that paces itself is only looked after."""
-    return CARE_US if scheduled else ts_us
 
 
 def begin_arming(state: State, now_ns: int, order: Acquire) -> Step:

@@ -6,7 +6,9 @@ from itertools import pairwise
 
 import pytest
 from armrig_core.telemetry import Sample, decode_sample
+from armrig_daemon.config import Config, Timing
 from armrig_daemon.core import step
+from armrig_daemon.core.gaps import NO_ANSWER
 from armrig_daemon.core.state import LinkDown, LinkUp, Phase, Publish, Received, Send, State, Tick
 from armrig_daemon.pipe import Gap, Play, Reset, RunEnded
 from armrig_protocol.decoder import feed
@@ -92,6 +94,32 @@ def test_an_unplugged_line_while_the_stop_is_awaited_ends_the_run() -> None:
     bench.run_for(300)
     bench.ask(Reset)
     bench.run_for(300)
+    assert_each_k_is_told_once(bench)
+
+
+@pytest.mark.parametrize(("scheduled", "period"), [(False, 5 * MS), (True, 20 * MS)])
+def test_a_gap_that_no_answer_came_to_begins_when_its_first_sample_was_due(
+    scheduled: bool, period: int
+) -> None:
+    """L2: a line is silent for 0.7 s. A scheduled run is over then, and the host's ticks go on."""
+    bench = Bench(Config(timing=Timing(Ts=0.02)))
+    assert not bench.arm(5_000).error
+    bench.order(
+        Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled)
+    )
+    bench.run_for(600)
+
+    bench.ports.from_device = lambda data: b""
+    bench.run_for(700)
+    bench.ports.from_device = lambda data: data
+    bench.run_for(300)
+
+    (gap,) = (g for g in bench.of(Gap) if g.reason == NO_ANSWER)
+    due_ns = {s.k: s.t_sched_ns for s in bench.samples}
+    assert gap.count > 20
+    assert abs(due_ns[gap.k_first + gap.count] - gap.count * period - gap.t_from_ns) < period
+    first = min(g.t_from_ns for g in bench.of(Gap))
+    assert 0 < first - max(t for t in due_ns.values() if t < first) < 10 * MS
     assert_each_k_is_told_once(bench)
 
 

@@ -55,9 +55,9 @@ def test_at_the_start_nothing_is_known() -> None:
 
     state = core_step.start(rules)
 
-    assert (state.rules, state.ts_us) == (rules, rules.ts_us)
+    assert (state.rules, state.ts_us, state.pace_us) == (rules, rules.ts_us, rules.ts_us)
     assert state.came == (0, 0)
-    known = {"rules", "ts_us", "phase", "clock", "came"}
+    known = {"rules", "ts_us", "pace_us", "phase", "clock", "came"}
     unknown = {f: getattr(state, f) for f in state.__struct_fields__ if f not in known}
     assert {f for f, value in unknown.items() if value} == {"k", "told"}
     assert (state.k, state.told, state.phase) == (-1, -1, Phase.INIT)

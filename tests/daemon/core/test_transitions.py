@@ -594,7 +594,7 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: Acquire | Non
 def test_a_scheduled_configuration_slows_our_own_ticks_down() -> None:
     """The device paces; we look after it each 10 ms."""
     bench = armed()
-    bench.loop.state = replace(bench.loop.state, ts_us=5_000)
+    bench.loop.state = replace(bench.loop.state, ts_us=5_000, pace_us=5_000)
     scheduled = replace(PLAY, scheduled=True)
     state = awaiting(bench.loop.state, Want.CONFIGURE, scheduled, ts_us=5_000, scheduled=True)
     reply = _reply(state)
