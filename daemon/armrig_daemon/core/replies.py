@@ -103,6 +103,9 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
             # Old frames hold it there, played again, and HELLO has to wait: STOP has not.
             return send(state, now_ns, encode(Stop(0, state.seq)))
         return state, []  # it will be sent again, with a newer seq
+    if asked.want is Want.STOP and state.phase is Phase.FAULT and ack.code == Code.WRONG_STATE:
+        # It has stopped by itself, and its state says so; else STOP is sent again.
+        return transitions.note_state(state, now_ns, ack.state)
     text = f"the device refuses {asked.want}: {transitions.name_of(ack.code)}"
     return transitions.give_up(state, now_ns, text)
 

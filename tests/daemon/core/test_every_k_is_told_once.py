@@ -104,9 +104,7 @@ def test_a_gap_that_no_answer_came_to_begins_when_its_first_sample_was_due(
     """L2: a line is silent for 0.7 s. A scheduled run is over then, and the host's ticks go on."""
     bench = Bench(Config(timing=Timing(Ts=0.02)))
     assert not bench.arm(5_000).error
-    bench.order(
-        Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled)
-    )
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled))
     bench.run_for(600)
 
     bench.ports.from_device = lambda data: b""

@@ -33,6 +33,7 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import State as DeviceState
 from core_states import (
+    OURS,
     PLAY,
     Decided,
     armed,
@@ -195,6 +196,27 @@ def test_a_device_that_latches_is_told_with_its_own_cause(
     assert decided.state.fault == Fault(Id.DEVICE, f"the device stopped by itself: {words}")
     assert decided.state.token == 7
     assert decided.state.device_state == DeviceState.FAULT
+
+
+@pytest.mark.parametrize(
+    ("at", "waits"),
+    [(DeviceState.FAULT, False), (DeviceState.ESTOP, False), (DeviceState.RUN, True)],
+)
+def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
+    at: DeviceState, waits: bool
+) -> None:
+    """S6: it is no error, and the fault stands; while the device drives, STOP is sent again."""
+    bench = driven()
+    latched = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
+    state = awaiting(latched, Want.STOP)
+    refusal = Ack(int(at), 0, TYPES[Stop], int(Code.WRONG_STATE), OURS)
+
+    decided = heard(bench, refusal, state)
+
+    assert decided.told(Log) == []
+    assert decided.sent == []
+    assert (decided.state.asked is not None) == waits
+    assert decided.state.fault == latched.fault
 
 
 def test_a_device_that_latches_after_our_own_trip_gives_its_token_only() -> None:
