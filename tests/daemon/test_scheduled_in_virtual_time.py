@@ -7,10 +7,11 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
+from armrig_core.telemetry import decode_sample
 from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config, Device, Timing
 from armrig_daemon.core.state import Ordered, Phase
-from armrig_daemon.pipe import Acquire, Clock, Gap, Halt, Log, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Acquire, Clock, Gap, Halt, Log, Play, RunEnded, RunStarted, State
 from armrig_daemon.pipe import Timing as TimingRecord
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -449,3 +450,37 @@ def test_the_lateness_of_a_scheduled_sample_does_not_grow_with_the_drift() -> No
     samples = [s for s in bench.samples if 100 <= s.k - k_first < 6000]
     late_ns = [s.t_host_ns - s.t_sched_ns for s in samples]
     assert max(late_ns) - min(late_ns) < 1 * MS  # a PONG of 0.5 ms may be in the way
+
+
+def test_the_state_tells_the_period_of_the_samples_that_come() -> None:
+    """While the queue is filled, and after a trip, the host asks, at periods of its own."""
+    bench = Bench(Config(timing=Timing(Ts=0.02)))
+    assert not bench.arm(5_000).error
+    order = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 400), scheduled=True)
+
+    bench.order(order)
+    bench.run_for(300)
+    bench.ports.from_device = lambda data: b""
+    bench.run_for(200)
+    bench.ports.from_device = lambda data: data
+    bench.run_for(300)
+
+    told, due_ns, periods = 0, 0, []
+    for record in bench.records:
+        sample = decode_sample(record) if isinstance(record, bytes) else None
+        if isinstance(record, State):
+            told, due_ns = record.ts_us, 0  # a new pace begins with the next sample
+            periods.append((record.phase, told))
+        elif isinstance(record, Gap):
+            due_ns = 0
+        elif sample is not None:
+            assert not due_ns or abs(sample.t_sched_ns - due_ns - told * 1000) < 0.1 * MS
+            due_ns = sample.t_sched_ns
+    assert list(dict.fromkeys(periods)) == [
+        ("safe", 20_000),
+        ("armed", 5_000),
+        ("armed", 10_000),
+        ("active", 5_000),
+        ("fault", 5_000),
+        ("fault", 20_000),
+    ]

@@ -123,14 +123,15 @@ def unanswered(state: State) -> str:
 
 
 def say_state(state: State, now_ns: int) -> Action:
-    """Return the state for whoever watches."""
+    """Return the state for whoever watches, with the period of the samples that come."""
+    paces_itself = state.scheduled and state.device_state == DeviceState.RUN
     return Emit(
         StateRecord(
             t_host_ns=now_ns,
             phase=state.phase,
             reason=state.reason,
             owner=state.lease.owner if state.lease else "",
-            ts_us=state.ts_us,
+            ts_us=state.ts_us if paces_itself else state.pace_us,
             device=device_facts(state.device),
             fault=state.fault.id if state.fault else "",
             motor=motor(state),

@@ -344,6 +344,8 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     )
     done: list[Action] = [] if before_us == pace_us else [Repace(pace_us, state.k + 1)]
     if arms:
+        if done and state.phase is Phase.ARMED:
+            done.append(say_state(state, now_ns))
         state, actions = ask(state, now_ns, Want.ARM, asked.order)
         return state, done + actions
     state = replace(state, phase=Phase.SAFE, fault=None, lease=None)
