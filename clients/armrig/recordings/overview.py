@@ -36,7 +36,8 @@ class Overview:
     outliers: Mapping[str, Vector]
     """Times of the outliers in s, by output; an output that could not be searched is left out."""
     drift: Mapping[str, Drift]
-    """By output: of the rate of theta_1, which integrates, and of alpha."""
+    """By output: of the rate of theta_1, which integrates, and of alpha. A recording in several
+    experiments, as after samples of unknown u, has "alpha 1", "alpha 2" …"""
     reasons: Mapping[str, str]
     """Why an output could not be searched, by output; "outliers" where no output could be."""
 
@@ -106,9 +107,12 @@ def overview(recording: Recording) -> Overview:
         try:
             # Neither integrates: springs hold alpha, and the back-EMF the rate. A swing after a
             # step is too short a record for a test to see that.
-            drifts[output] = drift(recording.dataset(output), integrator=False)[0]
+            found = drift(recording.dataset(output), integrator=False)
         except ValueError as err:
             reasons.setdefault(output, str(err))
+        else:
+            several = len(found) > 1
+            drifts |= {f"{output} {i}" if several else output: d for i, d in enumerate(found, 1)}
     return Overview(
         recording=recording,
         outliers=MappingProxyType(outliers),

@@ -260,8 +260,20 @@ def test_a_first_look_reports_its_own_ranges(odd: Recording) -> None:
     assert (facts["samples"], facts["missing"], facts["invalid"]) == (518, 21, odd.hidden)
     assert rows["u"] == f"0 to {np.nanmax(odd.u):.3g} V, {np.nanmean(odd.u):.3g} V on average"
     assert rows["missing"] == "21 of 518 samples"
-    assert facts["drift"]["velocity"]["unit"] == "rad/s/s"
-    assert facts["drift"]["alpha"]["unit"] == "rad/s"
+    assert facts["drift"]["velocity 1"]["unit"] == "rad/s/s"
+    assert facts["drift"]["alpha 2"]["unit"] == "rad/s"
+
+
+def test_a_first_look_reports_the_drift_of_each_experiment(odd: Recording) -> None:
+    """Each begins after samples of unknown voltage; the last alone drifts here."""
+    alpha = odd.alpha + 0.05 * np.maximum(odd.t - 14.0, 0.0)
+
+    found = overview(replace(odd, alpha=alpha))
+
+    rows = dict(found.rows())
+    assert rows["drift, alpha 1"].startswith("no drift that shows: ")
+    assert rows["drift, alpha 2"].startswith("no drift that shows: ")
+    assert rows["drift, alpha 3"].startswith("a drift: 0.05 ± ")
 
 
 def test_an_outlier_is_reported_at_its_own_time(odd: Recording) -> None:
