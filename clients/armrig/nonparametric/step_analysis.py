@@ -32,6 +32,8 @@ SHORTEST_HOLD = 8  # samples before and after a step
 SHORTEST_GAP, SMALL_GAP = 2, 0.1
 """Samples, and share of the 63 % time, from which on a gap on the rise is told."""
 BAND = 0.05  # about the final value, in which the answer has settled
+_SURE = 5  # standard deviations of a slope before the step
+_UNSETTLED = 0.005  # share of the answer still to come before the step, from which on it is told
 SMOOTH = 0.03  # noise of the smoothed response, as a share of the final value
 
 
@@ -50,7 +52,7 @@ class StepAnalysis:
     gain: float
     """Final value, mean of the last third, in y's unit per u's (the rate's, if y integrates)."""
     gain_std: float
-    """Its standard deviation from the scatter of that third."""
+    """Its standard deviation: the scatter of that third, and what had not settled before."""
     dead_time: float
     """In s; 0.0 where it cannot be told from none."""
     dead_time_interval: tuple[float, float]
@@ -189,6 +191,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     L, interval = dead_time(t, y / gain, linear_crossing(rise.t, rise.y, 0.5), data.Ts)
     L_std = (interval[1] - interval[0]) / 4 if L else 0.0
     lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
+    unsettled = _left_to_settle(y, k, steps, rise.crossing / data.Ts)
     after = t > 0
     off = np.abs(smooth / gain - 1)
     # What the settled third does is noise: of thousands of samples some are beyond any 2 of its
@@ -207,7 +210,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         smooth=smooth,
         window=window,
         gain=gain,
-        gain_std=gain_std,
+        gain_std=float(np.hypot(gain_std, unsettled)),
         dead_time=L,
         dead_time_interval=interval,
         tau=rise.crossing - L,
@@ -228,7 +231,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         unit=treated.unit,
         input_unit=data.input_unit,
         source=data.source,
-        warnings=(*decided.notes, *_warnings(tail / gain, rise, hidden, data)),
+        warnings=(*decided.notes, *_warnings(tail / gain, unsettled / gain, rise, hidden, data)),
     )
 
 
@@ -281,6 +284,21 @@ def _averaged(data: Dataset, steps: _Steps, *, slope: bool) -> tuple[NDArray[np.
         weight[known] += size**2
     with np.errstate(invalid="ignore"):
         return k, np.where(weight > 0, total / weight, np.nan)
+
+
+def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: float) -> float:
+    """Return by how much the mean answer was still to move when u stepped; 0 where it rested.
+
+    Its slope before the step times the 63 % time, in samples: what settles with that time constant.
+    """
+    near = (k < 0) & (k >= -(steps.pre // 2) - 1) & np.isfinite(y)
+    if np.count_nonzero(near) <= 2:
+        return 0.0
+    x, y = k[near] - k[near].mean(), y[near] - y[near].mean()
+    spread = float(x @ x)
+    slope = float(x @ y) / spread
+    std = float(np.linalg.norm(y - slope * x)) / np.sqrt((x.size - 2) * spread)
+    return crossing * slope if abs(slope) > _SURE * std else 0.0
 
 
 def _rise(
@@ -393,13 +411,18 @@ def dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tupl
 
 
 def _warnings(
-    tail: Vector, rise: Rise, hidden: tuple[float, float] | None, data: Dataset
+    tail: Vector, unsettled: float, rise: Rise, hidden: tuple[float, float] | None, data: Dataset
 ) -> Iterator[str]:
     if hidden:
         yield (
             f"{data.output} is missing {times(*hidden)} after the step, on the rise: the "
             f"63 % time is known to ± {times(rise.crossing_std)} only; record the step again "
             "at another angle of the chassis (`armrig collect step --at SECONDS`)"
+        )
+    if abs(unsettled) > _UNSETTLED:
+        yield (
+            "the output had not settled before the step: it was still to move by "
+            f"{100 * abs(unsettled):.2g} % of the answer; hold u longer before the step"
         )
     half = tail.size // 2
     change = float(abs(np.mean(tail[half:]) - np.mean(tail[:half]))) if half else 0.0

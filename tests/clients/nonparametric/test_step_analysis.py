@@ -166,6 +166,22 @@ def test_what_has_no_step_is_refused() -> None:
     assert said not in step_analysis(first_order(), integrator=False).warnings
 
 
+@pytest.mark.parametrize(("before", "is_told"), [(20, True), (60, True), (160, False)])
+def test_a_gain_from_an_output_that_had_not_settled_is_as_doubtful(
+    before: int, is_told: bool
+) -> None:
+    """-1.43 of three slow poles that begin at 0; after 60 samples of u = -1 V it is -1.32."""
+    u = np.repeat([-1.0, 2.0], [before, 250])
+    y = filtered([0.0] * 6 + [-0.002], np.poly([0.93, 0.9, 0.8]), u)
+    y += 1e-4 * np.random.default_rng(1).standard_normal(u.size)
+
+    found = step_analysis(Dataset(u=u, y=y, Ts=0.1), integrator=False)
+
+    assert abs(found.gain + 1 / 0.7) < 2 * found.gain_std
+    said = [w for w in found.warnings if w.startswith("the output had not settled before the step")]
+    assert bool(said) is is_told
+
+
 @pytest.mark.parametrize("begins_ms", [6, 14, 18, 40])
 def test_a_gap_on_the_rise_enters_the_deviation_and_is_told(sampled: Any, begins_ms: int) -> None:
     """The dead band hides 19 ms of the arm's rise, whose 63 % time is 20.6 ms."""
