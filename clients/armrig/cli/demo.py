@@ -87,8 +87,8 @@ def demo(
         "recordings": recordings,
         "in_virtual_time": names[n_real:],
         "models": [_row(model) for model in done.models],
-        "figures": sorted(map(str, directory.glob("*.svg"))),
-        "report": str(pdf),
+        "figures": sorted(map(str, directory.absolute().glob("*.svg"))),
+        "report": str(pdf.absolute()),
     }
 
 

@@ -47,7 +47,7 @@ def demo(
         raise ValueError(msg)
     if not seconds <= _LONGEST_DEMO_S:  # NaN neither
         msg = f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s"
-        raise ValueError(msg)
+        raise typer.BadParameter(msg)
     console = Console(stderr=json)
     how = {"virtual": virtual or firmware, "firmware": firmware}
     done = run_demo(directory, seconds=seconds, seed=seed, console=console, **how)

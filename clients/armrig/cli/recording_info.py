@@ -19,6 +19,7 @@ from armrig.cli.options import (
     Verbose,
     print_json,
     print_table,
+    tell,
 )
 
 if TYPE_CHECKING:
@@ -196,6 +197,7 @@ def _plot_timing(recording: Any, path: Path) -> None:
     plot_timing(recording, quantity="jitter", ax=left)
     plot_timing(recording, quantity="lateness", ax=right)
     save(figure, path, dpi=200)
+    tell(f"figure: {path}")
 
 
 def replay(file: File, json: Json = False) -> None:

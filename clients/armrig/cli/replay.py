@@ -75,13 +75,15 @@ def replay(path: str | Path) -> Replay:
     ------
     RecordingError
         The file is no recording of armrig, holds no steps, or those of another release.
+    OSError
+        The file cannot be read.
     """
     path = Path(path)
     try:
         paths = files_of(path)
         content = read(path) if paths == [path] else run_content(paths, digest=False).content
-    except (OSError, DamageError) as err:
-        msg = f"{path}: {getattr(err, 'strerror', None) or err}"
+    except DamageError as err:
+        msg = f"{path}: {err}"
         raise RecordingError(msg) from err
     if content is None:
         msg = f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)"
