@@ -32,6 +32,7 @@ from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.recorded_data import (
     dataset_of,
     loaded,
+    options_of,
     spectral_beside,
     warn_of_estimation_data,
 )
@@ -104,7 +105,8 @@ def compare(
         print_json({"validation": compared.data.source, "models": rows})
     else:
         _print_comparison(compared, table, verbose=verbose)
-        say_next("compare", file=typed(file))
+        options = options_of(compared.data, calibration, start, stop)
+        say_next("compare", file=typed(file), given=options)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

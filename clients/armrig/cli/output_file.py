@@ -16,7 +16,7 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
         msg = f"{name}: is a directory; give a file, such as {example}"
         raise ValueError(msg)
     if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
-        msg = f"{name}: is one of the recordings to read, which would be lost; give another name"
+        msg = f"{name}: is one of the files to read, which would be lost; give another name"
         raise ValueError(msg)
     if path.is_file():
         with path.open("rb") as file:
@@ -27,5 +27,8 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
         msg = f"{name}: a report is a PDF; give a name that ends in {suffix}"
         raise ValueError(msg)
     if not path.absolute().parent.is_dir():
-        msg = f"{name}: there is no directory {path.parent}; make it first"
+        if path.parent.exists():
+            msg = f"{name}: {path.parent} is a file; give a directory that is there"
+        else:
+            msg = f"{name}: there is no directory {path.parent}; make it first"
         raise ValueError(msg)

@@ -23,7 +23,7 @@ from armrig.cli.options import (
     say,
 )
 from armrig.cli.parameters import Given, cases, parameters, physics_beside
-from armrig.cli.recorded_data import loaded
+from armrig.cli.recorded_data import loaded, options_of
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -92,7 +92,8 @@ def greybox(
         say(repr(fit))
     else:
         say(repr(fit).partition("\n")[0])
-    say_next("greybox", file=typed(file))
+    options = options_of(data, calibration, start, stop)
+    say_next("greybox", file=typed(file), given=options)
 
 
 def _grey_facts(fit: GreyFit) -> dict[str, Any]:
@@ -162,10 +163,8 @@ def split(
     if json:
         print_json({"recording": data.source} | _split_facts(study))
         return
-    say(study.verdict)
+    say(study.explain() if verbose else study.verdict)
     echo(repr(study))
-    if verbose:
-        say(study.explain())
     say_next("split")
 
 
@@ -240,7 +239,8 @@ def simulate(
     say(repr(table))
     echo(table.table())
     say(table.explain())
-    say_next("simulate F", file=typed(file))
+    options = options_of(data, calibration, start, stop)
+    say_next("simulate F", file=typed(file), given=options)
 
 
 def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) -> None:

@@ -168,6 +168,14 @@ class Signals:
         self.read.append(recording)
 
 
+def options_of(
+    data: Dataset, calibration: Path | None, start: float | None, stop: float | None
+) -> str:
+    """Return the options by which another command takes the same of a recording, as typed."""
+    signals = Signals(signal=None, calibration=calibration, start=start, stop=stop)
+    return signals.options(data)
+
+
 def _check_varies(file: Path, data: Dataset) -> None:
     """Refuse an output that is the same throughout: there is nothing to explain."""
     import numpy as np

@@ -87,7 +87,7 @@ def test_a_figure_never_replaces_a_recording(
 
     assert main(["info", str(path), "--plot", str(path)]) == 1
 
-    assert "is one of the recordings to read, which would be lost" in told(capsys)
+    assert "is one of the files to read, which would be lost" in told(capsys)
     assert path.read_bytes() == before
 
 
@@ -103,5 +103,5 @@ def test_an_input_is_known_by_another_name(
 
     assert main(["identify", str(data), "--structure", "arx", "--save", str(other)]) == 1
 
-    assert f"{other}: is one of the recordings to read, which would be lost" in told(capsys)
+    assert f"{other}: is one of the files to read, which would be lost" in told(capsys)
     assert data.read_bytes() == before
