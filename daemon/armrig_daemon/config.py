@@ -36,6 +36,7 @@ from msgspec import Meta
 
 from armrig_daemon.core.budget import check
 from armrig_daemon.core.state import Rules
+from armrig_daemon.emulator.firmware_files import VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.tables import TableError, convert
 
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
 
 MEND = 78
 """Exit code where something must be mended, and to start again does not help (sysexits.h)."""
-# Set for the tests and for the benefit of others; not keys of the configuration.
-_NOT_OURS = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA"}
+# Set for the tests, for the simulated Uno and for others; not keys of the configuration.
+_NOT_OURS = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA", HARNESS}
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
 

@@ -134,6 +134,13 @@ def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) ->
     assert str(refusal.value).startswith("environment: ")
 
 
+def test_a_variable_that_a_page_names_and_that_is_no_key_stops_nothing() -> None:
+    """docs/firmware.md names ARMRIG_FIL, which may be set for good."""
+    named = {"ARMRIG_FIL": "/opt/fil", "ARMRIG_CLIENT_CONNECT": "tls/lab.example.edu:7447"}
+
+    assert load([], named | {"ARMRIG_DEVICE_BAUD": "250000"}, {}).device.baud == 250_000
+
+
 def test_a_variable_that_is_given_twice_is_refused() -> None:
     """In another spelling it is another variable, and the same key."""
     environ = {"ARMRIG_TIMING_TS": "0.01", "ARMRIG_TIMING_Ts": "0.02"}
