@@ -8,8 +8,8 @@ from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.core.requests import NO_DEVICE, Step, answer, ask, refuse
-from armrig_daemon.core.state import Exit, Phase, Rules, State, Want
-from armrig_daemon.core.stopping import end_run, stop
+from armrig_daemon.core.state import Phase, Rules, State, Want
+from armrig_daemon.core.stopping import end_run, leave, stop
 from armrig_daemon.core.transitions import begin_arming, state_name
 from armrig_daemon.pipe import (
     Acquire,
@@ -69,7 +69,8 @@ def quit_(state: State, now_ns: int) -> Step:
     state = replace(state, quitting=True)
     if not state.link_up or state.device is None:
         state, done = end_run(state, now_ns)
-        return state, [*done, Exit()]
+        state, actions = leave(state)
+        return state, done + actions
     return stop(state, now_ns, "the daemon was ended")
 
 

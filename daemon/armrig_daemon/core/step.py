@@ -24,7 +24,6 @@ from armrig_daemon.core.state import (
     Beat,
     Emit,
     Event,
-    Exit,
     LinkDown,
     LinkUp,
     Ordered,
@@ -38,7 +37,7 @@ from armrig_daemon.core.state import (
     Traffic,
     Want,
 )
-from armrig_daemon.core.stopping import end_run, stop, trip
+from armrig_daemon.core.stopping import end_run, leave, stop, trip
 from armrig_daemon.pipe import RunStarted
 
 ARMED_NS = 10_000_000_000
@@ -93,7 +92,8 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     done = refuse(state.asked.order if state.asked else None, f"link lost: {reason}")
     state = replace(state, link_up=False, device=None, asked=None, sent=(), pending=b"")
     if state.quitting:
-        return state, [*done, Exit()]
+        state, actions = leave(state)
+        return state, done + actions
     if state.phase in _DRIVING:
         state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
         return state, done + actions

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from armrig_daemon.core import gaps
 from armrig_daemon.core.faults import Fault, sentence
 from armrig_daemon.core.requests import Step, ask, log, refuse, say_state
-from armrig_daemon.core.state import Absent, Emit, Phase, Repace, State, Want
+from armrig_daemon.core.state import Absent, Emit, Exit, Phase, Repace, State, Want
 from armrig_daemon.pipe import Order, RunEnded
 
 
@@ -45,6 +45,12 @@ def stop(state: State, now_ns: int, outcome: str, order: Order | None = None) ->
     """Go to 0 V in good order: the run ends when the device has stopped."""
     state = replace(state, outcome=state.outcome or outcome, code=0)
     return ask(state, now_ns, Want.STOP, order)
+
+
+def leave(state: State) -> Step:
+    """Exit with nobody holding the rig: frames that come in the same step report no stray state."""
+    phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
+    return replace(state, phase=phase, lease=None, code=0), [Exit()]
 
 
 def trip(state: State, now_ns: int, fault: Fault) -> Step:

@@ -36,7 +36,6 @@ from armrig_daemon.core.state import (
     Action,
     Asked,
     Emit,
-    Exit,
     Lease,
     Phase,
     Repace,
@@ -44,7 +43,7 @@ from armrig_daemon.core.state import (
     State,
     Want,
 )
-from armrig_daemon.core.stopping import end_run, trip
+from armrig_daemon.core.stopping import end_run, leave, trip
 from armrig_daemon.pipe import Acquire, Order, Play, Reset, RunStarted, SetVoltage
 
 _RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
@@ -106,7 +105,8 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
         state, actions = end_run(state, now_ns)
         done += actions
         if state.quitting:
-            return state, [*done, Exit()]
+            state, actions = leave(state)
+            return state, done + actions
         if state.phase is Phase.FAULT:
             return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
         state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
@@ -231,7 +231,8 @@ def rest(state: State, now_ns: int, order: Order | None) -> Step:
     """Go on at 0 V with nobody holding the rig, once the device has stopped."""
     state, done = end_run(state, now_ns)
     if state.quitting:
-        return state, [*done, Exit()]
+        state, actions = leave(state)
+        return state, done + actions
     state = replace(state, lease=None)
     if state.phase is Phase.FAULT and not isinstance(order, Reset):
         return state, [*done, say_state(state, now_ns)]

@@ -6,10 +6,20 @@ import pytest
 from armrig_daemon.core import transitions
 from armrig_daemon.core.faults import Fault, Id
 from armrig_daemon.core.requests import NO_DEVICE, config
-from armrig_daemon.core.state import Beat, Exit, Phase, Repace, Run, State, Tick, Want
+from armrig_daemon.core.state import (
+    Beat,
+    Exit,
+    Phase,
+    Received,
+    Repace,
+    Run,
+    State,
+    Tick,
+    Want,
+)
 from armrig_daemon.pipe import Acquire, Answer, Log, Reset, RunEnded
 from armrig_daemon.pipe import State as StateRecord
-from armrig_protocol.frame import config_crc
+from armrig_protocol.frame import config_crc, encode
 from armrig_protocol.messages import (
     TYPES,
     Ack,
@@ -153,6 +163,23 @@ def test_a_stop_that_is_not_confirmed_does_not_hold_up_the_end() -> None:
     decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
 
     assert isinstance(decided.actions[-1], Exit)
+
+
+@pytest.mark.parametrize("code", [Code.OK, Code.WRONG_STATE])
+def test_an_end_in_good_order_is_no_fault(code: Code) -> None:
+    """Several of the frames that show the device at rest may come at once."""
+    bench = driven()
+    state = replace(bench.loop.state, quitting=True)
+    ack = Ack(state=DeviceState.IDLE, seq=0, of_seq=OURS, of_type=TYPES[Stop], code=code)
+    sample = device_sample(state)._replace(state=DeviceState.IDLE)
+    frames = b"\0" + b"".join(encode(frame) for frame in (ack, sample, ack))
+
+    decided = Decided(awaiting(state, Want.STOP), bench.ports.now, Received(frames))
+
+    assert [log.message for log in decided.told(Log)] == []
+    assert len(decided.of(Exit)) == 1
+    assert decided.state.lease is None
+    assert decided.sent == []
 
 
 @pytest.mark.parametrize("want", [Want.START, Want.ARM, Want.CONFIGURE])
