@@ -87,15 +87,40 @@ def rig_name(rig: str) -> str:
     return f"{RIG_PREFIX}{rig}"
 
 
+def exposed(path: Path, found: os.stat_result, secret: str) -> str:
+    """Return why others than its owner may know a secret in a file, and what to type; or nothing.
+
+    The group of a service's files is that of the people who may operate its rig.
+    """
+    if os.name != "posix" or not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        return ""
+    mend = f"chmod 400 {path}"
+    if found.st_uid != os.geteuid():
+        mend = f"chown {_this_user()} {path} && {mend}"
+    return (
+        f"{path}: mode {stat.S_IMODE(found.st_mode):04o} lets others than its owner read {secret} "
+        f"or change it: allowed is 0400 or 0600: `{mend}`"
+    )
+
+
+def _this_user() -> str:
+    from pwd import getpwuid  # Windows has none
+
+    try:
+        return getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
+
+
 def read_credential(path: Path, purpose: Purpose) -> Credential:
     """Return the credential in a file, which must be good for `purpose`, and now.
 
     Raises
     ------
     CredentialError
-        The file cannot be read, or others can; something is missing in it; the key is not that of
-        the certificate; the certificate is not signed by the authority in the file, not of this
-        time, or for another purpose.
+        The file cannot be read, or not by its owner alone; something is missing in it; the key is
+        not that of the certificate; the certificate is not signed by the authority in the file,
+        not of this time, or for another purpose.
     """
     data = _read(path, purpose)
     blocks = [(match[1], match[0]) for match in _BLOCK.finditer(data)]
@@ -131,7 +156,7 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
 
 def _read(path: Path, purpose: Purpose) -> bytes:
     try:
-        mode = path.stat().st_mode
+        found = path.stat()
         data = read_bounded(path, CONFIGURATION_LIMIT)
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one"
@@ -139,9 +164,8 @@ def _read(path: Path, purpose: Purpose) -> bytes:
     except OSError as err:
         msg = f"{path}: {err.strerror}; it must be a file that this user may read"
         raise CredentialError(msg) from err
-    if os.name == "posix" and mode & (stat.S_IROTH | stat.S_IWOTH):
-        msg = f"{path}: anybody here can read the key or change it: chmod o= {path}"
-        raise CredentialError(msg)
+    if error := exposed(path, found, "the key"):
+        raise CredentialError(error)
     return data
 
 

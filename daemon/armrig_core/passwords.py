@@ -5,12 +5,10 @@ For this machine alone: the daemon takes passwords on its loopback only, where n
 
 from __future__ import annotations
 
-import os
-import stat
 from pathlib import Path
 
 from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
-from armrig_core.credential import check_name
+from armrig_core.credential import check_name, exposed
 
 SHORTEST = 12
 """A password that is guessed in no time protects nobody."""
@@ -26,20 +24,19 @@ def read_users(path: Path) -> dict[str, str]:
     Raises
     ------
     PasswordError
-        It cannot be read, or others can; a line is not user:password, a password is too short, or
-        a user stands there twice.
+        It cannot be read, or not by its owner alone; a line is not user:password, a password is
+        too short, or a user stands there twice.
     """
     try:
-        mode = path.stat().st_mode
+        found = path.stat()
         lines = read_text(path, CONFIGURATION_LIMIT).splitlines()
     except OSError as err:
         msg = f"{path}: {err.strerror}; a line user:password for each user is needed there"
         raise PasswordError(msg) from err
     except TextError as err:
         raise PasswordError(f"{path}: {err}") from err
-    if os.name == "posix" and mode & (stat.S_IROTH | stat.S_IWOTH):
-        msg = f"{path}: anybody here can read the passwords or change them: chmod o= {path}"
-        raise PasswordError(msg)
+    if error := exposed(path, found, "a password"):
+        raise PasswordError(error)
     users: dict[str, str] = {}
     for number, line in enumerate(lines, 1):
         if not line.strip():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from datetime import timedelta
 from pathlib import Path
@@ -144,15 +145,28 @@ def test_a_key_with_a_passphrase_is_refused(authority: Path, tmp_path: Path) -> 
     )
 
 
-@pytest.mark.parametrize("mode", [0o604, 0o602, 0o644])
-def test_a_key_that_anybody_may_read_is_refused(authority: Path, mode: int) -> None:
-    """Or replace; its group may read it, as a service's does."""
+@pytest.mark.parametrize("mode", [0o640, 0o440, 0o420, 0o404, 0o402, 0o644])
+def test_a_key_that_others_than_its_owner_may_read_is_refused(authority: Path, mode: int) -> None:
+    """Its group, too: that of a service's files is that of the students."""
     path = pki.issue_to_person(authority, "alice", "operators").path
     path.chmod(mode)
 
-    assert _refused(path) == f"anybody here can read the key or change it: chmod o= {path}"
-    path.chmod(0o640)
+    assert _refused(path) == (
+        f"mode {mode:04o} lets others than its owner read the key or change it: allowed is 0400 or "
+        f"0600: `chmod 400 {path}`"
+    )
+    path.chmod(0o400)
     assert read_credential(path, "client").name == "alice"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
+def test_who_cannot_change_a_key_s_mode_is_told_what_root_types(authority: Path) -> None:
+    """As it is of a service whose key was installed for its group: only its owner changes that."""
+    path = pki.issue_to_rig(authority, "1", []).path
+    os.chown(path, 1, -1)
+    path.chmod(0o640)
+
+    assert _refused(path, "rig").endswith(f": `chown root {path} && chmod 400 {path}`")
 
 
 def test_a_file_that_is_not_there_is_told_with_what_makes_it(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from pwd import getpwnam
 
 import pytest
 from armrig.cli import main
@@ -39,7 +40,7 @@ def _commands(block: str) -> list[list[str]]:
 
 ACCESS, CLIENT, ACCESS_BY_PASSWORD, CLIENT_BY_PASSWORD, ACCESS_BY_ROUTER = _blocks("toml")
 # The others: tests/systemd/test_walk.py.
-INSTALL, MADE, _, _, _, USED, CHANGED, MADE_FOR_ROUTER, ROUTER, LOOKED = _blocks("sh")
+INSTALL, MADE, PUT, _, _, USED, CHANGED, MADE_FOR_ROUTER, ROUTER, LOOKED = _blocks("sh")
 (PASSWORDS,) = _blocks("text")
 
 
@@ -116,7 +117,7 @@ def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
     _client(lab, CLIENT_BY_PASSWORD, port)
     for path in (lab.folder / "passwords", lab.folder / "config" / "armrig" / "alice.password"):
         path.write_text(PASSWORDS)
-        path.chmod(0o640)
+        path.chmod(0o400)
     _serve(lab, ACCESS_BY_PASSWORD, port)
 
     done = _armrig(lab, "stop")
@@ -158,6 +159,30 @@ def _at_router(text: str, port: int) -> str:
     return text.replace(ROUTER_HOST, "localhost").replace(":7447", f":{port}")
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root installs files for another user")
+def test_a_student_reads_no_key_and_no_password_that_lies_as_the_page_says(lab: Bench) -> None:
+    """With the group of the socket, and with the access list, which is no secret, to read."""
+    owner, folder = getpwnam("daemon"), lab.folder / "etc"
+    student = {"user": 65534, "group": 65534, "extra_groups": [owner.pw_gid]}
+    folder.mkdir()
+    folder.chmod(0o755)
+    passwords = re.findall(r"`(install .* passwords .*?)`", PAGE)
+    (lab.folder / "pki" / "passwords").write_text(PASSWORDS)
+
+    for line in (*PUT.splitlines(), *passwords):
+        typed = line.replace("/etc/armrig/", str(folder)).replace("armrig ", "daemon ")
+        subprocess.run(shlex.split(typed), cwd=lab.folder / "pki", check=True)
+    read = {
+        path.name: subprocess.run(
+            ["cat", path.name], cwd=folder, **student, capture_output=True, check=False
+        ).stdout
+        for path in folder.iterdir()
+    }
+
+    assert read.pop("access.toml").startswith(b"#")
+    assert read == {"rig-1.pem": b"", "passwords": b""}
+
+
 def test_certificates_are_renewed_and_revoked_as_the_page_says(
     lab: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -181,7 +206,7 @@ def test_a_configuration_of_the_page_opens_what_it_says(lab: Bench, access: str)
     """As it stands, beside the files that it names."""
     folder = lab.folder / "pki"
     (folder / "passwords").write_text(PASSWORDS)
-    (folder / "passwords").chmod(0o640)
+    (folder / "passwords").chmod(0o400)
     (folder / "armrig.toml").write_text(access)
 
     config: Config = load([folder / "armrig.toml"], {}, {})

@@ -150,6 +150,10 @@ def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
     machine.write(Path("/etc/systemd/system/armrigd@1.service.d/override.conf"), DROP_IN)
     lab.script("systemctl daemon-reload")  # which `systemctl edit` does
     said = lab.script(RESTART)
+    assert (
+        lab.student("cat /etc/armrig/rig-1.pem 2>/dev/null || cat /etc/armrig/access.toml")[0]
+        == "#"
+    )
     assert "also at tls/0.0.0.0:7447: 1 may drive and 1 may watch" in said
 
     lab.alice("cp pki/alice.pem .\n" + KEEP + f"cat > .config/armrig/armrig.toml <<'E'\n{CONNECT}E")

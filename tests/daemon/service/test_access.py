@@ -150,7 +150,8 @@ def test_a_client_s_certificate_does_not_serve(files: dict[str, str], tmp_path: 
         ("Alice:correct horse", 0o600, "line 1: name 'Alice': 1 to 40 of a-z"),
         ("\nalice:correct horse\nalice:correct horse", 0o600, "line 3: 'alice' stands there twice"),
         ("\n\n", 0o600, "nobody is in it"),
-        ("alice:correct horse", 0o644, "anybody here can read the passwords"),
+        ("alice:correct horse", 0o644, "mode 0644 lets others than its owner read a password"),
+        ("alice:correct horse", 0o640, "0640 .* allowed is 0400 or 0600: `chmod 400 .*/passwords`"),
     ],
 )
 def test_passwords_that_protect_nobody_are_refused(
