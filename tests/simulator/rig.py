@@ -28,7 +28,7 @@ from armrig_daemon.core.state import (
 )
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.loop.loop import Loop
-from armrig_daemon.pipe import Alive, Gap, Order, Quit, Record
+from armrig_daemon.pipe import Alive, Gap, Log, Order, Quit, Record
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
@@ -298,6 +298,8 @@ class Rig:
         """Let the service's side have a record."""
         if isinstance(record, Gap):
             self.checks.gap(self.now, record)
+        if isinstance(record, Log) and record.level == "error" and self.loop and self.loop.ended:
+            raise Violation("end", self.now, f"after its end the core reports {record.message!r}")
         self.commander.hears(record)
         if self.story:
             self.story(self.now, "host tells", record)

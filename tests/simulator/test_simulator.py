@@ -29,6 +29,11 @@ def test_every_invariant_holds_under_faults() -> None:
     assert not done.lateness()
 
 
+def test_an_end_that_was_asked_for_reports_no_fault() -> None:
+    """The seed of the 2500 tried in which frames behind the last STOP came together."""
+    assert simulate(draw(2327)).violation is None
+
+
 @pytest.mark.parametrize("tolerates", [True, False])
 def test_every_invariant_holds_while_the_emulator_is_stalled(tolerates: bool) -> None:
     """Alone and with its machine, for 20 to 500 ms; its clock stops meanwhile, or does not.
