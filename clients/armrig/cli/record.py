@@ -90,13 +90,13 @@ def _record_one(
 ) -> None:
     from armrig.rig.remote_recorder import RemoteRecorder
     from armrig.rig.remote_recording import RemoteRecording
-    from armrig.rig.session import configured_endpoint, no_reply, open_session
+    from armrig.rig.session import no_reply, open_connection
 
-    where = source or configured_endpoint(rig)
     path = _checked(out or Path(default_name(rig)))
+    session, where, _ = open_connection(source, rig=rig)
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
     outcome = COMPLETE
-    with open_session(source, rig=rig) as session:
+    with session:
         if ended.is_set():  # while it was loaded and connected
             raise KeyboardInterrupt
         recorder = RemoteRecorder(session, recording)

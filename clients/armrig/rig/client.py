@@ -25,6 +25,7 @@ from armrig.rig.session import (
     no_reply,
     not_permitted,
     open_connection,
+    service_has_stopped,
 )
 from armrig.rig.telemetry_stream import arrivals, listen
 
@@ -41,6 +42,7 @@ _AGAIN_S = 0.02  # until a command that was refused for the moment is repeated
 # daemon reports its timing once a second, and a stall may spoil two reports: the next one is clean.
 _SETTLE_S = 2.5
 _R = TypeVar("_R")
+_TIMEOUT = b"Timeout"  # of zenoh: the daemon's own answers are JSON
 
 
 class RefusedError(RigError):
@@ -245,6 +247,8 @@ class Rig:
                 wait_s = _POLL_S
                 last = status.last_run
                 if last is None or last.run_id != run.run_id:
+                    if stopped := service_has_stopped(self.rig, self.endpoint):
+                        raise RigError(stopped)
                     msg = f"the daemon does not know the run {run.run_id} any more: it was "
                     msg += "started anew meanwhile; `armrig ls` shows what it had recorded"
                     raise RigError(msg)
@@ -336,7 +340,7 @@ class Rig:
 
     def stream(self, name: str = "sample") -> Iterator[Any]:
         """Iterate over what the rig publishes from now on: see `armrig.stream`."""
-        return listen(self._connected(), topics.stream_key(self.rig, name))
+        return listen(self._connected(), topics.stream_key(self.rig, name), self.endpoint)
 
     def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
         """Give, in a `with` block, a function that returns at once what a stream has brought."""
@@ -396,8 +400,9 @@ class Rig:
             for reply in replies:
                 if reply.ok is not None:
                     return reply_of(request.name, reply.ok.payload.to_bytes(), answer)
-                if reply.err is not None:
-                    raise _refused(refusal_of(request.name, reply.err.payload.to_bytes()))
+                if reply.err is None or (error := reply.err.payload.to_bytes()) == _TIMEOUT:
+                    continue
+                raise _refused(refusal_of(request.name, error))
         except MalformedReplyError as err:
             raise no_daemon(self.rig, self.endpoint, str(err)) from err
         if self._name:

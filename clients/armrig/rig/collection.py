@@ -21,7 +21,7 @@ from armrig.recordings.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Progress, Rig, RunEndedError
 from armrig.rig.progress import bar, timing_note
-from armrig.rig.session import NoReplyError, RigError
+from armrig.rig.session import NoReplyError, RigError, service_has_stopped
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
 """Takes the rig, the kind of experiment and N; gives, in a `with` block, what is told of progress.
@@ -255,6 +255,9 @@ def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
     """Return why a collection failed. Of a trip the error shows only that lease or run are gone."""
     try:
         status = rig.status()
+    except NoReplyError as gone:
+        stopped = service_has_stopped(rig.rig, rig.endpoint)
+        return f"{err}; {gone}" if stopped and stopped not in str(err) else str(err)
     except RigError:
         return str(err)
     if status.phase != "fault":

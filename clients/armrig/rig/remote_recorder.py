@@ -9,6 +9,7 @@ import zenoh
 
 from armrig.rig.remote_recording import RemoteRecording
 from armrig.rig.remote_source import RemoteSource
+from armrig.rig.session import service_has_stopped
 
 _ASK_S = 0.2
 _SILENCE_S = 2.0
@@ -55,6 +56,7 @@ class RemoteRecorder:
             What answers is no armrigd, or nothing more can be written.
         """
         rig, tell = self.recording.rig, self.recording.tell
+        stopped = service_has_stopped(rig, self.recording.endpoint)
         begun = heard = time.monotonic()
         silent = False
         while not ended.is_set() and (seconds is None or time.monotonic() - begun < seconds):
@@ -62,12 +64,14 @@ class RemoteRecorder:
             now = time.monotonic()
             if piece is None:
                 if now - heard > _SILENCE_S and not silent:
-                    tell(f"rig {rig} does not answer; waiting for it")
+                    tell(f"{stopped or f'rig {rig} does not answer'}; waiting for it")
                     silent = True
                 ended.wait(_ASK_S)
                 continue
             if silent:
                 tell(f"rig {rig} answers again, after {now - heard:.1f} s")
+            elif piece.is_new_life and stopped:
+                tell(stopped)
             heard, silent = now, False
             self.recording.add(piece)
             if not piece.is_full:  # else there is more

@@ -24,11 +24,13 @@ from armrig_core.endpoint import (
 )
 from armrig_core.passwords import PasswordError, read_users
 from armrig_core.printable import printable
-from armrig_core.recording_directory import installed
+from armrig_core.recording_directory import installed, of_rig
 from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
 
 from armrig.rig.connection_faults import why_not_connected
 
+UNIT = Path("/etc/systemd/system/armrigd@.service")
+"""The services of this machine, where they are installed."""
 MOST_RECEIVED = 16 << 20
 """Longest message that is received, in B; beyond it the connection ends."""
 
@@ -232,7 +234,7 @@ def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
 def _local_ways(rig: str) -> list[_Way]:
     """Return the sockets of this machine that there are: of this user's daemon, then a service's.
 
-    Where there is none, the first of them, as if there were.
+    Where there is none, that of the service if this machine has one, else the first of them.
     """
     own, services = Path(_socket_directory()), Path(SERVICES)
     ways = []
@@ -250,7 +252,16 @@ def _local_ways(rig: str) -> list[_Way]:
                 raise RigError(msg)
             if (directory / f"{rig}.sock").exists():
                 ways.append(_Way(where))
-    return ways or [_Way(default_endpoint(rig))]
+    return ways or [_Way(_service_endpoint(rig) if _is_served(rig) else default_endpoint(rig))]
+
+
+def _service_endpoint(rig: str) -> str:
+    return endpoint(rig, PurePosixPath(SERVICES) / rig)
+
+
+def _is_served(rig: str) -> bool:
+    """Tell whether a service of this machine is to serve a rig."""
+    return UNIT.exists() and of_rig(rig).exists()
 
 
 def _service_owners() -> set[int]:
@@ -295,11 +306,24 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
             f"no reply from {rig} at {where}: a recording that is played again takes no commands; "
             f"start it with `armrig play F`, watch it with `armrig watch --rig {rig}`"
         )
+    if stopped := service_has_stopped(rig, where):
+        return NoReplyError(stopped)
     if fault:
         return NoReplyError(f"no reply from rig {rig} at {where}: {fault}")
     return NoReplyError(
         f"no reply from rig {rig} at {where}: not running, or not permitted; "
         "start it with `armrig lab` or `armrigd run`, or give its endpoint with --connect"
+    )
+
+
+def service_has_stopped(rig: str, where: str) -> str:
+    """Return what is said of a daemon that is gone; "" unless it is a service of this machine."""
+    folder = Path(SERVICES) / rig
+    if where != _service_endpoint(rig) or (folder.exists() and not os.access(folder, os.X_OK)):
+        return ""
+    return (
+        f"the service of rig {rig} has stopped; `systemctl status armrigd@{rig}`; what was "
+        "recorded is in `armrig ls`"
     )
 
 

@@ -15,7 +15,13 @@ from google.protobuf.message import DecodeError
 
 from armrig.rig.live_gaps import gaps_between, told_gaps
 from armrig.rig.newest import Newest
-from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError, open_session
+from armrig.rig.session import (
+    MOST_RECEIVED,
+    NoReplyError,
+    RigError,
+    open_connection,
+    service_has_stopped,
+)
 
 SILENCE_S = 1.0
 """After so long without a message the daemon is looked for, in s."""
@@ -59,17 +65,18 @@ def stream(
         The key is not a stream of a rig.
     """
     rig, _ = _stream_of(key)
-    with open_session(connect, rig=rig, certificate=certificate) as session:
-        yield from listen(session, key)
+    connection = open_connection(connect, rig=rig, certificate=certificate)
+    with connection.session as session:
+        yield from listen(session, key, connection.endpoint)
 
 
-def listen(session: zenoh.Session, key: str) -> Iterator[Any]:
+def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
     """Iterate over the messages of a key in an open session: see `stream`."""
     rig, name = _stream_of(key)
     with arrivals(session, key) as messages_since, _gaps_told(session, rig, name) as gaps_since:
         before: telemetry.Sample | None = None
         told = told_gaps()
-        for messages in _until_gone(session, rig, messages_since):
+        for messages in _until_gone(session, rig, where, messages_since):
             # A gap is published before the sample behind it: if that is here, so is the gap.
             for gap in gaps_since():
                 told.add(gap, gap.ByteSize())
@@ -97,7 +104,7 @@ def _gaps_told(
 
 
 def _until_gone(
-    session: zenoh.Session, rig: str, messages_since: Callable[[], list[Any]]
+    session: zenoh.Session, rig: str, where: str, messages_since: Callable[[], list[Any]]
 ) -> Iterator[list[Any]]:
     """Give the messages as they come; raises NoReplyError when their daemon has gone."""
     with session.liveliness().declare_subscriber(
@@ -109,12 +116,12 @@ def _until_gone(
                 yield messages
                 heard_s = time.monotonic()
             if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
-                raise _gone(rig)
+                raise _gone(rig, where)
             if time.monotonic() - heard_s > SILENCE_S:
                 # The daemon's token is withdrawn over the connection that ends with the daemon, so
                 # its withdrawal may never arrive: ask.
                 if not _is_alive(session, rig):
-                    raise _gone(rig)
+                    raise _gone(rig, where)
                 heard_s = time.monotonic()
             time.sleep(_LISTEN_S)
 
@@ -166,9 +173,10 @@ def _is_alive(session: zenoh.Session, rig: str) -> bool:
     return any(reply.ok is not None for reply in replies)
 
 
-def _gone(rig: str) -> NoReplyError:
+def _gone(rig: str, where: str) -> NoReplyError:
     return NoReplyError(
-        f"rig {rig}: its daemon went away; start it with `armrig lab` or `armrigd run`"
+        service_has_stopped(rig, where)
+        or f"rig {rig}: its daemon went away; start it with `armrig lab` or `armrigd run`"
     )
 
 

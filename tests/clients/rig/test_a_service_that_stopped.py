@@ -1,0 +1,223 @@
+"""A service of this machine that died or was restarted: each client says so, and what to type."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+import pytest
+import zenoh
+from armrig.cli import main
+from armrig.dashboard.feed import Feed
+from armrig.dashboard.listener import Listener
+from armrig.rig import client, remote_recorder, session, telemetry_stream
+from armrig.rig.client import Progress, Rig
+from armrig.rig.collection import Plan, collect
+from armrig.rig.remote_recorder import RemoteRecorder
+from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecording
+from armrig.rig.remote_source import Piece
+from armrig.rig.session import NoReplyError, RigError
+from armrig_core.commands import StatusReport
+from armrig_core.endpoint import endpoint
+from armrig_core.history import Past
+from fake_daemon import FakeDaemon
+from processes import wait_for
+
+SAID = (
+    "the service of rig 1 has stopped; `systemctl status armrigd@1`; what was recorded is in "
+    "`armrig ls`"
+)
+
+
+PLAN = Plan(
+    experiment="step",
+    make=lambda N, _: np.ones(N),
+    details={},
+    seconds=1.0,
+    Ts=None,
+    pacing="scheduled",
+    owner="a student",
+)
+
+
+@contextmanager
+def _unseen(*_: object) -> Iterator[Progress]:
+    yield lambda done, total: None
+
+
+class Service(FakeDaemon):
+    """A daemon in the folder of a service, which can die as one does under systemd."""
+
+    def __init__(self, services: Path) -> None:
+        self.folder = services / "1"
+        self.held: list[zenoh.Query] = []
+        self.is_silent = self.dies_with_its_run = False
+        super().__init__(endpoint("1", self.folder))
+
+    def _answer(self, query: zenoh.Query) -> None:
+        if self.is_silent:
+            self.held.append(query)
+            return
+        super()._answer(query)
+
+    def status(self) -> StatusReport:
+        """Return what `status` answers; there is none after the end of a run."""
+        report = super().status()
+        self.is_silent = self.dies_with_its_run and bool(
+            report.last_run and report.last_run.finished
+        )
+        return report
+
+    def die(self) -> None:
+        """End, and have systemd take the folder away."""
+        self.session.close()
+        shutil.rmtree(self.folder)
+
+
+@pytest.fixture
+def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
+    """Give the service of rig 1 on a machine where services are installed."""
+    with (
+        tempfile.TemporaryDirectory(prefix="armrig-") as temporary,
+        tempfile.TemporaryDirectory(prefix="armrig-") as login,
+    ):
+        monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", login)
+        services, etc = Path(temporary) / "armrig", Path(temporary) / "etc"
+        etc.mkdir()
+        for name in ("armrigd@.service", "1.toml"):
+            (etc / name).touch()
+        monkeypatch.setattr(session, "SERVICES", PurePosixPath(services))
+        monkeypatch.setattr(session, "UNIT", etc / "armrigd@.service")
+        monkeypatch.setattr(session, "of_rig", lambda rig: etc / f"{rig}.toml")
+        monkeypatch.setattr(session, "_service_owners", lambda: {os.getuid()})
+        (services / "1").mkdir(parents=True)
+        services.chmod(0o755)
+        (services / "1").chmod(0o750)
+        with Service(services) as service:
+            yield service
+            service.held.clear()
+
+
+def test_a_program_is_told_on_its_open_connection_and_on_a_new_one(service: Service) -> None:
+    """In Python; another rig of the machine, which is no service, has the hint of before."""
+    with Rig() as rig:
+        service.die()
+        with pytest.raises(NoReplyError) as here:
+            rig.status()
+
+    with pytest.raises(NoReplyError) as anew, Rig():
+        pass
+    with pytest.raises(NoReplyError, match="start it with `armrig lab` or `armrigd run`"), Rig("2"):
+        pass
+    assert (str(here.value), str(anew.value)) == (SAID, SAID)
+
+
+def test_an_answer_that_never_comes_is_no_refusal(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A service that dies over a question: zenoh's word for it, Timeout, is no daemon's."""
+    monkeypatch.setattr(client, "REPLY_S", 0.1)
+    service.is_silent = True
+
+    with Rig() as rig, pytest.raises(NoReplyError) as told:
+        rig.reset()
+
+    assert str(told.value) == SAID
+
+
+@pytest.mark.parametrize("command", [["status"], ["watch"], ["collect", "step"], ["record"]])
+def test_each_command_says_so(
+    service: Service,
+    command: list[str],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the service is gone before it is asked."""
+    monkeypatch.chdir(tmp_path)
+    service.die()
+
+    assert main(command) == 1
+    assert capsys.readouterr().err == f"armrig: {SAID}\n"
+
+
+def test_who_listens_is_told(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By `armrig watch`, or a program."""
+    monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
+    with Rig() as rig:
+        service.die()
+        with pytest.raises(NoReplyError) as told:
+            next(rig.stream())
+
+    assert str(told.value) == SAID
+
+
+def test_who_collects_is_told_how_the_run_ended_too(
+    service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the service could still say it."""
+    monkeypatch.setattr(client, "REPLY_S", 0.1)
+    service.outcome, service.dies_with_its_run = "the daemon was ended", True
+
+    with pytest.raises(RigError) as told:
+        collect(PLAN, rig="1", connect=None, tell=lambda _: None, shown=_unseen)
+
+    assert str(told.value) == (
+        "the run ended after 100 of 100 samples: the daemon was ended; recorded in "
+        f"/nowhere/run.mcap; {SAID}"
+    )
+
+
+def test_the_dashboard_says_so(service: Service) -> None:
+    """On its page, until the service is there again."""
+    feed = Feed()
+    listener = Listener(feed, rig="1", connect=None, found=lambda: None)
+    service.die()
+
+    listener.start()
+    wait_for(lambda: feed.trouble)
+    listener.end()
+
+    assert feed.trouble == SAID
+
+
+class _Source:
+    """What a recorder asks: silent, then started anew; the third answer ends the recorder."""
+
+    def __init__(self, ended: threading.Event) -> None:
+        self._ended, self._asked = ended, 0
+
+    def next_piece(self) -> Piece | None:
+        self._asked += 1
+        if self._asked > 2:
+            self._ended.set()
+        past = Past(bytes(16), 0, 0, ())
+        is_silent, is_anew = self._asked == 1, self._asked == 2
+        return None if is_silent else Piece(past=past, is_new_life=is_anew, lost=0)
+
+
+@pytest.mark.parametrize("is_long", [True, False])
+def test_who_records_is_told_and_goes_on(
+    service: Service, is_long: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once, whether or not it took long until the service was there again."""
+    monkeypatch.setattr(remote_recorder, "_ASK_S", 0.0)
+    monkeypatch.setattr(remote_recorder, "_SILENCE_S", 0.0 if is_long else 60.0)
+    told: list[str] = []
+    recording = RemoteRecording(
+        path=tmp_path / "a.mcap", rig="1", endpoint=service.endpoint, tell=told.append
+    )
+    recorder, ended = RemoteRecorder(service.session, recording), threading.Event()
+    monkeypatch.setattr(recorder, "_row", _Source(ended))
+
+    recorder.record(ended)
+
+    stopped = f"{SAID}; waiting for it" if is_long else SAID
+    assert [line for line in told if "answers again" not in line] == [stopped, STARTED_ANEW]
