@@ -86,6 +86,16 @@ def test_the_check_value_of_the_crc() -> None:
     assert core().rig_crc(b"123456789", 9) == CHECK
 
 
+@pytest.mark.parametrize("bit", range(32))
+def test_a_bit_of_the_crc_spoils_the_frame(bit: int) -> None:
+    """Each of its four bytes is looked at."""
+    text = bytes((0x13, 0, 1, 0))
+
+    kind, _ = opened(cobs.stuff(text + (crc32(text) ^ 1 << bit).to_bytes(4, "little")))
+
+    assert kind == "crc"
+
+
 @given(st.binary(max_size=255))
 def test_the_crc_is_that_of_zlib(text: bytes) -> None:
     """For any bytes."""

@@ -25,11 +25,14 @@ def header(number: int, seq: int) -> bytes:
 
 
 def spoilt_frames(host: Host) -> list[bytes]:
-    """Return four that are dropped: wrong CRC, wrong lengths, what does not unstuff."""
+    """Return some that are dropped: each byte of the CRC wrong, lengths, what does not unstuff."""
     keepalive = header(TYPES[Keepalive], host.seq + 1)
     sound = frame.encode(Ping(0, (host.seq + 1) & 0xFFFF, 7))
     return [
-        framed(header(TYPES[Ping], host.seq + 1) + bytes(8), wrong=1),
+        *(
+            framed(header(TYPES[Ping], host.seq + 1) + bytes(8), wrong=1 << bit)
+            for bit in (0, 11, 22, 31)
+        ),
         framed(keepalive + b"\1"),
         framed(header(TYPES[Ping], host.seq + 1) + bytes(7)),
         b"\x7f" + sound[1:],

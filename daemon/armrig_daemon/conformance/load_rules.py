@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from armrig_core.volts import applied_code
+from armrig_protocol import frame
 from armrig_protocol.crc import crc32
 from armrig_protocol.messages import (
     SETPOINTS_PER_FRAME,
     Event,
     Flag,
+    Keepalive,
     Ping,
     Pong,
     Sample,
@@ -25,6 +27,7 @@ _LEAST_TS_US = 1_000
 _RUN_US = 2_000_000
 _PING_TICKS = 50
 _NOISE_BYTES = 4_000
+_FLOOD, _SETTLES_MS = 300, 30
 _LOST = Flag.UNDERRUN | Flag.TICK_LATE | Flag.CRC_ERR | Flag.RX_OVERFLOW | Flag.TX_DROP
 
 
@@ -45,8 +48,7 @@ def _random_bytes(host: Host) -> None:
 
 @rule(6, "At 1 kHz, or what the line carries, nothing is lost or late beside PING and STATUS")
 def _full_line(host: Host) -> None:
-    least = scheduled_us(host.baud, host.known.skew_us)
-    ts_us = max(_LEAST_TS_US, least, host.known.ts_min_us)
+    ts_us = max(_LEAST_TS_US, _shortest_us(host))
     n = _RUN_US // ts_us // SETPOINTS_PER_FRAME * SETPOINTS_PER_FRAME
     u = NOISE[:n]
     before, breaks = next_status(host), host.breaks
@@ -78,6 +80,30 @@ def _full_line(host: Host) -> None:
     expect(lost == (0, 0), f"{lost[0]} bytes not received, {lost[1]} frames not sent")
 
 
+@rule(1, "What is lost of a flood is told: by `rx_lost` in STATUS, and by RX_OVERFLOW in a SAMPLE")
+def _flood(host: Host) -> None:
+    before, seq = next_status(host), host.seq
+    armed(host, ts_us=_shortest_us(host))
+    host.ask(Start)
+    host.put_together([Keepalive(0, 0)] * _FLOOD)
+    came = host.listen(_FLOOD * frame.wire_length(Keepalive) * 10_000 / host.baud + _SETTLES_MS)
+    host.write(b"\0")
+    came += host.alive(_SETTLES_MS)
+    host.to_idle()
+    after, sent = next_status(host), (host.seq - seq) & 0xFFFF
+    frames, lost = after.frames - before.frames, after.rx_lost - before.rx_lost
+    spoilt = after.spoilt - before.spoilt
+    told = f"{lost} bytes lost, {frames} of {sent} frames received, {spoilt} spoilt"
+    expect(lost > 0 or (frames == sent and spoilt == 0), told)
+    flagged = any(isinstance(m, Sample) and m.flags & Flag.RX_OVERFLOW for m in came)
+    expect(flagged == (lost > 0), f"{told}, RX_OVERFLOW {'' if flagged else 'not '}set")
+
+
+def _shortest_us(host: Host) -> int:
+    """Return the shortest Ts of scheduled mode, of this device on this line."""
+    return max(scheduled_us(host.baud, host.known.skew_us), host.known.ts_min_us)
+
+
 def _refill(host: Host, u: list[int], sent: int, ahead_of: int) -> int:
     """Send what there is room for; return how many were sent by now."""
     while sent < len(u) and sent + SETPOINTS_PER_FRAME - ahead_of <= host.known.queue:
@@ -86,4 +112,4 @@ def _refill(host: Host, u: list[int], sent: int, ahead_of: int) -> int:
     return sent
 
 
-RULES = (_random_bytes, _full_line)
+RULES = (_random_bytes, _full_line, _flood)

@@ -12,7 +12,8 @@ from armrig_daemon.emulator import (
     transmission,
 )
 from armrig_daemon.emulator.firmware import Firmware
-from armrig_protocol import decoder
+from armrig_protocol import cobs, decoder
+from armrig_protocol.crc import crc32
 from armrig_protocol.frame import Spoilt
 from armrig_protocol.messages import (
     Ack,
@@ -42,6 +43,27 @@ def _no_crc(patch: Patch) -> None:
         return found
 
     patch.setattr(reception.decoder, "decode", lenient)
+
+
+def _half_a_crc(patch: Patch) -> None:
+    decode = decoder.decode
+
+    def lenient(stuffed: bytes) -> Any:
+        text = cobs.unstuff(stuffed)
+        if text and text[-4:-2] == crc32(text[:-4]).to_bytes(4, "little")[:2]:
+            return decode(cobs.stuff(text[:-4] + crc32(text[:-4]).to_bytes(4, "little")))
+        return decode(stuffed)
+
+    patch.setattr(reception.decoder, "decode", lenient)
+
+
+def _loses_bytes(patch: Patch) -> None:
+    put = reception.Reception.put
+
+    def losing(self: reception.Reception, now_ns: int, data: bytes) -> None:
+        put(self, now_ns, data[:1000])
+
+    patch.setattr(reception.Reception, "put", losing)
 
 
 def _answers_spoilt(patch: Patch) -> None:
@@ -171,6 +193,8 @@ def _event_before_answer(patch: Patch) -> None:
 
 SPOILT: dict[str, SpoiltDevice] = {
     "a CRC is not looked at": SpoiltDevice(_no_crc, "wrong CRC"),
+    "two of the CRC's bytes are looked at": SpoiltDevice(_half_a_crc, "wrong CRC"),
+    "lost bytes are not told": SpoiltDevice(_loses_bytes, "lost of a flood"),
     "what is spoilt is answered": SpoiltDevice(_answers_spoilt, "wrong CRC"),
     "an unknown type is not answered": SpoiltDevice(_no_unknown, "unknown type"),
     "old frames are taken": SpoiltDevice(_stale_is_taken, "ACK(STALE)"),
