@@ -122,6 +122,9 @@ static void serve(void) {
         case 'S': // the converter stands still, or goes on
             adc_stand((int)order.n);
             break;
+        case 'B': // a byte of EEPROM takes n us to write
+            eeprom_byte(order.n);
+            break;
         case 'W': // write n bytes of EEPROM
             if (order.n > sizeof data || !hear(data, order.n))
                 return;
@@ -192,6 +195,7 @@ int main(int argc, char **argv) {
     uart_attach(avr, baud);
     pwm_attach(avr);
     adc_attach(avr);
+    eeprom_attach(avr);
     flags_attach(avr);
     avr->reset = after_reset;
     figures.boots = 1;

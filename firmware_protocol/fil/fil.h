@@ -59,6 +59,10 @@ void adc_attach(avr_t *avr);
 void adc_supply(avr_t *avr, uint16_t millivolts);
 void adc_stand(int is_to);
 
+// eeprom.c
+void eeprom_attach(avr_t *avr);
+void eeprom_byte(uint32_t us);
+
 // flags.c: what simavr 1.6 does wrong with the interrupt flags of timer 0
 void flags_attach(avr_t *avr);
 avr_int_vector_t *vector_of(avr_t *avr, uint8_t number);

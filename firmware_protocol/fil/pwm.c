@@ -1,22 +1,26 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The PWM on pin D9 (PB1, OC1A), measured at the pin: how long it is high in each period.
+// Timer 1 and the PWM on pin D9 (PB1, OC1A), measured at the pin: how long it is high in each period.
 //
-// simavr 1.6 lets a new OCR1A act in the middle of a period and holds the pin low where it is TOP.
-// Silicon takes it over at the end of the period, and TOP is always high; both are put right here.
+// simavr's own timer 1 is not used: it lets a new OCR1A act in the middle of a period, holds the pin
+// low where OCR1A is TOP, and forgets the level of OC1A while the pin is disconnected. Here are the
+// normal mode and mode 7 (fast PWM, 10 bits), with OC1A off or cleared on a match, as silicon has them.
 #include <avr_ioport.h>
-#include <avr_timer.h>
-#include <sim_interrupts.h>
+#include <sim_cycle_timers.h>
 #include "fil.h"
 
-enum { OCR1AL = 0x88, OCR1AH = 0x89, TCCR1A = 0x80, PORTD = 0x2b, DDRD = 0x2a };
-enum { COM1A1 = 0x80, ENABLE_BIT = 0x80, TIMER1_OVF = 13, TOP = FIL_PWM_PERIOD - 1 };
+enum { TCCR1A = 0x80, TCCR1B = 0x81, TCCR1C = 0x82, TCNT1L = 0x84, TCNT1H = 0x85, OCR1AL = 0x88, OCR1AH = 0x89 };
+enum { DDRB = 0x24, PORTB = 0x25, PWM_BIT = 0x02, ENABLE_BIT = 0x80 };
+enum { COM1A1 = 0x80, WGM = 0x03, CS10 = 0x01, FOC1A = 0x80, TOP = FIL_PWM_PERIOD - 1 };
 
 static avr_t *the_avr;
-static avr_timer_comp_t *comp;
 static avr_irq_t *pin_irq;
 static uint8_t temp; // the high byte on its way: silicon's TEMP
-static uint16_t ocr_buffer;
+static uint16_t ocr, ocr_buffer;
+static int runs, oc1a; // whether the timer counts; the level that it gives a connected pin
+static cycles_t bottom_at; // when the counter was 0, while it runs
+static uint16_t stands_at; // the counter, while it does not
 static int pin, enable;
+static cycles_t edge_at; // of an edge that the timer makes: simavr is up to an instruction late
 static cycles_t rose, period_began;
 static uint32_t high; // cycles of this period in which the pin was high, up to its last fall
 static uint32_t told = UINT32_MAX;
@@ -27,6 +31,8 @@ static void end_period(cycles_t when) {
         high += (uint32_t)(when - rose);
         rose = when;
     }
+    if (high > FIL_PWM_PERIOD)
+        high = FIL_PWM_PERIOD; // high since before the timer was started
     uint32_t value = high | (uint32_t)enable << 16;
     if (value != told)
         tell(TOLD_VOLTS, period_began, value);
@@ -42,18 +48,12 @@ static void judge(cycles_t when) {
         tell(TOLD_VIOLATION, when, PIN_HIGH_WITHOUT_ENABLE);
 }
 
-// simavr is up to an instruction late; an edge that the timer makes is at the timer's own cycle.
-static cycles_t edge_cycle(int level) {
-    cycles_t began = comp->timer->tov_base, edge = level ? began : began + comp->comp_cycles;
-    return the_avr->cycle - edge < 8 ? edge : the_avr->cycle;
-}
-
 static void pin_changed(avr_irq_t *irq, uint32_t value, void *param) {
     (void)irq, (void)param;
     int level = value & 1;
     if (level == pin)
         return;
-    cycles_t when = edge_cycle(level);
+    cycles_t when = edge_at ? edge_at : the_avr->cycle;
     if (pin)
         figures.last_high = when;
     pin = level;
@@ -71,41 +71,109 @@ static void enable_changed(avr_irq_t *irq, uint32_t value, void *param) {
     judge(the_avr->cycle);
 }
 
-// At the end of each period the buffered OCR1A is taken over.
-static void overflowed(avr_irq_t *irq, uint32_t value, void *param) {
-    (void)irq, (void)param;
-    if (!value)
-        return;
-    avr_timer_t *timer = comp->timer;
-    cycles_t when = timer->tov_base + timer->tov_cycles;
-    end_period(when);
-    judge(when);
-    the_avr->data[OCR1AL] = (uint8_t)ocr_buffer;
-    the_avr->data[OCR1AH] = (uint8_t)(ocr_buffer >> 8);
-    comp->comp_cycles = ocr_buffer < TOP ? ocr_buffer + 1U : 0;
-    if (!comp->comp_cycles && the_avr->data[TCCR1A] & COM1A1) {
-        timer->tov_base = when; // as it will be; the edge is at the period's begin
-        avr_raise_irq(pin_irq, 1);
-    }
+static int is_connected(void) {
+    return the_avr->data[TCCR1A] & COM1A1;
 }
 
-// Does not act before the low byte comes, whatever the timer does meanwhile.
+// Give the pin what it has at a cycle: of the timer, or of the port; an input is pulled down.
+static void set_pin(cycles_t when) {
+    int level = is_connected() ? oc1a : (the_avr->data[PORTB] & PWM_BIT) != 0;
+    edge_at = when;
+    avr_raise_irq(pin_irq, level && the_avr->data[DDRB] & PWM_BIT);
+    edge_at = 0;
+}
+
+// While the pin is disconnected OC1A keeps its level.
+static void set_oc1a(cycles_t when, int level) {
+    if (!is_connected())
+        return;
+    oc1a = level;
+    set_pin(when);
+}
+
+static cycles_t match(avr_t *avr, cycles_t when, void *param) {
+    (void)avr, (void)param;
+    set_oc1a(when, 0);
+    return 0;
+}
+
+static cycles_t bottom(avr_t *avr, cycles_t when, void *param) {
+    (void)param;
+    end_period(when);
+    judge(when);
+    bottom_at = when;
+    ocr = ocr_buffer;
+    set_oc1a(when, 1);
+    if (ocr < TOP)
+        avr_cycle_timer_register(avr, when + ocr + 1 - avr->cycle, match, NULL);
+    return when + FIL_PWM_PERIOD;
+}
+
+static void stop(avr_t *avr) {
+    if (runs)
+        stands_at = (uint16_t)(avr->cycle - bottom_at);
+    runs = 0;
+    avr_cycle_timer_cancel(avr, match, NULL);
+    avr_cycle_timer_cancel(avr, bottom, NULL);
+}
+
+static void go_on(avr_t *avr) {
+    runs = 1;
+    bottom_at = avr->cycle - stands_at;
+    avr_cycle_timer_register(avr, (cycles_t)FIL_PWM_PERIOD - stands_at, bottom, NULL);
+    if (stands_at <= ocr && ocr < TOP)
+        avr_cycle_timer_register(avr, (cycles_t)ocr + 1 - stands_at, match, NULL);
+}
+
+static void write_tccra(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
+    (void)param;
+    avr->data[addr] = v;
+    set_pin(avr->cycle);
+}
+
+static void write_tccrb(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
+    (void)param;
+    avr->data[addr] = v;
+    stop(avr);
+    if (v & CS10)
+        go_on(avr);
+}
+
+// A forced match, which there is in normal mode alone.
+static void write_tccrc(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
+    (void)addr, (void)param;
+    if (v & FOC1A && !(avr->data[TCCR1A] & WGM))
+        set_oc1a(avr->cycle, 0);
+}
+
+// Neither register takes its high byte before the low one comes.
 static void write_high(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     (void)avr, (void)addr, (void)param;
     temp = v;
 }
 
+static void write_tcnt(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
+    (void)addr, (void)param;
+    int ran = runs;
+    stop(avr);
+    stands_at = (uint16_t)(temp << 8 | v) & TOP;
+    if (ran)
+        go_on(avr);
+}
+
+static uint8_t read_tcnt(avr_t *avr, avr_io_addr_t addr, void *param) {
+    (void)param;
+    uint16_t count = runs ? (uint16_t)(avr->cycle - bottom_at) & TOP : stands_at;
+    avr->data[TCNT1H] = (uint8_t)(count >> 8);
+    return avr->data[addr] = (uint8_t)count;
+}
+
+// In mode 7 it acts from the next period on.
 static void write_ocr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     (void)addr, (void)param;
-    uint16_t active = comp->timer->tov_cycles ? (uint16_t)(comp->comp_cycles ? comp->comp_cycles - 1 : TOP) : 0;
     ocr_buffer = (uint16_t)(temp << 8 | v);
-    if (!comp->timer->tov_cycles) { // a timer that stands takes it at once
-        avr->data[OCR1AL] = v;
-        avr->data[OCR1AH] = temp;
-        return;
-    }
-    avr->data[OCR1AL] = (uint8_t)active;
-    avr->data[OCR1AH] = (uint8_t)(active >> 8);
+    if (!(avr->data[TCCR1A] & WGM))
+        ocr = ocr_buffer;
 }
 
 // All pins are inputs after a reset, and pulled down from outside.
@@ -113,18 +181,26 @@ void pwm_reset(avr_t *avr) {
     if (pin)
         high += (uint32_t)(avr->cycle - rose);
     pin = enable = 0;
-    ocr_buffer = 0;
+    stop(avr);
+    ocr = ocr_buffer = stands_at = 0;
+    oc1a = 0;
     end_period(avr->cycle);
 }
 
-// Watch the pins, and put our handler in the place of simavr's.
+// Watch the pins, and put our timer in the place of simavr's.
 void pwm_attach(avr_t *avr) {
+    static const struct {
+        uint16_t address;
+        avr_io_write_t write;
+    } registers[] = {
+        {TCCR1A, write_tccra}, {TCCR1B, write_tccrb}, {TCCR1C, write_tccrc}, {TCNT1L, write_tcnt},
+        {TCNT1H, write_high}, {OCR1AL, write_ocr}, {OCR1AH, write_high},
+    };
     the_avr = avr;
-    comp = avr->io[AVR_DATA_TO_IO(OCR1AL)].w.param;
-    avr->io[AVR_DATA_TO_IO(OCR1AL)].w.c = write_ocr;
-    avr->io[AVR_DATA_TO_IO(OCR1AH)].w.c = write_high;
+    for (size_t i = 0; i < sizeof registers / sizeof *registers; i++)
+        avr->io[AVR_DATA_TO_IO(registers[i].address)].w.c = registers[i].write;
+    avr->io[AVR_DATA_TO_IO(TCNT1L)].r.c = read_tcnt;
     pin_irq = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 1);
     avr_irq_register_notify(pin_irq, pin_changed, NULL);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 7), enable_changed, NULL);
-    avr_irq_register_notify(avr_get_interrupt_irq(avr, TIMER1_OVF) + AVR_INT_IRQ_PENDING, overflowed, NULL);
 }

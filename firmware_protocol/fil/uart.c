@@ -6,7 +6,7 @@
 #include "fil.h"
 
 enum { UCSRA = 0xc0, UCSRB = 0xc1, UDR = 0xc6, UBRRL = 0xc4, UBRRH = 0xc5 };
-enum { RXC = 0x80, TXC = 0x40, UDRE = 0x20, U2X = 0x02 }; // UCSR0A
+enum { RXC = 0x80, TXC = 0x40, UDRE = 0x20, DOR = 0x08, U2X = 0x02 }; // UCSR0A
 enum { RXCIE = 0x80, UDRIE = 0x20, RXEN = 0x10, TXEN = 0x08 }; // UCSR0B
 
 int uart_frame_ended;
@@ -23,7 +23,9 @@ static unsigned line_head, line_tail;
 static cycles_t line_free;
 
 static uint8_t received[3]; // two in the buffer, one in the shift register
+static uint8_t is_behind_lost[3]; // of each: bytes before it were lost
 static unsigned n_received;
+static uint8_t is_lost; // some were since the last that was received
 static int shifting, buffered; // the transmitter's byte on the wire and the one behind it, or -1
 
 static cycles_t device_byte(avr_t *avr) {
@@ -42,6 +44,13 @@ static void level(avr_t *avr, avr_int_vector_t *vector, uint8_t flag, int holds)
     }
 }
 
+// The flag belongs to the byte that is read next.
+static void show_lost(avr_t *avr) {
+    avr->data[UCSRA] &= (uint8_t)~DOR;
+    if (n_received && is_behind_lost[0])
+        avr->data[UCSRA] |= DOR;
+}
+
 static cycles_t byte_came(avr_t *avr, cycles_t when, void *param) {
     (void)param;
     uint8_t byte = line[line_tail].byte;
@@ -52,9 +61,13 @@ static cycles_t byte_came(avr_t *avr, cycles_t when, void *param) {
     if (avr->data[UCSRB] & RXEN && off * 50 <= line_byte) {
         if (n_received == sizeof received) {
             tell(TOLD_VIOLATION, when, RX_OVERRUN);
+            is_lost = 1;
         } else {
+            is_behind_lost[n_received] = is_lost;
             received[n_received++] = byte;
+            is_lost = 0;
             level(avr, rxc, RXC, 1);
+            show_lost(avr);
         }
     }
     if (line_tail == line_head)
@@ -90,10 +103,13 @@ static uint8_t read_udr(avr_t *avr, avr_io_addr_t addr, void *param) {
     if (!n_received)
         return 0;
     uint8_t byte = received[0];
-    received[0] = received[1];
-    received[1] = received[2];
     n_received--;
+    for (unsigned i = 0; i < n_received; i++) {
+        received[i] = received[i + 1];
+        is_behind_lost[i] = is_behind_lost[i + 1];
+    }
     level(avr, rxc, RXC, n_received > 0);
+    show_lost(avr);
     return byte;
 }
 
@@ -138,7 +154,8 @@ static void write_ucsrb(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) 
     (void)param;
     avr->data[addr] = v;
     if (!(v & RXEN)) {
-        n_received = 0;
+        n_received = is_lost = 0;
+        show_lost(avr);
         level(avr, rxc, RXC, 0);
     }
     if (v & RXCIE && n_received)
@@ -156,7 +173,7 @@ static void write_ubrr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
 void uart_reset(avr_t *avr) {
     avr_cycle_timer_cancel(avr, byte_came, NULL);
     avr_cycle_timer_cancel(avr, byte_left, NULL);
-    line_head = line_tail = n_received = 0;
+    line_head = line_tail = n_received = is_lost = 0;
     line_free = avr->cycle;
     shifting = buffered = -1;
     avr->data[UCSRA] = UDRE;

@@ -11,6 +11,7 @@ import pytest
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
+from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 from sampling import sampled
 from spoilt_devices import AT_A_RAIL
@@ -41,4 +42,4 @@ def test_the_uno_does_what_the_protocol_says(resets: bool, boot_loader: bool) ->
         assert [r.outcome for r in told].count(NOT_TRIED) == (not resets)
         uno.advance(line.now_ns() + 1_000_000)
         assert (uno.duties[-1].high, uno.duties[-1].enabled) == (0, False)
-        assert uno.violations == []
+        assert {v.what for v in uno.violations} == {Violation.RX_OVERRUN}
