@@ -7,8 +7,8 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -26,6 +26,8 @@ from armrig_daemon.config import MEND, Config, ConfigError
 from armrig_daemon.config import Device as DeviceSettings
 
 if TYPE_CHECKING:
+    from armrig_daemon.conformance.line import Line
+    from armrig_daemon.conformance.rule import Rule
     from armrig_daemon.emulator.uno import Uno
 
 # Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
@@ -241,7 +243,9 @@ def show_config(
 
 @app.command()
 def conformance(
-    device: Annotated[str, typer.Option(help="Serial port of the device.")],
+    device: Annotated[str | None, typer.Option(help="Serial port of the device.")] = None,
+    firmware: _Firmware = False,
+    image: _Hex = None,
     baud: Annotated[int, typer.Option(help="Speed of the line, in bit/s.")] = DeviceSettings().baud,
     motor_unplugged: Annotated[
         bool, typer.Option("--motor-unplugged", help="Do not ask: the motor is unplugged.")
@@ -250,17 +254,23 @@ def conformance(
 ) -> None:
     """Try a device on every rule of PROTOCOL.md, the motor unplugged; it takes a minute.
 
+    With --firmware the device is the Uno's firmware in simavr, whose pins are judged, too.
+
     Exit code 0 only where no rule is broken. The device is left at 0 V.
     """
     from armrig_daemon.conformance import told
     from armrig_daemon.conformance.conversation import Broken
     from armrig_daemon.conformance.host import Host
     from armrig_daemon.conformance.rule import Result
-    from armrig_daemon.conformance.serial_line import SerialLine
     from armrig_daemon.conformance.suite import run as try_rules
+    from armrig_daemon.emulator.harness import HarnessError
     from armrig_daemon.loop.link import LinkError
 
-    _agree_that_the_motor_is_unplugged(motor_unplugged)
+    is_simulated = firmware or image is not None
+    if is_simulated == (device is not None):
+        _refuse("conformance: one of --device PORT and --firmware says what is tried", 2)
+    if not is_simulated:
+        _agree_that_the_motor_is_unplugged(motor_unplugged)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
@@ -270,18 +280,38 @@ def conformance(
             typer.echo(told.line_of(result, columns))
 
     try:
-        with closing(SerialLine(device, baud)) as line:
+        with ExitStack() as stack:
+            line, rules = _tried_over(device, image, baud, stack)
             host = Host(line, baud)
-            results = try_rules(host, tell)
-    except LinkError as err:
+            results = try_rules(host, tell, rules)
+    except (LinkError, HarnessError) as err:
         _refuse(f"conformance: {err}")
     except Broken as err:
-        _refuse(f"conformance: {device} at {baud} baud: {err}; see that it is the device's port")
+        where = f"{device} at {baud} baud: {err}; see that it is the device's port"
+        _refuse(f"conformance: {where if device is not None else err}")
     except KeyboardInterrupt:
         _refuse("conformance: interrupted; the device was told to stop", 130)
     broken = told.json_of(host.facts, results)
     typer.echo(msgspec.json.encode(broken).decode() if json else told.sum_of(results))
     raise typer.Exit(1 if broken["broken"] else 0)
+
+
+def _tried_over(
+    device: str | None, image: Path | None, baud: int, stack: ExitStack
+) -> tuple[Line, Sequence[Rule]]:
+    """Return the way to a device, closed by `stack`, and the rules that can be tried over it."""
+    from armrig_daemon.conformance.pin_rules import pin_rules
+    from armrig_daemon.conformance.serial_line import SerialLine
+    from armrig_daemon.conformance.suite import RULES
+    from armrig_daemon.conformance.virtual_line import VirtualLine
+    from armrig_daemon.emulator.settings import EmulatorSettings
+
+    if device is not None:
+        return stack.enter_context(closing(SerialLine(device, baud))), RULES
+    # In the dead band: the guard over the rails is tried; and no motor turns the arm out of it.
+    settings = EmulatorSettings(baud=baud, theta_1_zero_deg=356.0, arm={"R_m": 1e9})
+    uno = stack.enter_context(closing(_firmware(image)(settings, 0)))
+    return VirtualLine(uno), (*RULES, *pin_rules(uno.violations))
 
 
 def _agree_that_the_motor_is_unplugged(is_said: bool) -> None:

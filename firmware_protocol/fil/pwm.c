@@ -185,6 +185,7 @@ void pwm_reset(avr_t *avr) {
     ocr = ocr_buffer = stands_at = 0;
     oc1a = 0;
     end_period(avr->cycle);
+    end_period(avr->cycle); // low from now on, though no timer ends a period before it is set
 }
 
 // Watch the pins, and put our timer in the place of simavr's.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
+from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.settings import EmulatorSettings
 from spoilt_devices import AT_A_RAIL
 from tools import needs
-from virtual_line import VirtualLine
 
 from firmware.core_device import CoreDevice
 

@@ -5,8 +5,6 @@ Where only a broken board could show it, a part of the program is broken, built,
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -17,28 +15,14 @@ from armrig_daemon.emulator.uno import Uno
 from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Status, Stop
 from tools import needs
 
-from firmware.uno_host import BOOT_NS, HEX, MS, Host, harness, powered
+from firmware.uno_host import BOOT_NS, HEX, MS, Host, broken, harness, powered
 
 pytestmark = needs("cc", "make", "simavr")
-FIRMWARE = HEX.parent
 HALF = 32768
 DIES_MS = 600
 PATIENCE_MS = 50 + 256 + 5
 """Until a converter counts as dead, until the watchdog bites, and for the clock's beginning."""
 builds = needs("avr-gcc")
-
-
-def broken(folder: Path, file: str, old: str, new: str) -> Path:
-    """Return an image of the firmware with a piece of one file replaced."""
-    shutil.copytree(FIRMWARE, folder / "firmware", ignore=shutil.ignore_patterns("build"))
-    uno = folder / "firmware" / "boards" / "uno"
-    source = (uno / file).read_text(encoding="utf-8")
-    assert source.count(old) == 1
-    (uno / file).write_text(source.replace(old, new), encoding="utf-8")
-    image = folder / "broken.hex"
-    make = ["make", "-s", "-C", str(uno), f"HEX={image}", f"BUILD={folder}"]
-    subprocess.run(make, check=True, capture_output=True)
-    return image
 
 
 def restart(host: Host) -> None:
@@ -120,7 +104,7 @@ def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path)
     """S3: in RUN, while the host goes on; the pin is low soon, and stays so."""
     loop = "        if (is_time_to_poll())\n"
     dies = f"        if (board_now_us() > {DIES_MS}000) {{ {fault} }}\n"
-    image = broken(tmp_path, "main.c", loop, dies + loop)
+    image = broken(tmp_path, "boards/uno/main.c", loop, dies + loop)
     uno = Uno(harness(), image, EmulatorSettings(), 0)
     try:
         host = Host(uno)
@@ -148,7 +132,7 @@ def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path)
 def test_an_eeprom_that_is_worn_out_costs_no_boot_its_name(tmp_path: Path) -> None:
     """The count cannot be written; each boot has its own boot_id in the low half, too, by noise."""
     count = "    eeprom_update_block(&next, &counts[place], sizeof next);\n"
-    image = broken(tmp_path, "identity.c", count, "")
+    image = broken(tmp_path, "boards/uno/identity.c", count, "")
     uno = Uno(harness(), image, EmulatorSettings(), 0)
     try:
         host = Host(uno)

@@ -11,12 +11,12 @@ import pytest
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
+from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 from sampling import sampled
 from spoilt_devices import AT_A_RAIL
 from tools import needs
-from virtual_line import VirtualLine
 
 from firmware.uno_host import switch_on
 

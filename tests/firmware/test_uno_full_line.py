@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 from armrig_core.volts import applied_code
@@ -11,6 +12,7 @@ from armrig_daemon.config import Config, Device
 from armrig_daemon.core.budget import scheduled_us
 from armrig_daemon.emulator.board import duty
 from armrig_daemon.emulator.harness import Violation
+from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     SETPOINTS_PER_FRAME,
     Cause,
@@ -19,10 +21,13 @@ from armrig_protocol.messages import (
     Flag,
     Keepalive,
     Mode,
+    Ping,
     Sample,
     Setpoints,
     Start,
     State,
+    Status,
+    Stop,
 )
 from tools import needs
 
@@ -109,6 +114,25 @@ def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> No
         assert {v.what for v in bench.uno.violations} <= LOST[baud]
     finally:
         bench.uno.close()
+
+
+@pytest.mark.parametrize("baud", BAUDS)
+def test_each_gap_in_what_was_received_is_counted(baud: int) -> None:
+    """The byte that found the ring full, and the overrun that comes after it."""
+    with powered(baud=baud) as host:
+        host.hello()
+        flood = b"".join(encode(Stop(0, seq)) for seq in range(100, 400))
+
+        host.put(flood)
+        host.wait(150)
+        host.say(Ping, 1)
+        host.wait(1000)
+
+        lost = [v.cycle for v in host.uno.violations if v.what is Violation.RX_OVERRUN]
+        byte = 160_000_000 // baud
+        gaps = 1 + sum(later - earlier > 1.5 * byte for earlier, later in pairwise(lost))
+        assert gaps > 3
+        assert host.last(Status).rx_lost == 2 * gaps
 
 
 def _noise(host: Host, rng: random.Random) -> None:

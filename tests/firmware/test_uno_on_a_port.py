@@ -17,7 +17,7 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
 from tools import needs
 
-from firmware.uno_host import harness
+from firmware.uno_host import broken, harness
 
 COMMAND = [sys.executable, "-m", "armrig_daemon"]
 EMULATE = [*COMMAND, "emulate", "--firmware", "--port"]
@@ -39,6 +39,25 @@ def port(tmp_path: Path) -> Iterator[Path]:
         emulator.terminate()
         emulator.communicate()
     assert emulator.returncode == 0
+
+
+@needs("cc", "make", "simavr", "avr-gcc")
+def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) -> None:
+    """Which pin, and when; exit code 1."""
+    low = "    PORTB = 0;\n    DDRB = PWM_PIN;\n"
+    image = broken(tmp_path, "boards/uno/motor.c", low, low.replace("0", "PWM_PIN"))
+    environ = os.environ | {"ARMRIG_FIL": str(harness())}
+    command = [*COMMAND, "emulate", "--hex", str(image), "--port", str(tmp_path / "uno")]
+    with subprocess.Popen(command, env=environ, stderr=subprocess.PIPE, text=True) as emulator:
+        assert emulator.stderr is not None
+        said = next(line for line in emulator.stderr if "enable line is low" in line)
+        emulator.terminate()
+        rest = emulator.stderr.read()
+
+    assert said.startswith(f"{tmp_path / 'uno'}: the motor's pin is high while")
+    assert said.endswith("ms after power-on\n")
+    assert "Traceback" not in rest
+    assert emulator.returncode == 1
 
 
 @needs_simavr

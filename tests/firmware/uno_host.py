@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -69,6 +70,19 @@ def image(baud: int) -> Path:
 @cache
 def _folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="armrig-uno-")
+
+
+def broken(folder: Path, file: str, old: str, new: str) -> Path:
+    """Return an image of the firmware, built in `folder`, with a piece of one file replaced."""
+    sources = folder / "firmware"
+    shutil.copytree(HEX.parent, sources, ignore=shutil.ignore_patterns("build"))
+    text = (sources / file).read_text(encoding="utf-8")
+    assert text.count(old) == 1, f"{file} has {text.count(old)} times: {old}"
+    (sources / file).write_text(text.replace(old, new), encoding="utf-8")
+    image = folder / "broken.hex"
+    make = ["make", "-s", "-C", str(sources / "boards" / "uno"), f"HEX={image}", f"BUILD={folder}"]
+    subprocess.run(make, check=True, capture_output=True)
+    return image
 
 
 def switch_on(settings: EmulatorSettings, now_ns: int, **kwargs: Any) -> Uno:

@@ -65,6 +65,11 @@ class Device:
         self._begin(now_ns, POWER_ON_FLAGS)
 
     @property
+    def violations(self) -> tuple[()]:
+        """Nothing: there are no pins but those of the board."""
+        return ()
+
+    @property
     def state(self) -> State:
         """State of the firmware at the last call."""
         return self._fw.state

@@ -24,7 +24,7 @@ class HarnessError(RuntimeError):
 
 
 class Violation(IntEnum):
-    """What must not happen on the board (fil.h)."""
+    """What must not happen on the board (fil.h; from 5 on judged by `pin`)."""
 
     PIN_HIGH_WITHOUT_ENABLE = 1
     """The PWM pin is high while the driver's enable line is low."""
@@ -34,6 +34,10 @@ class Violation(IntEnum):
     """A byte was written into a full transmit buffer."""
     CPU_STOPPED = 4
     """The processor left its program, or sleeps with interrupts off."""
+    DRIVEN_OUTSIDE_RUN = 5
+    """The PWM pin or the enable line is high in another state than RUN."""
+    CODE_NOT_AT_PIN = 6
+    """The PWM pin has another duty than the code that SAMPLE tells."""
 
 
 class Duty(NamedTuple):
@@ -154,6 +158,10 @@ class Harness:
     def stand(self, *, is_to: bool = True) -> None:
         """Let the converter stand still, or go on."""
         self._order(b"S", 0, is_to)
+
+    def eeprom_byte(self, us: int) -> None:
+        """Let a byte of the EEPROM take so long to write."""
+        self._order(b"B", 0, us)
 
     def read_eeprom(self, start: int, n: int) -> bytes:
         """Return n bytes of the EEPROM."""

@@ -12,8 +12,9 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from time import monotonic_ns
 from typing import Protocol, TextIO
@@ -25,8 +26,10 @@ from armrig_protocol.messages import Cause, State
 
 from armrig_daemon.emulator.board import Board, Change, Witness
 from armrig_daemon.emulator.device import Device
+from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 from armrig_daemon.emulator.host_time import HostTime
 from armrig_daemon.emulator.line import READ_BYTES, Line, PortError, Terminal
+from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
@@ -52,6 +55,10 @@ class RealTimeDevice(Protocol):
     @property
     def cause(self) -> Cause:
         """Cause of the last transition."""
+
+    @property
+    def violations(self) -> Sequence[Violated]:
+        """What was seen at simulated pins, and must not happen."""
 
     def reset(self, now_ns: int) -> None:
         """Reset the processor."""
@@ -83,6 +90,8 @@ def emulate(
     held_up: Callable[[int], None] = lambda ns: None,
 ) -> int:
     """Run a rig behind `port` until SIGTERM or SIGINT; return the exit code.
+
+    It is 1 if the pins of a simulated board did what they must not; each kind is printed once.
 
     Parameters
     ----------
@@ -129,12 +138,14 @@ def emulate(
             line.offer(port, stack)
         if started:
             print(started, file=sys.stderr, flush=True)
-        _run(line, device, time, settings, wake, held_up)
+        _run(line, device, time, settings, wake, held_up, partial(_say_violation, port))
         lost = line.backlog
         if lost.dropped_frames:
             said = f"{lost.dropped_frames} frames ({lost.dropped_bytes} bytes) dropped"
             print(f"{port}: {said}, not read in time", file=sys.stderr)
-    return 0
+        # Bytes that its host sends too fast the firmware counts by itself.
+        wrong = {violated.what for violated in device.violations} - {Violation.RX_OVERRUN}
+    return 1 if wrong else 0
 
 
 def _run(
@@ -144,11 +155,13 @@ def _run(
     settings: EmulatorSettings,
     wake: int,
     held_up: Callable[[int], None],
+    violated: Callable[[Violated], None],
 ) -> None:
     """Carry bytes between line and device until `wake` becomes readable; times are given ones."""
     full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
     replies: deque[tuple[int, bytes]] = deque()
-    due_ns = told_ns = tell_ns = 0
+    due_ns = told_ns = tell_ns = looked = 0
+    seen: set[Violation] = set()
     with closing(Waiter()) as waiter:
         waiter.watch(wake)
         line.watch(waiter)
@@ -158,6 +171,11 @@ def _run(
                 held_up(time.held_up_ns - told_ns)
                 told_ns, tell_ns = time.held_up_ns, now_ns + _TELL_NS
             replies.extend(device.advance(now_ns))
+            for one in device.violations[looked:]:
+                looked += 1
+                if one.what not in seen:
+                    violated(one)
+                seen.add(one.what)
             while replies and replies[0][0] <= now_ns:
                 line.write(replies.popleft()[1])
             due_ns = device.visible_ns()
@@ -183,6 +201,14 @@ def _run(
                 data = line.read()
                 if data:
                     device.receive(time.given_ns(monotonic_ns(), due_ns), data)
+
+
+def _say_violation(port: Path, violated: Violated) -> None:
+    """Tell a person the first violation of its kind."""
+    ms = violated.cycle / CYCLES_PER_US / 1000
+    with suppress(OSError):
+        said = f"{port}: {sentence(violated.what)}, {ms:.2f} ms after power-on"
+        print(said, file=sys.stderr, flush=True)
 
 
 @contextmanager

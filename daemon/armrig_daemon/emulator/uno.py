@@ -20,13 +20,12 @@ from msgspec.structs import replace
 
 from armrig_daemon.emulator.board import Board, Witness
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty, Harness, Left, Violated
+from armrig_daemon.emulator.pin import PERIOD, Pins
 from armrig_daemon.emulator.sensors import CODE_BITS
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uart import wire_ns
 
 ADC_BITS: Final = 10
-PERIOD: Final = 1024
-"""Cycles of a period of the PWM."""
 THETA_1, ALPHA = 0, 1
 OPTIBOOT_NS: Final = 1_000_000_000
 """How long a boot loader hears nothing of what is for the program."""
@@ -81,9 +80,13 @@ class Uno:
         self.cause = Cause.POWER_ON
         """As the newest EVENT tells."""
         self.violations: list[Violated] = []
-        self.duties: list[Duty] = []
-        """What was measured at the pin since it was switched on, changes only."""
+        self._pins = Pins(self.violations.append)
         self.stuck: Stuck = lambda t_ns, channel: None
+
+    @property
+    def duties(self) -> list[Duty]:
+        """What was measured at the pin since it was switched on, changes only."""
+        return self._pins.duties
 
     def close(self) -> None:
         """Switch it off."""
@@ -103,6 +106,7 @@ class Uno:
         self._frame.clear()
         self._line_free_ns = now_ns
         self.harness.reset(self._deaf)
+        self._pins.reset(self.harness.cycle)
         self.state, self.cause = State.BOOT, Cause.POWER_ON
 
     def receive(self, now_ns: int, data: bytes) -> None:
@@ -110,6 +114,7 @@ class Uno:
         self._line_free_ns = max(self._line_free_ns, now_ns) + wire_ns(len(data), self._baud)
         self._byte_ns = self._line_free_ns
         self.harness.send(self.cycle(now_ns), data)
+        self._pins.send(self.harness.cycle, data)
 
     def rx_backlog_ns(self, now_ns: int) -> int:
         """Return how long the bytes given so far still occupy the wire to the device."""
@@ -148,13 +153,16 @@ class Uno:
                     self._apply(record)
                 case Violated():
                     self.violations.append(record)
+        self._pins.look(self.harness.cycle)
 
     def _take_frame(self, t_ns: int) -> None:
         wire = bytes(self._frame)
         self._frame.clear()
         self._frames.append((t_ns, wire))
         self._byte_ns = t_ns
+        begun = self.cycle(t_ns - wire_ns(len(wire), self._baud))
         for message in decoder.feed(b"", wire)[1]:
+            self._pins.tell(begun, message)
             if isinstance(message, Spoilt | Unknown):
                 continue
             self.state = State(message.state)
@@ -163,11 +171,13 @@ class Uno:
 
     def _apply(self, duty: Duty) -> None:
         """Give the motor what was measured; a period is over when it is known."""
-        self.duties.append(duty)
+        self._pins.measure(duty)
         self.board.drive(self.ns(duty.cycle), duty.high / PERIOD, self.state, self.cause)
 
     def _reading(self, cycle: int, channel: int) -> int:
         t_ns = self.ns(cycle)
+        if channel == THETA_1:
+            self._pins.hold(cycle)
         reading = self.stuck(t_ns, channel)
         if reading is not None:
             return reading

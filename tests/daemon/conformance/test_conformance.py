@@ -13,6 +13,7 @@ import pytest
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import Result
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, RULES, leave, run
+from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.decoder import feed
@@ -28,7 +29,6 @@ from armrig_protocol.messages import (
 )
 from spoiling import changed_answers, other_handler
 from spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
-from virtual_line import VirtualLine
 
 UNO = {"queue": 256}
 STORED = Path(__file__).with_name("results.txt")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_daemon.conformance.host import BOOT_MS, Host
+from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import (
@@ -24,7 +25,6 @@ from armrig_protocol.messages import (
 )
 from odd_bench import EMULATOR
 from said import compare
-from virtual_line import VirtualLine
 
 DEVICES: dict[str, dict[str, Any]] = {
     "the odd one": EMULATOR,

@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections import deque
 from typing import Protocol
 
-from armrig_daemon.virtual import VirtualDevice
-
 _MS = 1_000_000
 
 
-class Resettable(VirtualDevice, Protocol):
-    """A device that the opening of its port may reset."""
+class TimedDevice(Protocol):
+    """A device to which time is given, and that the opening of its port may reset."""
+
+    def receive(self, now_ns: int, data: bytes) -> None:
+        """Put bytes on the wire to it."""
+
+    def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
+        """Let time pass; return frames, each with its last byte's departure."""
+
+    def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
+        """Let time pass up to `limit_ns` or to a frame; return the time that it is then, and it."""
 
     def reset(self, now_ns: int) -> None:
         """Reset the processor; what is on the wires is lost."""
@@ -20,7 +27,7 @@ class Resettable(VirtualDevice, Protocol):
 class VirtualLine:
     """A device at the end of a line that takes no time of its own."""
 
-    def __init__(self, device: Resettable, *, resets: bool = True) -> None:
+    def __init__(self, device: TimedDevice, *, resets: bool = True) -> None:
         """Begin when it is switched on; `resets` has the opening of the port reset it."""
         self.device = device
         self._resets = resets

@@ -1,0 +1,144 @@
+"""What a simulated board's pins do, held against what its firmware says of them.
+
+The harness measures the pins. Only here it is known what the firmware told meanwhile: the state of
+each frame, and in SAMPLE the code that the motor has.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from armrig_protocol import decoder
+from armrig_protocol.decoder import Received
+from armrig_protocol.frame import Spoilt, Unknown
+from armrig_protocol.messages import CODE_FULL_SCALE, TYPES, Ack, Sample, Start, State
+
+from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty, Violated, Violation
+
+PERIOD: Final = 1024
+"""Cycles of a period of the PWM."""
+_START = TYPES[Start]
+_U32 = (1 << 32) - 1
+_SAME_US = 3
+_HOLDS = 64
+"""Most holds of theta_1 that SAMPLE tells of later."""
+
+
+def sentence(what: Violation) -> str:
+    """Return what a person reads of a violation."""
+    return _SENTENCES[what]
+
+
+_SENTENCES: Final = {
+    Violation.PIN_HIGH_WITHOUT_ENABLE: "the motor's pin is high while the enable line is low",
+    Violation.RX_OVERRUN: "a byte was lost in the receiver",
+    Violation.TX_OVERRUN: "a byte was written into a full transmit buffer",
+    Violation.CPU_STOPPED: "the processor left its program, or sleeps with interrupts off",
+    Violation.DRIVEN_OUTSIDE_RUN: "the motor's pin or its enable line is high outside RUN",
+    Violation.CODE_NOT_AT_PIN: "the motor's pin has another duty than SAMPLE tells",
+}
+
+
+class Pins:
+    """The pins since the board was switched on."""
+
+    def __init__(self, note: Callable[[Violated], None]) -> None:
+        """Begin in BOOT; `note` is told of each violation."""
+        self._note = note
+        self.duties: list[Duty] = []
+        """What was measured, changes only."""
+        self._received = b""
+        self.reset(0)
+
+    def reset(self, cycle: int) -> None:
+        """Take note of a reset by the pin: BOOT, 0 V from now on."""
+        self._low_from: int | None = cycle
+        """The firmware has told another state than RUN at this cycle, and got no START since."""
+        self._start: int | None = None
+        """Seq of the START that is not answered yet."""
+        self._is_noted = False
+        self._holds: deque[int] = deque(maxlen=_HOLDS)
+        self._behind_us: set[int] = set()
+        """What may be between the trigger by the device's clock and the hold by ours."""
+
+    def send(self, cycle: int, data: bytes) -> None:
+        """Take note of what the host sends: a START may be obeyed from now on."""
+        self._received, messages = decoder.feed(self._received, data)
+        for message in messages:
+            if isinstance(message, Start):
+                self.look(cycle)
+                self._low_from, self._start = None, message.seq
+
+    def hold(self, cycle: int) -> None:
+        """Take note of a reading of theta_1: just behind it u is latched."""
+        self._holds.append(cycle)
+
+    def measure(self, duty: Duty) -> None:
+        """Take note of a change at the pin."""
+        self.look(duty.cycle)
+        self.duties.append(duty)
+        if not _drives(duty):
+            self._is_noted = False
+        elif self._low_from is not None and duty.cycle >= self._low_from:
+            self._outside_run(duty.cycle)
+
+    def look(self, cycle: int) -> None:
+        """Judge the pin up to now: what was measured last goes on."""
+        if self._low_from is None or not self.duties or not _drives(self.duties[-1]):
+            return
+        if cycle - self._low_from > 2 * PERIOD:  # what is measured is known at a period's end
+            self._outside_run(cycle)
+
+    def tell(self, begun: int, message: Received) -> None:
+        """Take note of a frame of the device, the first byte of which began to leave at a cycle."""
+        if isinstance(message, Spoilt | Unknown):
+            return
+        if isinstance(message, Ack) and (message.of_type, message.of_seq) == (_START, self._start):
+            self._start = None
+        if message.state == State.RUN:
+            self._low_from = None
+            if isinstance(message, Sample):
+                self._latched(begun, message)
+        elif self._low_from is None and self._start is None:
+            self._low_from = begun
+
+    def _outside_run(self, cycle: int) -> None:
+        if not self._is_noted:
+            self._note(Violated(cycle, Violation.DRIVEN_OUTSIDE_RUN))
+        self._is_noted = True
+
+    def _latched(self, begun: int, m: Sample) -> None:
+        """Judge the code that the pin had up to the latch of a sample."""
+        hold = self._hold_of(begun, m)
+        high = self._high_at(hold - PERIOD) if hold is not None else None
+        wanted = (m.u_km1 * PERIOD + CODE_FULL_SCALE // 2) // CODE_FULL_SCALE
+        if hold is not None and high not in (None, wanted):
+            self._note(Violated(hold, Violation.CODE_NOT_AT_PIN))
+
+    def _hold_of(self, begun: int, m: Sample) -> int | None:
+        """Return when theta_1 was held for a sample, once it is known what its clock shows then.
+
+        A SAMPLE may leave when the next one's theta_1 was held already: each hold before it may be
+        its own, until later samples have ruled out all but one.
+        """
+        held = {hold // CYCLES_PER_US - m.t_us & _U32: hold for hold in self._holds if hold < begun}
+        if self._behind_us:
+            near = {
+                behind: hold
+                for behind in self._behind_us
+                for us, hold in held.items()
+                if (us - behind + _SAME_US) & _U32 <= 2 * _SAME_US
+            }
+        else:
+            near = held
+        self._behind_us = set(near)
+        return next(iter(near.values())) if len(near) == 1 else None
+
+    def _high_at(self, cycle: int) -> int | None:
+        return next((d.high for d in reversed(self.duties) if d.cycle <= cycle), None)
+
+
+def _drives(duty: Duty) -> bool:
+    return bool(duty.high) or duty.enabled

@@ -1,0 +1,159 @@
+"""Violations planted in the firmware's C: conformance on simavr sees each, on the line or at a pin.
+
+The binary is built with each, and run. Where the line shows nothing, a rule of the pins does.
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from armrig_daemon.conformance.host import Host
+from armrig_daemon.conformance.pin_rules import pin_rules
+from armrig_daemon.conformance.suite import FAIL, RULES, run
+from armrig_daemon.conformance.virtual_line import VirtualLine
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.emulator.uno import Uno
+from sampling import sampled
+from spoilt_devices import UNPLUGGED
+from tools import needs
+
+from firmware.uno_host import broken, harness
+
+pytestmark = needs("cc", "make", "simavr", "avr-gcc")
+
+
+class Planted(NamedTuple):
+    """A piece of a file of the firmware, what replaces it, and words of the rule that sees it."""
+
+    file: str
+    old: str
+    new: str
+    found_by: str
+    shows: str = ""
+    """Words of the rule in which the line shows the pin what is wrong, where a pin alone does."""
+
+
+PLANTED = {
+    "two of the CRC's four bytes are compared": Planted(
+        "core/rig_frame.c",
+        "memcmp(frame->message.bytes + length - CRC_BYTES, &crc, CRC_BYTES)",
+        "memcmp(frame->message.bytes + length - CRC_BYTES, &crc, 2)",
+        "wrong CRC",
+    ),
+    "lost bytes are not counted": Planted(
+        "boards/uno/uart.c",
+        "const uint8_t lost = rx_lost;",
+        "const uint8_t lost = 0;",
+        "lost of a flood",
+    ),
+    "the pin is high at reset": Planted(
+        "boards/uno/motor.c",
+        "    PORTB = 0;\n    DDRB = PWM_PIN;\n",
+        "    PORTB = PWM_PIN;\n    DDRB = PWM_PIN;\n",
+        "outside RUN the motor's pin",
+        "HELLO_R says who is there",
+    ),
+    "the enable line stays high": Planted(
+        "boards/uno/motor.c",
+        "    PORTB = 0;\n    PORTD = 0;\n",
+        "    PORTB = 0;\n",
+        "outside RUN the motor's pin",
+        "Both ends of the range",
+    ),
+    "the PWM goes on outside RUN": Planted(
+        "boards/uno/motor.c",
+        "    is_staged = false;\n    TCCR1A = DISCONNECTED;\n",
+        "    is_staged = false;\n",
+        "outside RUN the motor's pin",
+        "Both ends of the range",
+    ),
+    "the pin has half of what is told": Planted(
+        "boards/uno/motor.c",
+        "    staged = duty;\n",
+        "    staged = duty / 2;\n",
+        "has the code that SAMPLE tells",
+        "u_k is the code",
+    ),
+    "there is no watchdog": Planted(
+        "core/rig_states.c",
+        "if (rig_is_bound() && board_now_us()",
+        "if (0 && board_now_us()",
+        "silence of `watchdog_ms`",
+    ),
+    "the watchdog is early": Planted(
+        "core/rig_states.c",
+        "rig.config.watchdog_ms * 1000UL",
+        "rig.config.watchdog_ms * 990UL",
+        "silence of `watchdog_ms`",
+    ),
+    "a HELLO feeds the watchdog": Planted(
+        "core/rig_requests.c",
+        "if (!is_hello) // who asks who is there does not command",
+        "",
+        "feeds the watchdog",
+    ),
+    "the nonce of ARM is not looked at": Planted(
+        "core/rig_transitions.c",
+        "m->arm.nonce != rig.nonce",
+        "0",
+        "The bytes of an arming",
+    ),
+    "a code above u_max is let through": Planted(
+        "core/rig_requests.c",
+        " || m->u > rig.config.u_max",
+        "",
+        "is FAULT(RANGE)",
+    ),
+    "the slew is not looked at": Planted(
+        "core/rig_requests.c",
+        "rig.config.slew && step > rig.config.slew",
+        "0 && step",
+        "is FAULT(SLEW), of just so much",
+    ),
+    "a dry queue holds the last voltage": Planted(
+        "core/rig_queue.c",
+        "config->underrun != RIG_UNDERRUN_HOLD || queue->dry > config->hold",
+        "config->underrun == RIG_UNDERRUN_HOLD && queue->dry > config->hold",
+        "A dry queue is flagged UNDERRUN",
+    ),
+    "STOP leads out of ESTOP": Planted(
+        "core/rig_transitions.c",
+        "    if (is_latched())\n        rig_answer(&m->header, RIG_CODE_WRONG_STATE);\n"
+        "    else if (rig.state == RIG_STATE_IDLE)",
+        "    if (rig.state == RIG_STATE_IDLE)",
+        "In ESTOP a request",
+    ),
+    "old frames are new": Planted(
+        "core/rig_requests.c",
+        "return !rig.has_newest || (int16_t)(seq - rig.newest) > 0;",
+        "return seq || true;",
+        "is ACK(STALE)",
+    ),
+    "RUN begins with another code than u_rest": Planted(
+        "core/rig_motor.c",
+        "drive(rig.config.u_rest, u_seq);",
+        "drive(rig.config.u_max, u_seq);",
+        "RUN begins with u_rest",
+    ),
+}
+
+
+@pytest.mark.parametrize("how", sampled(PLANTED, 2))
+def test_a_violation_of_the_firmware_is_seen(how: str, tmp_path: Path) -> None:
+    """By the rule that is named, which holds for the firmware as it is."""
+    planted = PLANTED[how]
+    image = broken(tmp_path, planted.file, planted.old, planted.new)
+    with closing(Uno(harness(), image, EmulatorSettings(**UNPLUGGED), 0)) as uno:
+        words = (planted.shows or planted.found_by, planted.found_by)
+        rules = [
+            r for r in (*RULES, *pin_rules(uno.violations)) if any(w in r.sentence for w in words)
+        ]
+
+        results = run(Host(VirtualLine(uno)), lambda result: None, rules)
+
+    broken_rules = [r for r in results if r.outcome == FAIL]
+    assert [r for r in broken_rules if planted.found_by in r.sentence], results
+    assert bool(planted.shows) == all("At the pins" in r.sentence for r in broken_rules)
