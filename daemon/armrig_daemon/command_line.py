@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -232,13 +233,51 @@ def show_config(
     example: Annotated[
         bool, typer.Option("--example", help="Print every key, commented out, with its default.")
     ] = False,
+    check: Annotated[
+        Path | None, typer.Option("--check", help="Check a file and the files that it names.")
+    ] = None,
 ) -> None:
-    """Print a complete configuration to begin with; redirect it into a file."""
+    """Print a complete configuration to begin with, or check one.
+
+    --check reads /etc/armrig/ID.toml as the service of rig ID does, and any other file as
+    `armrigd run --config` does. The exit code is 78 if the daemon would refuse the file. Only the
+    daemon's user can see whether that user may read the keys.
+    """
     from armrig_daemon.configuration_reference import example as example_text
 
-    if not example:
-        _refuse("config: --example is needed: `armrigd config --example > armrig.toml`")
-    typer.echo(example_text())
+    if check is not None:
+        _check_file(check)
+    elif example:
+        typer.echo(example_text())
+    else:
+        _refuse(
+            "config: --example or --check FILE is needed: `armrigd config --example > armrig.toml`"
+        )
+
+
+def _check_file(file: Path) -> None:
+    """Print what a daemon would serve with a configuration, or end as it would end."""
+    from armrig_core.recording_directory import SYSTEM
+
+    from armrig_daemon.config import load, load_installed, recordings
+    from armrig_daemon.service.access import networks_of
+    from armrig_daemon.service.sentences import line_and_limits, reached
+
+    path = file.absolute()
+    try:
+        if (
+            path.parent == SYSTEM.parent and path != SYSTEM
+        ):  # a service has no variables of this shell's
+            config = load_installed({}, {"rig": {"id": path.stem}}, system=True)
+        else:
+            config = load([file], os.environ, {})
+        recordings(config)
+        ways = [reached(way, datetime.now(UTC)) for way in networks_of(config) if way is not None]
+    except ValueError as err:
+        _refuse(str(err), MEND)
+    rig = f"{file}: rig {config.rig.id}, {line_and_limits(config)}"
+    said = [rig, *(text for _, text in ways)]
+    typer.echo(printable("; ".join(said)))
 
 
 @app.command()

@@ -100,7 +100,7 @@ def test_the_page_holds_the_tables_of_the_schema() -> None:
 
 
 def test_the_command_prints_the_example() -> None:
-    """To standard output; without the option it says what is needed."""
+    """To standard output; without an option it says what is needed."""
     command = [sys.executable, "-m", "armrig_daemon", "config"]
     printed = subprocess.run([*command, "--example"], capture_output=True, check=True)
     bare = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -108,5 +108,6 @@ def test_the_command_prints_the_example() -> None:
     assert printed.stdout.decode() == example() + "\n"
     assert (bare.returncode, bare.stdout) == (1, "")
     assert bare.stderr == (
-        "armrigd: config: --example is needed: `armrigd config --example > armrig.toml`\n"
+        "armrigd: config: --example or --check FILE is needed: "
+        "`armrigd config --example > armrig.toml`\n"
     )

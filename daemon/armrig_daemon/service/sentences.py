@@ -22,12 +22,16 @@ _SOON = timedelta(days=30)
 
 def served(config: Config, ended_by: str = "Ctrl-C") -> str:
     """Return what is served, and how it is asked and ended."""
-    limits = config.limits
     rig = "" if config.rig.id == "1" else f" --rig {config.rig.id}"
-    return (
-        f"port {config.device.port} at {config.device.baud} baud, {limits.u_min_v:g} to "
-        f"{limits.u_max_v:g} V; ask it with `armrig status{rig}`, end it with {ended_by}"
-    )
+    how = f"ask it with `armrig status{rig}`, end it with {ended_by}"
+    return f"{line_and_limits(config)}; {how}"
+
+
+def line_and_limits(config: Config) -> str:
+    """Return the line to the device, and the voltages that a command may ask for."""
+    device, limits = config.device, config.limits
+    volts = f"{limits.u_min_v:g} to {limits.u_max_v:g} V"
+    return f"port {device.port} at {device.baud} baud, {volts}"
 
 
 def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:

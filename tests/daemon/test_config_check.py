@@ -1,0 +1,103 @@
+"""`armrigd config --check` says of a file what the daemon would say at its start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig.rig import pki
+from armrig_core import recording_directory
+from armrig_daemon import config as config_module
+from armrig_daemon.command_line import app
+from armrig_daemon.config import MEND
+from typer.testing import CliRunner
+
+OVER_TLS = (
+    '[access]\nlisten = "tls/0.0.0.0:7447"\ncertificate = "rig-2.pem"\nnames = "access.toml"\n'
+)
+
+
+def _armrigd(*arguments: str | Path) -> tuple[int, str]:
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return done.exit_code, done.output
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Give the folder of the machine's configurations; the shell has a variable of its own."""
+    for module in (recording_directory, config_module):
+        monkeypatch.setattr(module, "SYSTEM", tmp_path / "armrig.toml")
+    monkeypatch.setenv("ARMRIG_LIMITS_U_MAX_V", "2")
+    return tmp_path
+
+
+def test_a_file_that_the_daemon_takes_is_told_in_one_line(tmp_path: Path) -> None:
+    """The line has the rig, its port, its limits and who may connect; the exit code is 0."""
+    pki.make_authority(tmp_path)
+    pki.issue_to_rig(tmp_path, "2", ["localhost"])
+    pki.issue_to_person(tmp_path, "alice", "operators")
+    file = tmp_path / "new.toml"
+    file.write_text(f'[rig]\nid = "2"\n[device]\nport = "/dev/ttyACM7"\n{OVER_TLS}')
+
+    code, said = _armrigd("config", "--check", file)
+
+    assert code == 0, said
+    assert said.startswith(f"{file}: rig 2, port /dev/ttyACM7 at 500000 baud, 0 to 5 V; also at ")
+    assert "also at tls/0.0.0.0:7447: 1 may drive and 0 may watch, by certificate" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[limits]\nu_max_v = 6\n", "limits.u_max_v = 6: expected `float` <= 5.0"),
+        ("[limits]\nu_max_v = 4\nu_max_v = 4\n", "line 3: u_max_v = 4: is there already"),
+        ("[device]\nprot = 1\n", "device.prot = 1: no such key"),
+        ('[recording]\ndirectory = "~nobody-of-that-name/x"\n', "there is no such user"),
+        ('[calibration]\nfile = "none.toml"\n', "calibration.file = 'none.toml'"),
+    ],
+)
+def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
+    tmp_path: Path, text: str, says: str
+) -> None:
+    """The line and the exit code are those of `armrigd run`."""
+    file = tmp_path / "new.toml"
+    file.write_text(text)
+
+    checked = _armrigd("config", "--check", file)
+
+    assert checked == _armrigd("run", "--config", file)
+    assert checked[0] == MEND
+    assert says in checked[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (OVER_TLS, "access.toml: there is no such file; `armrig pki ca` writes one"),
+        ('[access]\nnames = "access.toml"\n', "[access] names is given and listen is not"),
+    ],
+)
+def test_the_files_of_who_may_connect_are_checked(tmp_path: Path, text: str, says: str) -> None:
+    """The daemon reads them before it starts the motor's loop."""
+    file = tmp_path / "new.toml"
+    file.write_text(text)
+
+    code, said = _armrigd("config", "--check", file)
+
+    assert (code, said.count("\n")) == (MEND, 1)
+    assert says in said
+
+
+def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None:
+    """The file of all rigs holds as well, and no variable of the shell does."""
+    (machine / "armrig.toml").write_text("[limits]\nu_max_v = 4.5\n")
+    (machine / "2.toml").write_text("[limits]\nu_min_v = 1\n")
+    (machine / "3.toml").write_text('[rig]\nid = "2"\n')
+
+    assert (
+        "rig 2, port /dev/armrig at 500000 baud, 1 to 4.5 V"
+        in _armrigd("config", "--check", machine / "2.toml")[1]
+    )
+    code, said = _armrigd("config", "--check", machine / "3.toml")
+    assert (code, "this is the file of rig '3'" in said) == (MEND, True)
