@@ -40,7 +40,7 @@ def _commands(block: str) -> list[list[str]]:
 
 ACCESS, CLIENT, ACCESS_BY_PASSWORD, CLIENT_BY_PASSWORD, ACCESS_BY_ROUTER = _blocks("toml")
 # The others: tests/systemd/test_walk.py.
-INSTALL, MADE, PUT, _, _, USED, CHANGED, MADE_FOR_ROUTER, ROUTER, LOOKED = _blocks("sh")
+INSTALL, MADE, PUT, _, _, USED, CHANGED, MADE_FOR_ROUTER, _, ROUTER, LOOKED = _blocks("sh")
 (PASSWORDS,) = _blocks("text")
 
 

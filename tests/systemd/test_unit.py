@@ -1,4 +1,4 @@
-"""The unit as it is installed, before systemd's own judges."""
+"""The units as they are installed, before systemd's own judges."""
 
 from __future__ import annotations
 
@@ -10,20 +10,31 @@ from pathlib import Path
 import pytest
 from tools import needs
 
-UNIT = Path(__file__).parents[2] / "deploy" / "systemd" / "armrigd@.service"
+ROOT = Path(__file__).parents[2]
+UNITS = sorted((ROOT / "deploy" / "systemd").glob("*.service"))
+SERVICE = (ROOT / "docs" / "service.md").read_text(encoding="utf-8")
+OVER_NETWORK = ("armrig-recorder.service", "armrig-router.service")
+WITHOUT_NETWORK = (
+    "PrivateNetwork=yes\nIPAddressDeny=any\nRestrictAddressFamilies=~AF_INET AF_INET6\n"
+)
+FOR_A_LAB = "IPAddressDeny=any\nIPAddressAllow=localhost 192.0.2.0/24\n"
 MOST_EXPOSED = 1.0
 """Of 10, by `systemd-analyze security`."""
 
 pytestmark = needs("systemd-analyze")
 
 
-@pytest.fixture
-def unit(tmp_path: Path) -> Path:
-    """Give the unit with the program of this environment, which must exist to be judged."""
-    program = Path(sys.executable).with_name("armrigd")
-    path = tmp_path / UNIT.name
-    text = UNIT.read_text(encoding="utf-8")
-    path.write_text(text.replace("/opt/armrig/bin/armrigd", str(program)), encoding="utf-8")
+@pytest.fixture(params=UNITS, ids=lambda path: path.stem)
+def unit(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    """Give a unit with the program of this environment, which must exist to be judged."""
+    return _with_our_program(request.param, tmp_path)
+
+
+def _with_our_program(unit: Path, folder: Path) -> Path:
+    path = folder / unit.name
+    text = unit.read_text(encoding="utf-8")
+    programs = f"{Path(sys.executable).parent}/"
+    path.write_text(text.replace("/opt/armrig/bin/", programs), encoding="utf-8")
     return path
 
 
@@ -38,24 +49,43 @@ def _analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def _score(unit: Path, *, more: str = "") -> float:
+    text = unit.read_text(encoding="utf-8")
+    unit.write_text(text.replace("\n[Install]", f"{more}\n[Install]"), encoding="utf-8")
+    judged = _analyze("security", "--offline=true", "--no-pager", str(unit))
+    found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", judged.stdout)
+    assert found, judged.stdout
+    return float(found[1])
+
+
 def test_systemd_finds_no_fault_in_the_unit(unit: Path) -> None:
     """No unknown key, no value that it does not take, nothing that is missing."""
-    verified = _analyze("verify", "--man=no", str(unit.with_name("armrigd@1.service")))
+    verified = _analyze("verify", "--man=no", str(unit.with_name(unit.name.replace("@", "@1"))))
 
     assert (verified.returncode, verified.stdout) == (0, "")
 
 
 def test_the_unit_is_exposed_to_little(unit: Path) -> None:
-    """The score that docs/service.md gives, and no more than the gate."""
-    judged = _analyze("security", "--offline=true", "--no-pager", str(unit))
+    """No more than the gate; a unit that needs the network is held to it without the network."""
+    more = WITHOUT_NETWORK if unit.name in OVER_NETWORK else ""
 
-    found = re.search(r"Overall exposure level for \S+: ([0-9.]+)", judged.stdout)
-    assert found, judged.stdout
-    assert float(found[1]) <= MOST_EXPOSED
+    assert _score(unit, more=more) <= MOST_EXPOSED
 
 
-def test_the_unit_starts_nothing_that_a_small_system_has_not() -> None:
-    """Our program and the shell: an empty Debian has no kill, which is part of procps."""
-    started = re.findall(r"^Exec\w+=[-@:+!]*(\S+)", UNIT.read_text(encoding="utf-8"), re.MULTILINE)
+@pytest.mark.parametrize("name", OVER_NETWORK)
+def test_a_unit_with_network_is_exposed_as_the_page_says(name: str, tmp_path: Path) -> None:
+    """As it is installed, and with the addresses of the lab alone."""
+    unit = _with_our_program(ROOT / "deploy" / "systemd" / name, tmp_path)
 
-    assert set(started) == {"/opt/armrig/bin/armrigd", "/bin/sh"}
+    as_installed, for_a_lab = _score(unit), _score(unit, more=FOR_A_LAB)
+
+    assert f"gives {as_installed} for the router and for the recorder" in SERVICE
+    assert f"`IPAddressAllow=` brings that down to {for_a_lab}" in SERVICE
+
+
+def test_a_unit_starts_nothing_that_a_small_system_has_not() -> None:
+    """Our programs and the shell: an empty Debian has no kill, which is part of procps."""
+    text = "".join(unit.read_text(encoding="utf-8") for unit in UNITS)
+    started = re.findall(r"^Exec\w+=[-@:+!]*(\S+)", text, re.MULTILINE)
+
+    assert set(started) == {"/opt/armrig/bin/armrigd", "/opt/armrig/bin/armrig", "/bin/sh"}

@@ -11,7 +11,7 @@ import typer
 from armrig.cli.options import Json, agree, echo, print_json
 
 if TYPE_CHECKING:
-    from armrig.rig.installation import Plan
+    from armrig.rig.installation import Part, Plan
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
@@ -25,27 +25,58 @@ Root = Annotated[
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would be done, and do nothing.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Do it without asking.")]
 _SYSTEM = Path("/")
+_NEXT: dict[Part, str] = {
+    "rig": (
+        "each rig needs its file, such as /etc/armrig/1.toml with [device] port, then\n"
+        "  systemctl enable --now armrigd@1\n"
+        "and who is to operate it joins the group: adduser NAME armrig"
+    ),
+    "router": (
+        "the router needs router.pem and access.toml in /etc/armrig, then\n"
+        "  systemctl enable --now armrig-router"
+    ),
+    "recorder": (
+        "the recorder needs recorder.pem in /etc/armrig, and recorder.env with the line\n"
+        "  ARMRIG_CLIENT_CONNECT=tls/lab.example.edu:7447, then\n"
+        "  systemctl enable --now armrig-recorder"
+    ),
+}
+"""What an administrator does after the installation of a part."""
+_NOT_STARTED: dict[Part, str] = {
+    "rig": "no rig is served: systemctl enable --now armrigd@1",
+    "router": "no router runs: systemctl enable --now armrig-router",
+    "recorder": "no recorder runs: systemctl enable --now armrig-recorder",
+}
 
 
 @app.command(context_settings=_HELP, epilog="Example: armrig service install --dry-run")
-def install(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -> None:
-    """Install the unit, the rules of boards' names, and the user; all of it is shown before."""
+def install(
+    router: Annotated[bool, typer.Option("--router", help="Install a lab's router.")] = False,
+    recorder: Annotated[
+        bool, typer.Option("--recorder", help="Install the recorder of all rigs of a router.")
+    ] = False,
+    root: Root = _SYSTEM,
+    dry_run: DryRun = False,
+    yes: Yes = False,
+) -> None:
+    """Install the service of the rigs; with --router or --recorder, that of these.
+
+    The command shows the content of each new file, and of each file that changes the difference,
+    before it does anything. It also renews what is installed already.
+    """
     from armrig.rig.installation import installing
 
-    if not _carry_out(installing(root.absolute()), root, dry_run=dry_run, yes=yes):
-        return
-    echo(
-        "installed; each rig needs its file, such as /etc/armrig/1.toml with [device] port, then\n"
-        "  systemctl enable --now armrigd@1\n"
-        "and who is to operate it joins the group: adduser NAME armrig"
-    )
+    chosen: dict[Part, bool] = {"router": router, "recorder": recorder}
+    parts = [part for part, is_chosen in chosen.items() if is_chosen] or ["rig"]
+    if _carry_out(installing(root.absolute(), parts), root, dry_run=dry_run, yes=yes):
+        echo("\n".join(f"installed; {_NEXT[part]}" for part in parts))
 
 
 @app.command(context_settings=_HELP, epilog="Example: armrig service uninstall --dry-run")
 def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -> None:
-    """Stop all rigs at 0 V and take the service away.
+    """Stop all rigs at 0 V and take the service away, with router and recorder.
 
-    Configurations, recordings and the user armrig stay.
+    Configurations, recordings and users stay.
     """
     from armrig.rig.installation import uninstalling
 
@@ -54,26 +85,30 @@ def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -
         echo("nothing is installed")
         return
     if _carry_out(plan, root, dry_run=dry_run, yes=yes):
-        echo("taken away; /etc/armrig, /var/lib/armrig and the user armrig are left")
+        echo("taken away; /etc/armrig, the recordings in /var/lib and the users are left")
 
 
 @app.command(context_settings=_HELP, epilog="Example: armrig service status")
 def status(root: Root = _SYSTEM, json: Json = False) -> None:
-    """Say which files are installed, and how the service of each rig is."""
-    from armrig.rig.installation import files, units_of
+    """Say which files are installed, and how each rig, the router and the recorder are."""
+    from armrig.rig.installation import files, parts_of, units_of
 
-    states = {str(file.path): file.state for file in files(root.absolute())}
+    parts = parts_of(root.absolute()) or {"rig"}
+    states = {str(file.path): file.state for file in files(root.absolute(), parts)}
     units = units_of(root.absolute())
     if json:
-        print_json({"files": states, "rigs": units})
+        of_rigs = [unit for unit in units if unit.rig]
+        others = {unit.part: unit for unit in units if not unit.rig}
+        print_json({"files": states, "rigs": of_rigs, **others})
         return
     echo("\n".join(f"{state:9}  {path}" for path, state in states.items()))
     for unit in units:
         start = "starts with the machine" if unit.enabled else "does not start with the machine"
         how = f"{unit.active}: {unit.status}" if unit.status else unit.active
-        echo(f"rig {unit.rig}: {', '.join(part for part in (how, start) if part)}")
-    if not units:
-        echo("no rig is served: systemctl enable --now armrigd@1")
+        echo(f"{unit.title}: {', '.join(part for part in (how, start) if part)}")
+    for part, hint in _NOT_STARTED.items():
+        if part in parts - {unit.part for unit in units}:
+            echo(hint)
 
 
 def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:

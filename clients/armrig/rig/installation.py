@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import fnmatch
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import unified_diff
 from pathlib import Path
 from typing import Literal
 
 SHIPPED = "/opt/armrig/bin/armrigd"
-"""The program that the unit names as it is shipped."""
+"""The program that the unit names as it is shipped; `armrig` is next to it."""
 _FOLDERS = {
     "systemd": "etc/systemd/system",
     "udev": "etc/udev/rules.d",
@@ -19,11 +20,23 @@ _FOLDERS = {
     "tmpfiles.d": "etc/tmpfiles.d",
 }
 _UNSEEN = ("/home", "/root", "/tmp", "/var/tmp", "/run/user")  # by the unit's sandbox
-_UNITS = "armrigd@*.service"
 _SYSTEM = Path("/")
 _UDEV = Path("/run/udev/control")  # there where udev runs, which in a container it may not
 
 FileState = Literal["installed", "differs", "missing"]
+Part = Literal["rig", "router", "recorder"]
+"""What a machine may have: the daemons of its rigs, a lab's router, a recorder of all rigs."""
+UNITS: dict[Part, str] = {
+    "rig": "armrigd@.service",
+    "router": "armrig-router.service",
+    "recorder": "armrig-recorder.service",
+}
+_PART_OF: dict[str, Part] = {
+    **{unit: part for part, unit in UNITS.items()},
+    "70-armrig.rules": "rig",
+    "armrig-recorder.conf": "recorder",
+}
+"""Files of one part alone; all others are of each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +47,8 @@ class File:
     """Where it is installed."""
     text: str
     """What is installed there."""
+    part: Part | None = None
+    """The part that alone needs it."""
 
     @property
     def state(self) -> FileState:
@@ -72,6 +87,7 @@ class Plan:
                 yield from (f"         {line}" for line in file.difference())
             else:
                 yield f"write    {file.path}"
+                yield from (f"         {line}".rstrip() for line in file.text.splitlines())
         for file in self.removed:
             changed = ", which was changed" if file.state == "differs" else ""
             yield f"remove   {file.path}{changed}"
@@ -95,9 +111,11 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unit:
-    """The service of one rig."""
+    """The service of one rig, the router's or the recorder's."""
 
+    part: Part
     rig: str
+    """Id of the rig; "" of the router and the recorder."""
     enabled: bool
     """It starts with the machine."""
     active: str
@@ -105,36 +123,56 @@ class Unit:
     status: str
     """What the daemon says of itself."""
 
+    @property
+    def name(self) -> str:
+        """As systemd knows it, such as armrigd@1.service."""
+        return UNITS[self.part].replace("@", f"@{self.rig}")
 
-def files(root: Path) -> list[File]:
-    """Return the files of the service, as they are installed below `root`.
+    @property
+    def title(self) -> str:
+        """What a person calls it."""
+        return f"rig {self.rig}" if self.rig else self.part
+
+
+def parts_of(root: Path) -> set[Part]:
+    """Return the parts whose unit is there."""
+    return {file.part for file in files(root) if file.part and file.state != "missing"}
+
+
+def files(root: Path, parts: Collection[Part] = tuple(UNITS)) -> list[File]:
+    """Return the files of these parts of the service, as they are installed below `root`.
 
     Raises
     ------
     ValueError
         Of this machine: the unit could not start the program of this installation.
     """
-    program = _program() if root == _SYSTEM else SHIPPED
+    shipped = SHIPPED.removesuffix("d")
+    program = _program().removesuffix("d") if root == _SYSTEM else shipped
     found = []
     for path in sorted(_deploy().glob("*/*")):
-        text = path.read_text(encoding="utf-8").replace(SHIPPED, program)
-        found.append(File(path=root / _FOLDERS[path.parent.name] / path.name, text=text))
+        part = _PART_OF.get(path.name)
+        if part is None or part in parts:
+            text = path.read_text(encoding="utf-8").replace(shipped, program)
+            there = root / _FOLDERS[path.parent.name] / path.name
+            found.append(File(path=there, text=text, part=part))
     return found
 
 
-def installing(root: Path) -> Plan:
-    """Return what installs the service; twice is as once."""
+def installing(root: Path, parts: Collection[Part] = ("rig",)) -> Plan:
+    """Return what installs these parts, and renews those that are there; twice is as once."""
     at = _at(root)
     last = [("systemd-sysusers", *at), ("systemd-tmpfiles", *at, "--create", "armrig.conf")]
+    wanted = files(root, {*parts, *parts_of(root)})
     return Plan(
-        written=tuple(file for file in files(root) if file.state != "installed"),
+        written=tuple(file for file in wanted if file.state != "installed"),
         last=(*last, *_reloading(root)),
     )
 
 
 def uninstalling(root: Path) -> Plan:
     """Return what takes the service away; configurations, recordings and the user stay."""
-    units = tuple(f"armrigd@{unit.rig}.service" for unit in units_of(root))
+    units = tuple(unit.name for unit in units_of(root))
     now = ("--now",) if root == _SYSTEM else ()
     there = tuple(file for file in files(root) if file.state != "missing")
     return Plan(
@@ -147,12 +185,15 @@ def uninstalling(root: Path) -> Plan:
 def units_of(root: Path) -> list[Unit]:
     """Return the services that are enabled or, on this machine, loaded."""
     folder = root / _FOLDERS["systemd"]
-    enabled = {path.name for path in folder.glob(f"*.wants/{_UNITS}")}
+    patterns = [name.replace("@", "@*") for name in UNITS.values()]
+    wanted = [path.name for path in folder.glob("*.wants/*")]
+    enabled = {name for pattern in patterns for name in fnmatch.filter(wanted, pattern)}
     loaded = set()
     if root == _SYSTEM:
-        listed = _output("systemctl", "list-units", "--all", "--plain", "--no-legend", _UNITS)
+        listed = _output("systemctl", "list-units", "--all", "--plain", "--no-legend", *patterns)
         loaded = {line.split()[0] for line in listed.splitlines()}
-    return [_unit(name, name in enabled, root) for name in sorted(enabled | loaded)]
+    found = [_unit(name, name in enabled, root) for name in sorted(enabled | loaded)]
+    return sorted(found, key=lambda unit: [*UNITS].index(unit.part))
 
 
 def _unit(name: str, enabled: bool, root: Path) -> Unit:
@@ -163,8 +204,9 @@ def _unit(name: str, enabled: bool, root: Path) -> Unit:
             line.split("=", 1)[1]
             for line in sorted(_output("systemctl", "show", name, *asked).splitlines())
         ]
-    rig = name.removeprefix("armrigd@").removesuffix(".service")
-    return Unit(rig=rig, enabled=enabled, active=shown[0], status=shown[1])
+    part = _PART_OF.get(name, "rig")
+    rig = name.removeprefix("armrigd@").removesuffix(".service") if part == "rig" else ""
+    return Unit(part=part, rig=rig, enabled=enabled, active=shown[0], status=shown[1])
 
 
 def run_command(command: Sequence[str]) -> None:

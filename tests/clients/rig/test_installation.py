@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 from armrig.cli import main
 from armrig.rig import installation
-from armrig.rig.installation import SHIPPED, Plan, files, installing, uninstalling
+from armrig.rig.installation import SHIPPED, UNITS, Plan, files, installing, uninstalling
 
 UNIT = "etc/systemd/system/armrigd@.service"
+ROUTER = "etc/systemd/system/armrig-router.service"
+RECORDER = "etc/systemd/system/armrig-recorder.service"
 
 
 class Commands:
@@ -38,7 +40,7 @@ def _contents(root: Path) -> dict[str, str]:
     return {str(p.relative_to(root)): p.read_text() for p in root.rglob("*") if p.is_file()}
 
 
-def test_all_that_is_deployed_is_installed(tmp_path: Path, commands: Commands) -> None:
+def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) -> None:
     """Each file where its program looks for it, and before a command that reads it."""
     installing(tmp_path).carry_out(commands)
 
@@ -53,6 +55,46 @@ def test_all_that_is_deployed_is_installed(tmp_path: Path, commands: Commands) -
         f"systemd-tmpfiles --root={tmp_path} --create armrig.conf",
     ]
     assert set(commands.files) == {4}
+
+
+@pytest.mark.parametrize(
+    ("part", "own"),
+    [
+        ("router", {ROUTER}),
+        ("recorder", {RECORDER, "etc/sysusers.d/armrig-recorder.conf"}),
+    ],
+)
+def test_a_machine_without_rigs_gets_what_it_needs(
+    part: installation.Part, own: set[str], tmp_path: Path, commands: Commands
+) -> None:
+    """The unit, its user, and the folder of its files: no name of a board, no daemon."""
+    installing(tmp_path, [part]).carry_out(commands)
+
+    assert set(_contents(tmp_path)) == {
+        *own,
+        "etc/sysusers.d/armrig.conf",
+        "etc/tmpfiles.d/armrig.conf",
+    }
+
+
+def test_all_that_is_deployed_is_of_a_part_or_of_each(tmp_path: Path) -> None:
+    """No file of `deploy/` is forgotten."""
+    of_parts = [file for part in UNITS for file in files(tmp_path, [part])]
+
+    deployed = Path(__file__).parents[3] / "deploy"
+    assert {file.path.name for file in of_parts} == {p.name for p in deployed.glob("*/*")}
+    assert {file.path for file in of_parts} == {file.path for file in files(tmp_path)}
+
+
+def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands) -> None:
+    """An upgrade names no part: the router's unit of an older release is shown and replaced."""
+    installing(tmp_path, ["router", "recorder"]).carry_out(commands)
+    (tmp_path / ROUTER).write_text("[Unit]\n")
+
+    plan = installing(tmp_path)
+
+    written = [str(file.path.relative_to(tmp_path)) for file in plan.written]
+    assert written == [ROUTER, UNIT, "etc/udev/rules.d/70-armrig.rules"]
 
 
 def test_to_install_twice_is_as_once(tmp_path: Path, commands: Commands) -> None:
@@ -89,19 +131,21 @@ def test_what_was_changed_is_shown_before_it_is_replaced(
 
 
 def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Commands) -> None:
-    """A rig's configuration is left; enabled rigs are disabled before their unit is gone."""
-    installing(tmp_path).carry_out(commands)
+    """A rig's configuration is left; what is enabled is disabled before its unit is gone."""
+    installing(tmp_path, UNITS).carry_out(commands)
     own = tmp_path / "etc/armrig/1.toml"
     own.parent.mkdir()
     own.write_text("[device]\n")
     wants = tmp_path / "etc/systemd/system/multi-user.target.wants"
     wants.mkdir()
-    (wants / "armrigd@1.service").symlink_to("/nowhere")
+    units = ("armrigd@1.service", "armrig-router.service", "armrig-recorder.service")
+    for unit in units:
+        (wants / unit).symlink_to("/nowhere")
     commands.given.clear()
 
     uninstalling(tmp_path).carry_out(commands)
 
-    assert commands.given == [f"systemctl --root={tmp_path} disable armrigd@1.service"]
+    assert commands.given == [f"systemctl --root={tmp_path} disable {' '.join(units)}"]
     assert _contents(tmp_path) == {"etc/armrig/1.toml": "[device]\n"}
 
 
@@ -117,10 +161,13 @@ def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
     monkeypatch.setattr(sys, "prefix", "/srv/armrig-2")
     monkeypatch.setattr(sys, "base_prefix", "/usr")
 
-    (unit,) = (file for file in files(Path("/")) if file.path.name == "armrigd@.service")
+    units = {file.path.name: file.text for file in files(Path("/"))}
 
-    assert "ExecStart=/srv/armrig-2/bin/armrigd run --system --rig %i" in unit.text
-    assert SHIPPED not in unit.text
+    unit = units["armrigd@.service"]
+    assert "ExecStart=/srv/armrig-2/bin/armrigd run --system --rig %i" in unit
+    assert "ExecStart=/srv/armrig-2/bin/armrig router" in units["armrig-router.service"]
+    assert "ExecStart=/srv/armrig-2/bin/armrig record" in units["armrig-recorder.service"]
+    assert "/opt/armrig" not in "".join(units.values())
     (other,) = (file for file in files(Path("/mnt")) if file.path.name == "armrigd@.service")
     assert f"ExecStart={SHIPPED} run" in other.text
 
@@ -157,12 +204,38 @@ def test_a_program_that_the_sandbox_hides_is_refused(
     assert "install armrig into /opt/armrig with /usr/bin/python3" in said
 
 
-def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It shows each file and each command."""
+def test_a_dry_run_shows_every_line_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each new file with its content, which an administrator reads before agreeing."""
     assert main(["service", "install", "--root", str(tmp_path), "--dry-run"]) == 0
 
-    assert f"write    {tmp_path}/{UNIT}" in capsys.readouterr().out
+    said = capsys.readouterr().out.splitlines()
+    for file in files(tmp_path, ["rig"]):
+        begin = said.index(f"write    {file.path}") + 1
+        lines = file.text.splitlines()
+        assert [line[9:] for line in said[begin : begin + len(lines)]] == lines
     assert not [*tmp_path.iterdir()]
+
+
+def test_the_state_of_each_part_is_told(
+    tmp_path: Path, commands: Commands, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is enabled, what is installed and not; a part that is not installed is not named."""
+    installing(tmp_path, ["router", "recorder"]).carry_out(commands)
+    wants = tmp_path / "etc/systemd/system/multi-user.target.wants"
+    wants.mkdir()
+    (wants / "armrig-router.service").symlink_to("/nowhere")
+
+    assert main(["service", "status", "--root", str(tmp_path)]) == 0
+
+    said = capsys.readouterr().out.splitlines()
+    assert said[-2:] == [
+        "router: starts with the machine",
+        "no recorder runs: systemctl enable --now armrig-recorder",
+    ]
+    assert {line.split()[0] for line in said[:-2]} == {"installed"}
+    assert not any("armrigd@" in line for line in said)
 
 
 def test_without_anybody_to_agree_nothing_is_written(
