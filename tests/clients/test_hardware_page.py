@@ -1,4 +1,4 @@
-"""docs/hardware.md: its rig for 20 €, on an emulated board, gives what the page says."""
+"""docs/hardware.md: drawings of one netlist, computed tables, and the rig for 20 €."""
 
 from __future__ import annotations
 
@@ -8,10 +8,74 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pages
+import pytest
 import rc_rig
 from armrig_daemon.config import load
 
 TEXT = (pages.DOCS / "hardware.md").read_text(encoding="utf-8")
+WIRING = pages.script("wiring.py")
+SUPPLY = pages.script("motor_supply.py")
+
+
+def test_the_circuit_diagram_connects_the_netlist() -> None:
+    """Each net all of its pins, and no two nets."""
+    assert WIRING.drawn(WIRING.DIAGRAM) == WIRING.netlist()
+
+
+def test_the_board_connects_the_netlist() -> None:
+    """Each net all of its pins, and no two tracks touch in a hole."""
+    assert WIRING.drawn(WIRING.BOARD) == WIRING.netlist(WIRING.OFF_BOARD)
+
+
+@pytest.mark.parametrize("name", ["DIAGRAM", "BOARD"])
+def test_a_line_too_few_and_a_line_too_many_are_seen(name: str) -> None:
+    """On the drawing of either."""
+    drawing = getattr(WIRING, name)
+    two = sorted(drawing.pins.values())[0], sorted(drawing.pins.values())[-1]
+
+    cut = drawing._replace(lines=drawing.lines[:-1])
+    bridged = drawing._replace(wires=[*drawing.wires, two])
+
+    assert len({frozenset(WIRING.drawn(d)) for d in (drawing, cut, bridged)}) == 3
+
+
+def test_each_hole_of_the_board_takes_one_lead() -> None:
+    """Of a part, or of an insulated wire; and each part has its leads there."""
+    leads = [*WIRING.BOARD.pins.values()]
+    leads += [end for wire in WIRING.BOARD.wires for end in (wire[0], wire[-1])]
+
+    assert len(set(leads)) == len(leads)
+    assert all(1 <= x <= WIRING.COLUMNS and 1 <= y <= WIRING.ROWS for x, y in leads)
+    assert {pin.split(".")[0] for pin in WIRING.BOARD.pins} >= set(WIRING.PARTS)
+
+
+def test_the_figures_of_the_page_are_those_of_the_script() -> None:
+    """After a change, run docs/figures/wiring.py."""
+    shown = set(re.findall(r"\]\(figures/(.+?)\)", TEXT))
+    stored = {n: (pages.DOCS / "figures" / n).read_text(encoding="utf-8") for n in shown}
+
+    assert stored == WIRING.figures()
+
+
+@pytest.mark.parametrize("name", SUPPLY.TABLES)
+def test_the_tables_of_the_page_are_computed(name: str) -> None:
+    """After a change, run docs/figures/motor_supply.py."""
+    assert SUPPLY.table(name) in TEXT
+
+
+def test_the_threshold_of_the_page_is_computed() -> None:
+    """And the current into the thyristor's gate."""
+    least, nominal, largest = SUPPLY.trip_voltages()
+
+    assert f"Above {nominal:.2f} V ({least:.2f} to {largest:.2f} V" in TEXT
+    assert f"with {SUPPLY.gate_current() * 1e3:.0f} mA into a gate" in TEXT
+
+
+def test_the_parts_list_has_every_value_of_the_drawing() -> None:
+    """In the section of that name."""
+    section = TEXT.split("## Parts\n")[1].split("\n## ")[0]
+
+    assert {v for v in WIRING.PARTS.values() if v.removesuffix(" 5 W") not in section} == set()
 
 
 def test_the_rig_for_20_euros_has_the_poles_of_its_circuit(tmp_path: Path) -> None:
