@@ -41,6 +41,26 @@ def test_a_root_on_the_circle_is_not_stable() -> None:
     assert stable([1.0])
 
 
+def test_a_coefficient_that_is_no_number_makes_no_stable_polynomial() -> None:
+    """The search asks of a trial step that overflowed: the answer is no, not an error."""
+    assert not stable([1.0, np.nan])
+    assert not stable([1.0, 0.5, np.inf])
+
+
+def test_stable_is_what_the_roots_say() -> None:
+    """Of 300 polynomials with real roots and pairs, on both sides of the circle."""
+    rng = np.random.default_rng(28)
+    polynomials = [
+        np.real(np.poly([*(r * np.exp([1j * w, -1j * w])), x]))
+        for r, w, x in rng.uniform([0.8, 0.1, -1.2], [1.1, 3.0, 1.2], (300, 3))
+    ]
+
+    told = [stable(p) for p in polynomials]
+
+    assert told == [bool(np.all(np.abs(np.roots(p)) < 1.0)) for p in polynomials]
+    assert 100 < sum(told) < 250
+
+
 def test_a_filter_begins_at_rest_and_a_lag_with_zeros() -> None:
     """1/(1 - 0.5 q^-1) halves a pulse each sample."""
     np.testing.assert_allclose(impulse([1, -0.5], 4), [1, 0.5, 0.25, 0.125])
