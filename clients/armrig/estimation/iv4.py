@@ -16,7 +16,7 @@ from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.goodness_of_fit import fit_percent
 from armrig.numerics.inference import infer
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 from armrig.numerics.regressors import ArxRows, arx_rows, complete
 from armrig.numerics.stretches import Mask
@@ -170,7 +170,8 @@ def _solved(
     known = np.vstack([block[r] for block, r in zip(blocks, rows, strict=True)])
     d = known.shape[1] - 1
     projected = basis.Q.T @ known
-    if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1]) < d:
+    scale = np.maximum(column_norms(projected[:, :-1]), np.finfo(float).tiny)
+    if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1] / scale) < d:
         msg = f"{orders}: the instruments determine fewer than {d} parameters; "
         msg += "lower the orders or excite with a richer input"
         raise ValueError(msg)

@@ -268,7 +268,8 @@ def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
         | F^T               0 |       | I  C C^T / r |
         | (S S^T / r - Q)   I | - z * | 0  F         |
 
-    K itself is not needed.
+    K itself is not needed. The states are scaled so that both blocks are of one size, whatever the
+    unit of y is.
 
     References
     ----------
@@ -279,9 +280,12 @@ def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
     if not r > 0:
         return None
     F = A - np.outer(S, C) / r
+    gain, noise = np.outer(C, C) / r, np.outer(S, S) / r - Q
+    sizes = float(np.linalg.norm(gain)), float(np.linalg.norm(noise))
+    scale = np.sqrt(sizes[1] / sizes[0]) if all(sizes) else 1.0
     left, right = np.eye(2 * n), np.eye(2 * n)
-    left[:n, :n], left[n:, :n] = F.T, (np.outer(S, S) / r - Q) / r
-    right[:n, n:], right[n:, n:] = np.outer(C, C), F
+    left[:n, :n], left[n:, :n] = F.T, noise / scale
+    right[:n, n:], right[n:, n:] = gain * scale, F
     real, imaginary, over, *_, failed = dggev(left, right, compute_vl=0, compute_vr=0)
     with np.errstate(all="ignore"):
         z = (real + 1j * imaginary) / over
