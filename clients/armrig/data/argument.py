@@ -9,7 +9,7 @@ from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 from armrig_core.calls import check_call
 
-from armrig.data.dataset import Dataset
+from armrig.data.dataset import Dataset, require_visible
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -32,8 +32,11 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
     ------
     TypeError
         It is neither.
+    ValueError
+        Its numbers are so small that their powers vanish.
     """
     if isinstance(data, Dataset):
+        require_visible(data)
         return data
     if not callable(getattr(data, "dataset", None)):
         msg = f"data is a {type(data).__name__}: give a Dataset, armrig.Dataset(u=u, y=y, Ts=Ts), "

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 _LARGEST = 1e30  # fourth powers of data are taken, and products of those
+_SMALLEST = 1e-30  # the same; below it squares are lost
 _LISTED = 8  # lengths of parts that a history names
 
 
@@ -395,6 +396,19 @@ def require_size(name: str, x: Vector) -> None:
             f"the largest |{name}| is {largest:.3g}; take a unit in which it is below {_LARGEST:g}"
         )
         raise ValueError(msg)
+
+
+def require_visible(data: Dataset) -> None:
+    """Refuse a signal, other than zeros, whose powers vanish among the numbers of a computer.
+
+    Not every Dataset is asked: a response that has died away is a part of good data.
+    """
+    for name, x in (("u", data.u), ("y", data.y[data.valid])):
+        largest = float(np.max(np.abs(x), initial=0.0))
+        if 0 < largest < _SMALLEST:
+            msg = f"the largest |{name}| is {largest:.3g}; take a unit in which it is from "
+            msg += f"{_SMALLEST:g} to {_LARGEST:g}"
+            raise ValueError(msg)
 
 
 def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:

@@ -33,7 +33,30 @@ def test_numbers_whose_powers_are_none_are_refused(of: str) -> None:
         armrig.Dataset(**signals, Ts=1.0)
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-3])
+@pytest.mark.parametrize("of", ["u", "y"])
+@pytest.mark.parametrize("name", ["arx", "oe", "n4sid", "search", "delay", "spa", "advice"])
+def test_numbers_whose_powers_vanish_are_refused(name: str, of: str) -> None:
+    """Their squares were 0, and the answer another one than in a larger unit."""
+    signals = {"u": U, "y": Y}
+    signals[of] = signals[of] * 1e-150
+    data = armrig.Dataset(**signals, Ts=1.0)
+
+    with pytest.raises(
+        ValueError, match=rf"largest \|{of}\| is .*; take a unit in which it is from"
+    ):
+        getattr(armrig, name)(data, **ESTIMATORS.get(name, {}))
+
+
+def test_an_output_of_zeros_is_not_called_too_small() -> None:
+    """It has no unit in which it is larger; detrending it is nothing wrong."""
+    data = armrig.Dataset(u=U, y=0.0 * Y, Ts=1.0)
+
+    still = armrig.detrend(data)
+
+    assert not still.y.any()
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 1e25, 1e-25])
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_a_unit_changes_nothing_but_the_numbers(estimator: str, factor: float) -> None:
     """The fit in percent and the test of whiteness are those of V; no warning of numpy escapes."""
