@@ -77,6 +77,20 @@ def test_what_is_clear_is_not_searched_for_elsewhere(monkeypatch: pytest.MonkeyP
     assert tried == [1]
 
 
+def test_a_high_order_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OE of order 60 took more than 200 s: its modes are too many to move."""
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(300)
+    y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 4.0 * rng.standard_normal(300)
+    tried = []
+    monkeypatch.setattr(multistart, "moved_modes", lambda *_, **__: iter(tried.append(1) or ()))
+
+    fit = oe(Dataset(u=u, y=y, Ts=1), nb=31, nf=31)
+
+    assert tried == []
+    assert any("poorer minimum" in w or "did not converge" in w for w in fit.warnings)
+
+
 def test_much_data_is_searched_from_where_a_part_leads(monkeypatch: pytest.MonkeyPatch) -> None:
     """The minimum is that of the whole all the same, to the search's last digits."""
     rng = np.random.default_rng(2)
