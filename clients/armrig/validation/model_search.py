@@ -80,7 +80,7 @@ def search(
         is an angle, or is found to integrate.
     offset : bool, optional
         Whether structures that can (ARMAX, OE, BJ) estimate the input's offset along; by default
-        where y has a level that u does not make (2 deviations).
+        where y has a level that u does not make (2 deviations), in either data.
     horizon : int, optional
         Samples ahead, >= 1; by default the models are simulated, and "n4sid" is estimated with
         `focus="simulation"`. In closed loop it is 1 by default: the best simulation would be
@@ -122,19 +122,23 @@ def search(
     against = doubts(data, known)
     notes = [*known.integration.notes]
     level = [f for f in against if f.about == "level"]
-    if offset is None:
-        offset = not known.integration.integrates and bool(level_without_input(data, _LIKELY))
-    if offset and level:
-        against.remove(level[0])
+    of_validation = ""
+    if offset is None and not known.integration.integrates:
+        # A level of the validation data alone would rank models by how they happen to meet it.
+        of_validation = level_without_input(validation, _LIKELY)
+        offset = bool(of_validation or level_without_input(data, _LIKELY))
+    if offset and (level or of_validation):
+        against = [f for f in against if f not in level]
+        what = level[0].text.split(":")[0] if level else f"in the validation data {of_validation}"
         able = ", ".join(name.upper() for name in families if KINDS[name].may_offset)
-        notes.append(f"{level[0].text.split(':')[0]}: {able} estimate it along, offset=True")
+        notes.append(f"{what}: {able} estimate it along, offset=True")
     candidates = list(
         _candidates(
             [*families],
             [*orders],
             delays,
             integrator=known.integration.integrates,
-            offset=offset,
+            offset=bool(offset),
             simulated=horizon is None,
         )
     )

@@ -302,6 +302,18 @@ def test_a_level_that_u_does_not_make_is_estimated_along() -> None:
     assert not found.doubts
 
 
+def test_a_level_of_the_validation_data_alone_is_estimated_along() -> None:
+    """Models would be ranked by how their errors happen to meet it."""
+    first, second = _of_second_order().split(2)
+    second = Dataset(u=second.u, y=second.y + 5.0, Ts=second.Ts)
+
+    found = search(first, second, families=("arx", "oe"), orders=(1, 2, 3))
+
+    assert found.fit.offset
+    assert found.chosen.candidate.order == 2
+    assert any(note.startswith("in the validation data y is about") for note in found.notes)
+
+
 def _of_second_order(nk: int = 1, level: float = 0.0) -> Dataset:
     u = telegraph(1500, 0.1, 0.0, 5.0, seed=1) - 2.5
     y = filtered(np.append(np.zeros(nk), [0.1, 0.05]), [1.0, -1.4, 0.5], u) + level
