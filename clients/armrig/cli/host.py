@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Json, echo, print_json, say
+from armrig.cli.options import Connect, Json, RigId, echo, print_json, say
 from armrig.cli.output_file import check_output
 
 _LONGEST_DEMO_S = 600.0
@@ -102,17 +102,19 @@ def bench(
         write_figure(result, plot)
 
 
-def doctor(json: Json = False) -> None:
+def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Say what on this host costs timing, and how to mend it.
 
-    Exit code 1 if anything does.
+    If a daemon of this machine answers, it is judged, and not the user who calls.
+
+    Exit code 1 if anything costs timing.
 
     What cannot be told or mended here is a note, and does not count.
     """
     from armrig.rig.doctor import doctor as examine_this_host
     from armrig.rig.doctor import is_well
 
-    checks = examine_this_host()
+    checks = examine_this_host(rig, connect)
     if json:
         print_json(checks)
     else:

@@ -12,7 +12,7 @@ __all__ = ["BusyError", "NoReplyError", "RefusedError", "Rig", "RigError", "RunE
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; only now zenoh is loaded, which `armrig doctor` does without."""
+    """Return a public name; zenoh is loaded only now."""
     if name not in __all__:
         msg = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(msg)

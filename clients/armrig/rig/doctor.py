@@ -1,7 +1,8 @@
 """What on this host costs timing, and how to mend each.
 
-The doctor reads the kernel's files, under a root that a test can make up. What only a trial tells
-is in `Granted`. It changes nothing.
+The doctor reads the kernel's files, under a root that a test can make up. What is granted to the
+loop is what the daemon of this machine reports. Without a daemon a trial tells it, in `Granted`: of
+the user who would start one. The doctor changes nothing.
 """
 
 from __future__ import annotations
@@ -14,13 +15,16 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import platformdirs
 from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.toml_file import read_toml
 
 from armrig.rig.bench.machine import PRIORITY, governors, granted, load, preemption, text, virtual
+
+if TYPE_CHECKING:
+    from armrig_core.commands import StatusReport
 
 Level = Literal["good", "note", "bad"]
 
@@ -32,6 +36,10 @@ FREE_LEAST = 1 << 30
 """Free space for recordings, in B; 2 kHz takes some 15 MB a minute."""
 _PRIORITY_FIELD = 15
 """Of proc_pid_stat(5), counted behind the name; negative for real-time priority."""
+_SOCKET = "unixsock-stream/"
+_BUSY_COSTS = "any busy program delays ticks by milliseconds"
+_PAGE_COSTS = "a page that was put away delays a tick by milliseconds"
+_DEEP_COSTS = "the loop cannot hold off deep idle states"
 _LIMITS = "/etc/security/limits.d/armrig.conf, then log in anew"
 
 
@@ -79,11 +87,45 @@ class Host:
 
     root: Path
     granted: Granted
+    daemon: StatusReport | None = None
+    """What the daemon of this machine reports; it is judged in place of the user who calls."""
+    silent: str = ""
+    """Why the service of this machine does not answer; the user who calls will start none."""
 
 
-def doctor() -> list[HostCheck]:
-    """Examine this host."""
-    return examine(Host(root=Path("/"), granted=probe()))
+def doctor(rig: str = "1", connect: str | None = None) -> list[HostCheck]:
+    """Examine this host, and its daemon of a rig where one answers.
+
+    Raises
+    ------
+    ValueError
+        `connect` is no socket of this machine.
+    """
+    daemon, silent = _daemon_of(rig, connect)
+    granted = probe(Path(daemon.recordings) if daemon else None)
+    return examine(Host(root=Path("/"), granted=granted, daemon=daemon, silent=silent))
+
+
+def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]:
+    """Return the status of this machine's daemon, or why its service gives none."""
+    from armrig.rig.client import Rig
+    from armrig.rig.session import RigError, configured_endpoint, is_served, local_rigs
+
+    where = connect or configured_endpoint(rig)
+    if not where.startswith(_SOCKET):
+        if connect:
+            msg = f"--connect {connect}: the doctor examines this machine: {_SOCKET}PATH is needed"
+            raise ValueError(msg)
+        return None, ""  # `[client]` names another machine
+    is_expected = bool(connect) or is_served(rig)
+    if not is_expected and rig not in local_rigs():
+        return None, ""
+    try:
+        with Rig(rig, connect=connect) as opened:
+            status = opened.status()
+    except RigError as err:
+        return None, str(err) if is_expected else ""
+    return (status, "") if status.host else (None, "the daemon has not reported yet: try again")
 
 
 def examine(host: Host) -> list[HostCheck]:
@@ -96,11 +138,13 @@ def is_well(checks: Iterable[HostCheck]) -> bool:
     return not any(check.level == "bad" for check in checks)
 
 
-def probe() -> Granted:
-    """Try, in a process of its own, what only a trial tells."""
+def probe(recordings: Path | None = None) -> Granted:
+    """Try, in a process of its own, what only a trial tells; the folder is the installed one."""
     fifo, memory_lock = granted()
-    directory = recordings_directory(Path("/"), Path(platformdirs.user_config_dir("armrig")))
-    there = next(path for path in (directory, *directory.parents) if path.exists())
+    user = Path(platformdirs.user_config_dir("armrig"))
+    directory = recordings or recordings_directory(Path("/"), user)
+    # Of a folder that this user may not enter the one above it tells.
+    there = next(path for path in (directory, *directory.parents) if os.access(path, os.F_OK))
     names = set()
     for gid in {os.getegid(), *os.getgroups()}:
         with suppress(KeyError):  # a group without a name
@@ -128,27 +172,63 @@ def recordings_directory(root: Path, user: Path) -> Path:
     return Path(platformdirs.user_data_dir("armrig")) / "recordings"
 
 
+def _daemon(host: Host) -> list[HostCheck]:
+    if host.silent:
+        return [_note("daemon", "does not answer", host.silent)]
+    if host.daemon is None:
+        return []
+    return [_good("daemon", f"rig {host.daemon.rig} at {host.daemon.endpoint}")]
+
+
+def _refused(daemon: StatusReport, what: str) -> str:
+    """Return how to get what the loop of a daemon was refused, as the daemon says; "" if granted.
+
+    A refusal is what was asked for, and in brackets how to get it.
+    """
+    told = daemon.host.get("refused", [])
+    lines = [str(line) for line in (told if isinstance(told, list) else [told])]
+    line = next((line for line in lines if line.startswith(what)), "")
+    return line.partition("(")[2].removesuffix(")") or line
+
+
 def _fifo(host: Host) -> list[HostCheck]:
+    if host.silent:
+        return []
+    if host.daemon is not None:
+        fifo = host.daemon.host.get("fifo")
+        if not fifo:
+            way = _refused(host.daemon, "SCHED_FIFO") or "[timing] priority is 0"
+            return [_bad("SCHED_FIFO", "the daemon has none", _BUSY_COSTS, way)]
+        if way := _refused(host.daemon, "priority"):
+            costs = "what has a higher priority delays ticks"
+            return [_note("SCHED_FIFO", f"the daemon has priority {fifo}", costs, way)]
+        return [_good("SCHED_FIFO", f"the daemon has priority {fifo}")]
     if host.granted.fifo:
         return [_good("SCHED_FIFO", f"allowed at priority {PRIORITY}")]
     return [
         _bad(
             "SCHED_FIFO",
             f"not allowed at priority {PRIORITY}",
-            "any busy program delays ticks by milliseconds",
+            _BUSY_COSTS,
             f"`@dialout - rtprio 95` in {_LIMITS}; or LimitRTPRIO=95 in systemd's unit",
         )
     ]
 
 
 def _memory_lock(host: Host) -> list[HostCheck]:
+    if host.silent:
+        return []
+    if host.daemon is not None:
+        if way := _refused(host.daemon, "mlockall"):
+            return [_bad("mlockall", "refused to the daemon", _PAGE_COSTS, way)]
+        return [_good("mlockall", "the daemon has it")]
     if host.granted.memory_lock:
         return [_good("mlockall", "allowed")]
     return [
         _bad(
             "mlockall",
             "not allowed",
-            "a page that was put away delays a tick by milliseconds",
+            _PAGE_COSTS,
             f"`@dialout - memlock unlimited` in {_LIMITS}; or LimitMEMLOCK=infinity in the unit",
         )
     ]
@@ -179,7 +259,10 @@ def _idle(host: Host) -> list[HostCheck]:
             deepest, name = int(latency), text(state / "name")
     if deepest <= IDLE_MOST_US:
         return [_good("idle states", f"waking takes at most {deepest} µs")]
-    if os.access(host.root / "dev/cpu_dma_latency", os.W_OK):
+    if host.silent:
+        costs = "the loop holds it off where it may write /dev/cpu_dma_latency"
+        return [_note("idle states", f"{name} takes {deepest} µs to wake from", costs)]
+    if _holds_idle_off(host):
         return [_good("idle states", f"the loop holds off {name}, {deepest} µs to wake from")]
     return [
         _bad(
@@ -191,17 +274,31 @@ def _idle(host: Host) -> list[HostCheck]:
     ]
 
 
+def _holds_idle_off(host: Host) -> bool:
+    """Tell whether the loop, this machine's or one that this user starts, may keep it awake."""
+    if host.daemon is not None:
+        return not _refused(host.daemon, "/dev/cpu_dma_latency")
+    return os.access(host.root / "dev/cpu_dma_latency", os.W_OK)
+
+
 def _dma_latency(host: Host) -> list[HostCheck]:
     device = host.root / "dev/cpu_dma_latency"
     if not device.exists():
         return [_note("cpu_dma_latency", "not there", "idle states cannot be held off by a file")]
-    if os.access(device, os.W_OK):
-        return [_good("cpu_dma_latency", "may be written")]
+    if host.silent:
+        return []
+    if _holds_idle_off(host):
+        return [
+            _good("cpu_dma_latency", "the daemon holds it" if host.daemon else "may be written")
+        ]
+    if host.daemon is not None:
+        way = _refused(host.daemon, "/dev/cpu_dma_latency")
+        return [_note("cpu_dma_latency", "the daemon may not write it", _DEEP_COSTS, way)]
     return [
         _note(
             "cpu_dma_latency",
             "may not be written",
-            "the loop cannot hold off deep idle states",
+            _DEEP_COSTS,
             'udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`',
         )
     ]
@@ -355,6 +452,8 @@ def _load(host: Host) -> list[HostCheck]:
 
 
 def _serial_group(host: Host) -> list[HostCheck]:
+    if host.silent or host.daemon is not None:
+        return []  # nobody but the daemon's user is to open the port
     ours = sorted(host.granted.groups & {"dialout", "uucp"})
     if ours or host.granted.is_root:
         return [_good("serial ports", f"member of {', '.join(ours)}" if ours else "root")]
@@ -383,6 +482,7 @@ def _disk(host: Host) -> list[HostCheck]:
 
 
 _CHECKS: tuple[Callable[[Host], list[HostCheck]], ...] = (
+    _daemon,
     _fifo,
     _memory_lock,
     _governor,

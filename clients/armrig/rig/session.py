@@ -252,14 +252,14 @@ def _local_ways(rig: str) -> list[_Way]:
                 raise RigError(msg)
             if (directory / f"{rig}.sock").exists():
                 ways.append(_Way(where))
-    return ways or [_Way(_service_endpoint(rig) if _is_served(rig) else default_endpoint(rig))]
+    return ways or [_Way(_service_endpoint(rig) if is_served(rig) else default_endpoint(rig))]
 
 
 def _service_endpoint(rig: str) -> str:
     return endpoint(rig, PurePosixPath(SERVICES) / rig)
 
 
-def _is_served(rig: str) -> bool:
+def is_served(rig: str) -> bool:
     """Tell whether a service of this machine is to serve a rig."""
     return UNIT.exists() and of_rig(rig).exists()
 

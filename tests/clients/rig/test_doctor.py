@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -12,6 +13,9 @@ from armrig.cli import main
 from armrig.rig import doctor
 from armrig.rig.bench import machine
 from armrig.rig.doctor import Granted, Host, HostCheck, examine, is_well
+from armrig_core.commands import StatusReport
+from fake_daemon import FakeDaemon
+from msgspec.structs import replace
 
 GRANTED: dict[str, Any] = {
     "fifo": True,
@@ -256,7 +260,7 @@ def test_the_exit_code_says_whether_all_is_well(
 ) -> None:
     """0 only when nothing costs timing; one line each, or JSON."""
     findings = examine(host(tmp_path, fifo=fifo))
-    monkeypatch.setattr(doctor, "doctor", lambda: findings)
+    monkeypatch.setattr(doctor, "doctor", lambda *_: findings)
 
     assert main(["doctor"]) == code
     lines = capsys.readouterr().out.splitlines()
@@ -271,6 +275,92 @@ def test_the_exit_code_says_whether_all_is_well(
 def test_this_host_is_looked_at_whatever_it_is() -> None:
     """The real files and a real trial: all checks say something."""
     assert len(doctor.doctor()) >= 14
+
+
+GRANTED_TO_DAEMON: dict[str, Any] = {
+    "fifo": 80,
+    "mlockall": True,
+    "cpu": None,
+    "awake": True,
+    "refused": [],
+}
+REFUSED = [
+    "priority 80 (it is 1; LimitRTPRIO= of the unit has no effect)",
+    "mlockall (LimitMEMLOCK= of the unit has no effect)",
+    "/dev/cpu_dma_latency (udev has not given it)",
+]
+NOBODY: dict[str, Any] = {
+    "fifo": False,
+    "memory_lock": False,
+    "groups": frozenset({"student", "armrig"}),
+}
+"""What a student is granted who runs no daemon."""
+
+
+def daemon(**host: Any) -> StatusReport:
+    """Return the status of a daemon that was granted all but this."""
+    return replace(FakeDaemon("there").status(), host=GRANTED_TO_DAEMON | host)
+
+
+def test_a_daemon_that_answers_is_judged_and_not_the_user_who_calls(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A student is granted nothing, and is to join no group that opens the port."""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    deep = {"sys/devices/system/cpu/cpu1/cpuidle/state3/latency": "133"}
+    made = host(tmp_path, deep, **NOBODY)
+
+    findings = examine(dataclasses.replace(made, daemon=daemon()))
+
+    assert {f.level for f in findings} == {"good"}
+    assert str(findings[0]) == "good  daemon: rig 1 at there"
+    assert found(findings, "SCHED_FIFO").found == "the daemon has priority 80"
+    assert "serial ports" not in {f.name for f in findings}
+    assert not [f for f in findings if "dialout" in str(f)]
+
+
+def test_what_the_daemon_was_refused_is_told_to_root_too(tmp_path: Path) -> None:
+    """In the daemon's own words, which the journal has; root would be granted all of it."""
+    made = host(tmp_path, is_root=True)
+
+    findings = examine(
+        dataclasses.replace(
+            made, daemon=daemon(fifo=1, mlockall=False, awake=False, refused=REFUSED)
+        )
+    )
+
+    fifo, memory, latency = (
+        found(findings, name) for name in ("SCHED_FIFO", "mlockall", "cpu_dma_latency")
+    )
+    assert (fifo.level, fifo.found) == ("note", "the daemon has priority 1")
+    assert fifo.mend == "it is 1; LimitRTPRIO= of the unit has no effect"
+    assert (memory.level, memory.mend) == ("bad", "LimitMEMLOCK= of the unit has no effect")
+    assert (latency.level, latency.mend) == ("note", "udev has not given it")
+    none = examine(dataclasses.replace(made, daemon=daemon(fifo=0)))
+    assert found(none, "SCHED_FIFO").mend == "[timing] priority is 0"
+
+
+def test_where_a_service_has_stopped_nobody_is_judged_in_its_place(tmp_path: Path) -> None:
+    """The one note says what to type; what only the daemon knows is left out."""
+    made = host(tmp_path, **NOBODY)
+
+    findings = examine(dataclasses.replace(made, silent="the service of rig 1 has stopped"))
+
+    assert is_well(findings)
+    assert str(findings[0]).endswith("; the service of rig 1 has stopped")
+    left_out = {"SCHED_FIFO", "mlockall", "cpu_dma_latency", "serial ports"}
+    assert not left_out & {f.name for f in findings}
+
+
+def test_the_doctor_asks_the_daemon_of_this_machine(tmp_path: Path) -> None:
+    """At the socket that is named; another machine's daemon is none of it."""
+    with FakeDaemon(f"unixsock-stream/{tmp_path}/1.sock") as asked:
+        findings = doctor.doctor("1", asked.endpoint)
+
+    assert found(findings, "daemon").found == f"rig 1 at {asked.endpoint}"
+    assert found(findings, "SCHED_FIFO").mend == "set LimitRTPRIO="
+    with pytest.raises(ValueError, match="the doctor examines this machine: unixsock-stream/PATH"):
+        doctor.doctor("1", "tls/lab:7447")
 
 
 def test_kernel_workers_of_ordinary_priority_are_told_with_the_way_out(tmp_path: Path) -> None:
