@@ -76,16 +76,17 @@ def install(
 def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -> None:
     """Stop all rigs at 0 V and take the service away, with router and recorder.
 
-    Configurations, recordings and users stay.
+    Configurations, recordings, drop-ins and users stay.
     """
     from armrig.rig.installation import uninstalling
 
     plan = uninstalling(root.absolute())
-    if not [*plan.lines()]:
-        echo("nothing is installed")
+    if not (plan.first or plan.removed):
+        echo("\n".join([*plan.lines(), "nothing is installed"]))
         return
     if _carry_out(plan, root, dry_run=dry_run, yes=yes):
-        echo("taken away; /etc/armrig, the recordings in /var/lib and the users are left")
+        left = ["/etc/armrig", "the recordings in /var/lib", *map(str, plan.kept)]
+        echo(f"taken away; {', '.join(left)} and the users are left")
 
 
 @app.command(context_settings=_HELP, epilog="Example: armrig service status")

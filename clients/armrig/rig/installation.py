@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -20,6 +21,11 @@ _FOLDERS = {
     "tmpfiles.d": "etc/tmpfiles.d",
 }
 _UNSEEN = ("/home", "/root", "/tmp", "/var/tmp", "/run/user")  # by the unit's sandbox
+_UNITS = "armrigd@*.service"
+_DROP_INS = "armrig*.service.d/*.conf"
+_NETWORK = re.compile(
+    r"(?m)^(PrivateNetwork=(no|false|off|0)|IPAddressAllow=\S|RestrictAddressFamilies=.*\bAF_INET)"
+)
 _SYSTEM = Path("/")
 _UDEV = Path("/run/udev/control")  # there where udev runs, which in a container it may not
 
@@ -77,6 +83,8 @@ class Plan:
     removed: tuple[File, ...] = ()
     last: tuple[tuple[str, ...], ...] = ()
     """Commands after it."""
+    kept: tuple[Path, ...] = ()
+    """Drop-ins of whoever runs the machine, which the next installation takes up again."""
 
     def lines(self) -> Iterator[str]:
         """Iterate over what a person is shown before anything is done."""
@@ -92,6 +100,10 @@ class Plan:
             changed = ", which was changed" if file.state == "differs" else ""
             yield f"remove   {file.path}{changed}"
         yield from (f"run      {' '.join(command)}" for command in self.last)
+        for path in self.kept:
+            text = path.read_text(encoding="utf-8", errors="replace")
+            opens = ", which opens the network" if _NETWORK.search(text) else ""
+            yield f"keep     {path}{opens}"
 
     def carry_out(self, run: Callable[[Sequence[str]], None]) -> None:
         """Do it; `run` runs a command and raises where it fails."""
@@ -171,7 +183,7 @@ def installing(root: Path, parts: Collection[Part] = ("rig",)) -> Plan:
 
 
 def uninstalling(root: Path) -> Plan:
-    """Return what takes the service away; configurations, recordings and the user stay."""
+    """Return what takes the service away; what is not of the installation stays."""
     units = tuple(unit.name for unit in units_of(root))
     now = ("--now",) if root == _SYSTEM else ()
     there = tuple(file for file in files(root) if file.state != "missing")
@@ -179,6 +191,7 @@ def uninstalling(root: Path) -> Plan:
         first=(("systemctl", *_at(root), "disable", *now, *units),) if units else (),
         removed=there,
         last=tuple(_reloading(root)) if there else (),
+        kept=tuple(sorted((root / _FOLDERS["systemd"]).glob(_DROP_INS))),
     )
 
 

@@ -254,3 +254,31 @@ def test_a_command_that_fails_or_is_not_there_is_said() -> None:
         installation.run_command(["false"])
     with pytest.raises(RuntimeError, match=r"^no-such-command: not found; the service needs syst"):
         installation.run_command(["no-such-command"])
+
+
+@pytest.mark.parametrize(
+    ("text", "opens"),
+    [
+        ("PrivateNetwork=no\n", True),
+        ("RestrictAddressFamilies=AF_INET AF_INET6\n", True),
+        ("IPAddressAllow=192.0.2.0/24\n", True),
+        ("# PrivateNetwork=no\nCPUSchedulingPriority=80\n", False),
+    ],
+)
+def test_a_drop_in_stays_and_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, opens: bool
+) -> None:
+    """One that opens the network opens it to the next service that is installed, too."""
+    drop_in = tmp_path / "etc/systemd/system/armrigd@1.service.d/override.conf"
+    drop_in.parent.mkdir(parents=True)
+    drop_in.write_text(f"[Service]\n{text}")
+    installing(tmp_path).carry_out(lambda _: None)
+    said = f"keep     {drop_in}{', which opens the network' * opens}"
+
+    assert main(["service", "uninstall", "--root", str(tmp_path), "--dry-run"]) == 0
+    assert said in capsys.readouterr().out.splitlines()
+    uninstalling(tmp_path).carry_out(lambda _: None)
+
+    assert drop_in.exists()
+    assert main(["service", "uninstall", "--root", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines() == [said, "nothing is installed"]
