@@ -21,7 +21,6 @@ _FOLDERS = {
     "tmpfiles.d": "etc/tmpfiles.d",
 }
 _UNSEEN = ("/home", "/root", "/tmp", "/var/tmp", "/run/user")  # by the unit's sandbox
-_UNITS = "armrigd@*.service"
 _DROP_INS = "armrig*.service.d/*.conf"
 _NETWORK = re.compile(
     r"(?m)^(PrivateNetwork=(no|false|off|0)|IPAddressAllow=\S|RestrictAddressFamilies=.*\bAF_INET)"
