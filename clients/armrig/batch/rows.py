@@ -51,6 +51,8 @@ def row_of(task: Task, item: Item) -> Row:
         row["problem"] = _in_a_line(str(err) or type(err).__name__)
     except Exception as err:
         row["problem"] = _in_a_line(f"{type(err).__name__}: {err}")
+    if row["problem"] and row["damage"]:
+        row["problem"] = f"{row['damage']}; {row['problem']}"
     return {name: _plain(value) for name, value in row.items()}
 
 

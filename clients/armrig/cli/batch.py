@@ -243,26 +243,48 @@ def _do(
 
 def _say(done: Batch, *, json: bool) -> None:
     problems = done.problems
+    failed = {row["recording"]: _failed(row) for row in done.rows if row.get("passed") is False}
+    damaged = {
+        row["recording"]: f"the result is of what is whole: {row['damage']}"
+        for row in done.rows
+        if row["damage"] and not row["problem"] and row["recording"] not in failed
+    }
     if json:
         facts: dict[str, Any] = {
             "table": str(done.table),
             "rows": len(done.rows),
             "done_before": done.done_before,
             "problems": {row["recording"]: row["problem"] for row in problems},
+            "damaged": damaged,
+            "failed": failed,
         }
         print_json(facts)
     else:
         before = f", {done.done_before} of them done before" if done.done_before else ""
         echo(f"{done.table}: {len(done.rows)} recordings{before}; {len(problems)} without a result")
-        for row in problems[:_NAMED]:
-            echo(f"  {row['recording']}: {row['problem']}")
-        if len(problems) > _NAMED:
-            echo(f"  and {len(problems) - _NAMED} more; the column problem says why")
-    failed = [row["recording"] for row in done.rows if row.get("passed") is False]
+        _list({row["recording"]: row["problem"] for row in problems}, "column problem says")
+        _list(damaged, "column damage says")
+        _list(failed, "columns of the checks say")
     if failed:
-        tell(f"{len(failed)} failed a check: {_some(failed)}; the table says which")
+        tell(f"{len(failed)} failed a check: {_some([*failed])}; the table says which")
     if problems or failed:
         raise typer.Exit(1)
+
+
+def _failed(row: dict[str, Any]) -> str:
+    """Return which checks a recording failed, and what was found."""
+    from armrig.batch.columns import CHECKS
+
+    failed = (about for about in CHECKS if row[f"{about}_result"] == "failed")
+    return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)
+
+
+def _list(found: dict[str, str], who_says: str) -> None:
+    """Print the first lines of what was found of recordings, and where the others are."""
+    for name, text in [*found.items()][:_NAMED]:
+        echo(f"  {name}: {text}")
+    if len(found) > _NAMED:
+        echo(f"  and {len(found) - _NAMED} more; the {who_says} why")
 
 
 def _some(names: list[str]) -> str:

@@ -41,6 +41,7 @@ def verify(file: File, json: Json = False) -> None:
     fails; what could be read can be loaded and exported all the same.
     """
     from armrig.cli.spinner import spinner
+    from armrig.recordings.findings import TOO_FEW
     from armrig.recordings.verification import rows
     from armrig.recordings.verification import verify as verified
 
@@ -56,6 +57,8 @@ def verify(file: File, json: Json = False) -> None:
         failed = ", ".join(c.about for c in found.checks if c.result == "failed")
         n = found.samples
         use = f"its {n} samples can be used, with care" if n else "it has no sample to use"
+        if 0 < n < TOO_FEW:
+            use = f"{n} of the {TOO_FEW} samples that are needed at least are left"
         tell(f"{found.path}: failed: {failed}; {use}")
         raise typer.Exit(1)
 

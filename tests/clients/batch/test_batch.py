@@ -639,6 +639,25 @@ def test_what_failed_a_check_is_told_beside_what_is_broken(
     said = capsys.readouterr()
     assert f"1 without a result\n  {BROKEN}: " in said.out
     assert f"1 failed a check: {CUT}; the table says which" in said.err
+    assert f"\n  {CUT}: file failed: the file is cut off: it ends " in said.out
+
+
+def test_damage_is_told_with_what_came_of_it(
+    folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """As `armrig verify` says it, whether or not enough is whole for a result."""
+    few = tmp_path / "few"
+    few.mkdir()
+    shutil.copy2(folder / CUT, few)
+    whole = (folder / "a-00.mcap").read_bytes()
+    (few / "none.mcap").write_bytes(whole[: len(whole) // 3])
+    given = ["batch", "identify", str(few), "-o", str(tmp_path / "m.parquet"), "--workers", "1"]
+
+    assert main(given) == 1
+    said = capsys.readouterr().out
+    assert f"\n  {CUT}: the result is of what is whole: the file is cut off: it ends " in said
+    assert "\n  none.mcap: the file is cut off: it ends " in said
+    assert "; saved: 0 samples, " in said
 
 
 def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:

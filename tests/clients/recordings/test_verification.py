@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from armrig.cli import main
 from armrig.recordings.loading import load
 from armrig.recordings.verification import Verification, check_input, rows, verify
 from armrig_core import protobuf
@@ -99,6 +100,25 @@ def test_gaps_told_may_lie_over_each_other(tmp_path: Path) -> None:
     assert "samples" not in failed(whole)
     short = verified(tmp_path, [told[0], *told[2:], *messages], came=N - 15, missing=15)
     assert failed(short)["samples"] == ("5 samples are missing without a gap record, from k=105 on")
+
+
+@pytest.mark.parametrize(
+    ("came", "says"),
+    [
+        (0, "it has no sample to use"),
+        (19, "19 of the 20 samples that are needed at least are left"),
+        (20, "its 20 samples can be used, with care"),
+    ],
+)
+def test_what_is_left_of_a_damaged_file_is_called_usable_if_it_is(
+    came: int, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By as many samples as the verdict on the data needs."""
+    about = manifest(k_first=0, samples=N)
+    path = written(tmp_path, recorded(run()[:came], manifest=about, outcome=None))
+
+    assert main(["verify", str(path)]) == 1
+    assert capsys.readouterr().err == f"armrig: {path}: failed: file; {says}\n"
 
 
 def test_nothing_is_said_of_samples_that_there_are_not(tmp_path: Path) -> None:
