@@ -150,6 +150,40 @@ def test_a_stop_in_a_run_ends_at_0_v_with_the_file_finished(rig: Rig, second: Ri
     second.machine.systemctl("stop", second.unit)
 
 
+STOPPED = (
+    "armrig: the service of rig 1 has stopped; `systemctl status armrigd@1`; what was recorded is "
+    "in `armrig ls`\n"
+)
+
+
+@pytest.mark.parametrize("user", ["", "learner"])
+def test_a_service_that_was_stopped_in_a_run_is_named(rig: Rig, user: str) -> None:
+    """To root and to who operates the rig; in the journal nothing has an error's priority."""
+    machine = rig.machine
+    machine.run("useradd", "--no-create-home", "-G", "armrig", "learner", check=False)
+    rig.drive()
+    before = len(rig.said())
+
+    machine.systemctl("stop", rig.unit)
+
+    done = machine.run("armrig", "status", user=user, check=False)
+    assert (done.returncode, done.stderr) == (1, STOPPED)
+    assert _errors(rig, before) == []
+
+
+@pytest.mark.parametrize("user", ["", "learner"])
+def test_the_doctor_judges_the_service_whoever_calls(rig: Rig, user: str) -> None:
+    """Root may have any priority, and an operator is to be in no group that opens the port."""
+    rig.machine.run("useradd", "--no-create-home", "-G", "armrig", "learner", check=False)
+
+    said = rig.machine.run("armrig", "doctor", user=user, check=False).stdout
+
+    assert said.startswith(f"good  daemon: rig 1 at {rig.endpoint}\n")
+    assert f"good  SCHED_FIFO: the daemon has priority {PRIORITY}\n" in said
+    assert "GiB free in /var/lib/armrig/recordings\n" in said
+    assert "dialout" not in said
+
+
 @pytest.mark.parametrize("whose", ["main_pid", "loop_pid"])
 def test_a_process_that_is_killed_is_replaced(rig: Rig, whose: str) -> None:
     """In a run: 0 V, ESTOP to the device, and sampling again, disarmed."""
