@@ -271,3 +271,16 @@ def test_without_the_library_it_says_how_to_get_it(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "pip install 'armrig[pki]'" in done.stderr
     assert not (tmp_path / "pki").exists()
+
+
+def test_a_router_refuses_a_key_that_its_group_may_read(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before it listens."""
+    assert main(["pki", "router", "--host", "localhost"]) == 0
+    (here / "router.pem").chmod(0o640)
+    files = ("--certificate", str(here / "router.pem"), "--names", str(here / "access.toml"))
+
+    assert main(["router", "--listen", "tls/127.0.0.1:1", *files]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.endswith(f"allowed is 0400 or 0600: `chmod 400 {here}/router.pem`")
