@@ -307,7 +307,7 @@ def conformance(
 
     is_simulated = firmware or image is not None
     if is_simulated == (device is not None):
-        _refuse("conformance: one of --device PORT and --firmware says what is tried", 2)
+        _refuse("conformance: give either --device PORT, or --firmware for the Uno's, in simavr", 2)
     if not is_simulated:
         _agree_that_the_motor_is_unplugged(motor_unplugged)
     for number in (signal.SIGTERM, signal.SIGHUP):
