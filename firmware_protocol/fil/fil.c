@@ -17,6 +17,7 @@ enum { MCUSR = 0x54, EXTRF = 2 };
 fil_figures_t figures;
 
 static avr_t *avr;
+static uint8_t r2_of_loader; // what a boot loader leaves in r2
 static cycles_t deaf_until; // a boot loader has the processor until then
 static cycles_t off_since; // interrupts are off since then
 static uint32_t off_pc;
@@ -44,6 +45,7 @@ static void after_reset(avr_t *a) {
 static void reset_by_pin(uint32_t deaf_cycles) {
     avr_reset(avr);
     avr->data[MCUSR] = deaf_cycles ? 0 : EXTRF; // the boot loader clears it
+    avr->data[2] = r2_of_loader;
     deaf_until = avr->cycle + deaf_cycles;
 }
 
@@ -115,6 +117,10 @@ static void serve(void) {
             break;
         case 'R': // reset; n: cycles of the boot loader
             reset_by_pin(order.n);
+            break;
+        case 'O': // Optiboot of version n ends the flash, and leaves this in r2
+            memcpy(avr->flash + avr->flashend - 1, &order.n, 2);
+            r2_of_loader = (uint8_t)order.cycle;
             break;
         case 'V': // the supply, in mV
             adc_supply(avr, (uint16_t)order.n);

@@ -131,7 +131,7 @@ def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path)
 @builds
 def test_an_eeprom_that_is_worn_out_costs_no_boot_its_name(tmp_path: Path) -> None:
     """The count cannot be written; each boot has its own boot_id in the low half, too, by noise."""
-    count = "    eeprom_update_block(&next, &counts[place], sizeof next);\n"
+    count = "    keep(&counts[place], &next, sizeof next);\n"
     image = broken(tmp_path, "boards/uno/identity.c", count, "")
     uno = Uno(harness(), image, EmulatorSettings(), 0)
     try:

@@ -7,6 +7,7 @@ import zlib
 from itertools import pairwise
 
 import pytest
+from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     Ack,
@@ -42,6 +43,7 @@ from firmware.uno_host import (
     assert_low_outside_run,
     high_from,
     powered,
+    switch_on,
 )
 
 pytestmark = needs("cc", "make", "simavr")
@@ -107,6 +109,54 @@ def test_a_reset_in_run_is_0_v_at_once(boot_loader: bool) -> None:
         assert after.boot_id != before.boot_id
         assert after.uid == before.uid
         assert host.uno.violations == []
+
+
+@pytest.mark.parametrize(
+    ("version", "told"), [(0x0803, 10), (0x0406, 10), (0x0404, 0), (0xFFFF, 0)], ids=hex
+)
+def test_the_cause_of_a_reset_is_what_optiboot_hands_on(version: int, told: int) -> None:
+    """In r2, from 4.6 on; of an older loader nobody knows what r2 has."""
+    with powered(boot_loader=True) as host:
+        host.uno.harness.optiboot(version, 10)
+
+        host.uno.reset(host.now)
+        host.wait(BOOT_NS / MS + 1000)
+
+        assert host.hello().reset == told
+
+
+@pytest.mark.parametrize("between", ["STOP", "0 V"])
+def test_the_first_period_behind_0_v_has_the_new_duty(between: str) -> None:
+    """S5: not what the pin had before, and not the rest of a period that began then."""
+    with powered() as host:
+        host.start()
+        host.drive(65535, 5)
+        if between == "STOP":
+            host.say(Stop)
+            host.wait(5)
+            host.start()
+        else:
+            host.drive(0, 5, k=6)
+        before = len(host.uno.duties)
+
+        host.drive(1000, 5, k=20)
+
+        assert {d.high for d in host.uno.duties[before:]} == {16}
+        assert_low_outside_run(host)
+
+
+def test_a_slow_eeprom_is_no_reason_to_be_reset() -> None:
+    """On a first boot 32 bytes are written, in more than the hardware's watchdog together."""
+    uno = switch_on(EmulatorSettings(), 0)
+    try:
+        uno.harness.eeprom_byte(10_000)
+        host = Host(uno)
+        host.wait(700)
+
+        assert host.hello().state == State.IDLE
+        assert uno.harness.figures().boots == 1
+    finally:
+        uno.close()
 
 
 def test_a_port_that_opens_without_a_reset_is_safe_by_the_watchdog() -> None:
@@ -411,7 +461,7 @@ def test_a_converter_that_stands_still_is_0_v_by_the_hardware_s_watchdog() -> No
         host.wait(60)
         host.uno.harness.stand()
         stood_ns = host.now
-        driven = bool(high_from(host.uno, stood_ns, host.now + 1))
+        driven = bool(high_from(host.uno, stood_ns - 1, stood_ns))
 
         for _ in range(50):
             host.say(Keepalive)

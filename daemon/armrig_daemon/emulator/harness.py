@@ -151,6 +151,10 @@ class Harness:
         """Reset it by its pin; with a boot loader it is deaf at first, and forgets the cause."""
         self._order(b"R", 0, deaf_cycles)
 
+    def optiboot(self, version: int, r2: int) -> None:
+        """Let a boot loader of this version, such as 0x0803, stand in flash and leave r2 so."""
+        self._order(b"O", r2, version)
+
     def supply(self, millivolts: int) -> None:
         """Let the supply be this."""
         self._order(b"V", 0, millivolts)

@@ -1,4 +1,5 @@
 // The Uno's main loop, its watchdog and its stack.
+#include <avr/pgmspace.h>
 #include <avr/sleep.h>
 #include <avr/wdt.h>
 
@@ -9,18 +10,33 @@
 #include "motor.h"
 #include "uart.h"
 
-enum { PAINT = 0xC5 };
+enum {
+    PAINT = 0xC5,
+    R2_FROM = 0x0406, // Optiboot 4.6: since then it hands MCUSR on
+    R2_UP_TO = 0x0FFF, // what is above is no version of Optiboot's: erased flash, or another loader's
+};
 
 extern uint8_t _end, __stack; // of the linker: the end of the variables, the beginning of the stack
 
 static uint8_t reset_flags;
 static uint8_t fed_turn;
 
+// Returns why it was reset where MCUSR is 0: Optiboot has cleared it, and hands it on in r2, which
+// nothing has written since. Its version is the last word of flash. Of an older one, such as the 4.4
+// that most boards come with, r2 is nobody's: the cause is not known, 0.
+static inline uint8_t handed_on(uint8_t r2)
+{
+    const uint16_t version = pgm_read_word(FLASHEND - 1);
+    return version >= R2_FROM && version <= R2_UP_TO ? r2 : 0;
+}
+
 // Before main: the reset's cause, while it is known, and the watchdog, which is still on after it
 // has bitten. Then the stack is painted, to see later how far it came.
 __attribute__((naked, used, section(".init5"))) void note_reset(void)
 {
-    reset_flags = MCUSR; // 0 where a boot loader has cleared it
+    uint8_t r2;
+    __asm__ volatile("mov %0, r2" : "=r"(r2));
+    reset_flags = MCUSR ? MCUSR : handed_on(r2);
     MCUSR = 0;
     wdt_enable(WDTO_250MS);
     wdt_reset(); // simavr 1.6 takes the new period over with this alone

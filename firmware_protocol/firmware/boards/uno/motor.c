@@ -8,6 +8,10 @@
 
 #define DISCONNECTED (_BV(WGM11) | _BV(WGM10))
 #define CONNECTED (DISCONNECTED | _BV(COM1A1))
+#define NORMAL_MODE _BV(COM1A1)
+#define COUNTS (_BV(WGM12) | _BV(CS10))
+
+enum { LAST_COUNTS = 1023 - 7 }; // half a microsecond before a period begins
 
 // Before main, before even the variables have their values: whatever was before, 0 V.
 __attribute__((naked, used, section(".init3"))) void motor_off_at_reset(void)
@@ -24,7 +28,7 @@ void motor_begin(void)
 {
     board_motor_off();
     OCR1A = 0;
-    TCCR1B = _BV(WGM12) | _BV(CS10);
+    TCCR1B = COUNTS;
 }
 
 static bool stages; // what is set is to be applied later
@@ -40,6 +44,24 @@ void board_motor_off(void)
     PORTD = 0;
 }
 
+// Connects the pin, at the beginning of a period that has its duty already. A running PWM would take
+// OCR1A over at the end of its period, and OC1A still has the level of when it was disconnected: up to
+// a period of the run before (data sheet, 16.7, 16.8). So the timer stands, in normal mode, where OCR1A
+// acts at once and a forced match clears OC1A; the pin is an input for these 2 us, low by its pull-down.
+static void connect(uint16_t compare)
+{
+    TCCR1B = 0;
+    DDRB = 0;
+    TCCR1A = NORMAL_MODE;
+    TCCR1C = _BV(FOC1A);
+    OCR1A = compare;
+    TCNT1 = LAST_COUNTS;
+    TCCR1A = CONNECTED;
+    DDRB = PWM_PIN;
+    TCCR1B = COUNTS;
+}
+
+// Interrupts are off.
 static void apply(uint16_t duty)
 {
     PORTD = ENABLE_PIN;
@@ -48,8 +70,10 @@ static void apply(uint16_t duty)
         PORTB = 0;
         return;
     }
-    OCR1A = duty - 1; // taken over by the timer at the end of the period
-    TCCR1A = CONNECTED;
+    if (TCCR1A == CONNECTED)
+        OCR1A = duty - 1; // taken over by the timer at the end of the period
+    else
+        connect(duty - 1);
 }
 
 void board_motor_set(uint16_t duty)
