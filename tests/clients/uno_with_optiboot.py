@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import select
 import subprocess
+import termios
 import threading
 import time
 import tty
@@ -55,6 +56,10 @@ class Uno:
         self.written = 0
         """Where the flash that was written ends."""
         self.signature = ATMEGA328P
+        self.version = (4, 4)
+        """Of the boot loader: that of an Uno R3."""
+        self.speed = 0
+        """The only speed at which the boot loader understands anything, of termios; 0: any."""
         self.stuck_bit = False
         """A cell of the flash is worn out."""
         self.falls_silent_at = 1 << 16
@@ -102,6 +107,8 @@ class Uno:
 
     def _command(self) -> None:
         letter = self._take(1)
+        if self.speed and termios.tcgetattr(self._slave)[4] != self.speed:
+            return
         if letter in (b"d", b"t"):
             size = int.from_bytes(self._take(3)[:2], "big")
             self._page(letter, size)
@@ -114,8 +121,10 @@ class Uno:
     def _simple(self, letter: bytes, given: bytes) -> bytes:
         if letter == b"U":
             self._address = 2 * int.from_bytes(given, "little")
-        self.left = letter == b"Q"
-        return {b"u": self.signature, b"A": b"\x04", b"V": b"\x00"}.get(letter, b"")
+        if letter == b"Q":  # whoever opens the port then resets a real one, which listens again
+            self.left, self._greetings = self.written > 0, 0
+        asked = dict(zip(b"\x81\x82", self.version, strict=True)).get(given[0], 3) if given else 3
+        return {b"u": self.signature, b"A": bytes((asked,)), b"V": b"\x00"}.get(letter, b"")
 
     def _page(self, letter: bytes, size: int) -> None:
         at = slice(self._address, self._address + size)

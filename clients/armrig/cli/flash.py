@@ -34,6 +34,18 @@ DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Show what would be done; the port is not even opened.")
 ]
 Yes = Annotated[bool, typer.Option("--yes", help="The motor is unplugged: do not ask.")]
+Fuse = Annotated[
+    str | None,
+    typer.Option(
+        "--fuse",
+        metavar="PROGRAMMER",
+        help="Write nothing; read the brown-out fuse by an ISP programmer, such as usbasp.",
+    ),
+]
+BROWN_OUT = (
+    "The brown-out fuse is not known: Optiboot does not read fuses. As shipped it is 2.7 V, too low "
+    "for 16 MHz; docs/hardware.md says how to read and set it."
+)
 MOTOR = (
     "While a board is written its pins are inputs: D9 and D7 float, and D13 blinks. What holds the "
     "motor at 0 V is the pull-downs of the wiring alone (docs/hardware.md). A program that is "
@@ -48,23 +60,26 @@ def flash(
     baud: Baud = _DEFAULT_BAUD,
     dry_run: DryRun = False,
     yes: Yes = False,
+    fuse: Fuse = None,
     json: Json = False,
 ) -> None:
     """Write the firmware to an Uno, and ask it what it runs.
 
-    By avrdude and the board's own boot loader; what was written is read back. It is refused while
-    a daemon has the port.
+    By avrdude and the board's own boot loader, Optiboot; what was written is read back. It is
+    refused while a daemon has the port, and of a board with another boot loader.
     """
     from armrig_core.firmware_image import read_image, shipped_image
 
+    from armrig.cli.spinner import spinner
     from armrig.rig.flash import avrdude
     from armrig.rig.flash.boards import chosen, held, plugged_in
 
+    if fuse is not None:
+        _say_fuse(fuse, port, json=json)
+        return
     firmware = read_image(shipped_image() if image is None else image)
     _check_size(firmware)
-    program = avrdude.find()
-    if program is None:
-        raise avrdude.FlashError(avrdude.INSTALL)
+    program = _program()
     board = chosen(port, plugged_in())
     call = avrdude.command(program, port=board.port, image=firmware.path)
     facts = _facts(board, firmware, call)
@@ -76,6 +91,11 @@ def flash(
             _say_plan(facts, json=False)
             say(MOTOR)
         agree("Is the motor unplugged, and shall the board be written?", yes=yes)
+        with spinner("asking the boot loader"):
+            facts["loader"] = f"Optiboot {avrdude.loader(program, board.port)}"
+        if not json:
+            echo(f"loader    {facts['loader']}")
+            say(BROWN_OUT)
         facts["device"] = _written(call, board, firmware, baud, json=json)
     if json:
         print_json(facts)
@@ -83,6 +103,34 @@ def flash(
     from armrig.cli.next_step import say_next
 
     say_next("flash", port=shlex.quote(board.port))
+
+
+def _program() -> str:
+    from armrig.rig.flash import avrdude
+
+    program = avrdude.find()
+    if program is None:
+        raise avrdude.FlashError(avrdude.INSTALL)
+    return program
+
+
+def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
+    """Say the brown-out level, and how another is set."""
+    from armrig.rig.flash import avrdude
+
+    value = avrdude.fuse(_program(), programmer, port)
+    level = avrdude.BROWN_OUT.get(value & 7, "reserved")
+    if json:
+        print_json({"efuse": f"{value:02x}", "brown_out": level})
+        return
+    echo(f"brown-out  {level} (extended fuse 0x{value:02x})")
+    if value & 7 != avrdude.WANTED_FUSE & 7:
+        at = "" if port is None else f" -P {shlex.quote(port)}"
+        say(
+            "16 MHz want 3.8 V at least, so that the level has to be 4.3 V; it is set by "
+            f"avrdude -p {avrdude.CHIP.lower()} -c {shlex.quote(programmer)}{at} "
+            f"-U efuse:w:0x{avrdude.WANTED_FUSE:02x}:m"
+        )
 
 
 def _check_size(firmware: FirmwareImage) -> None:

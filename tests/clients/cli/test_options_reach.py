@@ -252,6 +252,7 @@ def test_a_board_is_asked_what_it_runs_at_the_speed_that_was_given(
     asked: list[Any] = []
     flash = "armrig.rig.flash"
     monkeypatch.setattr(f"{flash}.avrdude.find", lambda: "avrdude")
+    monkeypatch.setattr(f"{flash}.avrdude.loader", lambda program, port: "4.4")
     monkeypatch.setattr(f"{flash}.avrdude.write", lambda *call: asked.append(call[0]))
     monkeypatch.setattr(f"{flash}.boards.plugged_in", lambda: [])
     board = SimpleNamespace(port="/dev/ttyACM3", name="Uno")

@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import termios
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -27,6 +28,7 @@ from armrig_core.firmware_image import read_image, shipped_image
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno as SimulatedUno
+from sampling import sampled
 from tools import needs
 from uno_with_optiboot import Uno
 
@@ -121,6 +123,53 @@ def test_a_board_that_cannot_hold_it_is_told_in_a_line(
     assert says in said.err
     assert len(said.err.splitlines()) == 1
     assert "read back" not in said.out
+
+
+@pytest.mark.parametrize(("version", "speed"), sampled([((1, 16), 0), ((1, 16), termios.B57600)]))
+def test_an_old_boot_loader_is_refused(version: tuple[int, int], speed: int, capsys: Said) -> None:
+    """By its version, or by the speed at which it answers; nothing was written."""
+    with Uno(_another_firmware) as uno:
+        uno.version, uno.speed = version, speed
+        assert main(["flash", "--port", uno.port, "--yes"]) == 1
+
+    assert "the boot loader is ATmegaBOOT or one like it, and not Optiboot" in (
+        capsys.readouterr().err
+    )
+    assert set(uno.flash) == {0xFF}
+
+
+@pytest.mark.parametrize(
+    ("efuse", "level", "is_set"),
+    [(0xFD, "2.7 V", False), (0xFC, "4.3 V", True), (0x05, "2.7 V", False), (0xFF, "none", False)],
+)
+def test_the_brown_out_fuse_is_named(
+    efuse: int,
+    level: str,
+    is_set: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: Said,
+) -> None:
+    """As an ISP programmer reads it; and the command that sets 4.3 V."""
+    program = tmp_path / "avrdude"
+    program.write_text(f'#!/bin/sh\necho "$@" >{tmp_path}/given\necho {efuse:#x}\n')
+    program.chmod(0o755)
+    monkeypatch.setattr(shutil, "which", lambda name: str(program))
+
+    assert main(["flash", "--fuse", "usbasp"]) == 0
+
+    said = capsys.readouterr().out
+    assert (tmp_path / "given").read_text() == "-p atmega328p -c usbasp -U efuse:r:-:h\n"
+    assert f"brown-out  {level} (extended fuse {efuse:#04x})" in said
+    assert ("avrdude -p atmega328p -c usbasp -U efuse:w:0xfc:m" in " ".join(said.split())) != is_set
+
+
+def test_a_boot_loader_s_answer_is_no_fuse(capsys: Said) -> None:
+    """Optiboot answers 0 to what it does not do."""
+    with Uno(_another_firmware) as uno:
+        assert main(["flash", "--fuse", "arduino", "--port", uno.port]) == 1
+
+    assert "an ISP programmer is needed" in capsys.readouterr().err
 
 
 def test_another_chip_is_not_written(capsys: Said) -> None:
@@ -306,6 +355,7 @@ def test_a_boot_loader_that_falls_silent_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
     """It is ended when it takes too long."""
+    monkeypatch.setattr(avrdude, "loader", lambda program, port: "4.4")
     monkeypatch.setattr(avrdude, "_LONGEST_S", 1.0)
     with Uno(_another_firmware) as uno:
         uno.falls_silent_at = 1024
