@@ -198,6 +198,10 @@ class Recording(Table, frozen=True, kw_only=True):
     """Largest file, in MB; a run that may take more is recorded in parts; 0 is no limit."""
     stop_when_full: bool = True
     """Whether a run is stopped when the disk takes no more of it; else it plays on, unrecorded."""
+    keep_days: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
+    """Age from which a complete recording of this rig is removed, in days; 0 keeps all."""
+    keep_gb: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    """Most that this rig's recordings take, in GB; the oldest are removed; 0 is no limit."""
 
 
 class Access(Table, frozen=True, kw_only=True):

@@ -1,10 +1,15 @@
-"""What daemons of this rig left unfinished is recovered, while the rig is served already."""
+"""The folder of the recordings, looked after while the rig is served already.
+
+What daemons of this rig left unfinished is recovered; then what the configuration does not keep is
+removed, at the start, after each run and every hour.
+"""
 
 from __future__ import annotations
 
 import os
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -12,12 +17,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 from armrig_core.recording_file.recovery import Recovery, sentence
+from armrig_core.recording_file.retention import Retention
 from armrig_core.recording_file.unfinished import (
     NotOursError,
     RecoveryError,
     remove_copies,
     unfinished,
 )
+
+from armrig_daemon.config import Recording
+
+_LOOK_S = 3600.0
 
 
 class Line(NamedTuple):
@@ -28,9 +38,15 @@ class Line(NamedTuple):
 
 
 class LeftOver:
-    """Recovers one file after the other in a thread of its own, which nobody waits for."""
+    """Recovers and removes one file after the other in a thread of its own; nobody waits for it."""
 
-    def __init__(self, directory: Path, rig: str, changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        rig: str,
+        changed: Callable[[], None],
+        config: Recording = Recording(),  # noqa: B008 - frozen
+    ) -> None:
         """Look at nothing yet; `changed` is called, from the thread, when something can be said."""
         self._directory = directory
         self._rig = rig
@@ -38,7 +54,16 @@ class LeftOver:
         self._lines: queue.SimpleQueue[Line] = queue.SimpleQueue()
         self._may_go_on = threading.Event()
         self._may_go_on.set()
-        self._thread = threading.Thread(target=self._recover, name="left over", daemon=True)
+        self._is_due = threading.Event()
+        self._retention = Retention(
+            folder=directory,
+            rig=rig,
+            keep_days=config.keep_days,
+            keep_gb=config.keep_gb,
+            owner=os.geteuid(),
+            breath=self._breath,
+        )
+        self._thread = threading.Thread(target=self._look_after, name="left over", daemon=True)
 
     def start(self) -> None:
         """Begin."""
@@ -47,6 +72,7 @@ class LeftOver:
     def rest(self) -> None:
         """Do nothing until `go_on`, from the next record on: a run is in hand, and comes first."""
         self._may_go_on.clear()
+        self._is_due.set()
 
     def go_on(self) -> None:
         """Go on."""
@@ -63,6 +89,18 @@ class LeftOver:
 
     def _breath(self) -> None:
         self._may_go_on.wait()
+
+    def _look_after(self) -> None:
+        self._recover()
+        while self._retention.is_asked:
+            self._is_due.clear()
+            self._breath()
+            try:
+                for is_removed, text in self._retention.apply(time.time()):
+                    self._tell(Line("info" if is_removed else "warning", text))
+            except Exception as err:  # the next look may go well
+                self._tell(Line("error", f"recordings are kept longer than configured: {err!r}"))
+            self._is_due.wait(_LOOK_S)
 
     def _recover(self) -> None:
         recovery = Recovery(

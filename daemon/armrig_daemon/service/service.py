@@ -1,6 +1,6 @@
 """The service: starts the loop, publishes and records what it says, hands it what is asked.
 
-Two threads of ours beside its own: the recording's writer, and one that recovers what was left.
+Two threads of ours beside its own: the recording's writer, and one that looks after the folder.
 zenoh's threads put commands into queues, or turn them away by `admission`. It may wait for disk and
 network, for the loop never waits for it.
 """
@@ -113,7 +113,7 @@ class Service:
         self._signals = SignalPipe()
         wake = self._signals.wake
         self._runs = Runs(config, directory, wake)
-        self._left_over = LeftOver(directory, config.rig.id, wake)
+        self._left_over = LeftOver(directory, config.rig.id, wake, config.recording)
         self._thinning = Thinning()
         self._quitting = False
         self._kill_at = float("inf")

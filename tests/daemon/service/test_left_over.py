@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from pathlib import Path
 
 import armrig
 import pytest
+from armrig_core.manifest import Outcome
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.rewriting import Rewriter
+from armrig_daemon.config import Recording
 from armrig_daemon.service.left_over import LeftOver
 from made_recordings import manifest, recorded, sample, written
 
@@ -150,3 +153,31 @@ def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> Non
     assert _names(tmp_path) == ["1-a.part-0001.mcap", "1-b.mcap.compact", "1-c.mcap.compact"]
     (line,) = left_over.lines()
     assert line.text == f"{whole}.compact: half a copy of a whole recording, removed"
+
+
+def test_what_is_not_kept_goes_at_the_start_and_after_each_run(tmp_path: Path) -> None:
+    """Never while a run is in hand; what was left unfinished is recovered before."""
+    ended = recorded([sample(0)], outcome=Outcome(outcome="complete", samples=1, missing=0))
+    said = threading.Event()
+
+    def made(name: str, days: float) -> None:
+        path = written(tmp_path, ended, name)
+        ended_s = time.time() - days * 86_400
+        os.utime(path, (ended_s, ended_s))
+
+    made("1-a.mcap", 40)
+    made("1-c.mcap", 1)
+    left_over = LeftOver(tmp_path, "1", said.set, Recording(keep_days=30))
+
+    left_over.start()
+    assert said.wait(30)
+    said.clear()
+    (line,) = left_over.lines()
+    assert (line.level, "older than 30 days" in line.text) == ("info", True)
+    left_over.rest()
+    made("1-b.mcap", 40)
+    assert not said.wait(0.05)
+    left_over.go_on()
+
+    assert said.wait(30)
+    assert _names(tmp_path) == ["1-c.mcap"]

@@ -1,0 +1,201 @@
+"""What a folder no longer keeps: whole runs of one rig, the oldest first, and nothing else."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from armrig_core.manifest import Outcome
+from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.retention import DAY_S, GB, Retention
+from made_recordings import manifest, recorded, sample, written
+
+NOW_S = 2_000_000_000.0
+COMPLETE = Outcome(outcome="complete", samples=1, missing=0)
+CONTINUED = Outcome(outcome="continued", samples=1, missing=0)
+
+
+def _run(
+    folder: Path, name: str, days: float, *, outcome: Outcome | None = COMPLETE, rig: str = "1"
+) -> Path:
+    """Write a recording that ended so many days ago."""
+    data = recorded([sample(0)], manifest=manifest(rig=rig), outcome=outcome)
+    return _aged(written(folder, data, name), days)
+
+
+def _aged(path: Path, days: float) -> Path:
+    ended_s = NOW_S - days * DAY_S
+    os.utime(path, (ended_s, ended_s))
+    return path
+
+
+def _retention(folder: Path, **changes: Any) -> Retention:
+    fields = {"keep_days": 30.0, "keep_gb": 0.0, "owner": os.geteuid(), **changes}
+    return Retention(folder=folder, rig="1", **fields)
+
+
+def _names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_without_a_limit_nothing_is_asked(tmp_path: Path) -> None:
+    """The default of the configuration."""
+    assert not _retention(tmp_path, keep_days=0.0).is_asked
+
+
+def test_a_run_goes_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> None:
+    """A day before its time it stays."""
+    old = _run(tmp_path, "1-a.mcap", 31)
+    size = old.stat().st_size
+    _run(tmp_path, "1-b.mcap", 29)
+    _run(tmp_path, "1-c.mcap", 1)
+
+    (removal,) = _retention(tmp_path).apply(NOW_S)
+
+    assert removal.is_removed
+    assert removal.text == f"{old}: removed, {size / 1e6:.1f} MB: older than 30 days"
+    assert _names(tmp_path) == {"1-b.mcap", "1-c.mcap"}
+
+
+def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) -> None:
+    """By the end of the run, not by name."""
+    runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 1), ("b", 3), ("c", 2))]
+    size = runs[0].stat().st_size
+
+    removals = [*_retention(tmp_path, keep_days=0.0, keep_gb=2.5 * size / GB).apply(NOW_S)]
+
+    assert [removal.text.split(":")[0] for removal in removals] == [str(runs[1])]
+    assert "the recordings of rig 1 take more than" in removals[0].text
+
+
+def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
+    """Somebody has just made it, and a limit may be too small for one."""
+    _run(tmp_path, "1-a.mcap", 40)
+    _run(tmp_path, "1-b.mcap", 35)
+
+    assert [*_retention(tmp_path, keep_gb=1e-9).apply(NOW_S)]
+
+    assert _names(tmp_path) == {"1-b.mcap"}
+
+
+def test_a_long_run_goes_as_a_whole(tmp_path: Path) -> None:
+    """Not before its last part is old enough; then in one line."""
+    parts = [
+        _run(tmp_path, f"1-a.part-000{n}.mcap", days, outcome=outcome)
+        for n, days, outcome in ((1, 40, CONTINUED), (2, 29, COMPLETE))
+    ]
+    _run(tmp_path, "1-b.mcap", 1)
+
+    assert not [*_retention(tmp_path).apply(NOW_S)]
+    _aged(parts[1], 31)
+    (removal,) = _retention(tmp_path).apply(NOW_S)
+
+    assert removal.text.startswith(f"{parts[1]} and the 1 parts before it: removed")
+    assert _names(tmp_path) == {"1-b.mcap"}
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-9])
+
+
+def _spoil(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[data.index(b"zstd") + 20] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("damage", [_cut, _spoil])
+def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
+    tmp_path: Path, damage: Any
+) -> None:
+    """A changed byte among the samples counts; what is damaged makes no other run go."""
+    broken = _run(tmp_path, "1-a.mcap", 40)
+    damage(broken)
+    _aged(broken, 40)
+    size = _run(tmp_path, "1-b.mcap", 3).stat().st_size
+    _run(tmp_path, "1-c.mcap", 2)
+    retention = _retention(tmp_path, keep_gb=2.1 * size / GB)
+
+    (report,) = retention.apply(NOW_S)
+
+    assert not report.is_removed
+    assert report.text.startswith(f"{broken}: older than 30 days, but stays: ")
+    assert [*retention.apply(NOW_S)] == []
+    assert _names(tmp_path) == {"1-a.mcap", "1-b.mcap", "1-c.mcap"}
+
+
+@pytest.mark.parametrize("outcome", [None, CONTINUED])
+def test_a_run_that_does_not_say_how_it_ended_stays(
+    tmp_path: Path, outcome: Outcome | None
+) -> None:
+    """No outcome, or that of a part that another one follows."""
+    _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=outcome)
+    _run(tmp_path, "1-b.mcap", 1)
+
+    (report,) = _retention(tmp_path).apply(NOW_S)
+
+    assert not report.is_removed
+    assert _names(tmp_path) == {"1-a.part-0001.mcap", "1-b.mcap"}
+
+
+def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
+    """Unfinished runs, other rigs, other users' files, links, folders, notes."""
+    _run(tmp_path, "1-a.mcap.active", 40)
+    _run(tmp_path, "1-b.part-0001.mcap", 40, outcome=CONTINUED)
+    _run(tmp_path, "1-b.part-0002.mcap.active", 40)
+    _run(tmp_path, "1-c.part-0001.mcap", 40)
+    _run(tmp_path, "1-c.part-0001.mcap.compact", 40)
+    _run(tmp_path, "1-d-of-rig-1-d.mcap", 40, rig="1-d")
+    _run(tmp_path, "2-e.mcap", 40, rig="2")
+    (tmp_path / "1-f.mcap").symlink_to(_run(tmp_path, "kept.mcap", 40))
+    (tmp_path / "1-g.mcap").mkdir()
+    _aged(written(tmp_path, b"a note", "1-h.mcap"), 40)
+    os.mkfifo(tmp_path / "1-i.mcap")
+    _run(tmp_path, "1-z.mcap", 1)
+    before = _names(tmp_path)
+
+    assert [*_retention(tmp_path, keep_gb=1e-9).apply(NOW_S)] == []
+    assert _names(tmp_path) == before
+    assert [*_retention(tmp_path, owner=os.geteuid() + 1).apply(NOW_S)] == []
+
+
+def test_a_file_that_somebody_holds_stays_until_it_is_free(tmp_path: Path) -> None:
+    """A recorder or a recovery has the lock."""
+    path = _run(tmp_path, "1-a.mcap", 40)
+    _run(tmp_path, "1-b.mcap", 1)
+    retention = _retention(tmp_path)
+    with path.open("rb") as file:
+        lock(file)
+
+        assert [*retention.apply(NOW_S)] == []
+
+    assert [removal.is_removed for removal in retention.apply(NOW_S)] == [True]
+
+
+def test_what_a_loss_of_power_left_of_a_run_goes_the_next_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first parts are removed first, so that what is left ends the run."""
+    for n, outcome in ((1, CONTINUED), (2, CONTINUED), (3, COMPLETE)):
+        _run(tmp_path, f"1-a.part-000{n}.mcap", 40, outcome=outcome)
+    _run(tmp_path, "1-b.mcap", 1)
+    unlink = Path.unlink
+
+    def once(path: Path, **options: Any) -> None:
+        monkeypatch.setattr(Path, "unlink", _refused)
+        unlink(path, **options)
+
+    monkeypatch.setattr(Path, "unlink", once)
+    (report,) = _retention(tmp_path).apply(NOW_S)
+    monkeypatch.setattr(Path, "unlink", unlink)
+
+    assert not report.is_removed
+    assert "or removed: Read-only file system" in report.text
+    assert [removal.is_removed for removal in _retention(tmp_path).apply(NOW_S)] == [True]
+    assert _names(tmp_path) == {"1-b.mcap"}
+
+
+def _refused(path: Path, **options: Any) -> None:
+    raise OSError(30, "Read-only file system")
