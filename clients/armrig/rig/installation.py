@@ -39,6 +39,7 @@ UNITS: dict[Part, str] = {
 _PART_OF: dict[str, Part] = {
     **{unit: part for part, unit in UNITS.items()},
     "70-armrig.rules": "rig",
+    "armrig-router.conf": "router",
     "armrig-recorder.conf": "recorder",
 }
 """Files of one part alone; all others are of each."""

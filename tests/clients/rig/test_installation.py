@@ -60,7 +60,7 @@ def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) ->
 @pytest.mark.parametrize(
     ("part", "own"),
     [
-        ("router", {ROUTER}),
+        ("router", {ROUTER, "etc/sysusers.d/armrig-router.conf"}),
         ("recorder", {RECORDER, "etc/sysusers.d/armrig-recorder.conf"}),
     ],
 )
