@@ -61,6 +61,16 @@ def place() -> Iterator[str]:
         yield directory
 
 
+@pytest.fixture
+def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fail where a listener is waited for, and not for ever: none comes."""
+
+    def wait(stage: playing.Stage) -> None:
+        pytest.fail("play waits for a listener, and --wait was not given")
+
+    monkeypatch.setattr(playing.Stage, "wait_for_listener", wait)
+
+
 def test_the_messages_are_those_recorded_in_their_order(run: Path) -> None:
     """Bit for bit, a gap before the sample behind it."""
     found = published(run)
@@ -292,6 +302,7 @@ def test_an_endpoint_that_is_taken_is_told_so(place: str) -> None:
         pass
 
 
+@pytest.mark.usefixtures("nobody_listens")
 def test_the_command_plays_to_the_end(
     run: Path, place: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -383,6 +394,7 @@ def test_what_cannot_be_played_is_told(
     assert told in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("nobody_listens")
 def test_hostile_files_are_played_as_far_as_they_are_whole(
     tmp_path: Path, place: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
