@@ -9,6 +9,7 @@ from armrig_core.calibration import Calibration, Potentiometer
 from armrig_daemon.core import step as core_step
 from armrig_daemon.core import trace
 from armrig_daemon.core.state import (
+    Absent,
     Beat,
     Emit,
     LinkDown,
@@ -21,6 +22,7 @@ from armrig_daemon.core.state import (
     Tick,
 )
 from armrig_daemon.pipe import Answer, Calibrate, Play, RunStarted, SetVoltage, Trace
+from msgspec.structs import replace
 from virtual_bench import LEASE, Bench, codes
 
 VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
@@ -144,6 +146,30 @@ def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None
     numbers = [c.number for c in taken]
     assert numbers[:-1] == list(range(len(numbers) - 1))
     assert numbers[-1] > numbers[-2] + 1
+
+
+def test_a_state_and_a_long_first_step_are_two_chunks() -> None:
+    """Together they had 4.1 kB, of which a pipe that is nearly full takes but a part."""
+    state = Bench().loop.state
+    book = trace.Trace(state)
+
+    book.note(1, [Received(b"x" * 2900)], [])
+    first, second = book.rest()
+
+    assert trace.restored(first.state, b"") == state
+    assert trace.steps_of(first.steps) == []
+    assert [step.now_ns for step in trace.steps_of(second.steps)] == [1]
+
+
+def test_a_state_after_a_long_outage_fits_into_a_chunk() -> None:
+    """A thousand pieces of it may be remembered; a replay needs none of them."""
+    state = Bench().loop.state
+    pieces = tuple(Absent(10**9 + 2 * i, 1, "lost", 7, 10**15, 10**15) for i in range(1000))
+
+    data = trace.written_state(replace(state, absent=pieces))
+
+    assert trace.restored(data, b"") == state
+    assert len(data) < 1000
 
 
 def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
