@@ -171,7 +171,7 @@ def files(root: Path, parts: Collection[Part] = tuple(UNITS)) -> list[File]:
     return found
 
 
-def installing(root: Path, parts: Collection[Part] = ("rig",)) -> Plan:
+def installing(root: Path, parts: Collection[Part] = _RIG) -> Plan:
     """Return what installs these parts, and renews those that are there; twice is as once."""
     at = _at(root)
     last = [("systemd-sysusers", *at), ("systemd-tmpfiles", *at, "--create", "armrig.conf")]

@@ -9,7 +9,16 @@ from pathlib import Path
 import pytest
 from armrig.cli import main
 from armrig.rig import installation
-from armrig.rig.installation import SHIPPED, UNITS, Plan, files, installing, uninstalling
+from armrig.rig.installation import (
+    SHIPPED,
+    UNITS,
+    Plan,
+    Unit,
+    files,
+    installing,
+    uninstalling,
+    units_of,
+)
 
 UNIT = "etc/systemd/system/armrigd@.service"
 ROUTER = "etc/systemd/system/armrig-router.service"
@@ -246,6 +255,21 @@ def test_without_anybody_to_agree_nothing_is_written(
 
     assert "--yes does it, --dry-run only shows it" in capsys.readouterr().err
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_service_that_is_loaded_and_not_enabled_is_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By the first word of systemd's line, which ends with a description."""
+    told = {
+        "list-units": "armrigd@7.service loaded active running Rig 7's daemon\n",
+        "show": "StatusText=sampling\nActiveState=active\n",
+    }
+    monkeypatch.setattr(installation, "_output", lambda *words: told[words[1]])
+
+    units = [unit for unit in units_of(Path("/")) if unit.rig == "7"]
+
+    assert units == [Unit(rig="7", enabled=False, active="active", status="sampling")]
 
 
 def test_a_command_that_fails_or_is_not_there_is_said() -> None:
