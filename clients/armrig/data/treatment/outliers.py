@@ -25,8 +25,8 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
 
     The largest |z| are marked, set to what the model expects (for this search alone), and the
     search goes on; those that their neighbours explain are let go. Nothing is interpolated in the
-    data returned. The first n samples after the start or a gap are searched in the reversed data.
-    In a stretch of n samples or fewer no outlier shows.
+    data returned. The first n samples after the start or a gap are searched in the reversed data,
+    for outliers of twice the size. In a stretch of n samples or fewer no outlier shows.
 
     Parameters
     ----------

@@ -19,6 +19,7 @@ _Found = tuple[Mask, Vector]
 _MAD_TO_STD = 1.4826  # of a normal distribution
 _NEIGHBOURS = 11  # samples, whose median up to five wrong ones in a row do not move
 _GROSS = 100  # median deviations from it, beyond which a sample is of another order of magnitude
+_EARLY = 2  # times the limit, after a start or a gap
 _ROUNDS = 25
 MOST = 0.1
 """Share of the samples beyond which they are no outliers; twice as many end the search."""
@@ -30,9 +31,10 @@ def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) 
 
     n is the order of the model, `limit` the least size in robust standard deviations. In the first
     n samples after a gap the residuals lack their past, so a model of the data in reverse order,
-    which foresees y(t) from what follows, searches these first.
+    which foresees y(t) from what follows, searches these first, for what is grossly wrong: how a
+    poor input began is not foreseen either.
     """
-    backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, limit)
+    backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY * limit)
     mended, early = [], []
     for (u, y), (wrong, expected) in zip(parts, backwards, strict=True):
         marked = wrong[::-1] & _lacks_past(y, n)
