@@ -43,7 +43,7 @@ Fuse = Annotated[
     ),
 ]
 BROWN_OUT = (
-    "The brown-out fuse is not known: Optiboot does not read fuses. As shipped it is 2.7 V, too low "
+    "The brown-out fuse is not known: Optiboot reads no fuses. As shipped it is 2.7 V, too low "
     "for 16 MHz; docs/hardware.md says how to read and set it."
 )
 MOTOR = (

@@ -31,6 +31,7 @@ _UDEV = Path("/run/udev/control")  # there where udev runs, which in a container
 FileState = Literal["installed", "differs", "missing"]
 Part = Literal["rig", "router", "recorder"]
 """What a machine may have: the daemons of its rigs, a lab's router, a recorder of all rigs."""
+_RIG: tuple[Part, ...] = ("rig",)
 UNITS: dict[Part, str] = {
     "rig": "armrigd@.service",
     "router": "armrig-router.service",

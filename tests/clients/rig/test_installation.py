@@ -269,7 +269,7 @@ def test_a_service_that_is_loaded_and_not_enabled_is_listed(
 
     units = [unit for unit in units_of(Path("/")) if unit.rig == "7"]
 
-    assert units == [Unit(rig="7", enabled=False, active="active", status="sampling")]
+    assert units == [Unit(part="rig", rig="7", enabled=False, active="active", status="sampling")]
 
 
 def test_a_command_that_fails_or_is_not_there_is_said() -> None:
