@@ -209,9 +209,9 @@ def test_ctrl_c_before_a_recorder_records_is_not_lost(
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
         session = nullcontext(object())
-        return SimpleNamespace(session=session) if which else session
+        return SimpleNamespace(session=session) if which else (session, "tcp/nowhere:1", None)
 
-    for name in ("open_session", "open_endpoint"):
+    for name in ("open_connection", "open_endpoint"):
         monkeypatch.setattr(f"armrig.rig.session.{name}", connected)
     # A module that the command loads would keep the function; this one is loaded already.
     monkeypatch.setattr(live_rigs, "open_endpoint", connected)
