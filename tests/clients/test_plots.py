@@ -14,6 +14,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
+from armrig.canvas.captions import _fits
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.nonparametric.spectral_reference import spectral_reference
@@ -475,3 +476,9 @@ def test_the_step_of_models_that_integrate_is_their_rate(done: Study) -> None:
     last = [float(np.asarray(line.get_ydata())[-1]) for line in ax.lines]
     assert last == pytest.approx([1.8623] * len(integrating), rel=0.02)
     assert mixed.get_ylabel() == r"$\theta_1$ [rad/V]"
+
+
+def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
+    """Two columns of three names: the first has two of them."""
+    assert _fits([10.0, 50.0, 10.0], 2, 60.0, 0.0)
+    assert not _fits([10.0, 50.0, 10.0], 2, 59.0, 0.0)
