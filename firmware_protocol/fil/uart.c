@@ -23,7 +23,7 @@ static unsigned line_head, line_tail;
 static cycles_t line_free;
 
 static uint8_t received[3]; // two in the buffer, one in the shift register
-static uint8_t is_behind_lost[3]; // of each: bytes before it were lost
+static uint8_t follows_loss[3]; // of each: bytes before it were lost
 static unsigned n_received;
 static uint8_t is_lost; // some were since the last that was received
 static int shifting, buffered; // the transmitter's byte on the wire and the one behind it, or -1
@@ -47,7 +47,7 @@ static void level(avr_t *avr, avr_int_vector_t *vector, uint8_t flag, int holds)
 // The flag belongs to the byte that is read next.
 static void show_lost(avr_t *avr) {
     avr->data[UCSRA] &= (uint8_t)~DOR;
-    if (n_received && is_behind_lost[0])
+    if (n_received && follows_loss[0])
         avr->data[UCSRA] |= DOR;
 }
 
@@ -63,7 +63,7 @@ static cycles_t byte_came(avr_t *avr, cycles_t when, void *param) {
             tell(TOLD_VIOLATION, when, RX_OVERRUN);
             is_lost = 1;
         } else {
-            is_behind_lost[n_received] = is_lost;
+            follows_loss[n_received] = is_lost;
             received[n_received++] = byte;
             is_lost = 0;
             level(avr, rxc, RXC, 1);
@@ -106,7 +106,7 @@ static uint8_t read_udr(avr_t *avr, avr_io_addr_t addr, void *param) {
     n_received--;
     for (unsigned i = 0; i < n_received; i++) {
         received[i] = received[i + 1];
-        is_behind_lost[i] = is_behind_lost[i + 1];
+        follows_loss[i] = follows_loss[i + 1];
     }
     level(avr, rxc, RXC, n_received > 0);
     show_lost(avr);

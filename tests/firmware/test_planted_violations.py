@@ -33,7 +33,7 @@ class Planted(NamedTuple):
     new: str
     found_by: str
     shows: str = ""
-    """Words of the rule in which the line shows the pin what is wrong, where a pin alone does."""
+    """Words of the rule that drives the pin there, where the pin alone shows it."""
 
 
 PLANTED = {
@@ -47,7 +47,7 @@ PLANTED = {
         "boards/uno/uart.c",
         "const uint8_t lost = rx_lost;",
         "const uint8_t lost = 0;",
-        "lost of a flood",
+        "lost in a flood",
     ),
     "the pin is high at reset": Planted(
         "boards/uno/motor.c",
@@ -70,11 +70,11 @@ PLANTED = {
         "outside RUN the motor's pin",
         "Both ends of the range",
     ),
-    "the pin has half of what is told": Planted(
+    "the pin has half of what is reported": Planted(
         "boards/uno/motor.c",
         "    staged = duty;\n",
         "    staged = duty / 2;\n",
-        "has the code that SAMPLE tells",
+        "has the code that SAMPLE reports",
         "u_k is the code",
     ),
     "there is no watchdog": Planted(

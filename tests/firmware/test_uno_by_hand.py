@@ -126,7 +126,7 @@ def test_the_cause_of_a_reset_is_what_optiboot_hands_on(version: int, told: int)
 
 
 @pytest.mark.parametrize("between", ["STOP", "0 V"])
-def test_the_first_period_behind_0_v_has_the_new_duty(between: str) -> None:
+def test_the_first_period_after_0_v_has_the_new_duty(between: str) -> None:
     """S5: not what the pin had before, and not the rest of a period that began then."""
     with powered() as host:
         host.start()

@@ -43,8 +43,8 @@ Fuse = Annotated[
     ),
 ]
 BROWN_OUT = (
-    "The brown-out fuse is not known: Optiboot reads no fuses. As shipped it is 2.7 V, too low "
-    "for 16 MHz; docs/hardware.md says how to read and set it."
+    "The brown-out fuse is not known: Optiboot does not read fuses. As shipped it is 2.7 V, too "
+    "low for 16 MHz; docs/hardware.md says how to read and set it."
 )
 MOTOR = (
     "While a board is written its pins are inputs: D9 and D7 float, and D13 blinks. What holds the "

@@ -80,7 +80,7 @@ def _full_line(host: Host) -> None:
     expect(lost == (0, 0), f"{lost[0]} bytes not received, {lost[1]} frames not sent")
 
 
-@rule(1, "What is lost of a flood is told: by `rx_lost` in STATUS, and by RX_OVERFLOW in a SAMPLE")
+@rule(1, "Bytes lost in a flood are reported, by `rx_lost` in STATUS and RX_OVERFLOW in a SAMPLE")
 def _flood(host: Host) -> None:
     before, seq = next_status(host), host.seq
     armed(host, ts_us=_shortest_us(host))
@@ -93,10 +93,10 @@ def _flood(host: Host) -> None:
     after, sent = next_status(host), (host.seq - seq) & 0xFFFF
     frames, lost = after.frames - before.frames, after.rx_lost - before.rx_lost
     spoilt = after.spoilt - before.spoilt
-    told = f"{lost} bytes lost, {frames} of {sent} frames received, {spoilt} spoilt"
-    expect(lost > 0 or (frames == sent and spoilt == 0), told)
+    found = f"{lost} bytes lost, {frames} of {sent} frames received, {spoilt} spoilt"
+    expect(lost > 0 or (frames == sent and spoilt == 0), found)
     flagged = any(isinstance(m, Sample) and m.flags & Flag.RX_OVERFLOW for m in came)
-    expect(flagged == (lost > 0), f"{told}, RX_OVERFLOW {'' if flagged else 'not '}set")
+    expect(flagged == (lost > 0), f"{found}, RX_OVERFLOW {'' if flagged else 'not '}set")
 
 
 def _shortest_us(host: Host) -> int:

@@ -1,4 +1,4 @@
-"""What a line cannot show and a pin does: rules that are tried where the pins are simulated."""
+"""Rules of what a line does not show and a pin does; they need simulated pins."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _RULES = (
     ),
     (
         5,
-        "At the pins: in RUN the motor's pin has the code that SAMPLE tells",
+        "At the pins: in RUN the motor's pin has the code that SAMPLE reports",
         {Violation.CODE_NOT_AT_PIN},
     ),
     (

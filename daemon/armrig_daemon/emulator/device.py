@@ -66,7 +66,7 @@ class Device:
 
     @property
     def violations(self) -> tuple[()]:
-        """Nothing: there are no pins but those of the board."""
+        """Return none: the pins of this board do what its firmware says."""
         return ()
 
     @property

@@ -37,7 +37,7 @@ class Violation(IntEnum):
     DRIVEN_OUTSIDE_RUN = 5
     """The PWM pin or the enable line is high in another state than RUN."""
     CODE_NOT_AT_PIN = 6
-    """The PWM pin has another duty than the code that SAMPLE tells."""
+    """The PWM pin has another duty than the code that SAMPLE reports."""
 
 
 class Duty(NamedTuple):

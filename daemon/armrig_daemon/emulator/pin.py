@@ -1,7 +1,6 @@
-"""What a simulated board's pins do, held against what its firmware says of them.
+"""Compare what a simulated board's pins do with what its firmware reports.
 
-The harness measures the pins. Only here it is known what the firmware told meanwhile: the state of
-each frame, and in SAMPLE the code that the motor has.
+The harness measures the pins. The frames report the state, and SAMPLE the code that the motor has.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _SENTENCES: Final = {
     Violation.TX_OVERRUN: "a byte was written into a full transmit buffer",
     Violation.CPU_STOPPED: "the processor left its program, or sleeps with interrupts off",
     Violation.DRIVEN_OUTSIDE_RUN: "the motor's pin or its enable line is high outside RUN",
-    Violation.CODE_NOT_AT_PIN: "the motor's pin has another duty than SAMPLE tells",
+    Violation.CODE_NOT_AT_PIN: "the motor's pin has another duty than SAMPLE reports",
 }
 
 
@@ -55,13 +54,13 @@ class Pins:
     def reset(self, cycle: int) -> None:
         """Take note of a reset by the pin: BOOT, 0 V from now on."""
         self._low_from: int | None = cycle
-        """The firmware has told another state than RUN at this cycle, and got no START since."""
+        """Cycle of the first report of another state than RUN, if no START was sent since."""
         self._start: int | None = None
         """Seq of the START that is not answered yet."""
         self._is_noted = False
         self._holds: deque[int] = deque(maxlen=_HOLDS)
-        self._behind_us: set[int] = set()
-        """What may be between the trigger by the device's clock and the hold by ours."""
+        self._offsets_us: set[int] = set()
+        """Possible differences between the device's clock at a trigger and ours at its hold."""
 
     def send(self, cycle: int, data: bytes) -> None:
         """Take note of what the host sends: a START may be obeyed from now on."""
@@ -118,22 +117,22 @@ class Pins:
             self._note(Violated(hold, Violation.CODE_NOT_AT_PIN))
 
     def _hold_of(self, begun: int, m: Sample) -> int | None:
-        """Return when theta_1 was held for a sample, once it is known what its clock shows then.
+        """Return when theta_1 was held for a sample, once the device's clock is known.
 
         A SAMPLE may leave when the next one's theta_1 was held already: each hold before it may be
         its own, until later samples have ruled out all but one.
         """
         held = {hold // CYCLES_PER_US - m.t_us & _U32: hold for hold in self._holds if hold < begun}
-        if self._behind_us:
+        if self._offsets_us:
             near = {
-                behind: hold
-                for behind in self._behind_us
+                offset: hold
+                for offset in self._offsets_us
                 for us, hold in held.items()
-                if (us - behind + _SAME_US) & _U32 <= 2 * _SAME_US
+                if (us - offset + _SAME_US) & _U32 <= 2 * _SAME_US
             }
         else:
             near = held
-        self._behind_us = set(near)
+        self._offsets_us = set(near)
         return next(iter(near.values())) if len(near) == 1 else None
 
     def _high_at(self, cycle: int) -> int | None:

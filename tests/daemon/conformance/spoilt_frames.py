@@ -194,7 +194,7 @@ def _event_before_answer(patch: Patch) -> None:
 SPOILT: dict[str, SpoiltDevice] = {
     "a CRC is not looked at": SpoiltDevice(_no_crc, "wrong CRC"),
     "two of the CRC's bytes are looked at": SpoiltDevice(_half_a_crc, "wrong CRC"),
-    "lost bytes are not told": SpoiltDevice(_loses_bytes, "lost of a flood"),
+    "lost bytes are not reported": SpoiltDevice(_loses_bytes, "lost in a flood"),
     "what is spoilt is answered": SpoiltDevice(_answers_spoilt, "wrong CRC"),
     "an unknown type is not answered": SpoiltDevice(_no_unknown, "unknown type"),
     "old frames are taken": SpoiltDevice(_stale_is_taken, "ACK(STALE)"),
