@@ -93,10 +93,11 @@ def _record_one(
     from armrig.rig.session import no_reply, open_connection
 
     path = _checked(out or Path(default_name(rig)))
-    session, where, _ = open_connection(source, rig=rig)
+    connection = open_connection(source, rig=rig)
+    where = connection.endpoint
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
     outcome = COMPLETE
-    with session:
+    with connection.session as session:
         if ended.is_set():  # while it was loaded and connected
             raise KeyboardInterrupt
         recorder = RemoteRecorder(session, recording)

@@ -208,8 +208,7 @@ def test_ctrl_c_before_a_recorder_records_is_not_lost(
     def connected(*_: object, **__: object) -> Any:
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-        session = nullcontext(object())
-        return SimpleNamespace(session=session) if which else (session, "tcp/nowhere:1", None)
+        return SimpleNamespace(session=nullcontext(object()), endpoint="tcp/nowhere:1", name="")
 
     for name in ("open_connection", "open_endpoint"):
         monkeypatch.setattr(f"armrig.rig.session.{name}", connected)
