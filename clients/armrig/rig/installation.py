@@ -31,12 +31,12 @@ _UDEV = Path("/run/udev/control")  # there where udev runs, which in a container
 FileState = Literal["installed", "differs", "missing"]
 Part = Literal["rig", "router", "recorder"]
 """What a machine may have: the daemons of its rigs, a lab's router, a recorder of all rigs."""
-_RIG: tuple[Part, ...] = ("rig",)
 UNITS: dict[Part, str] = {
     "rig": "armrigd@.service",
     "router": "armrig-router.service",
     "recorder": "armrig-recorder.service",
 }
+_OF_RIGS: tuple[Part, ...] = ("rig",)
 _PART_OF: dict[str, Part] = {
     **{unit: part for part, unit in UNITS.items()},
     "70-armrig.rules": "rig",
@@ -152,7 +152,7 @@ def parts_of(root: Path) -> set[Part]:
     return {file.part for file in files(root) if file.part and file.state != "missing"}
 
 
-def files(root: Path, parts: Collection[Part] = tuple(UNITS)) -> list[File]:
+def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
     """Return the files of these parts of the service, as they are installed below `root`.
 
     Raises
@@ -172,7 +172,7 @@ def files(root: Path, parts: Collection[Part] = tuple(UNITS)) -> list[File]:
     return found
 
 
-def installing(root: Path, parts: Collection[Part] = _RIG) -> Plan:
+def installing(root: Path, parts: Collection[Part] = _OF_RIGS) -> Plan:
     """Return what installs these parts, and renews those that are there; twice is as once."""
     at = _at(root)
     last = [("systemd-sysusers", *at), ("systemd-tmpfiles", *at, "--create", "armrig.conf")]
