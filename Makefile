@@ -26,8 +26,8 @@ test-all: .venv/dev
 machine: .venv/dev
 	$(BIN)/pytest -m machine -k "not empty" tests/systemd tests/integration
 
-# As root, with Debian's debootstrap: every line of docs/service.md and docs/access.md, on an empty
-# Debian. It fetches packages: five minutes.
+# As root, with Debian's debootstrap: every line of docs/service.md, access.md and class.md, on an
+# empty Debian. It fetches packages: five to ten minutes.
 walk: .venv/dev
 	$(BIN)/pytest -m machine -k empty -o faulthandler_timeout=900 tests/systemd/test_walk.py
 

@@ -1,4 +1,4 @@
-"""docs/service.md and docs/access.md, line by line: from nothing to a recording over the network.
+"""docs/service.md, access.md and class.md, line by line: from nothing to a lab with a router.
 
 On an empty Debian (`make walk`, minutes): every line. On a machine with this host's files, where
 the program is there already: without the lines that fetch packages. A network namespace of the
@@ -7,6 +7,7 @@ machine is an operator's, with the same files.
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator
@@ -19,24 +20,32 @@ from machine import CHECKOUT, Machine, missing, wait_for
 
 pytestmark = pytest.mark.machine
 
-SERVICE, ACCESS = (
-    (CHECKOUT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in ("service", "access")
+SERVICE, ACCESS, CLASS = (
+    (CHECKOUT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    for page in ("service", "access", "class")
 )
 AT_LAPTOP = ("nsenter", "--net=/run/netns/laptop", "unshare", "--mount")
 ALICE = "--reuid=alice --regid=alice --init-groups"
-HOST, RIG, LAPTOP = "lab-1.example.edu", "192.0.2.10", "192.0.2.20"
+AS_ALICE_2 = "export ARMRIG_CLIENT_CERTIFICATE=pki/alice-2.pem\n"
+HOST, ROUTER_HOST = "lab-1.example.edu", "lab.example.edu"
+RIG, LAPTOP = "192.0.2.10", "192.0.2.20"
+BY_ID = "/dev/armrig-55639303535351F0E1B1"
 
 
 def _blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
-FETCH, BOARDS, EMULATE, ENABLE, JOIN, COLLECT = _blocks(SERVICE, "sh")
+FETCH, BOARDS, EMULATE, CHECK, ENABLE, JOIN, COLLECT, NAME_RECORDER, RECORD = _blocks(SERVICE, "sh")
 *FETCHED, INSTALL = FETCH.splitlines()
-(CONFIGURATION,) = _blocks(SERVICE, "toml")
-WITH_PKI, MAKE, PUT, RESTART, KEEP, USE, CHANGE, *_ = _blocks(ACCESS, "sh")
-LISTEN, CONNECT, *_ = _blocks(ACCESS, "toml")
+CONFIGURATION, *_ = _blocks(SERVICE, "toml")
+(NARROW,) = _blocks(SERVICE, "ini")
+(KEEP_90_DAYS,) = _blocks(SERVICE, "text")
+WITH_PKI, MAKE, PUT, RESTART, KEEP, USE, CHANGE, MAKE_ROUTER, ROUTE, _, LOOK = _blocks(ACCESS, "sh")
+LISTEN, CONNECT, *_, AT_ROUTER = _blocks(ACCESS, "toml")
 (DROP_IN,) = _blocks(ACCESS, "ini")
+FOLDERS, RUN, BY_STUDENT, SECOND, *_ = _blocks(CLASS, "sh")
+(LIMITS,) = _blocks(CLASS, "toml")
 
 
 class Lab:
@@ -48,6 +57,7 @@ class Lab:
             f"""
             adduser --quiet --disabled-password --gecos '' student
             adduser --quiet --disabled-password --gecos '' alice
+            adduser --quiet --disabled-password --gecos '' eve
             ip netns add laptop
             ip link add lab type veth peer name laptop netns laptop
             ip address add {RIG}/24 dev lab
@@ -55,7 +65,7 @@ class Lab:
             ip -n laptop address add {LAPTOP}/24 dev laptop
             ip -n laptop link set laptop up
             ip -n laptop link set lo up
-            echo {RIG} {HOST} >> /etc/hosts
+            echo {RIG} {HOST} {ROUTER_HOST} >> /etc/hosts
             """
         )
 
@@ -64,15 +74,20 @@ class Lab:
         command = f"cd /root; HOME=/root; export HOME; set -e\n{text}"
         return self.machine.run("sh", "-c", command, online=online).stdout
 
-    def student(self, text: str) -> str:
-        """Type lines as a student at the rig's machine."""
-        return self.machine.run("sh", "-c", _at_home("student", text), user="student").stdout
+    def student(self, text: str, user: str = "student") -> str:
+        """Type lines as a student, or another user, at the rig's machine."""
+        return self.machine.run("sh", "-c", _at_home(user, text), user=user).stdout
 
-    def alice(self, text: str) -> str:
+    def alice(self, text: str, user: str = "alice") -> str:
         """Type lines as an operator at her own machine, which sees no socket of the rig's."""
         hidden = "test ! -d /run/armrig || mount -t tmpfs none /run/armrig; exec setpriv "
-        shell = ("sh", "-c", f'{hidden} {ALICE} sh -c "$1"', "sh", _at_home("alice", text))
+        who = ALICE.replace("alice", user)
+        shell = ("sh", "-c", f'{hidden} {who} sh -c "$1"', "sh", _at_home(user, text))
         return self.machine.run(*AT_LAPTOP, *shell).stdout
+
+    def said(self, unit: str) -> str:
+        """Return what the journal has of a unit, systemd's own lines among them."""
+        return self.script(f"journalctl --sync; journalctl --no-pager -u {unit}")
 
 
 def _at_home(user: str, text: str) -> str:
@@ -96,7 +111,8 @@ def _empty() -> Iterator[Lab]:
         pytest.skip(why)
     with tempfile.TemporaryDirectory(prefix="armrig-debian-") as folder:
         root = Path(folder) / "root"
-        empty_debian.make(root, "iproute2")  # with which the test lays its network
+        # With which the test lays its network, and which docs/class.md takes to be there.
+        empty_debian.make(root, "iproute2", "sudo")
         apt, *others = FETCHED
         empty_debian.type_in(root, apt.replace("apt install", "apt install --yes"))
         empty_debian.lay_checkout(root / "root" / "armrig")
@@ -120,9 +136,14 @@ def lab(request: pytest.FixtureRequest) -> Iterator[Lab]:
         yield lab
 
 
-def _serves(lab: Lab) -> bool:
-    status = lab.machine.shown("armrigd@1.service", "StatusText")["StatusText"]
+def _serves(lab: Lab, rig: str = "1") -> bool:
+    status = lab.machine.shown(f"armrigd@{rig}.service", "StatusText")["StatusText"]
     return status == "safe, nobody has it"
+
+
+def _with_yes(text: str) -> str:
+    """Return lines in which nobody is there to agree."""
+    return re.sub(r"(?m)^(armrig service install.*)$", r"\1 --yes", text)
 
 
 def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
@@ -134,9 +155,12 @@ def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
     assert BOARDS == "ls /dev/armrig-*\n"
     lab.script(EMULATE)
     wait_for(machine.path("/run/rig-1/tty").is_symlink)
-    port = CONFIGURATION.replace("/dev/armrig-55639303535351F0E1B1", "/run/rig-1/tty")
-    port = port.replace("[limits]", "watchdog_ms = 250\n[limits]")
+    port = _configuration("1")
+    machine.write(Path("/etc/armrig/1.toml"), port.replace("u_max_v = 4.5", "u_max_v = 45"))
+    assert "u_max_v = 45: expected `float` <= 5" in _fails(lab.script, CHECK, 78)
     machine.write(Path("/etc/armrig/1.toml"), port)
+    checked = "/etc/armrig/1.toml: rig 1, port /run/rig-1/tty at 500000 baud, 0 to 4.5 V\n"
+    assert lab.script(CHECK) == checked
     lab.script(ENABLE)
     wait_for(lambda: _serves(lab))
     lab.script(JOIN)
@@ -167,8 +191,7 @@ def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
 def test_the_network_is_open_to_the_lab_alone_and_costs_what_the_page_says(lab: Lab) -> None:
     """By the kernel's filter, where systemd can set it; the score is that of `systemd-analyze`."""
     machine = lab.machine
-    judged = lab.script("systemd-analyze security --no-pager armrigd@1 || true")
-    (score,) = re.findall(r"Overall exposure level for \S+: ([0-9.]+)", judged)
+    score = _score(lab, "armrigd@1")
 
     assert f"`systemd-analyze security armrigd@1` is then {score} instead of" in ACCESS
     families = machine.shown("armrigd@1.service", "RestrictAddressFamilies")
@@ -197,9 +220,160 @@ def test_who_is_revoked_is_out_after_a_reload(lab: Lab) -> None:
     lab.alice("ARMRIG_CLIENT_CERTIFICATE=pki/alice-2.pem armrig stop")
 
 
+def test_a_second_rig_is_reached_through_the_lab_s_router(lab: Lab) -> None:
+    """A file that the router cannot read is named."""
+    machine = lab.machine
+    lab.script("systemctl stop armrigd@1")  # which has the router's port here
+    lab.alice(MAKE_ROUTER)
+    lab.script("cp /home/alice/pki/router.pem /home/alice/pki/access.toml .")
+    install, *put = _with_yes(ROUTE).splitlines()
+    lab.script(install)
+    lab.script("systemctl start armrig-router")
+    unreadable = "path '/etc/armrig/access.toml' is not readable"
+    wait_for(lambda: unreadable in lab.said("armrig-router"))
+
+    lab.script("\n".join(put))
+
+    wait_for(lambda: "router at tls/0.0.0.0:7447" in lab.said("armrig-router"))
+    assert "0.0.0.0:7447: 2 rigs, 1 may drive and 1 may watch" in lab.said("armrig-router")
+    put_key = PUT.replace("rig-1.pem access.toml", "rig-2.pem")
+    lab.script("cp /home/alice/pki/rig-2.pem .\n" + put_key)
+    lab.script(EMULATE.replace("rig-1", "rig-2"))
+    wait_for(machine.path("/run/rig-2/tty").is_symlink)
+    machine.write(Path("/etc/armrig/2.toml"), _configuration("2") + AT_ROUTER)
+    machine.write(Path("/etc/systemd/system/armrigd@2.service.d/override.conf"), DROP_IN)
+    lab.script("systemctl daemon-reload\n" + "systemctl enable --now armrigd@2")
+    assert "systemctl enable --now armrigd@2" in SERVICE
+    wait_for(lambda: "connected to the router" in lab.said("armrigd@2"))
+    looked = lab.alice(AS_ALICE_2 + LOOK)
+    assert "safe" in looked
+
+
+def test_a_recorder_records_all_rigs_and_what_a_kill_left_is_completed(lab: Lab) -> None:
+    """Who is in the group reads its files."""
+    lab.alice(NAME_RECORDER)
+    lab.script("cp /home/alice/pki/recorder.pem /home/alice/pki/access.toml .")
+    lab.script("\n".join(line for line in ROUTE.splitlines() if "access.toml" in line))
+    lab.script("systemctl restart armrig-router")
+    lab.script(_with_yes(RECORD))
+    wait_for(lambda: "recording rig 2" in lab.said("armrig-recorder"))
+    folder = lab.machine.path("/var/lib/armrig-recorder")
+    wait_for(lambda: [*folder.glob("2-remote-*.mcap.active")])
+
+    lab.script("systemctl kill --signal=KILL armrig-recorder")
+
+    wait_for(lambda: "recovered" in lab.said("armrig-recorder"), 60)
+    wait_for(lambda: lab.said("armrig-recorder").count("recording rig 2") == 2, 60)
+    lab.script("systemctl stop armrig-recorder")
+    assert lab.machine.shown("armrig-recorder", "Result") == {"Result": "success"}
+    assert not [*folder.glob("*.active")]
+    assert len([*folder.glob("2-remote-*.mcap")]) == 2
+    assert lab.student("for f in /var/lib/armrig-recorder/*.mcap; do armrig info $f; done")
+    lab.machine.write(Path("/etc/tmpfiles.d/armrig-keep.conf"), KEEP_90_DAYS)
+    old, *_ = folder.glob("2-remote-*.mcap")
+    unfinished = folder / "2-remote-x.mcap.active"
+    unfinished.touch()
+    for path in (old, unfinished):
+        os.utime(path, (0, 0))
+    lab.script("systemctl start armrig-recorder\nsystemd-tmpfiles --clean")
+    assert (old.exists(), unfinished.exists()) == (False, True)
+    unfinished.unlink()
+
+
+def test_router_and_recorder_are_kept_to_the_lab_s_network(lab: Lab) -> None:
+    """Their scores are those of the page, and they work on."""
+    units = ("armrig-router", "armrig-recorder")
+    before = {_score(lab, unit) for unit in units}
+    for unit in units:
+        drop_in = Path(f"/etc/systemd/system/{unit}.service.d/override.conf")
+        lab.machine.write(drop_in, NARROW)
+    begun = lab.said("armrig-recorder").count("recording rig 2")
+    lab.script("systemctl daemon-reload\nsystemctl restart " + " ".join(units))
+
+    (score,), (after,) = before, {_score(lab, unit) for unit in units}
+
+    assert f"gives {score} for the router and for the recorder" in SERVICE
+    assert f"`IPAddressAllow=` brings that down to {after}" in SERVICE
+    wait_for(lambda: "safe" in lab.alice(AS_ALICE_2 + LOOK))
+    wait_for(lambda: lab.said("armrig-recorder").count("recording rig 2") > begun, 60)
+
+
+def test_a_stranger_reaches_nothing_and_a_student_no_key(lab: Lab) -> None:
+    """A user who is not in the group, and somebody with an authority of her own."""
+    keys = [f"/etc/armrig/{name}.pem" for name in ("router", "recorder")]
+    theirs = ["/var/lib/armrig/recordings", "/var/lib/armrig-recorder"]
+    for user, paths in (("student", keys), ("eve", [*keys, *theirs])):
+        for path in paths:
+            _fails(lambda text, user=user: lab.student(text, user), f"ls {path}/. || cat {path}", 1)
+    at_rig = "armrig status --rig 2"
+    assert "only the group armrig may operate rig 2" in _fails(
+        lambda text: lab.student(text, "eve"), at_rig, 1
+    )
+    lab.alice("armrig pki ca && armrig pki operator eve", "eve")
+    own = f"ARMRIG_CLIENT_CERTIFICATE=pki/eve.pem {at_rig} --connect tls/{ROUTER_HOST}:7447"
+    assert "no reply from rig 2" in _fails(lambda text: lab.alice(text, "eve"), own, 1)
+    said = lab.script("armrig service status")
+    for service in ("rig 2: active: safe, nobody has it", "router: active", "recorder: active"):
+        assert f"\n{service}, starts with the machine" in said
+
+
+def test_without_the_service_a_class_has_a_daemon_of_its_own(lab: Lab) -> None:
+    """docs/class.md: another user has the rig, and a group opens it."""
+    if not lab.machine.path("/usr/bin/sudo").exists():
+        pytest.skip("sudo is not installed")
+    lab.script("armrig service uninstall --yes")
+    assert lab.student("armrig service status", "eve").count("missing") == 4
+    lab.script(
+        """
+        systemctl stop rig-1 rig-2
+        rm -rf /etc/armrig/* /run/armrig
+        adduser --quiet --system rig
+        addgroup --quiet students
+        adduser --quiet alice students
+        """
+        + FOLDERS
+    )
+    for rig in ("1", "2"):
+        lab.script(EMULATE.replace("rig-1", f"class-{rig}").replace("User=armrig", "User=rig"))
+        wait_for(lab.machine.path(f"/run/class-{rig}/tty").is_symlink)
+    limits = LIMITS.replace("/dev/serial/by-id/usb-Arduino-if00", "/run/class-1/tty")
+    limits = limits.replace("[limits]", "watchdog_ms = 250\n[limits]")
+    lab.machine.write(Path("/etc/armrig/armrig.toml"), limits)
+    second, asked = SECOND.splitlines()
+    second = second.replace("/dev/serial/by-id/usb-Arduino-if02", "/run/class-2/tty")
+
+    lab.script(f"systemd-run --unit=of-class-1 {RUN}\nsystemd-run --unit=of-class-2 {second}")
+
+    status, collect, watch, stop = BY_STUDENT.splitlines()
+    wait_for(lambda: "safe" in lab.student(f"{status} 2>&1; :", "alice"))
+    wait_for(lambda: "safe" in lab.student(f"{asked} 2>&1; :", "alice"))
+    assert "not permitted" in _fails(lambda text: lab.student(text, "eve"), status, 1)
+    collect = collect.replace("--seconds 30", "--seconds 4")
+    *_, recording = _until_it_works(lambda text: lab.student(text, "alice"), collect).splitlines()
+    lab.student(f"armrig info {recording}\ntimeout 3 {watch} >&2 || test $? = 124\n{stop}", "alice")
+    lab.script("systemctl stop of-class-1 of-class-2")
+
+
+def _configuration(rig: str) -> str:
+    """Return the configuration of the page, of an emulated rig."""
+    text = CONFIGURATION.replace(BY_ID, f"/run/rig-{rig}/tty")
+    return text.replace("[limits]", "watchdog_ms = 250\n[limits]")
+
+
+def _score(lab: Lab, unit: str) -> str:
+    judged = lab.script(f"systemd-analyze security --no-pager {unit} || true")
+    (score,) = re.findall(r"Overall exposure level for \S+: ([0-9.]+)", judged)
+    return str(score)
+
+
+def _fails(typed: Callable[[str], str], text: str, code: int) -> str:
+    """Type a line that must end with an exit code; return all that it says."""
+    return typed(f"({text.strip()}) 2>&1 && exit 99 || test $? = {code}")
+
+
 def _refused(lab: Lab, command: str) -> str:
     """Return what a command of alice's is refused with."""
-    return lab.alice(f"{command} 2>&1 && exit 1 || true")
+    return _fails(lab.alice, command, 1)
 
 
 def _until_it_works(typed: Callable[[str], str], text: str) -> str:
