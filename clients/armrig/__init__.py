@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from armrig.nonparametric.sampling_time import sampling_time
     from armrig.nonparametric.spectral import spa
     from armrig.nonparametric.step_analysis import step_analysis
-    from armrig.nonparametric.structure_hints import structure_hints
     from armrig.physics.grey_box.agreement import agreement
     from armrig.physics.grey_box.estimate import greybox
     from armrig.physics.grey_box.fit import GreyFit
@@ -83,6 +82,7 @@ if TYPE_CHECKING:
     from armrig.validation.model_search import search
     from armrig.validation.residuals import residuals
     from armrig.validation.search_result import SearchResult
+    from armrig.validation.structure_hints import structure_hints
 
 __all__ = [
     "ArmParameters",
@@ -219,7 +219,7 @@ _MODULES = {
     "nonparametric.sampling_time": ("sampling_time",),
     "nonparametric.spectral": ("spa",),
     "nonparametric.step_analysis": ("step_analysis",),
-    "nonparametric.structure_hints": ("structure_hints",),
+    "validation.structure_hints": ("structure_hints",),
     "physics.systems": ("ArmParameters", "arm", "chassis", "rehearse"),
     "data.treatment": (
         "detrend",

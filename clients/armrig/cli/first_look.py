@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.nonparametric.sampling_time import SamplingTime
     from armrig.nonparametric.step_analysis import StepAnalysis
-    from armrig.nonparametric.structure_hints import StructureHints
     from armrig.recordings.usability import Finding
+    from armrig.validation.structure_hints import StructureHints
 
 Drawing = Annotated[Path, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")]
 
@@ -170,7 +170,7 @@ def hints(
     """
     from armrig.cli.model_output import in_symbols
     from armrig.cli.spinner import spinner
-    from armrig.nonparametric.structure_hints import structure_hints
+    from armrig.validation.structure_hints import structure_hints
 
     check_plot(plot, [file])
     signals = Signals(
@@ -230,6 +230,7 @@ def _hint_facts(found: StructureHints) -> dict[str, Any]:
     return {
         "structure": "oe",
         "orders": {"nb": found.nb, "nf": found.nf, "nk": found.nk},
+        "structures": [dict(s) for s in found.structures],
         "integrator": found.integrator,
         "low_slope": found.low_slope,
         "low_slope_std": found.low_slope_std,
@@ -237,7 +238,7 @@ def _hint_facts(found: StructureHints) -> dict[str, Any]:
         "relative_degree": found.relative_degree,
         "resonances": found.resonances,
         "antiresonances": found.antiresonances,
-        "first_lag": found.first_lag,
+        "nk_interval": found.nk_interval,
         "singular_values": found.singular_values.tolist(),
         "threshold": found.threshold,
         "reasons": [line.removeprefix("- ") for line in found.explain().splitlines()],

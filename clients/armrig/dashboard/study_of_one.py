@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
-from armrig.nonparametric.structure_hints import structure_hints
 from armrig.recordings.export import write_csv
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
@@ -21,6 +20,7 @@ from armrig.recordings.usability import data_verdict
 from armrig.validation.advice.advice import advice
 from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
+from armrig.validation.structure_hints import structure_hints
 
 _PIXELS = 1000
 _MOST_GAPS = 100

@@ -131,9 +131,9 @@ class Hints(Protocol):
     @property
     def spectrum(self) -> SpectralEstimate: ...  # noqa: D102
     @property
-    def low_slope(self) -> float: ...  # noqa: D102
+    def low_slope(self) -> float | None: ...  # noqa: D102
     @property
-    def high_slope(self) -> float: ...  # noqa: D102
+    def high_slope(self) -> float | None: ...  # noqa: D102
     @property
     def trusted(self) -> float: ...  # noqa: D102
     @property
@@ -271,6 +271,8 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
         (hints.low_slope, float(w[0]), "low", "--"),
         (hints.high_slope, hints.trusted / 2, "high", "-."),
     ):
+        if slope is None:
+            continue
         reach = at * np.array([1.0, 4.0]) if name == "low" else at * np.array([0.6, 2.0])
         level = float(np.interp(at, w, magnitude)) * (1.6 if name == "low" else 1.9)
         line = level * (reach / at) ** (slope / 20)

@@ -11,7 +11,6 @@ from armrig_core.arm import ArmParameters, arm_matrices
 from armrig.data.dataset import Dataset
 from armrig.nonparametric.sampling_time import SamplingTime, sampling_time
 from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
-from armrig.nonparametric.structure_hints import StructureHints, structure_hints
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy, split_study
@@ -23,6 +22,7 @@ from armrig.report.study import STAIRCASE, STEP, Orders, Study, kind_of, study
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
+from armrig.validation.structure_hints import StructureHints, structure_hints
 
 T = TypeVar("T")
 

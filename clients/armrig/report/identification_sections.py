@@ -89,14 +89,17 @@ def _hints(study: HandoutStudy) -> Section:
         f"{', '.join(number(w) for w in marks)} rad/s" if marks else "none"
         for marks in (found.resonances, found.antiresonances)
     )
+    slope = ""
+    if found.low_slope is not None:
+        slope = f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} ± "
+        slope += f"{found.low_slope_std:.1f} dB a decade, by 20 with an integrator. "
     return Section(
         number="3.2",
         title=title,
         answer=(
             f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}; output "
             "error, because the noise is the potentiometer's.",
-            f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} ± "
-            f"{found.low_slope_std:.1f} dB a decade, by 20 with an integrator. Resonances, two "
+            f"{slope}Resonances, two "
             f"poles each: {peaks}; antiresonances, two zeros each: {dips}. Of the Hankel "
             f"singular values {shown} … uncertainty makes {found.threshold:.2g}: "
             f"{found.order - found.integrator} stand out.",

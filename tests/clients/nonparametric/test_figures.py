@@ -16,7 +16,7 @@ from armrig.nonparametric.impulse import impulse_response
 from armrig.nonparametric.sampling_time import sampling_time
 from armrig.nonparametric.spectral import spa
 from armrig.nonparametric.step_analysis import step_analysis
-from armrig.nonparametric.structure_hints import structure_hints
+from armrig.validation.structure_hints import structure_hints
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 

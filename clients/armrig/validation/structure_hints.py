@@ -1,4 +1,4 @@
-"""What spectrum, phase and resonances say on order, integrator and delay (handout, 3.2)."""
+"""Which structures describe the data, and what spectrum, phase and delay say (handout, 3.2)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.coherence import explained
-from armrig.nonparametric.impulse import ImpulseResponse, impulse_response, long_enough
+from armrig.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.nonparametric.spectral import spa
-from armrig.numerics.quantile import two_sided
 from armrig.numerics.quantities import minus, plural, times
+from armrig.validation.feedback_and_delay.delay import delay
+from armrig.validation.feedback_and_delay.delay_result import Delay
+from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,55 +29,73 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
-HIDDEN = 0.05  # share of the largest coefficient that may hide where a delay is claimed
 SURE = 3.0  # standard deviations by which a resonance stands out from either side
 STAYS = 0.3  # of the largest answer of the rate to a step: less is on its way to 0
 DRAWS = 200  # of the impulse response's uncertainty
 LAGS = (100, 200, 400)  # of the impulse response, the next where the last are too few
+AGREED_SLOPE = 3.0  # dB a decade by which a slope and that of the first structure may differ
+AGREED_PEAK = 0.12  # of a frequency, the same of an extreme
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class StructureHints:
     """Orders, integrator and delay suggested by estimates without a structure."""
 
+    structures: tuple[Recommended, ...]
+    """At most three, of least description length, best first."""
     integrator: bool
-    """The rate has a gain at low frequency, and stays up after a step: y integrates."""
-    low_slope: float
-    """Of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator."""
+    """The first structure has a pole at 1: y is the sum of its rate."""
+    low_slope: float | None
+    """Of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None where
+    the first structure has another."""
     low_slope_std: float
     """Its standard deviation."""
-    high_slope: float
-    """Of |G| over the last third of a decade in which u explains y, in dB a decade."""
+    low_band: Vector
+    """Frequencies that it was read at, in rad/s."""
+    high_slope: float | None
+    """Of |G| over the last third of a decade in which u explains y, in dB a decade; None where
+    the first structure has another."""
+    high_band: Vector
+    """Frequencies that it was read at, in rad/s."""
     relative_degree: int
     """Poles less zeros, from the high slope; 0 where it does not fall."""
     resonances: tuple[float, ...]
-    """Frequencies of peaks (of the rate's |G|, if y integrates), in rad/s."""
+    """Frequencies of peaks (of the rate's |G|, if y integrates), in rad/s, that the first
+    structure has, too."""
     antiresonances: tuple[float, ...]
-    """Frequencies of dips, in rad/s."""
-    phase_delay: float
-    """Phase at the highest frequencies beyond what their slope accounts for, as a time in s."""
-    first_lag: int
-    """First lag at which u is seen to act (99 %): nk is not larger."""
-    blind: float
-    """99 % band of the coefficients before it over the largest: what may hide there."""
-    nk: int
-    """Suggested: `first_lag` where hardly anything can hide before it, else 1."""
+    """Frequencies of dips, in rad/s, the same."""
+    phase_delay: float | None
+    """Phase at the highest frequencies beyond what their slope accounts for, as a time in s; None
+    where it is not nk less half a sample."""
+    nk_interval: tuple[int, int] | None
+    """Least and greatest nk of `delay`; None where it refused, or nk is none of these."""
     singular_values: Vector
     """Of the Hankel matrix of the response that dies out, over the largest."""
     threshold: float
     """What the response's uncertainty alone makes of them (95 %), over the largest."""
     order: int
-    """Singular values above the threshold, and one for an integrator."""
-    nf: int
-    """Suggested: the largest of what the arguments ask for."""
-    nb: int
-    """Suggested: as many as poles, since sampling makes the zeros up to one less than poles."""
+    """Singular values above the threshold, and one for an integrator; no more than nf."""
     trusted: float
     """Highest frequency at which u explains y, in rad/s."""
     spectrum: SpectralEstimate
     """Frequency response of y."""
     response: ImpulseResponse
     """Regularised impulse response."""
+
+    @property
+    def nb(self) -> int:
+        """Number of b's of the first structure."""
+        return self.structures[0].nb
+
+    @property
+    def nf(self) -> int:
+        """Number of its poles, an integrator's included."""
+        return self.structures[0].nf
+
+    @property
+    def nk(self) -> int:
+        """Its samples before u reaches y."""
+        return self.structures[0].nk
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of |G| with what was read off it: see `armrig.plots.plot_structure`."""
@@ -90,8 +110,7 @@ class StructureHints:
 
     def __repr__(self) -> str:
         """Say it in a few lines."""
-        first = f"oe(data, nb={self.nb}, nf={self.nf}, nk={self.nk}, integrator={self.integrator})"
-        return f"structure hints: begin with {first}\n" + "\n".join(
+        return f"structure hints: begin with {_named(self.structures[0])}\n" + "\n".join(
             f"  {line}" for line in _reasons(self)
         )
 
@@ -103,20 +122,20 @@ def structure_hints(
     integrator: bool | None = None,
     seed: int | np.random.Generator = 0,
 ) -> StructureHints:
-    """Read order, integrator and delay off estimates that assume no structure.
+    """Recommend at most three structures, and say what speaks for them.
 
-    - Integrator: the slope of |G| of the rate at low frequency. A rate with a gain (slope 0)
-      belongs to a y that integrates (-20 dB a decade); without an integrator the rate's slope
-      is +20 dB a decade. y itself, which drifts, is not looked at. A slow pole has the slope of an
-      integrator, too, down to frequencies that the record hardly has; but the rate's answer to a
-      step returns to 0 then, where that of an integrator stays up. theta_1 is known to integrate,
-      and is taken so unless that answer surely returns: another rig has the arm's names.
+    The structures are those of output-error models of least description length
+    (`recommended`), after the noise's colour was taken from u and y. What estimates without a
+    structure show stands with them, where the first structure shows the same:
+
+    - Integrator: the rate's answer to a step stays up, and the description is shorter with a pole
+      at 1. theta_1 is known to integrate, and is taken so unless that answer surely returns to 0:
+      another rig has the arm's names. The slope of |G| at low frequency is -20 dB a decade then.
     - Order: singular values of the Hankel matrix of the regularised impulse response above what
-      draws from its own uncertainty make; twice the number of resonances at least.
+      draws from its own uncertainty make.
     - Poles less zeros: the slope at the highest frequencies at which u explains y (coherence above
       one half), 20 dB a decade each; sampling hides it near Nyquist.
-    - Delay: the first coefficient of the plain impulse response outside its 99 % band, and the
-      phase beyond what the roll-off accounts for.
+    - Delay: what `delay` finds, and the phase beyond what the roll-off accounts for.
 
     Parameters
     ----------
@@ -143,50 +162,83 @@ def structure_hints(
     .. [2] S. Y. Kung, Proc. 12th Asilomar Conf., 1978, 705-714 (Hankel singular values).
     """
     rate = spa(data, "log", integrator=True).rate()
-    slope, slope_std = _low_slope(rate, explained(rate))
+    slope, slope_std, low = _low_slope(rate, explained(rate))
+    integrates, known = integrator, data.output in INTEGRATING_OUTPUTS
     of_rate = None
-    integrates = integrator
     if integrates is None:
-        known = data.output in INTEGRATING_OUTPUTS
-        integrates = known or slope < 10 - 2 * slope_std
-        if integrates:
-            of_rate = long_enough(data, LAGS, integrator=True)
-            integrates = not _returns(of_rate) if known else _stays(of_rate)
-    first_lag, blind = _first_lag(data, integrates=integrates)
-    nk = first_lag if first_lag < 1 or blind < HIDDEN else 1
+        of_rate = long_enough(data, LAGS, integrator=True)
+        integrates = not _returns(of_rate) if known else _stays(of_rate)
+    late = _delay(data, integrates=integrates)
+    lags = [1] if late is None else [late.nk, late.interval[1], 1]
+    decide = integrates and integrator is None and not known
+    best = recommended(data, lags, integrates=integrates, decide=decide)
+    first = best.structures[0]
+    integrates, nk = first.integrator, first.nk
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
     believed = explained(spectrum)
     response = of_rate if integrates else None
     response = response or long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
-    order = int(np.count_nonzero(values > threshold))
-    high = _high_slope(spectrum, believed)
-    degree = max(0, round(-high / 20))
-    nf = max(order, 2 * len(peaks), 0 if integrates else 1) + integrates
+    order = int(np.count_nonzero(values > threshold)) + integrates
+    high = spectrum.omega[_high(spectrum, believed)]
+    fall = _high_slope(spectrum, believed)
+    at = nk - 0.5
+    excess = _phase_delay(
+        spectrum, believed, fall, sign=_sign(response), shown=max(nk - 1, 0) * data.Ts
+    )
+    seen = late is not None and late.interval[0] <= nk <= late.interval[1]
     return StructureHints(
+        structures=best.structures,
         integrator=integrates,
-        low_slope=slope - 20,
+        low_slope=_agreed(slope - 20, best, low, data.Ts),
         low_slope_std=slope_std,
-        high_slope=high,
-        relative_degree=degree,
-        resonances=peaks,
-        antiresonances=dips,
-        phase_delay=_phase_delay(
-            spectrum, believed, high, sign=_sign(response), shown=max(nk - 1, 0) * data.Ts
-        ),
-        first_lag=first_lag,
-        blind=blind,
-        nk=nk,
+        low_band=low,
+        high_slope=_agreed(fall, best, high, data.Ts),
+        high_band=high,
+        relative_degree=max(0, round(-fall / 20)),
+        resonances=_confirmed(peaks, best, data.Ts, dips=False),
+        antiresonances=_confirmed(dips, best, data.Ts, dips=True),
+        phase_delay=excess if seen and abs(excess / data.Ts - at) <= 0.5 else None,
+        nk_interval=late.interval if late is not None and seen else None,
         singular_values=values,
         threshold=threshold,
-        order=order + integrates,
-        nf=nf,
-        nb=nf,
+        order=min(order, first.nf),
         trusted=float(spectrum.omega[believed][-1]),
         spectrum=spectrum,
         response=response,
     )
+
+
+def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
+    """Return what `delay` finds, None where it refuses."""
+    try:
+        return delay(data, integrator=integrates)
+    except ValueError:
+        return None
+
+
+def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
+    """Return the slope where the first structure has it at these frequencies, too."""
+    other, _ = _slope(omega, np.abs(best.G(omega, Ts)))
+    return slope if abs(slope - other) <= AGREED_SLOPE else None
+
+
+def _confirmed(
+    found: tuple[float, ...], best: Recommendation, Ts: float, *, dips: bool
+) -> tuple[float, ...]:
+    """Return the extremes near which the first structure has a pair of roots, or an extreme."""
+    roots = np.roots(np.trim_zeros(best.B, "f")) if dips else np.roots(best.F)
+    at = np.abs(np.log(roots[np.imag(roots) > 0])) / Ts
+
+    def extreme(w: float) -> bool:
+        near = w * np.linspace(1 - AGREED_PEAK, 1 + AGREED_PEAK, 50)
+        G = np.abs(best.G(near, Ts))
+        if best.structures[0].integrator:
+            G *= np.abs(1 - np.exp(-1j * near * Ts))
+        return 0 < int(np.argmin(G) if dips else np.argmax(G)) < near.size - 1
+
+    return tuple(w for w in found if np.any(np.abs(at / w - 1) <= AGREED_PEAK) or extreme(w))
 
 
 def _stays(of_rate: ImpulseResponse) -> bool:
@@ -209,14 +261,6 @@ def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
     return float(steps[-1]) / largest, float(np.sqrt(_covariance(of_rate).sum())) / largest
 
 
-def _first_lag(data: Dataset, *, integrates: bool) -> tuple[int, float]:
-    """Return the first lag at which u is seen to act, and what may hide before it, by share."""
-    plain = impulse_response(data, min(30, data.N // 10), kernel=None, integrator=integrates)
-    first_lag = plain.first_lag() or 0
-    g, std = plain.decaying
-    return first_lag, two_sided(0.99) * float(np.max(std[: max(first_lag, 1)]) / np.max(np.abs(g)))
-
-
 def _slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
     """Return the slope in dB a decade of a straight line, and its standard deviation."""
     x, y = np.log10(omega), 20 * np.log10(magnitude)
@@ -226,11 +270,11 @@ def _slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
     return slope, float(np.sqrt(scatter / (x @ x)))
 
 
-def _low_slope(rate: SpectralEstimate, believed: NDArray[np.int_]) -> tuple[float, float]:
-    """Return the slope over the lowest half decade."""
+def _low_slope(rate: SpectralEstimate, believed: NDArray[np.int_]) -> tuple[float, float, Vector]:
+    """Return the slope over the lowest half decade, its deviation, and the frequencies."""
     low = believed[rate.omega[believed] <= rate.omega[believed[0]] * np.sqrt(10)]
     low = low if low.size >= 3 else believed[:3]
-    return _slope(rate.omega[low], rate.magnitude[low])
+    return *_slope(rate.omega[low], rate.magnitude[low]), rate.omega[low]
 
 
 def _high_slope(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> float:
@@ -351,42 +395,65 @@ def _extremes_told(h: StructureHints) -> str:
     return ", ".join(told)
 
 
+def _named(s: Recommended) -> str:
+    return f"oe(data, nb={s.nb}, nf={s.nf}, nk={s.nk}, integrator={s.integrator})"
+
+
 def _reasons(h: StructureHints) -> Iterator[str]:
-    what = "the rate" if h.integrator else "y"
-    verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
-    if not h.integrator and h.low_slope < -10:
-        verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
-    yield (
-        f"integrator: |G| has a slope of {minus(f'{h.low_slope:.1f}')} ± {h.low_slope_std:.1f} dB "
-        f"a decade at low frequency (0 without one, −20 with one): {verdict}"
-    )
-    yield f"shape of {what}: {_extremes_told(h)}"
+    yield from _about_integrator(h)
+    if h.resonances or h.antiresonances:
+        what = "the rate" if h.integrator else "y"
+        yield f"shape of {what}: {_extremes_told(h)}"
     shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
     yield (
         f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
         + _standing(h.order - h.integrator)
         + (", and the integrator" if h.integrator else "")
     )
-    excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
-    yield (
-        f"roll-off: {minus(f'{h.high_slope:.0f}')} dB a decade below {h.trusted:.3g} rad/s, the "
-        f"last frequency at which u explains y: {excess} than zeros up to there"
-    )
-    if h.phase_delay > h.spectrum.Ts / 2:
+    if h.high_slope is not None:
+        excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
+        yield (
+            f"roll-off: {minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "
+            f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to there"
+        )
+    if h.phase_delay is not None and h.phase_delay > h.spectrum.Ts / 2:
         yield (
             f"phase: beyond what the roll-off accounts for it lags like {times(h.phase_delay)} of "
             f"delay, {times(h.spectrum.Ts / 2)} of which are the hold's half sample"
         )
-    else:
-        yield "phase: it lags no more than roll-off and hold account for"
-    known = f"u acts at lag {h.first_lag} at the latest (99 %)"
-    if h.first_lag > 1 and h.nk == 1:
-        hidden = f"before it {100 * h.blind:.0f} % of the largest coefficient could hide: no delay"
-        yield f"delay: {known}; {hidden} is shown (armrig.delay, `armrig check` test it)"
+    yield from _about_delay(h)
+    yield from _others(h)
+
+
+def _others(h: StructureHints) -> Iterator[str]:
+    others = [_named(s) for s in h.structures[1:]]
+    if others:
+        yield f"nearly as short a description: {', '.join(others)}"
+
+
+def _about_integrator(h: StructureHints) -> Iterator[str]:
+    verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
+    if h.low_slope is None:
+        yield f"integrator: {verdict}, by the description length"
+        return
+    if not h.integrator and h.low_slope < -10:
+        verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
+    yield (
+        f"integrator: |G| has a slope of {minus(f'{h.low_slope:.1f}')} ± {h.low_slope_std:.1f} dB "
+        f"a decade at low frequency (0 without one, −20 with one): {verdict}"
+    )
+
+
+def _about_delay(h: StructureHints) -> Iterator[str]:
+    if h.nk_interval is None:
+        yield "delay: not shown (armrig.delay, `armrig check` say why)"
+        return
+    low, high = h.nk_interval
+    if low < high:
+        yield f"delay: nk between {low} and {high} (armrig.delay, `armrig check` test it)"
     elif h.nk == 0:
         which = "a direct term, or feedback, which looks the same"
-        yield f"delay: u acts at lag 0 (99 %): {which} (nk = 0)"
+        yield f"delay: u acts at lag 0: {which} (nk = 0)"
     else:
-        delay = f"an input delay of {plural(h.nk - 1, 'sample')}"
-        delay = delay if h.nk > 1 else "no input delay"
-        yield f"delay: {known}: {delay} (nk = {h.nk})"
+        shown = f"an input delay of {plural(h.nk - 1, 'sample')}" if h.nk > 1 else "no input delay"
+        yield f"delay: u acts at lag {h.nk}: {shown} (nk = {h.nk})"
