@@ -48,7 +48,7 @@ VISIBLE = 100.0  # noise variances
 SLOPE, NEAR = 5.0, 0.15
 LENGTHS = (300, 500, 1000, 2000, 4000)
 BEFORE = 300  # samples before the record, in which the plant comes to move
-TRUTHS = {
+EXCITATIONS = {
     "PRBS": lambda N, rng: np.repeat(rng.choice([-1.0, 1.0], N), rng.integers(1, 5))[:N],
     **INPUTS,
 }
@@ -102,8 +102,8 @@ def drawn(seed: int) -> Plant:
         B, Ts = rng.standard_normal(int(rng.integers(1, n + 1))), float(rng.choice([0.01, 0.1, 1]))
         kind = "polynomials"
     nk = 1 + int(rng.integers(1, 21)) * int(rng.random() < 0.5)
-    name, N = str(rng.choice([*TRUTHS])), int(rng.choice(LENGTHS))
-    u = TRUTHS[name](N + BEFORE, rng)
+    name, N = str(rng.choice([*EXCITATIONS])), int(rng.choice(LENGTHS))
+    u = EXCITATIONS[name](N + BEFORE, rng)
     u = u - np.mean(u) if integrator else u
     clean = filtered(np.append(np.zeros(nk), B), F, u)[BEFORE:]
     D = polynomial(rng, int(rng.integers(1, 3)), slow=False) if rng.random() < 0.5 else np.ones(1)

@@ -434,7 +434,7 @@ def _others(h: StructureHints) -> Iterator[str]:
 def _about_integrator(h: StructureHints) -> Iterator[str]:
     verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
     if h.low_slope is None:
-        yield f"integrator: {verdict}, by the description length"
+        yield f"integrator: {verdict}"
         return
     if not h.integrator and h.low_slope < -10:
         verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
