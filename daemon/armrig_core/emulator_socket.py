@@ -12,9 +12,9 @@ import stat
 from pathlib import Path
 from struct import Struct
 
+from armrig_core.emulated import SOCKET_PREFIX
 from armrig_core.endpoint import SOCKET_PATH_MAX, distrust
 
-_PREFIX = "unix:"
 _CREDENTIALS = Struct("iII")  # struct ucred of unix(7): pid, uid, gid
 
 
@@ -26,9 +26,9 @@ def socket_path(port: str) -> Path | None:
     ValueError
         The path is empty or too long for a socket.
     """
-    if not port.startswith(_PREFIX):
+    if not port.startswith(SOCKET_PREFIX):
         return None
-    text = port.removeprefix(_PREFIX)
+    text = port.removeprefix(SOCKET_PREFIX)
     length = len(os.fsencode(text))
     if not text or length > SOCKET_PATH_MAX:
         msg = f"{port}: a path of {length} B, a socket's has 1 to {SOCKET_PATH_MAX}; "
@@ -39,7 +39,7 @@ def socket_path(port: str) -> Path | None:
 
 def port_of(path: Path) -> str:
     """Return the name of the port at a path."""
-    return f"{_PREFIX}{path}"
+    return f"{SOCKET_PREFIX}{path}"
 
 
 def lock_path(path: Path) -> Path:

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from armrig_core.emulated import is_emulated
 from armrig_core.rehearsal import Rehearsal
 
 RUN = "armrig.run"
@@ -77,6 +78,11 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
             return range(_LATEST)  # any may be of it
         first = self.part_k_first if self.part > 1 else self.k_first
         return range(max(first, 0), min(self.k_first + self.samples, _LATEST))
+
+    @property
+    def emulated(self) -> bool:
+        """Whether the rig was emulated: by its device's identity, or by a port of emulators."""
+        return is_emulated(uid=str(self.device.get("uid", "")), port=str(self.host.get("port", "")))
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""

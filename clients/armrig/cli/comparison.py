@@ -104,7 +104,11 @@ def compare(
         rows = [row_facts(row) for row in table.rows]
         print_json({"validation": compared.data.source, "models": rows})
     else:
+        from armrig.recordings.doubts import emulation
+
         _print_comparison(compared, table, verbose=verbose)
+        for text in emulation(recordings):
+            say(text)
         options = options_of(compared.data, calibration, start, stop)
         say_next("compare", file=typed(file), given=options)
 

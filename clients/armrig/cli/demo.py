@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from armrig.report.study import Assessed, Study
 
 _EMULATED = (
-    "The rig was emulated: its plant obeys the same equations as the physical model below, read "
+    "The emulated plant obeys the same equations as the physical model below, read "
     "through a 10-bit converter with noise and a dead band. That the two agree says that the chain "
     "from the converter to the model is right, and nothing of a real arm."
 )

@@ -14,6 +14,7 @@ import typer
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import for_the_report, free_name, say_next
 from armrig.cli.options import Json, print_json, say
+from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Omega
 
 if TYPE_CHECKING:
     from armrig.physics.integrators.accuracy import Sinusoid
@@ -42,8 +43,8 @@ _STATE = 2  # the speed, which shows more than an angle that runs away
 def integrate(
     method: Methods = None,
     h: Steps = None,
-    omega: Annotated[float, typer.Option("--omega", help="Of the input, in rad/s.")] = 10.0,
-    amplitude: Annotated[float, typer.Option("--amplitude", help="Of the input, in V.")] = 2.5,
+    omega: Omega = OMEGA,
+    amplitude: Amplitude = AMPLITUDE_V,
     span: Span = None,
     tolerance: Annotated[
         float, typer.Option("--tolerance", help="Largest error of a recommended step.")

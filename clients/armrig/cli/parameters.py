@@ -1,4 +1,4 @@
-"""The option that changes the rig's parameters: --set."""
+"""The options that change what is simulated: --set, --amplitude and --omega."""
 
 from __future__ import annotations
 
@@ -35,6 +35,10 @@ Given = Annotated[
         callback=_doubted,
     ),
 ]
+AMPLITUDE_V, OMEGA = 2.5, 10.0
+"""Sinusoid of part 4, in V and rad/s."""
+Amplitude = Annotated[float, typer.Option("--amplitude", help="Amplitude of the sinusoid, in V.")]
+Omega = Annotated[float, typer.Option("--omega", help="Frequency of the sinusoid, in rad/s.")]
 _FAR = 100.0
 """Times that a parameter differs from the handout's before it is doubted."""
 

@@ -72,6 +72,7 @@ def greybox(
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
     from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox as estimate
+    from armrig.recordings.doubts import emulation
 
     check_plot(plot, [file])
     fixed = parameters(given)
@@ -92,6 +93,8 @@ def greybox(
         say(repr(fit))
     else:
         say(repr(fit).partition("\n")[0])
+    for text in emulation([recording]):
+        say(text)
     options = options_of(data, calibration, start, stop)
     say_next("greybox", file=typed(file), given=options)
 

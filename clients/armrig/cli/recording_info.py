@@ -68,6 +68,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
     return {
         "sha256": rec.sha256,
         "manifest": rec.manifest,
+        "emulated": rec.manifest.emulated,
         "outcome": rec.outcome,
         "recovered": rec.recovered,
         "samples": int(rec.samples.size),
@@ -100,7 +101,8 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     yield "recording", str(rec.path)
     if verbose:
         yield "sha256", rec.sha256
-    yield "run", f"{manifest.run_id} of rig {manifest.rig}, {manifest.started}"
+    rig = f"rig {manifest.rig}{', emulated' if manifest.emulated else ''}"
+    yield "run", f"{manifest.run_id} of {rig}, {manifest.started}"
     if manifest.owner:
         yield "owner", _clipped(manifest.owner)
     yield (

@@ -1,11 +1,11 @@
-"""The command that writes recordings up: report."""
+"""The command that writes a report of recordings: report."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,9 +24,39 @@ from armrig.cli.options import (
     tell,
 )
 from armrig.cli.output_file import check_output
+from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Given, Omega, cases
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
+    from armrig.report.study import Orders
+
+
+Source = Annotated[
+    Path | None,
+    typer.Option(
+        "--source",
+        metavar="FOLDER",
+        help="New folder for the Typst source and its figures; --from compiles it again.",
+    ),
+]
+Edited = Annotated[
+    Path | None,
+    typer.Option(
+        "--from", metavar="FOLDER", help="Typeset the source in this folder; takes no recordings."
+    ),
+]
+Questions = Annotated[
+    Path | None,
+    typer.Option(
+        "--questions", metavar="TOML", help="Write the handout's questions to a new file, and end."
+    ),
+]
+AnswersFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--answers", metavar="TOML", help="Names, registration numbers and reasons (--handout)."
+    ),
+]
 
 
 def report(
@@ -51,45 +81,154 @@ def report(
             "--handout", help="A section for each assignment, at most ten pages; F… as there are."
         ),
     ] = False,
+    questions: Questions = None,
+    answers: AnswersFile = None,
+    given: Given = None,
+    amplitude: Amplitude = AMPLITUDE_V,
+    omega: Omega = OMEGA,
+    source: Source = None,
+    edited: Edited = None,
     json: Json = False,
 ) -> None:
     """Typeset a report.
 
-    The first recording that is no step estimates, the next validates. A report tells of whole runs:
-    it takes no --from and --to.
+    The first recording that is no step estimates, the next validates. A report is of whole runs:
+    its --from names a folder that --source wrote.
     """
     files = files or []
-    if not (files or handout):
-        msg = "give recordings to report on, such as those of `armrig collect blackbox "
-        msg += "--validation`; --handout needs none"
-        raise typer.BadParameter(msg)
+    if questions is not None:
+        _write_questions(questions)
+        return
+    _check_options(
+        files, handout, {"edited": edited, "source": source, "answers": answers, "set": given}
+    )
     check_output(output, files, suffix=".pdf")
     if output.exists() and not force:
         msg = f"-o {output}: is there already; --force overwrites it, or give another name"
         raise ValueError(msg)
-    if handout:
-        _report_handout(files, output, calibration, na=na, nb=nb, nf=nf, nk=nk, json=json)
-        return
-    from armrig.cli.recorded_data import loaded
-    from armrig.cli.spinner import estimating, spinner
-    from armrig.report.document import report as typeset
-    from armrig.report.study import Orders, study
+    recordings: list[Recording] = []
+    if edited is not None:
+        _typeset_source(edited, output)
+    else:
+        from armrig.report.study import Orders
 
-    recordings = loaded(files, calibration)
-    _tell_of_ignored(recordings)
-    with estimating("na, nb and nf"):
-        done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
-    remarks = []
-    if done.validation.digest == done.estimation.digest:
-        tell(SAME_DATA)
-        remarks.append(f"{SAME_DATA[0].upper()}{SAME_DATA[1:]}.")
-    with spinner("typesetting"):
-        typeset(done, output, remarks=remarks)
+        orders = Orders(na=na, nb=nb, nf=nf, nk=nk)
+        if handout:
+            recordings = _report_handout(
+                files,
+                output,
+                calibration,
+                answers,
+                source,
+                orders=orders,
+                cases=cases(given) if given else None,
+                amplitude=amplitude,
+                omega=omega,
+            )
+        else:
+            recordings = _report_study(files, output, calibration, orders, source)
     if json:
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
         echo(str(output))
         say_next("report", opener=opener(), file=quote(str(output)))
+
+
+def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:
+    """Refuse options that do not go together."""
+    if given["edited"] and (files or handout or given["source"]):
+        msg = f"--from {given['edited']}: takes no recordings, no --handout and no --source; the "
+        msg += "folder contains all that the report is made of"
+        raise typer.BadParameter(msg)
+    for name in ("answers", "set"):
+        if given[name] and not handout:
+            msg = f"--{name} is for the handout's report: add --handout"
+            raise typer.BadParameter(msg)
+    if not (files or handout or given["edited"]):
+        msg = "give recordings to report on, such as those of `armrig collect blackbox "
+        msg += "--validation`; --handout needs none"
+        raise typer.BadParameter(msg)
+
+
+def _write_questions(path: Path) -> None:
+    """Write a file with the handout's questions."""
+    from armrig.report.questions import questions_toml
+
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(questions_toml(quote(str(path))))
+    except FileExistsError:
+        msg = f"--questions {path}: is there already, and may contain answers; give another name"
+        raise ValueError(msg) from None
+    echo(str(path))
+
+
+def _typeset_source(folder: Path, output: Path) -> None:
+    """Typeset the source that a folder contains."""
+    from armrig.cli.spinner import spinner
+    from armrig.report.handout import TEMPLATE, check_length
+    from armrig.report.typesetting import compiled
+
+    sources = sorted(folder.glob("*.typ"))
+    if len(sources) != 1:
+        msg = f"--from {folder}: has {len(sources)} files *.typ: give a folder that `armrig report "
+        msg += "--source FOLDER` wrote"
+        raise ValueError(msg)
+    with spinner("typesetting"):
+        pdf, places = compiled(sources[0])
+    if sources[0].name == TEMPLATE:
+        check_length(places)
+    output.write_bytes(pdf)
+
+
+def _report_study(
+    files: Sequence[Path],
+    output: Path,
+    calibration: Path | None,
+    orders: Orders,
+    source: Path | None,
+) -> list[Recording]:
+    """Typeset a study of recordings."""
+    from armrig.cli.recorded_data import loaded
+    from armrig.cli.spinner import estimating, spinner
+    from armrig.report.document import report as typeset
+    from armrig.report.study import study
+
+    recordings = loaded(files, calibration)
+    _tell_of_ignored(recordings)
+    with estimating("na, nb and nf"):
+        done = study(recordings, orders=orders)
+    remarks = []
+    if done.validation.digest == done.estimation.digest:
+        tell(SAME_DATA)
+        remarks.append(f"{SAME_DATA[0].upper()}{SAME_DATA[1:]}.")
+    with spinner("typesetting"):
+        typeset(done, output, remarks=remarks, source=source)
+    return recordings
+
+
+def _report_handout(
+    files: Sequence[Path],
+    output: Path,
+    calibration: Path | None,
+    answers: Path | None,
+    source: Path | None,
+    **problem: Any,
+) -> list[Recording]:
+    """Typeset the handout's report from whatever there is."""
+    from armrig.cli.recorded_data import loaded
+    from armrig.cli.spinner import estimating, spinner
+    from armrig.report.answers import Answers, read_answers
+    from armrig.report.handout import handout_report
+    from armrig.report.handout_study import handout_study
+
+    said = Answers() if answers is None else read_answers(answers)
+    recordings = loaded(files, calibration, one_plant=False)
+    with estimating("na, nb and nf"):
+        done = handout_study(recordings, **problem)
+    with spinner("typesetting"):
+        handout_report(done, output, answers=said, source=source)
+    return recordings
 
 
 def _tell_of_ignored(recordings: Sequence[Recording]) -> None:
@@ -103,37 +242,3 @@ def _tell_of_ignored(recordings: Sequence[Recording]) -> None:
             f"{r.path.name} is listed in the report, and no model is estimated from it or judged "
             f"by it: {excited[0].path.name} estimates, {excited[1].path.name} validates"
         )
-
-
-def _report_handout(
-    files: Sequence[Path],
-    output: Path,
-    calibration: Path | None,
-    *,
-    na: int,
-    nb: int,
-    nf: int,
-    nk: int,
-    json: bool,
-) -> None:
-    """Typeset the handout's report from whatever there is."""
-    from armrig.cli.recorded_data import loaded
-    from armrig.cli.spinner import estimating, spinner
-    from armrig.report.handout import handout_report
-    from armrig.report.handout_study import handout_study
-    from armrig.report.study import Orders
-    from armrig.report.typesetting import ReportError
-
-    recordings = loaded(files, calibration, one_plant=False)
-    with estimating("na, nb and nf"):
-        done = handout_study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
-    try:
-        with spinner("typesetting"):
-            path = handout_report(done, output)
-    except ReportError as err:
-        raise ValueError(str(err)) from err
-    if json:
-        print_json({"report": str(path), "recordings": [r.sha256 for r in recordings]})
-    else:
-        echo(str(path))
-        say_next("report", opener=opener(), file=quote(str(path)))

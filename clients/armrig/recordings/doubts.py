@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.numerics.quantities import listed
+
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
@@ -32,6 +34,16 @@ def doubts(recording: Recording) -> list[str]:
             "reversed, or the motor's wires are; run `armrig calibrate`"
         )
     return found
+
+
+def emulation(recordings: Sequence[Recording]) -> list[str]:
+    """Return which recordings are of an emulated rig; nothing if none is."""
+    names = [r.path.name for r in recordings if r.manifest.emulated]
+    if not names:
+        return []
+    if len(names) == len(recordings):
+        return ["The rig was emulated: these are no measurements of a real rig."]
+    return [f"The rig was emulated in {listed(names)}: these are no measurements of a real rig."]
 
 
 def doubts_of_estimation(recording: Recording) -> list[str]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import shutil
-import tempfile
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from armrig.numerics.quantities import error, percent
+from armrig.recordings.doubts import emulation
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.data_facts import data_text, treatment
 from armrig.report.figures import DETAIL_S, write_figures
@@ -24,7 +24,7 @@ from armrig.report.model_facts import (
 )
 from armrig.report.recording_facts import disturbance_rows, facts, role, shared_facts, timing_rows
 from armrig.report.study import STEP, Study, kind_of
-from armrig.report.typesetting import recorded, typeset
+from armrig.report.typesetting import recorded, source_folder, typeset
 
 
 def report(
@@ -33,15 +33,18 @@ def report(
     *,
     remarks: Sequence[str] = (),
     figures: Path | None = None,
+    source: Path | None = None,
 ) -> Path:
     """Typeset a study as a PDF at `output`, and return the path.
 
     Parameters
     ----------
     remarks : sequence of str
-        Sentences that a reader must know beside the recordings' own, such as what was emulated.
+        Sentences that a reader must know, in addition to those of the recordings.
     figures : Path, optional
         Directory to leave the figures in, as SVG.
+    source : Path, optional
+        New folder for the report's Typst source, its values and its figures.
 
     The PDF's bytes follow from the study, the remarks and the versions of armrig, matplotlib and
     typst: no time of day enters.
@@ -49,16 +52,16 @@ def report(
     Raises
     ------
     ReportError
-        The compiler refuses, which is a fault of this module.
+        The compiler refuses, which is a fault of this module; or the folder of the source contains
+        files already.
     OSError
         The PDF cannot be written.
     """
     output = Path(output)
-    with tempfile.TemporaryDirectory(prefix="armrig-report-") as directory:
-        root = Path(directory)
+    with source_folder(source) as root:
         drawn = write_figures(study, root)
         made = recorded(study.recordings)
-        pdf, _ = typeset(root, "report.typ", content(study, remarks), made, "place")
+        pdf, _ = typeset(root, "report.typ", content(study, remarks), made)
         if figures is not None:
             for path in drawn:
                 shutil.copyfile(path, figures / path.name)
@@ -83,7 +86,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             for r in study.recordings
         ],
         "facts": facts(study),
-        "remarks": [*remarks, *truncated],
+        "remarks": [*emulation(study.recordings), *remarks, *truncated],
         "chain": shared_facts(study),
         "timing": [*timing_rows(study.timing), *disturbance_rows(study.disturbances)],
         "data": data_text(study),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -11,14 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from armrig.numerics.quantities import milliseconds
+from armrig.recordings.doubts import emulation
+from armrig.report.answers import Answers
 from armrig.report.conclusions import calibration_sentences
 from armrig.report.handout_figures import write_handout_figures
 from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
+from armrig.report.questions import QUESTIONS
 from armrig.report.section import Section
-from armrig.report.typesetting import ReportError, recorded, typeset
+from armrig.report.typesetting import ReportError, recorded, source_folder, typeset
 
+TEMPLATE = "handout.typ"
 MOST_PAGES = 10
 """Of the handout, its cover included (section 5)."""
 _NAMED = 3  # sections that are named where there are too many pages
@@ -28,22 +32,32 @@ class TooLongError(ReportError):
     """More pages than the handout allows; names the longest sections."""
 
 
-def handout_report(study: HandoutStudy, output: str | Path, *, remarks: Sequence[str] = ()) -> Path:
+def handout_report(
+    study: HandoutStudy,
+    output: str | Path,
+    *,
+    answers: Answers | None = None,
+    source: Path | None = None,
+) -> Path:
     """Typeset the handout's report at `output`, and return the path.
 
-    Each assignment from 2.1 to 4.4 has a section with the handout's number: first what was found,
-    then how, and a place for reasons of one's own. What no recording says is marked, with the
-    command that fills it. The cover has the handout's fields, as blanks.
+    Each assignment from 2.1 to 4.4 has a section with the handout's number: the result, the method,
+    and the student's reasons, or a blank for them. A section without a recording names the command
+    that makes one. The cover has the handout's fields.
 
     Parameters
     ----------
-    remarks : sequence of str
-        Sentences that a reader must know, such as what was emulated.
+    answers : Answers, optional
+        Names for the cover, and reasons.
+    source : Path, optional
+        New folder for the report's Typst source, its values and its figures.
 
     Raises
     ------
     TooLongError
-        There are more than `MOST_PAGES`.
+        There are more than `MOST_PAGES`; the source is written all the same.
+    ReportError
+        The folder of the source contains files already.
     OSError
         The PDF cannot be written.
     """
@@ -53,11 +67,10 @@ def handout_report(study: HandoutStudy, output: str | Path, *, remarks: Sequence
         *identification_sections(study),
         *numerical_sections(study),
     ]
-    with tempfile.TemporaryDirectory(prefix="armrig-handout-") as directory:
-        root = Path(directory)
+    with source_folder(source) as root:
         figures = write_handout_figures(study, root)
-        values = _values(study, sections, figures, remarks)
-        pdf, places = typeset(root, "handout.typ", values, recorded(study.recordings), "place")
+        values = _values(study, sections, figures, answers or Answers())
+        pdf, places = typeset(root, TEMPLATE, values, recorded(study.recordings))
     check_length(places)
     output.write_bytes(pdf)
     return output
@@ -67,14 +80,21 @@ def _values(
     study: HandoutStudy,
     sections: Sequence[Section],
     figures: frozenset[str],
-    remarks: Sequence[str],
+    answers: Answers,
 ) -> dict[str, Any]:
     """Return what the template says, as text: see handout.typ."""
     return {
         "version": version("armrig"),
         "sections": [
-            asdict(s) | {"figure": s.figure if s.figure in figures else ""} for s in sections
+            asdict(s)
+            | asdict(QUESTIONS[s.number])
+            | {
+                "figure": s.figure if s.figure in figures else "",
+                "reasons": _paragraphs(answers.reasons.get(s.number, "")),
+            }
+            for s in sections
         ],
+        "students": [asdict(student) for student in answers.students],
         "recordings": [
             (
                 r.path.name,
@@ -84,8 +104,16 @@ def _values(
             )
             for r in study.recordings
         ],
-        "remarks": [*remarks, *calibration_sentences(study.recordings)],
+        "remarks": [
+            *emulation(study.recordings),
+            *calibration_sentences(study.recordings),
+        ],
     }
+
+
+def _paragraphs(text: str) -> list[str]:
+    """Return the paragraphs of a text, each in one line; an empty line begins a paragraph."""
+    return [" ".join(part.split()) for part in re.split(r"\n\s*\n", text) if part.strip()]
 
 
 def check_length(places: Sequence[tuple[str, float]]) -> None:
@@ -106,5 +134,5 @@ def check_length(places: Sequence[tuple[str, float]]) -> None:
     msg = (
         f"the report has {pages} pages, and the handout allows {MOST_PAGES}; the longest sections "
     )
-    msg += f"are {named}: give fewer recordings, or models of lower order (--na, --nb, --nf)"
+    msg += f"are {named}: shorten your reasons, or give models of lower order (--na, --nb, --nf)"
     raise TooLongError(msg)

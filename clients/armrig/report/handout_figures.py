@@ -17,7 +17,6 @@ from armrig.physics.integrators.accuracy import convergence
 from armrig.physics.systems import ArmParameters
 from armrig.report.figures import STYLE, WIDTH
 from armrig.report.handout_study import METHODS, HandoutStudy
-from armrig.report.physical_sections import changed
 
 _LOWER, _HEIGHT = 1.35, 1.55
 _HIGHER = 1.95
@@ -48,11 +47,10 @@ def write_handout_figures(study: HandoutStudy, directory: Path) -> frozenset[str
 def _drawn(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
     """Return height and panels of each figure."""
     A, _, _ = arm_matrices(ArmParameters())
-    cases = {name.replace("J₁", "J_1"): p for name, p in changed(study.parameters).items()}
     studies = [convergence(study.problem, m) for m in METHODS.values()]
     found: dict[str, tuple[float, list[Draw]]] = {
         "rig": (_LOWER, [lambda ax: plots.plot_rig(ax=ax)]),
-        "step": (_HEIGHT, [lambda ax: plots.plot_physical_step(cases, ax=ax)]),
+        "step": (_HEIGHT, [lambda ax: plots.plot_physical_step(study.cases, ax=ax)]),
         "integrators": (
             2.4,
             [

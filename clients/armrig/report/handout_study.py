@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from armrig_core.arm import ArmParameters, arm_matrices
@@ -16,7 +16,7 @@ from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy, split_study
 from armrig.physics.integrators.accuracy import Sinusoid, sinusoid
 from armrig.physics.integrators.step_choice import Recommendation, recommend_step
-from armrig.physics.systems import chassis
+from armrig.physics.systems import HANDOUT, chassis
 from armrig.recordings.recording import Recording
 from armrig.report.study import STAIRCASE, STEP, Orders, Study, kind_of, study
 from armrig.validation.feedback_and_delay.delay import delay
@@ -42,6 +42,8 @@ class HandoutStudy:
     """All that were given, in their order."""
     parameters: ArmParameters
     """The handout's own."""
+    cases: dict[str, ArmParameters]
+    """Parameters that assignment 2.3 compares, the handout's first, by what was changed."""
     problem: Sinusoid
     """The arm with a sinusoid, for the numerical integration."""
     steps: Recommendation
@@ -62,7 +64,12 @@ class HandoutStudy:
 
 
 def handout_study(
-    recordings: Sequence[Recording] = (), *, orders: Orders | None = None
+    recordings: Sequence[Recording] = (),
+    *,
+    orders: Orders | None = None,
+    cases: dict[str, ArmParameters] | None = None,
+    amplitude: float = AMPLITUDE_V,
+    omega: float = OMEGA,
 ) -> HandoutStudy:
     """Answer what the recordings can answer; the physics and the integrators need none.
 
@@ -73,6 +80,11 @@ def handout_study(
         first of the chassis alone are used.
     orders : Orders, optional
         Of the black-box models.
+    cases : dict of str to ArmParameters, optional
+        Parameters that assignment 2.3 compares, the handout's first, by what was changed; J_1 and
+        K_lin doubled by default.
+    amplitude, omega : float
+        Sinusoid of assignments 4.1 to 4.4, in V and rad/s.
     """
     p = ArmParameters()
     A, B, _ = arm_matrices(p)
@@ -93,12 +105,13 @@ def handout_study(
     return HandoutStudy(
         recordings=tuple(recordings),
         parameters=p,
-        problem=sinusoid(A, B, amplitude=AMPLITUDE_V, omega=OMEGA),
+        cases=cases or _doubled(p),
+        problem=sinusoid(A, B, amplitude=amplitude, omega=omega),
         steps=recommend_step(
             A,
             B,
-            omega=OMEGA,
-            amplitude=AMPLITUDE_V,
+            omega=omega,
+            amplitude=amplitude,
             tolerance=TOLERANCE,
             methods=tuple(METHODS.values()),
         ),
@@ -113,6 +126,15 @@ def handout_study(
         delay=tried("delay", lambda: delay(data)) if data else None,
         refused=refused,
     )
+
+
+def _doubled(p: ArmParameters) -> dict[str, ArmParameters]:
+    """Return the handout's parameters, and two of them doubled, each alone."""
+    return {
+        HANDOUT: p,
+        "J_1 doubled": replace(p, J_1=2 * p.J_1),
+        "K_lin doubled": replace(p, K_lin=2 * p.K_lin),
+    }
 
 
 def _first(recordings: Sequence[Recording], kind: str) -> Dataset | None:

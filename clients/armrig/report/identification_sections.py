@@ -43,19 +43,19 @@ def identification_sections(study: HandoutStudy) -> list[Section]:
     ]
 
 
-def _lacking(study: HandoutStudy, number_: str, title: str, name: str, command: str) -> Section:
+def _lacking(study: HandoutStudy, number_: str, name: str, command: str) -> Section:
     """Return a section without a result."""
     refused = study.refused.get(name, "")
     lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
     if command == _GREYBOX:
         lack += " For it the rotating part is taken off (handout, figure 6)."
-    return Section(number=number_, title=title, lack=lack, fill=command)
+    return Section(number=number_, lack=lack, fill=command)
 
 
 def _sampling(study: HandoutStudy) -> Section:
-    found, title = study.sampling, "Sampling time"
+    found = study.sampling
     if found is None:
-        return _lacking(study, "3.1", title, "sampling", _STEP)
+        return _lacking(study, "3.1", "sampling", _STEP)
     low, high = found.Ts_transient
     measured = f"the time to 63 % is {milliseconds(round(found.tau, 5))}"
     if study.step is not None:
@@ -64,7 +64,6 @@ def _sampling(study: HandoutStudy) -> Section:
     how = "a step response" if found.from_step else "an impulse response, no step being recorded"
     return Section(
         number="3.1",
-        title=title,
         answer=(
             f"A sampling time of {milliseconds(found.Ts)}. From {how}, {measured}: ω_s = 20/τ "
             f"gives {number(1e3 * found.Ts_step)} ms. By the spectrum, −3 dB at "
@@ -75,14 +74,13 @@ def _sampling(study: HandoutStudy) -> Section:
         figure="sampling",
         caption="Left: rate of θ₁ after a step, over its final value, at the recommended instants. "
         "Right: frequency response and the power of the output.",
-        reasons="the method that you chose, and the sampling time that you used",
     )
 
 
 def _hints(study: HandoutStudy) -> Section:
-    found, title = study.hints, "Choice of parametrisation"
+    found = study.hints
     if found is None:
-        return _lacking(study, "3.2", title, "hints", _BLACKBOX)
+        return _lacking(study, "3.2", "hints", _BLACKBOX)
     integrator = "one of them an integrator, " if found.integrator else ""
     shown = ", ".join(f"{v:.2g}" for v in found.singular_values[:5])
     peaks, dips = (
@@ -95,7 +93,6 @@ def _hints(study: HandoutStudy) -> Section:
         slope += f"{found.low_slope_std:.1f} dB a decade, by 20 with an integrator. "
     return Section(
         number="3.2",
-        title=title,
         answer=(
             f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}; output "
             "error, because the noise is the potentiometer's.",
@@ -106,14 +103,13 @@ def _hints(study: HandoutStudy) -> Section:
         ),
         figure="structure",
         caption="Spectral analysis with slopes, resonances and the Hankel singular values.",
-        reasons="the structure and orders that you take, and what speaks for them",
     )
 
 
 def _black_box(study: HandoutStudy) -> Section:
-    black, title = study.black, "Black box"
+    black = study.black
     if black is None:
-        return _lacking(study, "3.3", title, "black", _BLACKBOX)
+        return _lacking(study, "3.3", "black", _BLACKBOX)
     best, rows = black.best, []
     for m in black.estimated:
         fit = m.fit
@@ -137,7 +133,6 @@ def _black_box(study: HandoutStudy) -> Section:
     halves = " (the second half of the one recording)" if black.halves else ""
     return Section(
         number="3.3",
-        title=title,
         answer=(
             f"The {best.name} model: simulated on data that it has not seen{halves} it is off by "
             f"{error(best.comparison.rms_error, black.validation.unit)} rms. It is estimated from "
@@ -151,14 +146,13 @@ def _black_box(study: HandoutStudy) -> Section:
         figure="residuals",
         caption=f"Residuals of the {best.name} model on validation data, with 99 % bands: "
         "correlation with themselves (left) and with the input.",
-        reasons="the model that you choose, and those that you tried (`armrig identify --search`)",
     )
 
 
 def _comparison(study: HandoutStudy) -> Section:
-    black, title = study.black, "Against the physics"
+    black = study.black
     if black is None:
-        return _lacking(study, "3.4", title, "black", _BLACKBOX)
+        return _lacking(study, "3.4", "black", _BLACKBOX)
     rows = []
     for m in black.models:
         c, found = m.comparison, m.comparison.characteristics
@@ -181,7 +175,6 @@ def _comparison(study: HandoutStudy) -> Section:
     best = min(black.models, key=lambda m: m.comparison.rms_error)
     return Section(
         number="3.4",
-        title=title,
         answer=(
             f"On the validation data {best.name} is closest, with an rms error of "
             f"{error(best.comparison.rms_error, black.validation.unit)}. {_difference(black)}",
@@ -202,7 +195,6 @@ def _comparison(study: HandoutStudy) -> Section:
         figure="compare",
         caption="Validation data and models, less the ramp of the mean speed; below, less the "
         "best model.",
-        reasons="which model is best, for what; differences and similarities",
     )
 
 
@@ -225,9 +217,9 @@ def _difference(black: Study) -> str:
 
 
 def _grey_box(study: HandoutStudy) -> Section:
-    found, title = study.grey, "Grey box: the inertia J"
+    found = study.grey
     if found is None:
-        return _lacking(study, "3.5", title, "grey", _GREYBOX)
+        return _lacking(study, "3.5", "grey", _GREYBOX)
     J, std = found.values["J_1"], found.std["J_1"]
     handout = study.parameters.J_1
     influence = found.influence.get("J_1", {})
@@ -235,7 +227,6 @@ def _grey_box(study: HandoutStudy) -> Section:
     fixed_ones = f" It moves with what was held fixed, for 1 % each: {moved}." if moved else ""
     return Section(
         number="3.5",
-        title=title,
         answer=(
             f"J = {scaled(J, std, 'kg m²')} (one standard deviation), "
             f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's J₁.",
@@ -245,14 +236,13 @@ def _grey_box(study: HandoutStudy) -> Section:
         figure="greybox",
         caption="Measured and simulated angle of the chassis alone, less the ramp of its mean "
         "speed, and the error.",
-        reasons="what you held fixed, and whether friction may be neglected",
     )
 
 
 def _split(study: HandoutStudy) -> Section:
-    found, title = study.split, "Covariance and the length of the data"
+    found = study.split
     if found is None:
-        return _lacking(study, "3.6", title, "split", _GREYBOX)
+        return _lacking(study, "3.6", "split", _GREYBOX)
     rows = tuple(
         (
             plural(s.k, "part"),
@@ -264,7 +254,6 @@ def _split(study: HandoutStudy) -> Section:
     first, last = found.splits[0], found.splits[-1]
     return Section(
         number="3.6",
-        title=title,
         answer=(
             f"From the whole to {plural(last.k, 'part')} the variance of J grows by a factor of "
             f"{found.std_growth**2:.2f}; with 1/N it would grow by "
@@ -275,21 +264,19 @@ def _split(study: HandoutStudy) -> Section:
         table=Table(header=("", "samples each", "J [kg m²]"), rows=rows),
         figure="split",
         caption="Left: each estimate with ±2 σ; band: all of them together. Right: σ against N.",
-        reasons="the trend, and how you explain it",
     )
 
 
 def _loop(study: HandoutStudy) -> Section:
-    found, title = study.loop, "Open loop"
+    found = study.loop
     if found is None:
-        return _lacking(study, "3.7", title, "loop", _BLACKBOX)
+        return _lacking(study, "3.7", "loop", _BLACKBOX)
     if found.sims is None:
-        return Section(number="3.7", title=title, lack=found.explain(), fill=_BLACKBOX)
+        return Section(number="3.7", lack=found.explain(), fill=_BLACKBOX)
     s = found.sims
     verdict = "the data show FEEDBACK" if found.feedback else "nothing speaks against open loop"
     return Section(
         number="3.7",
-        title=title,
         answer=(
             f"p {p_relation(found.p_value)} in Sims' F-test (F = {s.F:.3g} with {s.q} and "
             f"{s.degrees} degrees of freedom): {verdict}.",
@@ -298,14 +285,13 @@ def _loop(study: HandoutStudy) -> Section:
         ),
         figure="loop",
         caption="Coefficients of u in the regression of θ₁(t), with the 99 % band.",
-        reasons="what in the input and output data you infer it from",
     )
 
 
 def _delay(study: HandoutStudy) -> Section:
-    found, title = study.delay, "No input delay"
+    found = study.delay
     if found is None:
-        return _lacking(study, "3.8", title, "delay", _BLACKBOX)
+        return _lacking(study, "3.8", "delay", _BLACKBOX)
     samples = "no delay" if found.delay <= 0 else f"a delay of {plural(found.delay, 'sample')}"
     g, std = found.response.decaying
     lags = range(min(found.nk + 2, g.size))
@@ -313,7 +299,6 @@ def _delay(study: HandoutStudy) -> Section:
     ps = listed([f"p {p_relation(p)} up to lag {k}" for k, p in found.p_values.items()])
     return Section(
         number="3.8",
-        title=title,
         answer=(
             f"{found.nk_range}, {samples}: u acts one sample later, as behind a zero-order hold.",
             f"The first coefficients of u in an ARX model, tested together: {ps}. The impulse "
@@ -321,5 +306,4 @@ def _delay(study: HandoutStudy) -> Section:
         ),
         figure="delay",
         caption="Impulse response (left) and the loss by nk.",
-        reasons="what in the input and output data you infer it from",
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import isfinite
 from typing import Any
 
@@ -11,37 +10,24 @@ import numpy as np
 from armrig_core.arm import ArmParameters, arm_matrices
 from numpy.typing import NDArray
 
-from armrig.numerics.quantities import minus, number, power
-from armrig.physics.integrators.methods import METHODS as INTEGRATORS
+from armrig.numerics.quantities import listed, minus, number, power
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.step_response import Characteristics, characteristics, step_response
-from armrig.report.handout_study import AMPLITUDE_V, METHODS, OMEGA, HandoutStudy
+from armrig.report.handout_study import METHODS, HandoutStudy
 from armrig.report.section import Section, Table
-
-_FACTOR = 2.0  # by which assignment 2.3 changes two parameters
-
-
-def changed(p: ArmParameters) -> dict[str, ArmParameters]:
-    """Return the parameters of assignments 2.2 and 2.3: the handout's, and two changed."""
-    return {
-        "handout": p,
-        "J₁ doubled": replace(p, J_1=_FACTOR * p.J_1),
-        "K_lin doubled": replace(p, K_lin=_FACTOR * p.K_lin),
-    }
 
 
 def physical_sections(study: HandoutStudy) -> list[Section]:
     """Return 2.1 to 2.3."""
     p = study.parameters
     found = characteristics(p)
-    return [_model(p), _step(found), _other_parameters(p)]
+    return [_model(p), _step(found), _other_parameters(study.cases)]
 
 
 def _model(p: ArmParameters) -> Section:
     A, B, _ = arm_matrices(p)
     return Section(
         number="2.1",
-        title="Mathematical model",
         answer=(
             "With the states x = (θ₁, α, θ₁′, α′) and the motor's voltage u the rig is linear, "
             "x′ = A x + B u. With k = N K_m and the handout's values:",
@@ -58,7 +44,6 @@ def _model(p: ArmParameters) -> Section:
         ),
         figure="rig",
         caption="Parts of the rig, and the quantities between them.",
-        reasons="the three phases in your own words; why the simplifications are allowed",
     )
 
 
@@ -67,12 +52,15 @@ def _matrix(M: NDArray[Any]) -> str:
     return f"mat({rows})"
 
 
+_SAME = 5e-4
+"""Relative change that three digits do not show."""
+
+
 def _step(found: Characteristics) -> Section:
     w = max(found.poles, key=lambda z: z.imag)
     settled = float(step_response(found.parameters, np.linspace(0.0, 2.0, 2001))[-1])
     return Section(
         number="2.2",
-        title="Step response",
         answer=(
             f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s; the model "
             f"says 1/(N K_m) = {found.steady_speed:.4f} rad/(s V). The slope at t = 0 is "
@@ -89,7 +77,6 @@ def _step(found: Characteristics) -> Section:
         figure="step",
         caption="Speed of the chassis after a step of 1 V: the handout's parameters, and two of "
         "them changed (2.3). Grey: steady speed and slope at 0.",
-        reasons="the slope at time 0, in your own words; your Simulink model",
     )
 
 
@@ -97,29 +84,51 @@ def _pole(z: complex) -> str:
     return minus(f"{z.real:.2f}") + f" ± {abs(z.imag):.2f}i"
 
 
-def _other_parameters(p: ArmParameters) -> Section:
-    rows = []
-    for name, q in changed(p).items():
-        found = characteristics(q)
-        pole = max(found.poles, key=lambda z: z.imag)
-        steady, slope = f"{found.steady_speed:.4f}", f"{found.initial_slope:.2f}"
-        rows.append((name, steady, slope, _pole(pole)))
+def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
+    found = {name: characteristics(p) for name, p in cases.items()}
+    first, *changed = found.values()
+    effects = "; ".join(
+        f"{name} {_effect(after, first)}" for name, after in zip([*found][1:], changed, strict=True)
+    )
     return Section(
         number="2.3",
-        title="Two parameters changed",
         answer=(
-            "J₁ doubled halves the slope and leaves the steady speed; K_lin doubled leaves both "
-            "and makes the arm swing faster.",
-            "The steady speed 1/(N K_m) has neither inertia nor spring in it. The slope has J₁, "
-            "and not K_lin, which acts only once the spring is wound. With a stiffer spring the "
-            "swing dies out sooner, with a heavier chassis later: see the poles' real parts.",
+            f"{effects[0].upper()}{effects[1:]}.",
+            "The steady speed is 1/(N K_m) without friction: inertias, spring and R_m do not enter "
+            "it. The slope at t = 0 is N K_m/(R_m J₁): J₂ and K_lin do not enter it, since the "
+            "spring is not yet wound. All parameters move the poles: a larger |Re s| lets the "
+            "swing die out sooner.",
         ),
         table=Table(
             header=("parameters", "steady speed [rad/(s V)]", "slope [rad/(s² V)]", "poles [1/s]"),
-            rows=tuple(rows),
+            rows=tuple(
+                (
+                    name,
+                    f"{c.steady_speed:.4f}",
+                    f"{c.initial_slope:.2f}",
+                    _pole(max(c.poles, key=lambda z: z.imag)),
+                )
+                for name, c in found.items()
+            ),
         ),
-        reasons="why these two parameters; what else you tried (`armrig model --set J_1=…`)",
     )
+
+
+def _effect(after: Characteristics, before: Characteristics) -> str:
+    """Return what a change of the parameters does to the step response."""
+    ratios = {
+        "steady speed": after.steady_speed / before.steady_speed,
+        "slope": after.initial_slope / before.initial_slope,
+    }
+    moved = [
+        f"multiplies the {name} by {r:.3g}" for name, r in ratios.items() if abs(r - 1) > _SAME
+    ]
+    kept = [f"the {name}" for name, r in ratios.items() if abs(r - 1) <= _SAME]
+    swing, was = (abs(complex(max(c.poles, key=lambda z: z.imag))) for c in (after, before))
+    if kept:
+        moved.append(f"does not change {' or '.join(kept)}")
+    faster = f"moves the swing from {was:.1f} to {swing:.1f} rad/s"
+    return listed([*moved, faster])
 
 
 _WORDS = {
@@ -150,11 +159,10 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
     first = number_ == "4.1"
     return Section(
         number=number_,
-        title=INTEGRATORS[name].name[0].upper() + INTEGRATORS[name].name[1:],
         answer=(
             f"{edge}; {number(1e3 * advice.h)} ms keeps the error below "
             f"{100 * study.steps.tolerance:g} % ({advice.steps} steps over {problem.span:.3g} s, "
-            f"u = {AMPLITUDE_V:g} sin({OMEGA:g} t) V, against the exact solution).",
+            f"u = {problem.amplitude:g} sin({problem.omega:g} t) V, against the exact solution).",
             _WORDS[name],
         ),
         table=_errors(study, name, _steps(advice.h, limit)),
@@ -163,7 +171,6 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
         "error against step, with the observed orders."
         if first
         else "The speed by each method at h = 20 ms, and the errors.",
-        reasons="your choice of the step, and what varying it shows",
     )
 
 

@@ -21,8 +21,6 @@ class Section:
 
     number: str
     """The handout's, such as 3.5."""
-    title: str
-    """What is asked for, in a few words."""
     answer: tuple[str, ...] = ()
     """Paragraphs; the first has the numbers."""
     formula: str = ""
@@ -33,8 +31,6 @@ class Section:
     """Name of the figure, or none."""
     caption: str = ""
     """Of the figure."""
-    reasons: str = ""
-    """What the student has to give reasons for."""
     fill: str = ""
     """Command that makes what the section lacks; without an answer only."""
     lack: str = ""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+import re
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -14,6 +17,8 @@ import typst
 
 from armrig.recordings.recording import Recording
 
+Places = list[tuple[str, float]]
+"""Begin of each section: page, from 1, and the share of the page above it."""
 _NEVER = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -39,20 +44,18 @@ def _started(recording: Recording) -> datetime:
 
 
 def typeset(
-    root: Path, template: str, values: Mapping[str, Any], made: datetime, label: str
-) -> tuple[bytes, list[tuple[str, float]]]:
+    root: Path, template: str, values: Mapping[str, Any], made: datetime
+) -> tuple[bytes, Places]:
     """Return the PDF of a template of this package, and where its sections begin.
 
     Parameters
     ----------
     root : Path
-        Where the figures lie.
+        Folder of the figures; the template and data.json are written into it.
     values : mapping of str to anything
-        What the template reads from data.json.
+        Values that the template reads from data.json.
     made : datetime
-        The document's date.
-    label : str
-        Of the template's metadata that say where sections begin: pairs of name and page.
+        Date of the document.
 
     Raises
     ------
@@ -60,23 +63,62 @@ def typeset(
         The compiler refuses, which is a fault of this package.
     """
     made_on = [made.year, made.month, made.day]  # without it typst takes the time of day
-    data = json.dumps({**values, "made_on": made_on})
+    data = json.dumps({**values, "made_on": made_on}, indent=1, ensure_ascii=False)
     (root / "data.json").write_text(data, encoding="utf-8")
     text = resources.files("armrig.report").joinpath(template).read_text(encoding="utf-8")
     (root / template).write_text(text, encoding="utf-8")
+    return compiled(root / template)
+
+
+@contextmanager
+def source_folder(folder: Path | None) -> Iterator[Path]:
+    """Give the folder in which a report is made: one that stays, or one that is removed after.
+
+    Raises
+    ------
+    ReportError
+        The folder contains something, or cannot be made.
+    """
+    if folder is None:
+        with tempfile.TemporaryDirectory(prefix="armrig-report-") as directory:
+            yield Path(directory)
+        return
+    try:
+        folder.mkdir(exist_ok=True)
+        if any(folder.iterdir()):
+            msg = f"{folder}: contains files already; name a new folder"
+            raise ReportError(msg)
+    except OSError as err:
+        msg = f"{folder}: {err.strerror}; name a new folder in a folder that you can write to"
+        raise ReportError(msg) from err
+    yield folder
+
+
+def compiled(source: Path) -> tuple[bytes, Places]:
+    """Return the PDF of a Typst file, and where its sections begin.
+
+    The compiler reads files in the folder of the source alone.
+
+    Raises
+    ------
+    ReportError
+        The compiler refuses.
+    """
     fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
     try:
         compiler = typst.Compiler(
-            str(root / template),
-            root=str(root),
+            str(source),
+            root=str(source.parent),
             font_paths=[str(fonts)],
             ignore_system_fonts=True,
         )
         pdf = compiler.compile()
         if not isinstance(pdf, bytes):  # never: a list is of pictures, None of a file
-            raise ReportError(template)
-        places = json.loads(compiler.query(f"<{label}>", field="value"))
+            raise ReportError(source.name)
+        places = json.loads(compiler.query("<place>", field="value"))
     except RuntimeError as err:
-        msg = f"the report cannot be typeset: {err}"
+        line = re.search(r":(\d+):\d+\n", str(getattr(err, "diagnostic", "")))
+        at = f"{source}, line {line[1]}" if line else str(source)
+        msg = f"{at}: the report cannot be typeset: {err}"
         raise ReportError(msg) from err
     return pdf, [(str(name), float(page)) for name, page in places]

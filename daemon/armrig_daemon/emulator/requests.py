@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from armrig_core.emulated import EMULATOR_UID
 from armrig_protocol.decoder import Received
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import (
@@ -40,7 +41,6 @@ from armrig_daemon.emulator.clock import U32
 from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Firmware, PendingSample
 from armrig_daemon.emulator.setpoints import setpoints
 
-UID = int.from_bytes(b"emulator", "little")
 _RUN, _NONE = State.RUN, Cause.NONE
 NO_IMAGE = 0  # an emulator has no image to take a CRC of
 CAPABILITIES = int(
@@ -122,7 +122,7 @@ def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
         UNNUMBERED,
         version=VERSION,
         schema=SCHEMA_HASH,
-        uid=UID,
+        uid=EMULATOR_UID,
         boot_id=fw.boot_id,
         firmware=NO_IMAGE,
         token=fw.token,

@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 from armrig_core.commands import Run
+from armrig_core.emulated import VIRTUAL_PORT
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.telemetry import decode_sample
 from msgspec.structs import replace
@@ -63,7 +64,7 @@ class VirtualService:
         """Switch the rig on; `seed` is the device's and that of the runs' names and times."""
         emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
         # Where it is recorded, and behind which port, is the host's: the same rig is the same file.
-        device = replace(config.device, port="emulated")
+        device = replace(config.device, port=VIRTUAL_PORT)
         self._config = replace(config, device=device, emulator=emulator, recording=Recording())
         self._began = BEGINNING + timedelta(seconds=seed % _SEEDS)
         self._offset_ns = int(self._began.timestamp()) * 1_000_000_000

@@ -105,3 +105,53 @@ def test_an_input_is_known_by_another_name(
 
     assert f"{other}: is one of the files to read, which would be lost" in told(capsys)
     assert data.read_bytes() == before
+
+
+def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Questions, answers, source, and the source again: each command from the one before."""
+    monkeypatch.chdir(tmp_path)
+    report = ["report", "--handout"]
+
+    assert main([*report, "--questions", "reasons.toml"]) == 0
+    questions = Path("reasons.toml")
+    questions.write_text(questions.read_text().replace('name = ""', 'name = "Ada"', 1))
+    assert main([*report, "--answers", "reasons.toml", "--source", "source"]) == 0
+    assert main(["report", "--from", "source", "-o", "again.pdf", "--json"]) == 0
+
+    assert capsys.readouterr().out.startswith("reasons.toml\nreport.pdf\n{")
+    assert Path("again.pdf").read_bytes() == Path("report.pdf").read_bytes()
+    assert json.loads(Path("source/data.json").read_text())["students"][0]["name"] == "Ada"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--handout", "--questions", "mine.toml"], "--questions mine.toml: is there already, and"),
+        (
+            ["--from", "."],
+            r"--from .: has 0 files \*.typ: give a folder that `armrig report --sour",
+        ),
+        (["--from", ".", "--handout"], "--from .: takes no recordings, no --handout and no --sour"),
+        (["x.mcap", "--answers", "a.toml"], "--answers is for the handout's report: add --handout"),
+        (["x.mcap", "--set", "J_1=0.002"], "--set is for the handout's report: add --handout"),
+        (["--handout", "--answers", "mine.toml"], 'mine.toml: unknown key "mine"; known are stude'),
+    ],
+)
+def test_options_of_the_report_that_do_not_go_together_are_refused(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In a line, before any work; a file that is there stays as it is."""
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text("mine = 1\n")
+
+    assert main(["report", *arguments]) != 0
+
+    assert re.search(message, told(capsys))
+    assert Path("mine.toml").read_text() == "mine = 1\n"
+    assert not Path("report.pdf").exists()

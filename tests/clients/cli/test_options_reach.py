@@ -21,6 +21,7 @@ from armrig.cli import main
 from armrig.cli.rig import _sample_line
 from armrig.report.study import Orders
 from armrig.rig.live_gaps import LiveGap
+from armrig_core.arm import ArmParameters
 from made_recordings import of_the_arm, sample, written
 from told import told
 
@@ -238,10 +239,14 @@ def test_the_chassis_may_stand_beside_the_whole_rig_in_a_handout_alone(
     for kind in ("blackbox", "greybox"):
         written(tmp_path, of_the_arm(u, experiment=kind), f"{kind}.mcap")
 
-    orders = ["--na", "2", "--nb", "3", "--nf", "5", "--nk", "6", *["--handout"] * handout]
-    assert main(["report", *orders, "blackbox.mcap", "greybox.mcap"]) == 1
+    orders = ["--na", "2", "--nb", "3", "--nf", "5", "--nk", "6"]
+    of_the_handout = ["--handout", "--set", "J_2=0.006", "--omega", "3", "--amplitude", "1"]
+    options = [*orders, *(of_the_handout if handout else ())]
+    assert main(["report", *options, "blackbox.mcap", "greybox.mcap"]) == 1
 
-    assert calls[0][-1] == {"orders": Orders(na=2, nb=3, nf=5, nk=6)}
+    cases = {"handout": ArmParameters(), "J_2=0.006": ArmParameters(J_2=0.006)}
+    more = {"cases": cases, "amplitude": 1.0, "omega": 3.0} if handout else {}
+    assert calls[0][-1] == {"orders": Orders(na=2, nb=3, nf=5, nk=6), **more}
     assert ("are two plants" in told(capsys)) is not handout
 
 

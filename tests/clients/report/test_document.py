@@ -52,7 +52,7 @@ def typeset_with_figures(study: Study, folder: Path) -> tuple[bytes, Path]:
 def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, made: tuple[bytes, Path]) -> None:
     """Typeset without a network, with its fonts inside; here with the figures of three models."""
     date = recorded_at(done.recordings)
-    pdf, _ = typeset(made[1], "report.typ", content(done, []), date, "place")
+    pdf, _ = typeset(made[1], "report.typ", content(done, []), date)
 
     assert pdf.startswith(b"%PDF-")
     pages = re.search(rb"/Type/Pages/Count (\d+)", pdf)
@@ -141,7 +141,7 @@ def test_nothing_done_is_told_as_such(
     claims = ["no mean and no trend" in content(s, [])["data"] for s in (done, halved, treated)]
     assert claims == [True, True, False]
     date = recorded_at(treated.recordings)
-    pdf, _ = typeset(made[1], "report.typ", content(treated, []), date, "place")
+    pdf, _ = typeset(made[1], "report.typ", content(treated, []), date)
     assert pdf.startswith(b"%PDF-")
 
 

@@ -1,0 +1,106 @@
+"""What students add to the handout's report: their names, and their reasons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.printable import printable
+from armrig_core.toml_file import TomlError, read_toml
+
+from armrig.report.questions import QUESTIONS
+
+MAX_STUDENTS: Final = 2
+"""As many as the handout's cover has lines for."""
+MAX_NAME, MAX_REASONS = 80, 4000
+"""In characters; ten pages hold no more."""
+_KEYS: Final = ("name", "registration_number")
+
+
+class AnswersError(ValueError):
+    """A file of answers that is refused; says what is wrong and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Student:
+    """Who hands the report in."""
+
+    name: str = ""
+    registration_number: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answers:
+    """Names on the cover, and a text for each assignment."""
+
+    students: tuple[Student, ...] = ()
+    reasons: dict[str, str] = field(default_factory=dict)
+    """By the handout's number of the assignment; what is not answered is left out."""
+
+
+def read_answers(path: Path) -> Answers:
+    """Return the answers in a file, as `armrig report --handout --questions` begins it.
+
+    Raises
+    ------
+    AnswersError
+        The file cannot be read, has an unknown key, or a value is no text or too long.
+    """
+    try:
+        tables = read_toml(path, CONFIGURATION_LIMIT)
+    except FileNotFoundError as err:
+        msg = f"{path}: there is no such file; `armrig report --handout --questions {path}` "
+        raise AnswersError(f"{msg}writes one") from err
+    except (TomlError, OSError) as err:
+        why = getattr(err, "strerror", None) or err
+        raise AnswersError(f"{path}: {why}") from err
+    try:
+        return _answers(tables)
+    except AnswersError as err:
+        raise AnswersError(f"{path}: {err}") from err
+
+
+def _answers(tables: dict[str, Any]) -> Answers:
+    _check_keys(tables, ("students", "reasons"), "")
+    students, reasons = tables.get("students", []), tables.get("reasons", {})
+    if not isinstance(students, list) or not all(isinstance(s, dict) for s in students):
+        raise AnswersError("students: give a table [[students]] for each student")
+    if len(students) > MAX_STUDENTS:
+        msg = f"{len(students)} students: the handout's cover has room for {MAX_STUDENTS}"
+        raise AnswersError(msg)
+    if not isinstance(reasons, dict):
+        raise AnswersError('reasons: give a table [reasons] with a text for each, such as "2.1"')
+    for student in students:
+        _check_keys(student, _KEYS, "students: ")
+    _check_keys(reasons, tuple(QUESTIONS), "reasons: ")
+    return Answers(
+        students=tuple(
+            Student(**{key: _text(s, key, MAX_NAME) for key in _KEYS if key in s}) for s in students
+        ),
+        reasons={
+            number: text for number in reasons if (text := _text(reasons, number, MAX_REASONS))
+        },
+    )
+
+
+def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
+    for key in table:
+        if key not in known:
+            msg = f'{where}unknown key "{printable(key)}"; known are {", ".join(known)}'
+            raise AnswersError(msg)
+
+
+def _text(table: dict[str, Any], key: str, most: int) -> str:
+    """Return a text without the space around it."""
+    value = table[key]
+    if not isinstance(value, str):
+        msg = f'{key} is a {type(value).__name__}: give a text between """ and """'
+        raise AnswersError(msg)
+    text = value.strip()
+    if len(text) > most:
+        raise AnswersError(f"{key} has {len(text)} characters: at most {most} are allowed")
+    if not all(c.isprintable() or c.isspace() for c in text):
+        raise AnswersError(f"{key} has characters that cannot be printed: give plain text")
+    return text

@@ -1,0 +1,25 @@
+"""Identity and ports of emulated rigs."""
+
+from __future__ import annotations
+
+from typing import Final
+
+EMULATOR_UID: Final = int.from_bytes(b"emulator", "little")
+"""Identity that the emulated device reports."""
+VIRTUAL_PORT: Final = "emulated"
+"""Port of a rig that is emulated in virtual time."""
+SOCKET_PREFIX: Final = "unix:"
+"""Begin of a port that names the socket of an emulated rig."""
+
+
+def is_emulated(*, uid: str, port: str) -> bool:
+    """Return whether a rig is emulated, by the identity of its device or by its port.
+
+    Parameters
+    ----------
+    uid : str
+        Identity that the device reported, in hexadecimal.
+    port : str
+        Port to which the daemon was connected.
+    """
+    return uid == f"{EMULATOR_UID:016x}" or port == VIRTUAL_PORT or port.startswith(SOCKET_PREFIX)

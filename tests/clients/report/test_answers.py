@@ -1,0 +1,96 @@
+"""The answers of students: names and reasons for the handout's report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from armrig.report.answers import MAX_REASONS, Answers, AnswersError, Student, read_answers
+from armrig.report.handout import handout_report
+from armrig.report.handout_study import handout_study
+from armrig.report.questions import QUESTIONS, questions_toml
+
+
+def answers(tmp_path: Path, text: str) -> Answers:
+    """Read a file with this text."""
+    path = tmp_path / "reasons.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_answers(path)
+
+
+def test_the_file_of_questions_is_a_file_of_answers(tmp_path: Path) -> None:
+    """It has a key and the question of each assignment, and no answer yet."""
+    text = questions_toml("reasons.toml")
+
+    found = answers(tmp_path, text)
+
+    assert found == Answers(students=(Student(), Student()))
+    for number, question in QUESTIONS.items():
+        assert f'# {number} {question.title}: {question.asks}\n"{number}" = ' in text
+
+
+def test_names_and_reasons_are_read(tmp_path: Path) -> None:
+    """Without the space around them; what is empty is no answer."""
+    found = answers(
+        tmp_path,
+        """
+        students = [{name = " Ada ", registration_number = "1"}, {name = "Bo"}]
+        [reasons]
+        "2.1" = "\\n Why\\n\\nnot.\\n"
+        "2.2" = " "
+        """,
+    )
+
+    assert found == Answers(
+        students=(Student(name="Ada", registration_number="1"), Student(name="Bo")),
+        reasons={"2.1": "Why\n\nnot."},
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[reason]", 'unknown key "reason"; known are students, reasons'),
+        ('[reasons]\n"5.1" = ""', 'reasons: unknown key "5.1"; known are 2.1, 2.2'),
+        ("[[students]]\nnam = 1", 'students: unknown key "nam"; known are name, registration'),
+        ("students = 1", r"students: give a table \[\[students\]\]"),
+        ("reasons = 1", r"reasons: give a table \[reasons\]"),
+        ("[[students]]\n" * 3, "3 students: the handout's cover has room for 2"),
+        ('[reasons]\n"2.1" = 3', "2.1 is a int: give a text"),
+        (
+            f'[reasons]\n"2.1" = "{"x" * (MAX_REASONS + 1)}"',
+            "2.1 has 4001 characters: at most 4000",
+        ),
+        ('[reasons]\n"2.1" = "\\u001b[1m"', "2.1 has characters that cannot be printed"),
+        ("[reasons", "not a TOML file: "),
+    ],
+)
+def test_what_is_no_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    """The error names the file, what came and what is allowed."""
+    with pytest.raises(AnswersError, match=rf"reasons\.toml: {message}"):
+        answers(tmp_path, text)
+
+
+def test_a_missing_file_is_refused_with_the_command_that_writes_it(tmp_path: Path) -> None:
+    """The way out is part of the error."""
+    with pytest.raises(AnswersError, match=r"`armrig report --handout --questions .*` writes one"):
+        read_answers(tmp_path / "none.toml")
+
+
+def test_markup_in_an_answer_is_text(tmp_path: Path) -> None:
+    """The report compiles, and the template gets each paragraph as it was written."""
+    wild = '#image("/etc/passwd") *a* $x$ \\ #panic() `b'
+    given = Answers(
+        students=(Student(name="#panic()", registration_number="*1*"),),
+        reasons={"2.1": f"{wild}\nsame\n\nnext", "3.5": "no recording"},
+    )
+
+    handout_report(handout_study(), tmp_path / "r.pdf", answers=given, source=tmp_path / "source")
+
+    values = json.loads((tmp_path / "source" / "data.json").read_text(encoding="utf-8"))
+    reasons = {s["number"]: s["reasons"] for s in values["sections"]}
+    assert reasons["2.1"] == [f"{wild} same", "next"]
+    assert reasons["3.5"] == ["no recording"]
+    assert reasons["2.2"] == []
+    assert values["students"] == [{"name": "#panic()", "registration_number": "*1*"}]
