@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import count
+from itertools import count, islice
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,9 +15,12 @@ from armrig_core.printable import printable
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
+    from armrig.recordings.recording_summary import RecordingSummary
 
 _LONGEST = 28
 """Letters of a name that another word is put behind."""
+_MOST_READ = 100
+"""Recordings of a kind that are looked at."""
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -199,27 +202,57 @@ def free_name() -> str:
 
 
 def for_the_report() -> str:
-    """Return what the handout's report is of, as typed: the newest step, pair and chassis.
+    """Return the recordings of the handout's report, as typed: step, pair and chassis.
 
-    With a blank before each; "" where there is none.
+    They are complete; of each kind the newest one with a name, else the newest. With a blank before
+    each; "" if there is none.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
-    from armrig.recordings.folder import newest_first, summaries
+    from armrig.recordings.folder import newest_first
 
     try:
         paths = newest_first(recording_folder())
     except NoSuchRecordingError:
         return ""
-    pairs = summaries([path for path in paths if "-validation" in path.name])
-    pair = next((s for s in pairs if s.kind == "blackbox" and s.validation_of), None)
-    steps, chassis = (
-        next((s for s in summaries([p for p in paths if kind in p.name]) if s.kind == kind), None)
-        for kind in ("step", "greybox")
+    step, chassis = (
+        _newest(s for s in _complete(paths, kind) if s.kind == kind) for kind in ("step", "greybox")
     )
-    names = [typed(s.path) for s in (steps, pair, chassis) if s is not None]
-    if pair is not None:
-        names.insert(int(steps is not None), _named(f"@{pair.validation_of}"))
-    return "".join(f" {name}" for name in names)
+    validation = _newest(
+        s for s in _complete(paths, "-validation") if s.kind == "blackbox" and _estimation(s)
+    )
+    estimation = _estimation(validation) if validation else None
+    found = (step, estimation, validation, chassis)
+    return "".join(f" {typed(s.path)}" for s in found if s is not None)
+
+
+def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:
+    """Give the newest complete recordings whose file names contain a text."""
+    from armrig.cli.chosen_recording import COMPLETE
+    from armrig.recordings.folder import summaries
+
+    found = islice((path for path in paths if part in path.name), _MOST_READ)
+    return (s for path in found for s in summaries([path]) if s.outcome == COMPLETE)
+
+
+def _newest(found: Iterator[RecordingSummary]) -> RecordingSummary | None:
+    """Return the first recording that a person named, else the first of all."""
+    first = None
+    for summary in found:
+        if summary.name:
+            return summary
+        first = first or summary
+    return first
+
+
+def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
+    """Return the complete recording that one was made to validate, if it has its sampling time."""
+    from armrig.cli.chosen_recording import COMPLETE, NoSuchRecordingError, chosen
+
+    try:
+        found = chosen(f"@{validation.validation_of}", validation.folder)
+    except NoSuchRecordingError:
+        return None
+    return found if (found.outcome, found.Ts) == (COMPLETE, validation.Ts) else None
 
 
 def validation_beside(path: Path) -> str:

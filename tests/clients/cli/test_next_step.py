@@ -111,6 +111,36 @@ def test_the_report_is_of_the_newest_step_pair_and_chassis(
     ]
 
 
+def test_the_report_is_of_complete_recordings_that_belong_together(
+    pair: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No step that was cut short, no pair of two sampling times; named before newer ones."""
+    made = [
+        ("00000010", "step-first", "complete", {}),
+        ("00000011", "step-again", "complete", {}),
+        ("00000012", "step", "complete", {}),
+        ("00000013", "step-late", "the rig tripped: stale", {}),
+        ("00000014", "blackbox-fast", "stopped", {}),
+        ("00000015", "blackbox-validation-fast", "complete", {"validation_of": "00000014"}),
+        ("00000016", "blackbox-slow", "complete", {}),
+        ("00000017", "blackbox-validation-slow", "complete", {"validation_of": "00000016"}),
+    ]
+    for second, (run_id, experiment, outcome, details) in enumerate(made):
+        Ts = 0.02 if experiment == "blackbox-slow" else 0.01
+        data = recorded(
+            [sample(k) for k in range(10)],
+            manifest=manifest(experiment=experiment, run_id=run_id, details=details, Ts=Ts),
+            outcome=Outcome(outcome=outcome, samples=10, missing=0),
+        )
+        written(pair, data, f"1-{experiment}-20261120T1500{second:02}-{run_id}.mcap")
+
+    assert main(["integrate"]) == 0
+
+    [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
+    files = "@again @0000000a @0000000a/validation"
+    assert line == f"next: armrig report --handout {files} -o report.pdf"
+
+
 def test_a_step_whose_rise_is_hidden_is_made_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
