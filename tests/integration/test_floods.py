@@ -171,6 +171,7 @@ def test_a_rig_that_somebody_holds_is_not_looked_at_for_another(served: Bench) -
     with served.rig() as rig, served.rig() as other:
         rig.arm("a student")
         with pytest.raises(
-            RefusedError, match="a student has the rig: wait until it is free, or stop it"
+            RefusedError,
+            match="a student has the rig: wait until it is free, or end it with `armrig stop`",
         ):
             other.arm("another")

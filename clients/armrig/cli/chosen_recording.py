@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 LAST = "last"
 VALIDATION = "/validation"
 COMPLETE = "complete"
+_MOST_READ = 100
+"""Recordings whose names are compared with one that is not there."""
 _LISTED = 4
 """How many are named where several answer to a name."""
 
@@ -151,6 +153,19 @@ def described(summary: RecordingSummary) -> str:
     return f"@{summary.run_id}, {what}, {summary.seconds:g} s, {when}"
 
 
+def _near(text: str, folder: Path) -> str:
+    """Return the name that may be meant, as a question; "" without any."""
+    from difflib import get_close_matches
+    from itertools import islice
+
+    from armrig.recordings.folder import newest_first, summaries
+
+    newest = islice(summaries(newest_first(folder)), _MOST_READ)
+    wanted = text.removeprefix("@").removesuffix(VALIDATION)
+    near = get_close_matches(wanted, sorted({s.name for s in newest if s.name}), n=1)
+    return f": did you mean @{near[0]}?" if near else ""
+
+
 def _none(text: str, folder: Path) -> str:
     unfinished = sum(1 for _ in folder.glob("*.mcap.active"))
     going = f" ({unfinished} still being written)" if unfinished else ""
@@ -158,6 +173,7 @@ def _none(text: str, folder: Path) -> str:
         why = f"there is no whole recording in {folder}{going}; make one with `armrig collect`"
     else:
         why = f"no whole recording in {folder} has that name{going}; `armrig ls` lists them"
+        why += _near(text, folder)
     return f"{text}: {why}"
 
 

@@ -51,7 +51,12 @@ Pacing = Annotated[
     Literal["scheduled", "exchange"],
     typer.Option("--pacing", help="Who makes the samples: the device's timer, or the host."),
 ]
-Owner = Annotated[str, typer.Option("--owner", help="Who takes the rig, for others to read.")]
+Owner = Annotated[
+    str | None,
+    typer.Option(
+        "--owner", help="Who takes the rig, for others to read.", show_default="this user"
+    ),
+]
 
 DeadMan = Annotated[
     float,
@@ -80,7 +85,7 @@ def blackbox(
     Ts: SamplingTime = None,
     name: Name = "",
     pacing: Pacing = "scheduled",
-    owner: Owner = "armrig collect",
+    owner: Owner = None,
     dead_man: DeadMan = DEAD_MAN_S,
     rig: RigId = "1",
     connect: Connect = None,
@@ -118,7 +123,7 @@ def greybox(
     Ts: SamplingTime = None,
     name: Name = "",
     pacing: Pacing = "scheduled",
-    owner: Owner = "armrig collect",
+    owner: Owner = None,
     dead_man: DeadMan = DEAD_MAN_S,
     rig: RigId = "1",
     connect: Connect = None,
@@ -153,7 +158,7 @@ def step(
     Ts: SamplingTime = None,
     name: Name = "",
     pacing: Pacing = "scheduled",
-    owner: Owner = "armrig collect",
+    owner: Owner = None,
     dead_man: DeadMan = DEAD_MAN_S,
     rig: RigId = "1",
     connect: Connect = None,
@@ -182,7 +187,7 @@ def staircase(
     Ts: SamplingTime = None,
     name: Name = "",
     pacing: Pacing = "scheduled",
-    owner: Owner = "armrig collect",
+    owner: Owner = None,
     dead_man: DeadMan = DEAD_MAN_S,
     rig: RigId = "1",
     connect: Connect = None,
@@ -221,7 +226,7 @@ def bla(
     Ts: SamplingTime = None,
     name: Name = "",
     pacing: Pacing = "scheduled",
-    owner: Owner = "armrig collect",
+    owner: Owner = None,
     dead_man: DeadMan = DEAD_MAN_S,
     rig: RigId = "1",
     connect: Connect = None,

@@ -21,7 +21,7 @@ class Run(NamedTuple):
     Ts: float | None
     name: str
     pacing: Literal["scheduled", "exchange"]
-    owner: str
+    owner: str | None
     dead_man: float
     rig: str
     connect: str | None
@@ -119,6 +119,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
     from dataclasses import replace
 
     from armrig.recordings.recording_summary import VALIDATION_OF
+    from armrig.rig.client import this_user
     from armrig.rig.collection import Plan, collect
 
     each = list(played)
@@ -130,7 +131,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
             seconds=p.seconds,
             Ts=run.Ts,
             pacing=run.pacing,
-            owner=run.owner,
+            owner=this_user() or "armrig collect" if run.owner is None else run.owner,
             dead_man=run.dead_man or None,
             without_arm=without_arm,
         )

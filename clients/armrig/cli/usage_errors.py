@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from difflib import SequenceMatcher
+from difflib import SequenceMatcher, get_close_matches
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -13,8 +13,6 @@ from armrig_core.recording_file.part_names import PART, part_number
 from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import FAMILIES
 
-_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab", "flash"})
-"""Commands that nobody is led to by a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
     "version": "`armrig --version` says it",
@@ -25,6 +23,7 @@ _TO_WRITE = frozenset(
     f"--{name}" for name in ("out", "output", "outfile", "figure", "fig", "image", "png", "save")
 )
 """What a file to write is called elsewhere."""
+_PREFIXES = {"m": 1e-3, "u": 1e-6, "µ": 1e-6, "k": 1e3}
 _ALIKE = 0.6
 """Share of their letters that two names have in common, from which one may be meant."""
 _FILES = (RECORDING, ".active", *DATA, ".json", ".pdf")
@@ -35,7 +34,7 @@ def usage_error(err: Any, given: Sequence[str]) -> str:
     where = err.ctx.command_path if err.ctx else " ".join(["armrig", *given[:1]])
     kind = type(err).__name__
     if kind == "MissingParameter" and err.param is not None:
-        what = _missing(err.param)
+        what = _missing(err.param) + _example(err.ctx)
     elif kind == "NoSuchOption":
         what = _no_option(err, given)
     elif kind == "BadOptionUsage":
@@ -61,6 +60,13 @@ def _missing(parameter: Any) -> str:
         name = " ".join(filter(None, (max(parameter.opts, key=len), name)))
     what = (parameter.help or "").rstrip(".")
     return f"{name} is missing" + (f": {what[:1].lower()}{what[1:]}" if what else "")
+
+
+def _example(ctx: Any) -> str:
+    """Return the example at the end of a command's help."""
+    line = (getattr(ctx.command, "epilog", None) or "") if ctx else ""
+    example = line.removeprefix("Example: ")
+    return f", as in `{example}`" if example != line else ""
 
 
 def _too_many(extra: str, ctx: Any) -> str:
@@ -108,9 +114,7 @@ def _no_command(name: str, message: str) -> str:
         return f"no such command '{name}'; {_ELSEWHERE[name]}"
     if PurePath(name).suffix in _FILES or name.startswith("@"):
         return f"no such command '{name}'; the command stands before the file, armrig info {name}"
-    # Nobody is led to what acts on the rig.
     near = re.findall(r"'([^']+)'", message.partition("Did you mean")[2])
-    near = [n for n in near if n not in _ACTING]
     return f"no such command '{name}'" + (f": did you mean {' or '.join(near)}?" if near else "")
 
 
@@ -136,12 +140,24 @@ def _plainly(message: str, came: str = "") -> str:
         (r"must be a integer", "must be an integer"),
     ):
         message = re.sub(theirs, ours, message)
+    if choice := re.match(r"\S+: '(.+?)' is not one of (.+)$", message):
+        near = get_close_matches(choice[1], re.findall(r"'([^']+)'", choice[2]), n=1)
+        message += f": did you mean {near[0]}?" if near else ""
     if came and (found := re.match(r"(\S+): (must be .*)$", message)):
         message = f"{found[1]} {came}: {found[2]}"
         if "number" in found[2] and re.fullmatch(r"-?\d*,\d+", came):
             message += f", decimals have a point: {came.replace(',', '.')}"
-        elif "number" in found[2] and (unit := re.fullmatch(r"(-?[\d.]+) ?[a-zA-Zµ]+", came)):
-            message += f" without its unit, such as {unit[1]}"
+        elif "number" in found[2] and (unit := re.fullmatch(r"(-?[\d.]+) ?([a-zA-Zµ]+)", came)):
+            message += f" without its unit, such as {_in_whole_units(unit[1], unit[2])}"
         elif "integer" in found[2] and re.search(r"[,:]", came):
             message += "; several are tried by --search"
     return message
+
+
+def _in_whole_units(number: str, unit: str) -> str:
+    """Return a number in V where it came in mV, and the like."""
+    factor = _PREFIXES.get(unit[0], 1.0) if len(unit) > 1 else 1.0
+    try:
+        return f"{float(number) * factor:g}" if factor != 1 else number
+    except ValueError:
+        return number

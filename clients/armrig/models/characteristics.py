@@ -207,7 +207,7 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
         "rise_time": rise_time(shown, model.Ts, integrated=integrating),
         "equivalent_time": model.Ts * (mean_lag(B, F) - first - dead),
         "slowest_time": slowest_time(decay),
-        "overshoot": 100 * (float(np.max(answer)) - 1),
+        "overshoot": 100 * max(float(np.max(answer)) - 1, 0.0),
     }
 
 

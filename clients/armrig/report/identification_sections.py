@@ -61,15 +61,17 @@ def _sampling(study: HandoutStudy) -> Section:
     if study.step is not None:
         tau, std = 1e3 * study.step.tau, 1e3 * study.step.tau_std
         measured = f"the time to 63 % is {with_std(tau, std)} ms (one standard deviation)"
+    used = "" if study.black is None else milliseconds(study.black.estimation.Ts)
+    other = f" The models below have {used}." if used not in ("", milliseconds(found.Ts)) else ""
     how = "a step response" if found.from_step else "an impulse response, no step being recorded"
     return Section(
         number="3.1",
         answer=(
-            f"A sampling time of {milliseconds(found.Ts)}. From {how}, {measured}: ω_s = 20/τ "
-            f"gives {number(1e3 * found.Ts_step)} ms. By the spectrum, −3 dB at "
+            f"A sampling time of {milliseconds(found.Ts)} is recommended. From {how}, {measured}: "
+            f"ω_s = 20/τ gives {number(1e3 * found.Ts_step)} ms. By the spectrum, −3 dB at "
             f"{number(found.omega_spectrum)} rad/s, it is {number(1e3 * found.Ts_spectrum)} ms; 7 "
             f"to 10 samples in the transient of {number(1e3 * found.settling)} ms would be "
-            f"{number(1e3 * low)} to {number(1e3 * high)} ms.",
+            f"{number(1e3 * low)} to {number(1e3 * high)} ms.{other}",
         ),
         figure="sampling",
         caption="Left: rate of θ₁ after a step, over its final value, at the recommended instants. "
@@ -136,8 +138,8 @@ def _black_box(study: HandoutStudy) -> Section:
         answer=(
             f"The {best.name} model: simulated on data that it has not seen{halves} it is off by "
             f"{error(best.comparison.rms_error, black.validation.unit)} rms. It is estimated from "
-            f"{black.estimation.N} samples at {milliseconds(black.estimation.Ts)}; ± is one "
-            "standard deviation.",
+            f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}, "
+            "those whose errors are known; ± is one standard deviation.",
         ),
         formula=typst_form(best.fit),
         table=Table(
@@ -172,12 +174,16 @@ def _comparison(study: HandoutStudy) -> Section:
                 *(_figure(x, found.std.get(name, float("nan")), k) for name, x, k in named),
             )
         )
+    unit = black.validation.unit
+    off = {m.name: error(m.comparison.rms_error, unit) for m in black.models}
     best = min(black.models, key=lambda m: m.comparison.rms_error)
+    closest = [name for name, size in off.items() if size == off[best.name]]
+    are = "is closest" if len(closest) == 1 else "are equally close"
     return Section(
         number="3.4",
         answer=(
-            f"On the validation data {best.name} is closest, with an rms error of "
-            f"{error(best.comparison.rms_error, black.validation.unit)}. {_difference(black)}",
+            f"On the validation data {listed(closest)} {are}, with an rms error of "
+            f"{off[best.name]}. {_difference(black)}",
         ),
         table=Table(
             header=(
@@ -224,7 +230,9 @@ def _grey_box(study: HandoutStudy) -> Section:
     handout = study.parameters.J_1
     influence = found.influence.get("J_1", {})
     moved = ", ".join(f"{n} {minus(f'{x:+.2f}')} %" for n, x in influence.items())
-    fixed_ones = f" It moves with what was held fixed, for 1 % each: {moved}." if moved else ""
+    fixed_ones = (
+        f" On these data 1 % more of what was held fixed moves it: {moved}." if moved else ""
+    )
     return Section(
         number="3.5",
         answer=(

@@ -297,7 +297,7 @@ class Rig:
         RigError
             What answers does not confirm the stop: pull the motor's plug.
         """
-        who = by or self._owner or _this_user()
+        who = by or self._owner or this_user()
         try:
             reply = self._ask(commands.Stop(by=who), commands.Done)
         except RefusedError:
@@ -427,7 +427,7 @@ def _complete_recording(last: commands.LastRun, asked: int) -> Path:
     return recording
 
 
-def _this_user() -> str:
+def this_user() -> str:
     """Return the login name; "" where there is none."""
     try:
         return getpass.getuser()

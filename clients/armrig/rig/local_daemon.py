@@ -100,10 +100,13 @@ def require_running(daemon: subprocess.Popen[bytes], log: Path) -> None:
     """Raise RigError with the daemon's last line where it has ended."""
     if daemon.poll() is None:
         return
+    raise RigError(f"the daemon ended with exit code {daemon.returncode}: {_last_line(log)}")
+
+
+def _last_line(log: Path) -> str:
+    """Return the last line of a log."""
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    msg = f"the daemon ended with exit code {daemon.returncode}: "
-    msg += lines[-1].removeprefix("armrigd: ") if lines else f"it said nothing in {log}"
-    raise RigError(msg)
+    return lines[-1].removeprefix("armrigd: ") if lines else f"it said nothing in {log}"
 
 
 def _wait_until_it_answers(daemon: subprocess.Popen[bytes], rig: str, log: Path) -> None:
@@ -118,5 +121,5 @@ def _wait_until_it_answers(daemon: subprocess.Popen[bytes], rig: str, log: Path)
         else:
             require_running(daemon, log)  # who answered may be another one, which ours gave way to
             return
-    msg = f"the daemon does not answer after {_START_S:g} s; see {log}"
-    raise RigError(msg)
+    msg = f"the daemon did not answer within {_START_S:g} s; its last line: {_last_line(log)}; if "
+    raise RigError(f"{msg}this host is busy, close other programs and try again ({log})")

@@ -14,6 +14,7 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
     """
     last = report.last_run
     device = ", ".join(f"{name} {value}" for name, value in report.device.items())
+    silent = report.line or ("" if device else "has not answered yet")
     return [
         ("rig", f"{report.rig}, armrig {report.version}, at {report.endpoint}"),
         ("phase", report.phase),
@@ -22,14 +23,9 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
             for row in (("fault", f"{report.fault}: {report.reason}"), ("to do", report.remedy))
             if report.reason
         ),
+        *([("device", silent)] if silent else []),
         ("motor", report.motor or "not known"),
         ("owner", report.owner or "nobody"),
-        ("Ts", f"{report.Ts:g} s"),
-        ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
-        ("calibration", report.calibration or "not said by this daemon"),
-        ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
-        ("device", report.line or device or "has not answered yet"),
-        ("host", "; ".join(scheduling_sentences(report.host))),
         (
             "last run",
             "none"
@@ -38,4 +34,10 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
             + (last.outcome if last.finished else f"running; {last.synced} are on the disk"),
         ),
         ("recordings", report.recordings),
+        ("Ts", f"{report.Ts:g} s"),
+        ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
+        ("calibration", report.calibration or "not said by this daemon"),
+        ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
+        ("host", "; ".join(scheduling_sentences(report.host))),
+        *([("device", device)] if not silent else []),
     ]

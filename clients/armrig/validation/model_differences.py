@@ -15,6 +15,7 @@ from armrig.numerics.quantities import minus, places, with_range, with_std
 SURE = 2.58  # standard deviations of the difference, 1 %
 _LARGE = 2.0  # ratio of rms errors at which one model is called the better one
 _HOPELESS = 5.0  # and at which the other one is not worth a comparison of figures
+_OTHER_HUMP = 3.0  # ratio of 63 % times at which different rises of the response cross it
 _NAMES = {
     "gain": "steady gain",
     "resonance": "resonance [rad/s]",
@@ -142,9 +143,13 @@ def _best(rows: Sequence[Row]) -> str:
     best, next_ = ranked[0], ranked[min(1, len(ranked) - 1)]
     if len(rows) == 1:
         return f"{best.name} is off by {best.rms_error:.3g} rms."
-    said = f"{best.name} is closest to these data, {best.rms_error:.3g} rms against "
-    said += f"{next_.rms_error:.3g} of {next_.name}"
-    if next_.rms_error < _LARGE * best.rms_error:
+    sizes = [f"{row.rms_error:.3g}" for row in (best, next_)]
+    if sizes[0] == sizes[1]:
+        said = f"{best.name} and {next_.name} are equally close to these data, {sizes[0]} rms"
+    else:
+        said = f"{best.name} is closest to these data, {sizes[0]} rms against {sizes[1]} of "
+        said += next_.name
+    if sizes[0] != sizes[1] and next_.rms_error < _LARGE * best.rms_error:
         said += ": not much of a difference"
     if best.on_estimation_data:
         said += ", but it was estimated from them: judge by another recording"
@@ -184,9 +189,13 @@ def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
             continue
         share = f" ({minus(f'{100 * (x - y) / y:+.2g}')} %)" if y else ""
         figure = _NAMES[name].partition(" [")[0]
+        because = _BECAUSE[name]
+        if name == "rise_time" and max(x, y) > _OTHER_HUMP * min(x, y):
+            later = row.name if x > y else reference.name
+            because = f"the first rise of {later} ends below 63 %, and a later one crosses it"
         yield (
             f"{figure}: {row.name} {_figure(x, a.std[name])}, {reference.name} "
-            f"{_figure(y, b.std[name])}{share}; {_BECAUSE[name]}."
+            f"{_figure(y, b.std[name])}{share}; {because}."
         )
 
 

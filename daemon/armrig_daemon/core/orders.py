@@ -59,7 +59,7 @@ def not_newer(n: int, last: int) -> str:
 
 def held_by(owner: str) -> str:
     """Return what is said to who arms a rig that somebody holds."""
-    return f"{owner} has the rig: wait until it is free, or stop it"
+    return f"{owner} has the rig: wait until it is free, or end it with `armrig stop`"
 
 
 def quit_(state: State, now_ns: int) -> Step:

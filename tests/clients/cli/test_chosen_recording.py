@@ -152,6 +152,15 @@ def test_a_name_of_no_recording_is_refused(
     assert told == f"armrig: {expected.format(folder)}; `armrig ls` lists them\n"
 
 
+def test_a_name_with_a_typing_error_is_asked_about(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The nearest of the names that persons gave."""
+    assert main(["info", "@mondy"]) == 1
+
+    assert capsys.readouterr().err.endswith("lists them: did you mean @monday?\n")
+
+
 def test_without_a_recording_the_way_to_one_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

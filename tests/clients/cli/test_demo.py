@@ -102,7 +102,10 @@ def test_a_machine_that_refuses_for_good_is_given_up_in_time(
 
 def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
     """Once more would not help."""
-    out, held = StringIO(), "a student has the rig: wait until it is free, or stop it"
+    out, held = (
+        StringIO(),
+        "a student has the rig: wait until it is free, or end it with `armrig stop`",
+    )
     daemon = StallingDaemon(where, refusals=[held], ends=[])
 
     with (

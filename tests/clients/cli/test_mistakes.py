@@ -100,7 +100,7 @@ REFUSED = [
     ("model --set", "--set is given without a value; see `armrig model --help`"),
     ("plot", "F is missing"),
     # Commands and options that there are not.
-    ("stpo", "no such command 'stpo'; see `armrig --help`"),
+    ("stpo", "no such command 'stpo': did you mean stop?; see `armrig --help`"),
     ("idntify est.mcap", "did you mean identify?"),
     ("help", "`armrig --help` lists the commands"),
     ("version", "`armrig --version` says it"),
@@ -129,7 +129,10 @@ REFUSED = [
     ("identify est.mcap --structure arx --Ts 0.01", "goes with other data"),
     ("identify decimal.csv --structure arx", "where decimals have a comma, part the cells by semi"),
     ("identify text.csv --structure arx", "line 3, column y: 'off' is no number"),
-    ("identify noheader.csv --structure arx", "give --input a number from 1 to 3"),
+    (
+        "identify noheader.csv --structure arx",
+        "give --input and --signal and --time a number from 1 to 3",
+    ),
     ("identify one.csv --structure arx", "one column, and an input and an output are wanted"),
     ("identify noTs.csv --structure arx", "give it in s (--Ts)"),
     ("identify other.csv --structure arx", "1 tid, 2 spenning, 3 vinkel"),
@@ -167,7 +170,7 @@ REFUSED = [
     ("greybox est.mcap --free J_1,K_m", "give several one by one"),
     ("split est.mcap --parts 1000", "record longer, or cut into fewer parts"),
     ("integrate --method rk4", "is none of forward_euler, ab2, trapezoidal, heun, midpoint"),
-    ("integrate --h 10ms", "must be a number without its unit, such as 10"),
+    ("integrate --h 10ms", "must be a number without its unit, such as 0.01"),
 ]
 
 

@@ -470,7 +470,11 @@ def test_a_model_without_means_is_validated_so(
             "data.csv --input 4",
             "input 4: there is no such column; give --input a name or a number of 1 t, ",
         ),
-        ("data.dat", "input u: there is no such column; its columns have no names: give --input a"),
+        (
+            "data.dat",
+            "input u and signal y: there are no such columns, and the sampling time is not known "
+            "(or give --Ts, in s); its columns have no names: give --input and --signal and --time",
+        ),
         (
             "data.dat --input 2 --signal 3",
             "not known: give it in s (--Ts), or the column of times: its columns have no names: g",

@@ -128,7 +128,9 @@ def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
         with pytest.raises(BusyError, match="too many commands"):
             rig.arm("a test")
         daemon.busy, tries = {}, daemon.refused["arm"]
-        daemon.refusals["arm"] = "a student has the rig: wait until it is free, or stop it"
+        daemon.refusals["arm"] = (
+            "a student has the rig: wait until it is free, or end it with `armrig stop`"
+        )
         with pytest.raises(RefusedError, match="a student has the rig"):
             rig.arm("a test")
 

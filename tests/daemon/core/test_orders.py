@@ -112,7 +112,10 @@ def test_a_rig_that_is_held_is_not_taken() -> None:
     bench = armed()
     fault = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
 
-    assert _refusal(bench, ACQUIRE) == "a student has the rig: wait until it is free, or stop it"
+    assert (
+        _refusal(bench, ACQUIRE)
+        == "a student has the rig: wait until it is free, or end it with `armrig stop`"
+    )
     assert _refusal(bench, ACQUIRE, fault) == "in fault (it ran out): mend it, then reset"
 
 
@@ -243,7 +246,10 @@ def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
 @pytest.mark.parametrize("make", [armed, driven])
 def test_a_rig_that_is_held_keeps_its_calibration(make: Callable[[], Bench]) -> None:
     """A run has one from its first sample to its last; the refusal names who has the rig."""
-    assert _refusal(make(), CALIBRATE) == "a student has the rig: wait until it is free, or stop it"
+    assert (
+        _refusal(make(), CALIBRATE)
+        == "a student has the rig: wait until it is free, or end it with `armrig stop`"
+    )
 
 
 def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:

@@ -47,4 +47,5 @@ def table_of(data: bytes, suffix: str) -> Table:
     try:
         return text.table_of(decoded(data))
     except TextError as err:
-        raise DataFileError(str(err)) from err
+        msg = f'{err} (in Excel: "CSV UTF-8")'
+        raise DataFileError(msg) from err

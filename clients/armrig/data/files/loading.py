@@ -15,7 +15,15 @@ from armrig_core.calls import checked_call
 from armrig.data.dataset import Dataset, require_size
 from armrig.data.files.kinds import table_of
 from armrig.data.files.sampling import sampling_time
-from armrig.data.files.table import DataFileError, Table, Vector, chosen, listed
+from armrig.data.files.table import (
+    DataFileError,
+    NoColumnError,
+    Table,
+    Vector,
+    chosen,
+    listed,
+    shown,
+)
 
 MOST_BYTES = 1 << 27
 """Longest file, in B: a million rows of eight numbers have less."""
@@ -90,7 +98,8 @@ def _dataset(
     Ts: float | None,
     source: str,
 ) -> Dataset:
-    at = {what: chosen(table, wanted, what) for what, wanted in columns.items()}
+    has_times = time is not None or Ts is not None or table.Ts is not None or _named_times(table)
+    at = _chosen(table, columns, has_times=bool(has_times))
     if at["input"] == at["signal"]:
         msg = f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
         raise DataFileError(msg)
@@ -128,6 +137,31 @@ def _dataset(
     )
 
 
+def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[str, int]:
+    """Return the indices of the columns, or refuse with all options that are missing."""
+    at: dict[str, int] = {}
+    missing: dict[str, NoColumnError] = {}
+    for what, wanted in columns.items():
+        try:
+            at[what] = chosen(table, wanted, what)
+        except NoColumnError as err:
+            missing[what] = err
+    if len(missing) + (not has_times) > 1:
+        said = " and ".join(f"{what} {shown(columns[what])}" for what in missing)
+        said += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
+        said += "" if has_times else ", and the sampling time is not known (or give --Ts, in s)"
+        options = " and --".join([*missing, *(() if has_times else ("time",))])
+        raise DataFileError(f"{said}; {listed(table, options)}")
+    for refused in missing.values():
+        raise refused
+    return at
+
+
+def _named_times(table: Table) -> list[int]:
+    """Return the columns that are named as times."""
+    return [i for i, c in enumerate(table.columns) if c.name.casefold() in _TIMES]
+
+
 def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> list[str]:
     """Return what to note where the file says another sampling time than the one given."""
     try:
@@ -146,11 +180,7 @@ def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
     elif table.Ts is not None:
         return table.Ts
     else:
-        named = [
-            i
-            for i, column in enumerate(table.columns)
-            if column.name.casefold() in _TIMES and i not in taken
-        ]
+        named = [i for i in _named_times(table) if i not in taken]
         if len(named) != 1:
             msg = "the sampling time is not known: give it in s (--Ts)"
             if len(table.columns) > len(taken):

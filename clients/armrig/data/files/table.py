@@ -22,6 +22,10 @@ class DataFileError(ValueError):
     """A file that cannot be read as data; says what came, what is read, and what to do."""
 
 
+class NoColumnError(DataFileError):
+    """A column that was asked for is not there."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
     """What is known of a column beside its numbers."""
@@ -85,8 +89,10 @@ def chosen(table: Table, wanted: str, what: str) -> int:
 
     Raises
     ------
+    NoColumnError
+        There is no such column.
     DataFileError
-        There is no such column, or there are several.
+        There are several.
     """
     asked = wanted.strip()
     for same in (_same, _same_but_for_case, _same_last_part):
@@ -103,7 +109,7 @@ def chosen(table: Table, wanted: str, what: str) -> int:
         msg = f"{what} {shown(asked)}: {table.refused[asked]}"
         raise DataFileError(msg)
     msg = f"{what} {shown(asked)}: there is no such column; {listed(table, what)}"
-    raise DataFileError(msg)
+    raise NoColumnError(msg)
 
 
 def listed(table: Table, what: str) -> str:

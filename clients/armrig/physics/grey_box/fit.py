@@ -186,7 +186,7 @@ class GreyFit:
             moved = {k: v for k, v in self.influence.get(name, {}).items() if abs(v) >= 0.05}
             if moved:
                 shares = ", ".join(f"{k} {v:+.2f} %" for k, v in moved.items())
-                parts.append(f"It moves with what was held fixed, for 1 % each: {shares}.")
+                parts.append(f"On these data 1 % more of what was held fixed moves it: {shares}.")
         if np.isfinite(self.width):
             added = ", ".join(f"{v:+.2g} to {k}" for k, v in self.bias.items())
             parts.append(

@@ -306,7 +306,10 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
             "signal y: there is no such column; give --signal a name or a number of 1 u",
         ),
         ({"u": U, "y": 1.0}, "signal y: there is no such column"),
-        ({"note": "nothing"}, r"input u: .*there is no column of numbers \(note holds no numbers;"),
+        (
+            {"note": "nothing"},
+            r"input u and signal y: .*there is no column of numbers \(note holds no numbers;",
+        ),
         ({"u": U, "y": [{"a": 1}, {"a": 2}]}, "signal y: is a cell of 2 values; save one of them"),
         (
             {"u": U, "y": np.zeros(2, dtype=[("a", float)])},

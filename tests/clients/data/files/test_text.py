@@ -158,11 +158,12 @@ def test_every_number_comes_back() -> None:
         ("u,y\n1,2\n\x001,2\n", "is no text, and no other kind of file that is known; armrig re"),
         (
             "a,b\n1,2\n",
-            "input u: there is no such column; give --input a name or a number of 1 a, 2 b",
+            "input u and signal y: there are no such columns; give --input and --signal a name or "
+            "a number of 1 a, 2 b",
         ),
         (
             "1,2\n1,2\n",
-            "input u: there is no such column; its columns have no names: give --input 1 or 2$",
+            "no such columns; its columns have no names: give --input and --signal 1 or 2$",
         ),
         ("u,u,y\n1,2,3\n", "input u: columns 1 and 2 are named so; give the number"),
         (
@@ -184,7 +185,7 @@ def test_what_is_no_table_is_told_with_its_line_and_the_way_out(
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8"),
+        (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8 .in Excel: .CSV UTF-8"),
         (
             "u,y\n1,2\n".encode("utf-16"),
             'is saved as UTF-16, as Excel\'s "Unicode text" is; save it as "CSV UTF-8"',
