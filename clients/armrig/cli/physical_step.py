@@ -53,6 +53,7 @@ def model(
         f"rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the chassis stands, "
         "so there is no back-EMF, and the spring is not wound: the torque accelerates J_1 alone."
     )
+    _say_later_rises(found)
     if verbose:
         say(f"\n{last.predicted.explain()}")
     say_next("model --set" if given else "model")
@@ -82,6 +83,16 @@ def _answer(p: ArmParameters) -> _Answer:
     speed = step_response(p, t)
     slope = float(speed[1] / t[1])
     return _Answer(predicted=characteristics(p), slope=slope, speed=float(speed[-1]))
+
+
+def _say_later_rises(found: dict[str, _Answer]) -> None:
+    """Say of which models another rise than the first crosses 63 %."""
+    from armrig.numerics.step_times import OTHER_RISE
+
+    soonest = min(answer.predicted.rise_time for answer in found.values())
+    for name, answer in found.items():
+        if answer.predicted.rise_time > OTHER_RISE * soonest:
+            say(f"63 % time of {name}: its first rise ends below 63 %, and a later one crosses it.")
 
 
 def _of(given: list[str] | None) -> str:
