@@ -13,6 +13,8 @@ from armrig_core.recording_file.part_names import PART, part_number
 from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import FAMILIES
 
+_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab", "flash"})
+"""Commands that nobody is led to by a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
     "version": "`armrig --version` says it",
@@ -114,7 +116,9 @@ def _no_command(name: str, message: str) -> str:
         return f"no such command '{name}'; {_ELSEWHERE[name]}"
     if PurePath(name).suffix in _FILES or name.startswith("@"):
         return f"no such command '{name}'; the command stands before the file, armrig info {name}"
+    # Nobody is led to what acts on the rig.
     near = re.findall(r"'([^']+)'", message.partition("Did you mean")[2])
+    near = [n for n in near if n not in _ACTING]
     return f"no such command '{name}'" + (f": did you mean {' or '.join(near)}?" if near else "")
 
 

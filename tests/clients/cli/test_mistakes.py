@@ -100,7 +100,7 @@ REFUSED = [
     ("model --set", "--set is given without a value; see `armrig model --help`"),
     ("plot", "F is missing"),
     # Commands and options that there are not.
-    ("stpo", "no such command 'stpo': did you mean stop?; see `armrig --help`"),
+    ("stpo", "no such command 'stpo'; see `armrig --help`"),
     ("idntify est.mcap", "did you mean identify?"),
     ("help", "`armrig --help` lists the commands"),
     ("version", "`armrig --version` says it"),
