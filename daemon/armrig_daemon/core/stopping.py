@@ -68,5 +68,5 @@ def trip(state: State, now_ns: int, fault: Fault) -> Step:
     else:
         # No way to tell the device: its own watchdog stops it.
         state, done = end_run(state, now_ns)
-    text = f"stopped at 0 V: {sentence(fault)}; then `armrig reset`, then arm again"
+    text = f"stopped at 0 V: {sentence(fault)}; then `armrig reset`, then repeat"
     return state, [*done, log(now_ns, "error", text, cause=fault.id), say_state(state, now_ns)]

@@ -137,9 +137,10 @@ def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
     found = sections(replace(done, sampling=sampling, step=step, loop=loop))
 
     assert found["3.1"].answer == (
-        "A sampling time of 1\xa0ms. From a step response, the time to 63 % is 21.10 ± 0.40 ms "
-        "(one standard deviation): ω_s = 20/τ gives 2 ms. By the spectrum, −3 dB at 66 rad/s, it "
-        "is 3 ms; 7 to 10 samples in the transient of 77 ms would be 4 to 5 ms.",
+        "A sampling time of 1\xa0ms is recommended. From a step response, the time to 63 % is "
+        "21.10 ± 0.40 ms (one standard deviation): ω_s = 20/τ gives 2 ms. By the spectrum, −3 dB "
+        "at 66 rad/s, it is 3 ms; 7 to 10 samples in the transient of 77 ms would be 4 to 5 ms. "
+        "The models below have 10\xa0ms.",
     )
     assert "(F = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
 
@@ -177,7 +178,7 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
     assert (name, error, white, dynamics) == ("OE", "4\xa0mrad", "0.110", "0.330")
     assert theta.startswith(f"b1 = {fit.theta[0]:.3f} ± 0.010, b2 = ".replace("-", "−"))
     assert (
-        "off by 4\xa0mrad rms. It is estimated from 1500 samples at 10\xa0ms"
+        "off by 4\xa0mrad rms. It is estimated from 1459 of 1500 samples at 10\xa0ms"
         in (found["3.3"].answer[0])
     )
 

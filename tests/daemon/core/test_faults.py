@@ -37,7 +37,7 @@ def test_a_fault_is_told_with_all_that_a_person_needs(driven: Bench) -> None:
     assert told[-1].remedy == REMEDIES[Id.LEASE]
     (log,) = [e for e in driven.of(Log) if e.level == "error"]
     assert log.message == (
-        f"stopped at 0 V: {told[-1].reason}; {told[-1].remedy}; then `armrig reset`, then arm again"
+        f"stopped at 0 V: {told[-1].reason}; {told[-1].remedy}; then `armrig reset`, then repeat"
     )
 
 
