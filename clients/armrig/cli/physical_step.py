@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from math import isfinite
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from armrig.cli.figures import Plot, check_plot, write_plot
@@ -11,8 +13,6 @@ from armrig.cli.options import Json, Verbose, echo, print_json, say
 from armrig.cli.parameters import Given, cases, changes
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from armrig_core.arm import ArmParameters
 
     from armrig.physics.step_response import Characteristics
@@ -87,11 +87,14 @@ def _answer(p: ArmParameters) -> _Answer:
 
 def _say_later_rises(found: dict[str, _Answer]) -> None:
     """Say of which models another rise than the first crosses 63 %."""
-    from armrig.numerics.step_times import OTHER_RISE
+    import numpy as np
 
-    soonest = min(answer.predicted.rise_time for answer in found.values())
+    from armrig.physics.step_response import step_response
+
     for name, answer in found.items():
-        if answer.predicted.rise_time > OTHER_RISE * soonest:
+        crossed = answer.predicted.rise_time
+        t = np.linspace(0.0, crossed if isfinite(crossed) else 0.0, 1001)
+        if np.diff(step_response(answer.parameters, t)).min() < 0:
             say(f"63 % time of {name}: its first rise ends below 63 %, and a later one crosses it.")
 
 

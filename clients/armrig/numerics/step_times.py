@@ -17,8 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 Vector = NDArray[np.float64]
 
 SHARE = 1 - 1 / np.e
-OTHER_RISE = 3.0
-"""Ratio of the 63 % times of two answers from which on they are of different rises."""
 
 
 def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = SHARE) -> float:

@@ -11,7 +11,6 @@ from armrig.models.characteristics import DRAWS, SCALARS, ModelCharacteristics
 from armrig.models.estimate import Estimate
 from armrig.models.model import Model
 from armrig.numerics.quantities import minus, places, with_range, with_std
-from armrig.numerics.step_times import OTHER_RISE
 
 SURE = 2.58  # standard deviations of the difference, 1 %
 _LARGE = 2.0  # ratio of rms errors at which one model is called the better one
@@ -189,13 +188,9 @@ def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
             continue
         share = f" ({minus(f'{100 * (x - y) / y:+.2g}')} %)" if y else ""
         figure = _NAMES[name].partition(" [")[0]
-        because = _BECAUSE[name]
-        if name == "rise_time" and max(x, y) > OTHER_RISE * min(x, y):
-            later = row.name if x > y else reference.name
-            because = f"the first rise of {later} ends below 63 %, and a later one crosses it"
         yield (
             f"{figure}: {row.name} {_figure(x, a.std[name])}, {reference.name} "
-            f"{_figure(y, b.std[name])}{share}; {because}."
+            f"{_figure(y, b.std[name])}{share}; {_BECAUSE[name]}."
         )
 
 

@@ -58,7 +58,8 @@ REMEDIES: dict[Id, str] = {
     Id.LEASE: "have the client send a command more often: in 0.1 s or 5 Ts, the longer of the two",
     Id.LIMITS: "keep the input within [limits] of the configuration",
     Id.RESET: "see to the supply and the cable of the rig",
-    Id.DEVICE: "keep to the limit that it names; if this host was late, close other programs (`armrig doctor`)",
+    Id.DEVICE: "keep to the limit that it names; if this host was late, close other programs "
+    "(`armrig doctor`)",
     Id.STATE: "see that nobody else talks to the device",
     Id.APPLIED: "do not drive this rig: its firmware or its converter is broken",
     Id.REQUEST: "see to the cable, then unplug the device and plug it in again",
