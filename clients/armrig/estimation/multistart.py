@@ -17,9 +17,11 @@ Ends = list[tuple[str, Optimum]]
 SAME_MINIMUM = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
 _MUCH_NOISE = 0.2  # share of the output's variance from which a mode may settle on noise
+_SOME_NOISE = 0.003  # the same, where the search is thorough
 _ROUNDS = 6
 _MOST_MOVED = 30  # coefficients of C, D and F; of 60 each round takes a minute
-_FIRST, _EACH = 10, 5  # steps from each other start, and how many of them go on
+_STAGES = ((3, 15), (7, 5), (30, 1))  # steps from each other start, how many of them go on
+_RETURNED = 1e-7  # relative difference in cost up to which a search has come back
 
 
 def searched_minimum(
@@ -37,22 +39,37 @@ def searched_minimum(
         A part of much data: the starts are searched from on it first, and only where they lead
         apart is the whole searched from more than once.
     thorough : bool
-        Whether modes of C and D, and real ones, are moved, too.
+        Whether modes of C and D, and real ones, are moved, too. Without `part` modes are then
+        moved wherever there is C or D, or some noise.
     """
     ends = _from_starts(problem) if part is None else _through(part, problem)
     if not (thorough or problem.structure.nf >= 2):
         return ends
-    for _ in range(_ROUNDS if _doubtful(problem, ends) else 0):
+    doubtful = _doubtful(problem, ends, strict=thorough and part is None)
+    for _ in range(_ROUNDS if doubtful else 0):
         best = ends[0][1]
-        starts = moved_modes(problem, best.theta, all_kinds=thorough)
-        near = [problem.minimise(start, most=_FIRST) for start in starts]
-        near.sort(key=lambda end: end.cost)
-        moved = [problem.minimise(end.theta, known=best.cost) for end in near[:_EACH]]
-        lowest = min(moved, key=lambda end: end.cost, default=best)
+        lowest = _lowest_beside(problem, best, thorough=thorough)
         if same_minimum(problem, lowest.cost, best.cost):
             break
         ends.insert(0, ("mode at another frequency", lowest))
     return ends
+
+
+def _lowest_beside(problem: PredictionError, best: Optimum, *, thorough: bool) -> Optimum:
+    """Return the lowest minimum that a moved mode leads to, or `best`.
+
+    After a few steps most starts are dropped: the poor ones, and those that return to `best`.
+    """
+    starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
+    for steps, kept in _STAGES:
+        near = [problem.minimise(start, most=steps, known=best.cost) for start in starts]
+        near = [end for end in near if abs(end.cost - best.cost) > _RETURNED * best.cost]
+        near.sort(key=lambda end: end.cost)
+        starts = [end.theta for end in near[:kept]]
+    lowest = min(near, key=lambda end: end.cost, default=best)
+    if lowest.cost >= best.cost:
+        return best
+    return lowest if lowest.converged else problem.minimise(lowest.theta)
 
 
 def _from_starts(problem: PredictionError) -> Ends:
@@ -91,16 +108,19 @@ def same_minimum(problem: PredictionError, lower: float, higher: float) -> bool:
     return higher <= lower * (1 + SAME_MINIMUM) + rounding_floor(problem)
 
 
-def _doubtful(problem: PredictionError, ends: Ends) -> bool:
+def _doubtful(problem: PredictionError, ends: Ends, *, strict: bool) -> bool:
     n = problem.structure
     if not 0 < n.nc + n.nd + n.nf <= _MOST_MOVED:
         return False
     if not same_minimum(problem, ends[0][1].cost, ends[-1][1].cost):
         return True
+    if strict and n.nc + n.nd:
+        return ends[0][1].cost > rounding_floor(problem)
     if n.nf < 2:
         return False
     parts = problem.solve(ends[0][1].theta).parts
     left = [(x.y - p.driven)[x.rows] for x, p in zip(problem.experiments, parts, strict=True)]
     y = [x.y[x.rows] for x in problem.experiments]
     noise = sum(float(np.sum(v**2)) for v in left)
-    return noise > _MUCH_NOISE * sum(float(np.sum((s - s.mean()) ** 2)) for s in y if s.size)
+    variance = sum(float(np.sum((s - s.mean()) ** 2)) for s in y if s.size)
+    return noise > (_SOME_NOISE if strict else _MUCH_NOISE) * variance

@@ -12,6 +12,7 @@ from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MOST_STEPS, Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array, stable
+from armrig.numerics.unit_circle import drawn_to_edge, outward_normals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,10 +140,24 @@ class PredictionError:
         C, _, F = self.polynomials(theta)
         return stable(C) and stable(F)
 
+    def inside(self, theta: Array) -> Array:
+        """Return theta, the roots of C and F that are outside the unit circle moved to it."""
+        C, D, F = self.polynomials(theta)
+        return np.concatenate([p[1:] for p in (drawn_to_edge(C), D, drawn_to_edge(F))])
+
+    def normals(self, theta: Array) -> Array:
+        """Return the gradients by theta of the moduli of C's and F's roots at the circle."""
+        C, D, F = self.polynomials(theta)
+        by_c, by_f = outward_normals(C), outward_normals(F)
+        rows = np.zeros((len(by_c) + len(by_f), theta.size))
+        rows[: len(by_c), : C.size - 1] = by_c
+        rows[len(by_c) :, C.size + D.size - 2 :] = by_f
+        return rows
+
     def minimise(self, theta: Array, most: int = MOST_STEPS, known: float = np.nan) -> Optimum:
         """Search from theta = (c, d, f); C and F stay stable on the way."""
         return levenberg_marquardt(
-            self.linearise, theta, admissible=self.admissible, most=most, known=known
+            self.linearise, theta, admissible=self.admissible, most=most, known=known, walls=self
         )
 
 

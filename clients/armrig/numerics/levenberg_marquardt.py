@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg.lapack import dgeqrf
@@ -16,6 +17,8 @@ MOST_STEPS = 200
 _SAME = 1e-7  # relative difference in cost up to which two ends are one
 _FALLS = 0.9  # factor by which a gradient that still falls does so in a step
 _FLOATING_LIMIT = 1e-13  # a promised relative decrease below this is rounding noise
+
+_PARALLEL = 1e-9  # relative size from which walls do not coincide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +35,16 @@ class Optimum:
     """Cost and scaled gradient both met the tolerance."""
 
 
+class Walls(Protocol):
+    """Boundary of the admissible set, along which a search may go."""
+
+    def inside(self, theta: Array) -> Array:
+        """Return theta, moved to the wall if it is beyond."""
+
+    def normals(self, theta: Array) -> Array:
+        """Return the outward normals (k, n) of the walls at which theta is."""
+
+
 def levenberg_marquardt(
     linearise: Callable[[Array], tuple[Array, Array]],
     theta: Array,
@@ -39,6 +52,7 @@ def levenberg_marquardt(
     admissible: Callable[[Array], bool],
     most: int = MOST_STEPS,
     known: float = np.nan,
+    walls: Walls | None = None,
 ) -> Optimum:
     """Return the nearest minimum of |e(theta)|² from `theta` downhill.
 
@@ -59,6 +73,9 @@ def levenberg_marquardt(
     known : float, optional
         Cost of a minimum that was found already: at this cost, with nothing more to gain, the
         search has ended there too, and its last digits are not worth their time.
+    walls : Walls, optional
+        A step that would cross a wall at which theta is goes along it instead. Without walls the
+        search sticks where it first meets the boundary.
 
     References
     ----------
@@ -71,11 +88,13 @@ def levenberg_marquardt(
     if theta.size == 0 or cost == 0:
         return Optimum(theta=theta, cost=cost, iterations=0, converged=True)
     damping, growth = 1e-6, 2.0
-    s, Vt, z, scale = _compressed(e, J)
+    whole, scale = _compressed(e, J)
+    normals = _normals(walls, theta, scale)
     change = np.inf
     iterations = 0
     while iterations < most:
         iterations += 1
+        s, Vt, z = _along(normals, *whole, damping)
         gradient = float(np.linalg.norm(z[s > 0])) / np.sqrt(cost)
         if gradient <= TOLERANCE and change <= TOLERANCE:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
@@ -83,6 +102,8 @@ def levenberg_marquardt(
         promised = float(np.sum(z**2 * (1 - (damping / (s**2 + damping)) ** 2)))
         if abs(cost - known) <= _SAME * known and promised <= _SAME * cost:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
+        if walls is not None:
+            step = walls.inside(theta + step) - theta
         halvings = 0
         while not admissible(theta + step) and halvings < 60:
             step, halvings = step / 2, halvings + 1
@@ -96,17 +117,20 @@ def levenberg_marquardt(
             theta, cost = theta + step, trial_cost
             if cost == 0:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-            s, Vt, z, scale = _compressed(trial_e, trial_J)
+            whole, scale = _compressed(trial_e, trial_J)
+            normals = _normals(walls, theta, scale)
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3) if ratio < 1 else 1 / 10
             growth = 2.0
         elif promised <= _FLOATING_LIMIT * cost:
             # The cost, a large sum, cannot tell better from worse any more. The gradient can: to
             # stop here would leave some sqrt(1e-13 N) standard deviations to chance.
             ends = _compressed(trial_e, trial_J)
-            if not np.linalg.norm(ends[2]) < _FALLS * np.linalg.norm(z):
+            falls = np.linalg.norm(ends[0][2]) < _FALLS * np.linalg.norm(z)
+            if z is not whole[2] or not falls:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
             theta, cost, change = theta + step, trial_cost, 0.0
-            s, Vt, z, scale = ends
+            whole, scale = ends
+            normals = _normals(walls, theta, scale)
         else:
             damping, growth = max(damping, 1e-12) * growth, 2 * growth
             if damping > 1e12:
@@ -114,7 +138,30 @@ def levenberg_marquardt(
     return Optimum(theta=theta, cost=cost, iterations=iterations, converged=False)
 
 
-def _compressed(e: Array, J: Array) -> tuple[Array, Array, Array, Array]:
+_Linear = tuple[Array, Array, Array]
+
+
+def _normals(walls: Walls | None, theta: Array, scale: Array) -> Array:
+    """Return the walls' normals by the scaled parameters."""
+    return np.zeros((0, theta.size)) if walls is None else walls.normals(theta) / scale
+
+
+def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Linear:
+    """Return s, V^T and z of the problem along the walls that its step would cross."""
+    S, V, Z = s, Vt, z
+    crossed = np.zeros(normals.shape[0], dtype=np.bool_)
+    while True:
+        outward = normals @ (Vt.T @ (s / (s**2 + damping) * z)) > 0
+        if not np.any(outward & ~crossed):
+            return s, Vt, z
+        crossed |= outward
+        _, sizes, axes = np.linalg.svd(normals[crossed])
+        free = axes[int(np.sum(sizes > _PARALLEL * sizes[0])) :]
+        U, s, along = np.linalg.svd((S[:, None] * V) @ free.T, full_matrices=False)
+        Vt, z = along @ free, U.T @ Z
+
+
+def _compressed(e: Array, J: Array) -> tuple[_Linear, Array]:
     """Return s, V^T of the scaled Jacobian's R factor, U^T Q^T e, and the scale (n,)."""
     scale = column_norms(J)
     scale[scale == 0] = 1.0
@@ -126,4 +173,4 @@ def _compressed(e: Array, J: Array) -> tuple[Array, Array, Array, Array]:
     packed, *_ = dgeqrf(whole, overwrite_a=True)
     R = np.triu(packed[: n + 1])
     U, s, Vt = np.linalg.svd(R[:n, :n], full_matrices=False)
-    return s, Vt, U.T @ R[:n, n], scale
+    return (s, Vt, U.T @ R[:n, n]), scale

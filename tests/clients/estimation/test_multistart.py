@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import armrig
 import numpy as np
@@ -16,9 +18,12 @@ from armrig.estimation.prediction_error import PredictionError
 from armrig.excitation import telegraph
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
-from armrig.numerics.polynomial import filtered
+from armrig.numerics.levenberg_marquardt import levenberg_marquardt
+from armrig.numerics.polynomial import filtered, roots
+from armrig.numerics.unit_circle import EDGE
 from numpy.typing import NDArray
 
+BANK = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "lowest_minimum.py"))
 BJ = Structure(nb=4, nc=2, nd=2, nf=4, nk=1)
 
 
@@ -151,15 +156,38 @@ def slow_noise(seed: int = 0) -> tuple[armrig.Dataset, float]:
 
 
 def test_roots_of_the_noise_model_are_moved_where_searches_disagree() -> None:
-    """Hannan and Rissanen's start ends in a minimum of three times the loss."""
+    """The regressions' starts end in minima whose loss is 0.7 % higher."""
     data, least = slow_noise()
 
     fit = armrig.armax(data, na=2, nb=2, nc=3)
     few = armrig.armax(data, na=2, nb=2, nc=3, starts="few")
 
     assert fit.loss < least * (1 + 1e-4)
-    assert few.loss > 1.5 * least
-    assert not few.agreed
+    assert few.loss > least * (1 + 5e-3)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("ARMAX", 177), ("BJ", 38), ("OE", 1108)])
+def test_the_minimum_is_as_low_as_the_one_that_the_truth_leads_to(kind: str, seed: int) -> None:
+    """One plant of the bank for each structure."""
+    data, n, truth, _ = BANK["drawn"](kind, np.random.default_rng([seed, 3]))
+    least = problem_of(data, n).minimise(truth).cost
+
+    fit = BANK["estimated"](kind, data, n)
+
+    assert fit.loss * fit.N < least * (1 + 1e-4)
+
+
+def test_a_search_goes_along_the_circle() -> None:
+    """C has a root on it, and the others are still found: not so if each step is cut short."""
+    data, n, truth, _ = BANK["drawn"]("ARMAX", np.random.default_rng([1139, 3]))
+    problem = problem_of(data, n)
+
+    end = problem.minimise(truth)
+    cut = levenberg_marquardt(problem.linearise, truth, admissible=problem.admissible)
+
+    assert end.converged
+    assert end.cost < (1 - 1e-3) * cut.cost
+    assert np.abs(roots(np.append(1.0, end.theta))).max() == pytest.approx(EDGE)
 
 
 def test_starts_are_many_or_few() -> None:

@@ -1,0 +1,55 @@
+"""Roots reach the unit circle and do not cross it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from armrig.numerics.polynomial import roots
+from armrig.numerics.unit_circle import EDGE, drawn_to_edge, outward_normals
+from numpy.typing import NDArray
+
+
+def polynomial(*z: complex) -> NDArray[np.float64]:
+    """Return the monic polynomial with these roots."""
+    return np.real(np.poly(z))
+
+
+def test_roots_outside_move_along_their_radius() -> None:
+    """Those inside stay, and so does a polynomial that has no others."""
+    pair = 1.3 * np.exp(0.7j)
+    inside = polynomial(0.5, -0.2)
+
+    moved = np.sort_complex(roots(drawn_to_edge(polynomial(0.5, pair, pair.conjugate(), -2.0))))
+
+    expected = [0.5, pair * EDGE / 1.3, pair.conjugate() * EDGE / 1.3, -EDGE]
+    np.testing.assert_allclose(moved, np.sort_complex(np.array(expected)), atol=1e-9)
+    assert drawn_to_edge(inside) is inside
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_two_real_roots_outside_become_a_pair(side: int) -> None:
+    """Two real ones at one point of the circle could not part along it."""
+    z = roots(drawn_to_edge(polynomial(1.1 * side, 1.2 * side, 0.3)))
+
+    assert sum(abs(r.imag) > 5e-4 for r in z) == 2
+    assert np.abs(z).max() <= EDGE + 1e-9
+
+
+def test_normals_are_the_gradients_of_the_moduli() -> None:
+    """By central differences, for a real root and a pair at the edge; the root inside has none."""
+    pair = EDGE * np.exp(0.7j)
+    p = polynomial(EDGE, pair, pair.conjugate(), 0.4)
+    gradients = []
+    for r in (EDGE, pair):
+        slopes = []
+        for k in range(1, p.size):
+            h = 1e-6 * np.eye(p.size)[k]
+            near = [min(roots(p + s * h), key=lambda z: abs(z - r)) for s in (1, -1)]
+            slopes.append((abs(near[0]) - abs(near[1])) / 2e-6)
+        gradients.append(np.array(slopes) / np.linalg.norm(slopes))
+
+    normals = outward_normals(p)
+
+    assert normals.shape == (2, 4)
+    for gradient in gradients:
+        assert min(np.linalg.norm(normals - gradient, axis=1)) < 1e-6
