@@ -8,7 +8,7 @@ has. Where searches disagree, that mode is tried elsewhere.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from armrig.numerics.polynomial import Array, filtered, roots
 
 _ANGLES = np.linspace(0.1, 3.0, 15)  # of the moved mode, in rad a sample
 _REAL = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
+_MOST_REAL = 0.998
 _IS_REAL = 1e-9
 _RADIUS = 0.93
 _EACH = 4  # starts of a kind
@@ -50,7 +51,22 @@ def moved_modes(
             starts.sort(key=lambda start: start[0])
             yield from (start for _, start in starts[:_EACH])
     if all_kinds:
+        yield from _moved_together(problem, theta)
         yield from _with_white_noise(problem, theta)
+
+
+def _moved_together(problem: PredictionError, theta: Array) -> Iterator[Array]:
+    """Yield starts in which a real root of C and one of D nearly cancel at another place."""
+    C, D, F = problem.polynomials(theta)
+    starts = []
+    for z, w in product(_without_one_real(roots(C)), _without_one_real(roots(D))):
+        for root, share in product(_REAL, (0.9, 1 / 0.9)):
+            near = np.clip(root * share, -_MOST_REAL, _MOST_REAL)
+            c, d = np.real(np.poly(np.append(z, near))), np.real(np.poly(np.append(w, root)))
+            start = np.concatenate([c[1:], d[1:], F[1:]])
+            starts.append((problem.cost(start), start))
+    starts.sort(key=lambda start: start[0])
+    yield from (start for _, start in starts[:_EACH])
 
 
 def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]:
@@ -79,9 +95,14 @@ def _other_reals(z: Array) -> Iterator[Array]:
 
 
 def _other_real(z: Array) -> Iterator[Array]:
-    for i in np.flatnonzero(np.abs(z.imag) <= _IS_REAL):
+    for kept in _without_one_real(z):
         for root in _REAL:
-            yield np.append(np.delete(z, i), root)
+            yield np.append(kept, root)
+
+
+def _without_one_real(z: Array) -> Iterator[Array]:
+    for i in np.flatnonzero(np.abs(z.imag) <= _IS_REAL):
+        yield np.delete(z, i)
 
 
 def _without_one_pair(z: Array) -> Iterator[Array]:

@@ -20,7 +20,7 @@ _MUCH_NOISE = 0.2  # share of the output's variance from which a mode may settle
 _SOME_NOISE = 0.003  # the same, where the search is thorough
 _ROUNDS = 6
 _MOST_MOVED = 30  # coefficients of C, D and F; of 60 each round takes a minute
-_STAGES = ((3, 15), (7, 5), (30, 1))  # steps from each other start, how many of them go on
+_STAGES = ((10, 8), (40, 1))  # steps from each other start, how many of them go on
 _RETURNED = 1e-7  # relative difference in cost up to which a search has come back
 
 
@@ -58,7 +58,7 @@ def searched_minimum(
 def _lowest_beside(problem: PredictionError, best: Optimum, *, thorough: bool) -> Optimum:
     """Return the lowest minimum that a moved mode leads to, or `best`.
 
-    After a few steps most starts are dropped: the poor ones, and those that return to `best`.
+    After ten steps most starts are dropped: the poor ones, and those that return to `best`.
     """
     starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
     for steps, kept in _STAGES:

@@ -140,10 +140,11 @@ class PredictionError:
         C, _, F = self.polynomials(theta)
         return stable(C) and stable(F)
 
-    def inside(self, theta: Array) -> Array:
-        """Return theta, the roots of C and F that are outside the unit circle moved to it."""
+    def inside(self, theta: Array, previous: Array) -> Array:
+        """Return theta, the roots of C and F that are outside the unit circle moved into it."""
         C, D, F = self.polynomials(theta)
-        return np.concatenate([p[1:] for p in (drawn_to_edge(C), D, drawn_to_edge(F))])
+        C_0, _, F_0 = self.polynomials(previous)
+        return np.concatenate([drawn_to_edge(C, C_0)[1:], D[1:], drawn_to_edge(F, F_0)[1:]])
 
     def normals(self, theta: Array) -> Array:
         """Return the gradients by theta of the moduli of C's and F's roots at the circle."""

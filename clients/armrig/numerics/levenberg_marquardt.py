@@ -38,8 +38,8 @@ class Optimum:
 class Walls(Protocol):
     """Boundary of the admissible set, along which a search may go."""
 
-    def inside(self, theta: Array) -> Array:
-        """Return theta, moved to the wall if it is beyond."""
+    def inside(self, theta: Array, previous: Array) -> Array:
+        """Return theta, moved into the walls if a step from `previous` led beyond."""
 
     def normals(self, theta: Array) -> Array:
         """Return the outward normals (k, n) of the walls at which theta is."""
@@ -103,7 +103,7 @@ def levenberg_marquardt(
         if abs(cost - known) <= _SAME * known and promised <= _SAME * cost:
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
         if walls is not None:
-            step = walls.inside(theta + step) - theta
+            step = walls.inside(theta + step, theta) - theta
         halvings = 0
         while not admissible(theta + step) and halvings < 60:
             step, halvings = step / 2, halvings + 1

@@ -8,19 +8,23 @@ from armrig.numerics.polynomial import Array, roots
 
 EDGE = 1 - 1e-7  # modulus that no root exceeds; a double root is computed so far off
 _ROUNDING = 1e-9
+_LEFT = 0.1  # share of the way to the circle that a step leaves
 _APART = 1e-3  # angle of two roots that reach the same point of the real axis
 
 
-def drawn_to_edge(p: Array) -> Array:
-    """Return p with each root outside the unit circle moved along its radius to the edge.
+def drawn_to_edge(p: Array, previous: Array) -> Array:
+    """Return p with each root outside the unit circle moved along its radius into it.
 
-    Two real roots there become a pair: two real ones could not leave each other along the circle.
+    At most nine tenths of the way from the outermost root of the polynomial before to the circle
+    are gone at once: a single step to the edge often ends in a poor minimum there. Two real roots
+    at the edge become a pair: two real ones could not leave each other along the circle.
     """
     z = roots(p)
     size = np.abs(z)
     if not z.size or size.max() <= EDGE:
         return p
-    z = z * np.minimum(1.0, EDGE / np.maximum(size, EDGE))
+    farthest = min(EDGE, 1 - _LEFT * (1 - np.abs(roots(previous)).max()))
+    z = z * np.minimum(1.0, farthest / np.maximum(size, farthest))
     for side in (1, -1):
         at = np.flatnonzero((z.imag == 0) & (side * z.real >= EDGE - _ROUNDING))
         if at.size >= 2:

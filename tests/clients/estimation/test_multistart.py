@@ -166,7 +166,9 @@ def test_roots_of_the_noise_model_are_moved_where_searches_disagree() -> None:
     assert few.loss > least * (1 + 5e-3)
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("ARMAX", 177), ("BJ", 38), ("OE", 1108)])
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("ARMAX", 177), ("ARMAX", 193), ("BJ", 38), ("BJ", 2048), ("OE", 1108)]
+)
 def test_the_minimum_is_as_low_as_the_one_that_the_truth_leads_to(kind: str, seed: int) -> None:
     """One plant of the bank for each structure."""
     data, n, truth, _ = BANK["drawn"](kind, np.random.default_rng([seed, 3]))

@@ -17,19 +17,27 @@ def polynomial(*z: complex) -> NDArray[np.float64]:
 def test_roots_outside_move_along_their_radius() -> None:
     """Those inside stay, and so does a polynomial that has no others."""
     pair = 1.3 * np.exp(0.7j)
-    inside = polynomial(0.5, -0.2)
+    inside, at_edge = polynomial(0.5, -0.2), polynomial(0.5, EDGE)
 
-    moved = np.sort_complex(roots(drawn_to_edge(polynomial(0.5, pair, pair.conjugate(), -2.0))))
+    crossing = polynomial(0.5, pair, pair.conjugate(), -2.0)
+    moved = np.sort_complex(roots(drawn_to_edge(crossing, at_edge)))
 
     expected = [0.5, pair * EDGE / 1.3, pair.conjugate() * EDGE / 1.3, -EDGE]
     np.testing.assert_allclose(moved, np.sort_complex(np.array(expected)), atol=1e-9)
-    assert drawn_to_edge(inside) is inside
+    assert drawn_to_edge(inside, at_edge) is inside
+
+
+def test_a_step_goes_nine_tenths_of_the_way_to_the_circle() -> None:
+    """The way is that of the outermost root of the polynomial before."""
+    moved = drawn_to_edge(polynomial(1.5), polynomial(0.8))
+
+    assert roots(moved) == pytest.approx(0.98)
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_two_real_roots_outside_become_a_pair(side: int) -> None:
     """Two real ones at one point of the circle could not part along it."""
-    z = roots(drawn_to_edge(polynomial(1.1 * side, 1.2 * side, 0.3)))
+    z = roots(drawn_to_edge(polynomial(1.1 * side, 1.2 * side, 0.3), polynomial(EDGE)))
 
     assert sum(abs(r.imag) > 5e-4 for r in z) == 2
     assert np.abs(z).max() <= EDGE + 1e-9
