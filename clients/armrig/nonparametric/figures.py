@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
+LEAST_POWER = 1e-5  # over the largest value: what is less is not drawn
+
 
 class Signals(Protocol):
     """What names the axes and the recording."""
@@ -87,9 +89,11 @@ class Step(Signals, Protocol):
     @property
     def y(self) -> Vector: ...  # noqa: D102
     @property
+    def smooth_t(self) -> Vector: ...  # noqa: D102
+    @property
     def smooth(self) -> Vector: ...  # noqa: D102
     @property
-    def window(self) -> int: ...  # noqa: D102
+    def smooth_std(self) -> Vector: ...  # noqa: D102
     @property
     def gain(self) -> float: ...  # noqa: D102
     @property
@@ -109,6 +113,8 @@ class Sampling(Protocol):
     def t(self) -> Vector: ...  # noqa: D102
     @property
     def response(self) -> Vector: ...  # noqa: D102
+    @property
+    def gain(self) -> float: ...  # noqa: D102
     @property
     def settling(self) -> float: ...  # noqa: D102
     @property
@@ -198,9 +204,9 @@ def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
     """Show the mean answer to a unit step with final value, dead time and 63 % time."""
     ax = axes(ax)
     ax.plot(result.t, result.y, ".", color=GREY, ms=2.5, label="mean of the steps")
-    if result.window > 1:
-        name = f"moving average of {result.window}"
-        ax.plot(result.t, result.smooth, color=BLUE, lw=1.1, label=name)
+    t, y, std = (np.append(0.0, x) for x in (result.smooth_t, result.smooth, result.smooth_std))
+    ax.fill_between(t, y - 2 * std, y + 2 * std, color=SKY, alpha=0.4, lw=0, label="95 %")
+    ax.plot(t, y, color=BLUE, lw=1.1, label="smoothed from the step on")
     ax.axhline(result.gain, color=INK, lw=0.8, ls=":", label=f"gain {result.gain:.3g}")
     at = result.dead_time + result.tau
     level = (1 - np.exp(-1)) * result.gain
@@ -215,7 +221,7 @@ def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
     ax.set_ylabel(f"{_name(result.output)} [{_gain(result)}]")
     end = min(float(result.t[-1]), 2.5 * max(result.settling, 2 * at))
     finish(ax, xlim=(max(float(result.t[0]), -0.15 * end), end))
-    _about(ax, np.append(result.smooth[result.t <= end], [0.0, result.gain]))
+    _about(ax, np.append(result.smooth[result.smooth_t <= end], [0.0, result.gain]))
     return sign(ax, result.source, above=legend(ax))
 
 
@@ -224,7 +230,7 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     ax, below = panels(ax, 0.5, sharex=False)
     end = 1.5 * result.settling
     t, response = _with_gaps(result.t, result.response)
-    ax.plot(t, response, color=BLUE, lw=1.1, label="step response")
+    ax.plot(t, response, color=BLUE, lw=1.1, label="step response, smoothed")
     grid = np.arange(0.0, min(end, float(result.t[-1])), result.Ts)
     dots = np.interp(grid, t, response)
     name = rf"every {1e3 * result.Ts:g} ms"
@@ -235,8 +241,10 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel("of the final value")
     s = result.spectrum
-    level = float(np.mean(s.magnitude[: max(1, s.omega.size // 10)]))
-    below.plot(s.omega, s.magnitude / level, color=BLUE, lw=1.1, label="$|G|$")
+    # Where it is hardly more than its deviation it is noise, and no part of the band.
+    known = np.isfinite(s.G) & (s.magnitude > 2 * np.nan_to_num(s.std_magnitude))
+    relative = np.where(known, s.magnitude, np.nan) / result.gain
+    below.plot(s.omega, relative, color=BLUE, lw=1.1, label="$|G|$ over the gain")
     below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="output's power")
     below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":")
     for w, name, colour, dash in (
@@ -247,10 +255,9 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
         below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
     below.set_xscale("log")
     below.set_yscale("log")
-    within = s.magnitude[np.isfinite(s.magnitude) & (s.magnitude > 0)] / level
-    powers = result.power[result.power > 0]
-    lowest = min(float(within.min(initial=0.1)), float(powers.min(initial=0.1)))
-    below.set_ylim(0.5 * max(lowest, 1e-5), 4)
+    drawn = np.concatenate([relative[known], result.power, [np.sqrt(0.5), 1.0]])
+    drawn = drawn[drawn > LEAST_POWER]
+    below.set_ylim(0.5 * float(drawn.min()), 2 * float(drawn.max()))
     below.set_xlabel(r"$\omega$ [rad/s]")
     below.set_ylabel("relative")
     bare_minor(below.yaxis)

@@ -18,11 +18,7 @@ from armrig.nonparametric.impulse import impulse_response, long_enough
 from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.spectral import spa
-from armrig.nonparametric.step_analysis import (
-    StepAnalysis,
-    dead_time,
-    step_analysis,
-)
+from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.nonparametric.welch import welch
 from armrig.numerics.quantities import times
 from armrig.numerics.step_times import linear_crossing, rise_time
@@ -60,6 +56,8 @@ class SamplingTime:
     """omega_B from the spectrum: where |G| is above that for the last time, in rad/s."""
     settling: float
     """Length of the transient: the step response stays within 5 % from then on, in s."""
+    settling_std: float
+    """Its standard deviation; NaN where the response was not read from steps."""
     Ts_step: float
     """2 pi/(20 omega_B) with omega_B of the step, in s."""
     Ts_spectrum: float
@@ -79,7 +77,9 @@ class SamplingTime:
     t: Vector
     """Times of `response`, in s."""
     response: Vector
-    """Step response over its final value."""
+    """Step response over its final value; of steps 0 up to the step."""
+    gain: float
+    """What |G| is divided by: final value of the steps, else |G| at low frequency."""
     omega: Vector
     """Frequencies of `power`, in rad/s."""
     power: Vector
@@ -125,8 +125,9 @@ class SamplingTime:
     def _transient_told(self) -> str:
         if self.settling < self.recorded_at:
             return "over within a sample"
+        about = "" if np.isnan(self.settling_std) else f" ± {times(self.settling_std)}"
         return (
-            f"{times(self.settling)} to within 5 %, 10 to 7 samples in it: Ts "
+            f"{times(self.settling)}{about} to within 5 %, 10 to 7 samples in it: Ts "
             f"{times(*self.Ts_transient)}"
         )
 
@@ -183,7 +184,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     estimate = _spectrum(data, transient if stepped else None, integrates=integrates)
     if not stepped:
         explained(estimate)
-    first, last = _bandwidth(estimate)
+    gain = abs(steps.gain) if steps else _low(estimate)
+    first, last = _bandwidth(estimate, gain)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
     rules = (Ts_step, Ts_spectrum, transient / FEWEST)
     seen = tau >= data.Ts
@@ -197,6 +199,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         omega_first=first,
         omega_spectrum=last,
         settling=transient,
+        settling_std=steps.settling_std if steps else float("nan"),
+        gain=gain,
         Ts_step=Ts_step,
         Ts_spectrum=Ts_spectrum,
         Ts_transient=(transient / MOST, transient / FEWEST),
@@ -249,8 +253,7 @@ def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
 
 
 def _from_steps(found: StepAnalysis) -> tuple[Vector, Vector, float, float]:
-    after = (found.t > 0) & np.isfinite(found.smooth)
-    t, y = found.t[after], found.smooth[after] / found.gain
+    t, y = np.append(0.0, found.smooth_t), np.append(0.0, found.smooth / found.gain)
     return t, y, found.tau, found.settling
 
 
@@ -269,10 +272,29 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     if np.isnan(crossing):
         msg = "the step response never reaches 63 % of its final value; record longer"
         raise ValueError(msg)
-    dead, _ = dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # counts for neither rule
+    dead, _ = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # counts for neither rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
     return t, y, crossing - dead, end - dead
+
+
+def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
+    """Return L of s (t - L)^p, p = 1 or 2, on the rise up to one half, and its interval."""
+    rise = (t <= half + Ts) & np.isfinite(y)
+    t, y = t[rise], y[rise]
+    delays = np.linspace(0.0, half, 201)
+    sse = np.full((2, delays.size), np.inf)
+    for p in (1, 2):
+        x = np.maximum(t[:, None] - delays, 0.0) ** p
+        power = np.sum(x**2, axis=0)
+        s = np.where(power > 0, y @ x / np.where(power > 0, power, 1.0), 0.0)
+        sse[p - 1] = np.sum((y[:, None] - s * x) ** 2, axis=0)
+    least = sse.min(axis=0)
+    best = int(np.argmin(least))
+    variance = least[best] / max(t.size - 2, 1)
+    near = delays[least <= least[best] + 4 * variance]
+    interval = (float(near[0]), float(near[-1]))
+    return (0.0 if interval[0] <= 0 else float(delays[best])), interval
 
 
 def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:
@@ -289,17 +311,21 @@ def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> Sp
         n = int(np.clip(2 * transient / data.Ts, LAGS[0], MOST_LAGS))
         n = min(n, (data.N - data.missing) // 5)
         response = impulse_response(data, n, integrator=integrates)
-        # From far below: at a high rate two decades begin in the arm's notch, which is no level.
-        omega = np.geomspace(np.pi / data.Ts / 5000, np.pi / data.Ts, 300)
+        # Below a period in the record nothing is known but the gain.
+        shortest = min(part.N for part in data.experiments())
+        omega = np.geomspace(2 * np.pi / (shortest * data.Ts), np.pi / data.Ts, 300)
         estimate = response.spectrum(omega)
     return estimate.rate() if integrates else estimate
 
 
-def _bandwidth(estimate: SpectralEstimate) -> tuple[float, float]:
-    """Return where |G| falls below -3 dB first, and where it is surely above it for the last time.
+def _low(estimate: SpectralEstimate) -> float:
+    """Return |G| at low frequency, the mean of the lowest tenth of the frequencies."""
+    magnitude = estimate.magnitude[np.isfinite(estimate.G)]
+    return float(np.mean(magnitude[: max(1, magnitude.size // 10)]))
 
-    Of the low-frequency value, the mean of the lowest tenth of the frequencies.
-    """
+
+def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
+    """Return where |G| falls 3 dB below the gain first, and where it is surely above last."""
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
     # Of many frequencies that noise alone makes some are above by chance: by 2 standard deviations
@@ -308,7 +334,7 @@ def _bandwidth(estimate: SpectralEstimate) -> tuple[float, float]:
     sure = magnitude - width * np.nan_to_num(estimate.std_magnitude[known])
     if estimate.coherence is not None:
         sure = np.where(estimate.coherence[known] > COHERENT, sure, -np.inf)
-    level = float(np.mean(magnitude[: max(1, omega.size // 10)])) / np.sqrt(2)
+    level = gain / np.sqrt(2)
     below, above = np.flatnonzero(magnitude < level), np.flatnonzero(sure > level)
 
     def fall(j: int) -> float:

@@ -15,11 +15,9 @@ from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
 from armrig.nonparametric.integrator import integration
-from armrig.nonparametric.step_course import course
+from armrig.nonparametric.step_answer import Answer, step_answer
 from armrig.nonparametric.step_lag import area_above, lag_of_angle
-from armrig.nonparametric.step_rise import Rise, step_rise
 from armrig.numerics.quantities import plural, times, with_std
-from armrig.numerics.step_times import SHARE, linear_crossing
 from armrig.numerics.stretches import Mask, constant, stretches
 
 if TYPE_CHECKING:
@@ -34,7 +32,7 @@ SHORTEST_GAP, SMALL_GAP = 2, 0.1
 BAND = 0.05  # about the final value, in which the answer has settled
 _SURE = 5  # standard deviations of a slope before the step
 _UNSETTLED = 0.005  # share of the answer still to come before the step, from which on it is told
-SMOOTH = 0.03  # noise of the smoothed response, as a share of the final value
+_LOUD = 0.03  # deviation of the highest value from which on it may be noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -45,37 +43,35 @@ class StepAnalysis:
     """Time in s from the step, (n,); negative before it."""
     y: Vector
     """Mean answer less what was before, per unit of u, (n,)."""
-    smooth: Vector
-    """Moving average of y, (n,); NaN beside a hole, where only a few samples would make it."""
-    window: int
-    """Samples of the moving average."""
     gain: float
     """Final value, mean of the last third, in y's unit per u's (the rate's, if y integrates)."""
     gain_std: float
     """Its standard deviation: the scatter of that third, and what had not settled before."""
     dead_time: float
-    """In s; 0.0 where it cannot be told from none."""
+    """In s; 0.0 unless none is almost ruled out."""
     dead_time_interval: tuple[float, float]
-    """About 95 %, in s."""
+    """95 %, in s, whether one is claimed or not."""
     tau: float
     """The 63 % time: from the step to 63.2 % of the final value, less the dead time, in s."""
     tau_std: float
-    """Its standard deviation: noise and gaps on the rise, and the dead time's."""
+    """Its standard deviation: noise and gaps on the rise, and a dead time that may be there."""
     equivalent_time: float
     """The area above the answer over its final value, less the dead time, in s; of a rate how far
     the angle lags the ramp that it ends up on, which a gap on the rise does not touch."""
     equivalent_time_std: float
     """Its standard deviation."""
-    rise_t: Vector
-    """Times of `rise`, in s."""
-    rise: Vector
-    """The smoothed rise that the 63 % time is read from, in y's unit per u's."""
-    rise_std: Vector
-    """Its standard deviation, which grows in a gap."""
+    smooth_t: Vector
+    """Times of `smooth`, in s from the step on."""
+    smooth: Vector
+    """Mean of the curves that are likely given y, in y's unit per u's: 0 at the step."""
+    smooth_std: Vector
+    """Their standard deviation, which grows in a gap."""
     hidden: tuple[float, float] | None
     """Between which times y is missing on the rise, in s; None where it is not."""
     settling: float
     """Time from which the answer stays within 5 % of its final value, in s."""
+    settling_std: float
+    """Its standard deviation."""
     overshoot: float
     """Largest value over the final one, less 1: 0 where there is none, NaN where noise hides it."""
     overshoot_std: float
@@ -121,7 +117,8 @@ class StepAnalysis:
             f"{self.bandwidth:.4g} rad/s",
             f"  equivalent time {self.equivalent_time:.4g} ± {self.equivalent_time_std:.2g} s "
             "(area above the response)",
-            f"  within 5 % after {self.settling:.4g} s, {self._overshoot_told()}",
+            f"  within 5 % after {self.settling:.4g} ± {self.settling_std:.2g} s, "
+            f"{self._overshoot_told()}",
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
@@ -140,12 +137,11 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
 
     All changes of u with long holds before and after are used, each answer less its own level
     before and weighted by the size of its step. Of an integrating y the rate is analysed, whose
-    sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. The 63 % time is read from a
-    smoothing spline from the step on (`armrig.nonparametric.step_rise`), whose deviation grows
-    where samples are missing. The dead time L is that of s (t - L)^p for t > L, p = 1 or 2, fitted
-    to the rise up to one half. Overshoot and settling are those of parabolas, each fitted to a
-    stretch of the answer (`armrig.nonparametric.step_course`); what settles faster than a stretch
-    can tell is that of a moving average, as short as brings the noise under 3 % of the final value.
+    sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. 63 % time, settling, overshoot
+    and dead time are those of curves drawn from a Gaussian process given all of the record
+    (`armrig.nonparametric.step_answer`), each from its own final value; their deviations are the
+    curves', and grow where samples are missing. A dead time is claimed only where the probability
+    of none is below 1 %; where none is claimed, the 63 % time's deviation has what may be there.
 
     Parameters
     ----------
@@ -175,8 +171,10 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     integrates = decided.integrates
     treated = difference(data) if integrates else data
     steps = _steps(treated)
-    k, y = _averaged(treated, steps, slope=False)
-    own = _averaged(data, steps, slope=True)[1] if integrates else y
+    k, y, weight = _averaged(treated, steps, slope=False)
+    own = y
+    if integrates:
+        _, own, weight = _averaged(data, steps, slope=True)
     t: Vector = np.asarray(data.Ts * (k - 0.5 * integrates), dtype=np.float64)
     tail = y[k >= (2 * k[-1]) // 3]
     tail = tail[np.isfinite(tail)]
@@ -186,42 +184,33 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         msg = f"{treated.output} does not answer to the step: final value {gain:.3g} ± "
         msg += f"{gain_std:.2g}; make it larger, or hold it longer"
         raise ValueError(msg)
-    smooth, window = _smoothed(y, k, gain)
-    rise = _rise(own, k, data, steps, gain, integrates=integrates)
-    L, interval = dead_time(t, y / gain, linear_crossing(rise.t, rise.y, 0.5), data.Ts)
-    L_std = (interval[1] - interval[0]) / 4 if L else 0.0
+    answer = _answer(own, k, weight, data, gain, integrates=integrates)
+    crossing, L = answer.crossing, answer.dead_time
+    low, high = answer.dead_time_interval
+    L_std = (high - low) / 4 if L else 0.0
     lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
-    unsettled = _left_to_settle(y, k, steps, rise.crossing / data.Ts)
-    after = t > 0
-    off = np.abs(smooth / gain - 1)
-    # What the settled third does is noise: of thousands of samples some are beyond any 2 of its
-    # standard deviations.
-    outside = off[after] > BAND + np.nanmax(off[k >= (2 * k[-1]) // 3])
-    hidden = _hidden(own, k, rise.crossing, data.Ts)
-    last = int(np.flatnonzero(outside)[-1]) if outside.any() else -1
-    times = t[after]
-    fitted = course(own, k, gain * (data.Ts if integrates else 1.0), integrated=integrates)
-    # The moving average tells of what is fast, the stretches of what noise would hide.
-    settling = max(float(times[min(last + 1, times.size - 1)]), data.Ts * fitted.settling(BAND))
-    above, above_std = fitted.overshoot()
+    unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
+    hidden = _hidden(own, k, crossing, data.Ts)
+    top = int(np.argmax(answer.y))
+    above_std = float(answer.std[top])
+    above = max(float(answer.y[top]) - 1, 0.0) if above_std < _LOUD else float("nan")
     return StepAnalysis(
         t=t,
         y=y,
-        smooth=smooth,
-        window=window,
         gain=gain,
         gain_std=float(np.hypot(gain_std, unsettled)),
         dead_time=L,
-        dead_time_interval=interval,
-        tau=rise.crossing - L,
-        tau_std=float(np.hypot(rise.crossing_std, L_std)),
+        dead_time_interval=(low, high),
+        tau=crossing - L,
+        tau_std=answer.tau_std,
         equivalent_time=lag - L,
         equivalent_time_std=float(np.hypot(lag_std, L_std)),
-        rise_t=rise.t,
-        rise=rise.y * gain,
-        rise_std=rise.std * abs(gain),
+        smooth_t=answer.t,
+        smooth=answer.y * gain,
+        smooth_std=answer.std * abs(gain),
         hidden=hidden,
-        settling=settling,
+        settling=answer.settling,
+        settling_std=answer.settling_std,
         overshoot=above,
         overshoot_std=above_std,
         rate=integrates,
@@ -231,7 +220,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         unit=treated.unit,
         input_unit=data.input_unit,
         source=data.source,
-        warnings=(*decided.notes, *_warnings(tail / gain, unsettled / gain, rise, hidden, data)),
+        warnings=(*decided.notes, *_warnings(tail / gain, unsettled / gain, answer, hidden, data)),
     )
 
 
@@ -263,10 +252,13 @@ def _steps(data: Dataset) -> _Steps:
     return _Steps([f[:2] for f in kept], min(f[2] for f in kept), min(f[3] for f in kept))
 
 
-def _averaged(data: Dataset, steps: _Steps, *, slope: bool) -> tuple[NDArray[np.int_], Vector]:
+def _averaged(
+    data: Dataset, steps: _Steps, *, slope: bool
+) -> tuple[NDArray[np.int_], Vector, Vector]:
     """Return samples from the step on (negative before), and the mean answer to a unit step.
 
-    Each less its level before; with `slope` less the straight line before.
+    The third is what divides the variance of each sample's noise. Each answer is less its level
+    before; with `slope` less the straight line before.
     """
     k = np.arange(-steps.pre, steps.post)
     total, weight = np.zeros(k.size), np.zeros(k.size)
@@ -283,7 +275,7 @@ def _averaged(data: Dataset, steps: _Steps, *, slope: bool) -> tuple[NDArray[np.
         total[known] += size * y[known]
         weight[known] += size**2
     with np.errstate(invalid="ignore"):
-        return k, np.where(weight > 0, total / weight, np.nan)
+        return k, np.where(weight > 0, total / weight, np.nan), weight
 
 
 def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: float) -> float:
@@ -301,19 +293,28 @@ def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: flo
     return crossing * slope if abs(slope) > _SURE * std else 0.0
 
 
-def _rise(
-    y: Vector, k: NDArray[np.int_], data: Dataset, steps: _Steps, gain: float, *, integrates: bool
-) -> Rise:
-    """Return the rise of y over the gain."""
-    y = y / gain
-    after = y[k >= 0]
-    after[0] = 0.0  # the input acts from here on
-    after[_alone(np.isfinite(after))] = np.nan
-    # The converter's steps do not show while the output rests.
-    rounding = quantum(data) / (abs(gain) * _weight(data, steps))
-    # Third differences: what still swings before the step is no noise.
-    noise = max(float(np.nanmean(np.diff(y[k < 0], 3) ** 2)) / 20, rounding**2 / 12)
-    return step_rise(after, SHARE, data.Ts, integrates=integrates, least_variance=noise)
+def _answer(
+    y: Vector,
+    k: NDArray[np.int_],
+    weight: Vector,
+    data: Dataset,
+    gain: float,
+    *,
+    integrates: bool,
+) -> Answer:
+    """Return the answer over the gain."""
+    y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y / gain)
+    # What a converter rounds looks smooth where y moves slowly, and would pass for signal.
+    rounding = quantum(data) / (abs(gain) * np.sqrt(weight.max()))
+    return step_answer(
+        k,
+        y,
+        weight,
+        data.Ts,
+        integrates=integrates,
+        band=BAND,
+        least_variance=float(rounding**2 / 12),
+    )
 
 
 def _weight(data: Dataset, steps: _Steps) -> float:
@@ -369,54 +370,17 @@ def _hidden(
     return None if few else (begin, end)
 
 
-def _smoothed(y: Vector, k: NDArray[np.int_], gain: float) -> tuple[Vector, int]:
-    """Return the shortest moving average that is quiet enough, and its length."""
-    longest = max(1, k[-1] // 20)
-    tail = k >= (2 * k[-1]) // 3
-    for window in range(1, longest + 2, 2):
-        smooth = _moving_average(y, window)
-        if float(np.nanstd(smooth[tail])) <= SMOOTH * abs(gain):
-            break
-    return smooth, window
-
-
-def _moving_average(y: Vector, window: int) -> Vector:
-    """Return the mean of what is known within the window, NaN where that is hardly anything."""
-    there = np.isfinite(y).astype(np.float64)
-    box = np.ones(window)
-    count = np.convolve(there, box, "same")
-    # Beside a hole an average of a few is as loud as they are: it would cross any level early or
-    # late. Where holes are scattered all over, half of the usual number is enough.
-    enough = (count > 0) & (count > np.median(count) / 2)
-    return np.convolve(np.nan_to_num(y), box, "same") / np.where(enough, count, np.nan)
-
-
-def dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
-    """Return L of s (t - L)^p, p = 1 or 2, on the rise up to one half, and its interval."""
-    rise = (t <= half + Ts) & np.isfinite(y)
-    t, y = t[rise], y[rise]
-    delays = np.linspace(0.0, half, 201)
-    sse = np.full((2, delays.size), np.inf)
-    for p in (1, 2):
-        x = np.maximum(t[:, None] - delays, 0.0) ** p
-        power = np.sum(x**2, axis=0)
-        s = np.where(power > 0, y @ x / np.where(power > 0, power, 1.0), 0.0)
-        sse[p - 1] = np.sum((y[:, None] - s * x) ** 2, axis=0)
-    least = sse.min(axis=0)
-    best = int(np.argmin(least))
-    variance = least[best] / max(t.size - 2, 1)
-    near = delays[least <= least[best] + 4 * variance]
-    interval = (float(near[0]), float(near[-1]))
-    return (0.0 if interval[0] <= 0 else float(delays[best])), interval
-
-
 def _warnings(
-    tail: Vector, unsettled: float, rise: Rise, hidden: tuple[float, float] | None, data: Dataset
+    tail: Vector,
+    unsettled: float,
+    answer: Answer,
+    hidden: tuple[float, float] | None,
+    data: Dataset,
 ) -> Iterator[str]:
     if hidden:
         yield (
             f"{data.output} is missing {times(*hidden)} after the step, on the rise: the "
-            f"63 % time is known to ± {times(rise.crossing_std)} only; record the step again "
+            f"63 % time is known to ± {times(answer.tau_std)} only; record the step again "
             "at another angle of the chassis (`armrig collect step --at SECONDS`)"
         )
     if abs(unsettled) > _UNSETTLED:
@@ -429,8 +393,8 @@ def _warnings(
     noise = float(np.std(np.diff(tail))) / np.sqrt(max(tail.size, 1))  # a slope does not count
     if change > 0.04 + 4 * noise:
         yield "the answer has not settled in the last third of the hold: hold u longer"
-    if rise.crossing < 3 * data.Ts:
+    if answer.crossing < 3 * data.Ts:
         yield (
-            f"63 % is reached within {rise.crossing / data.Ts:.1f} samples, which is coarse: "
+            f"63 % is reached within {answer.crossing / data.Ts:.1f} samples, which is coarse: "
             "record with a shorter Ts"
         )

@@ -40,17 +40,20 @@ def test_a_first_order_system_is_read_off(down: bool) -> None:
 
 
 def test_dead_time_counts_for_itself() -> None:
-    """And not for the time constant."""
-    found = step_analysis(first_order(dead=8, std=0.05), integrator=False)
+    """And not for the time constant, whose deviation has one that noise leaves unclaimed."""
+    found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
+    unclaimed = step_analysis(first_order(dead=8, std=0.05), integrator=False)
 
     assert found.dead_time == pytest.approx(0.08, abs=0.015)
     assert found.dead_time_interval[0] > 0
     assert found.tau == pytest.approx(TAU, rel=0.1)
+    assert unclaimed.dead_time in (0.0, pytest.approx(0.08, abs=0.03))
+    assert abs(unclaimed.tau - TAU) < 2 * unclaimed.tau_std
 
 
 def test_the_deviations_said_are_those_made() -> None:
-    """Of gain, 63 % time and equivalent time, in 100 runs."""
-    found = [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(100)]
+    """Of gain, 63 % time, equivalent time and settling, in 40 runs."""
+    found = [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(40)]
 
     gain, tau = np.array([f.gain for f in found]), np.array([f.tau for f in found])
     assert np.mean(gain) == pytest.approx(GAIN, abs=0.03)
@@ -59,6 +62,8 @@ def test_the_deviations_said_are_those_made() -> None:
     lag = np.array([f.equivalent_time for f in found])
     assert np.mean(lag) == pytest.approx(TAU, rel=0.05)
     assert 0.5 < np.std(lag) / np.mean([f.equivalent_time_std for f in found]) < 1.5
+    settling = np.array([f.settling for f in found])
+    assert 0.4 < np.std(settling) / np.mean([f.settling_std for f in found]) < 1.5
 
 
 def test_the_arm_is_analysed_by_its_velocity(arm: Any) -> None:
@@ -98,7 +103,6 @@ def test_what_is_left_beside_a_hole_is_not_averaged_alone() -> None:
 
     found = step_analysis(data, integrator=False)
 
-    assert found.window > 1
     assert found.tau == pytest.approx(TAU, rel=0.2)
     assert found.overshoot < 0.1
 
@@ -205,6 +209,48 @@ def test_a_gap_on_the_rise_enters_the_deviation_and_is_told(sampled: Any, begins
     else:
         assert cut.hidden is None
         assert not told
-    if begins_ms == 14:
+    if begins_ms == 18:
         assert cut.tau_std > 1.3 * whole.tau_std
     assert whole.hidden is None
+
+
+def shown(arm: Any, seed: int, *, after: int, hidden: slice = slice(0)) -> Dataset:
+    """Return a step of 1 V as 10 bits show it, `hidden` samples missing; it begins at 250."""
+    resolution = np.radians(352) / 1024
+    u = np.where(np.arange(250 + after) < 250, 0.5, 1.5)
+    noise = 0.5 * np.random.default_rng(seed).standard_normal(u.size)
+    y = np.round(arm.dataset(u).y / resolution + noise) * resolution
+    valid = np.ones(u.size, bool)
+    valid[hidden] = False
+    return Dataset(u=u, y=y, Ts=arm.Ts, valid=valid, output="theta_1", unit="rad")
+
+
+@pytest.mark.parametrize("begins", [401, 501, 651, 851, 1001])
+def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: int) -> None:
+    """0.372 s, wherever 75 ms are missing: it was 0.795, 1.283 and 1.495 s for the last three."""
+    data = shown(sampled(0.002), 2, after=1250, hidden=slice(begins, begins + 37))
+
+    found = step_analysis(data)
+
+    assert found.settling == pytest.approx(0.372, rel=0.05)
+    assert abs(found.settling - 0.372) < 3 * found.settling_std
+    assert f"± {found.settling_std:.2g} s, overshoot" in repr(found)
+
+
+def test_a_soft_beginning_is_no_dead_time(sampled: Any) -> None:
+    """Noise made it 17 ms, and 7.7 ms of the 63 % time of 20.6 ms."""
+    found = step_analysis(shown(sampled(0.002), 31, after=650))
+
+    assert found.dead_time == 0.0
+    assert found.dead_time_interval[0] == 0.0
+    assert abs(found.tau - 0.0206) < 2 * found.tau_std
+
+
+def test_nothing_is_smoothed_to_before_the_step(sampled: Any) -> None:
+    """The curve begins with the step, at 0, and has a deviation."""
+    found = step_analysis(shown(sampled(0.01), 1, after=250))
+
+    assert found.smooth_t[0] > 0
+    assert found.smooth[0] < 0.3 * found.gain
+    assert found.smooth.shape == found.smooth_t.shape == found.smooth_std.shape
+    assert found.smooth_std.max() < 0.2 * found.gain

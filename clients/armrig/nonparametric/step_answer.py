@@ -1,0 +1,404 @@
+"""The answer to a step with its uncertainty: curves drawn from a Gaussian process.
+
+The impulse response g is 0 up to the dead time L, jumps there by any amount, and is a random walk
+from there on. Its increments die out::
+
+    var dg = c exp(-(t - L)/T) / (t - L)^2 dt
+
+which allows for a fast rise and a slow end at once. The samples have white noise. Of each L, c and
+T the likely curves are a Gaussian process, whose mean is a smoothing spline; each combination has
+the weight of its restricted likelihood. The level before the step, and the speed of an angle, are
+unknown, too. What is read off the curves, such as when they reach 63 %, has the scatter that it has
+among the curves: noise, missing samples and the dead time enter it alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
+
+from armrig.numerics.step_times import SHARE
+
+Vector = NDArray[np.float64]
+Setting = tuple[int, int, int]  # of L in cells, of c, of T
+
+DRAWS = 400
+NONE = 0.5
+"""Probability, before the data, of no dead time; else it is anything up to the 63 % time."""
+STRICT = 0.01
+"""Probability of no dead time below which one is claimed."""
+
+_CELLS = 1000  # of the grid of time; more only where there are more samples
+_FINEST = 4  # cells a sample
+_SMOOTH = np.arange(-28.0, 16.0)  # log of the noise over c
+_HORIZONS = 2.0 ** -np.arange(9.0)  # T over the time after the step
+_LARGEST = 1e10  # of a weight, or the equations are singular to working precision
+_DELAYS = 13  # dead times that are tried at once
+_UNLIKELY = 7.0  # -2 log of the likelihood, over the least, up to which neighbours are tried
+_NEGLIGIBLE = 0.01  # weight over the largest one
+_EXACT = 1e-6  # least deviation of the noise, of the largest value
+_AT_ONCE = 4_000_000  # values of curves that are held at once
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Answer:
+    """The answer over its final value, and what is read off its likely curves."""
+
+    t: Vector
+    """Times from the step on, in s, (n,)."""
+    y: Vector
+    """Mean curve, (n,); of an integrating output its rate's."""
+    std: Vector
+    """Standard deviation of `y`, (n,)."""
+    crossings: Vector
+    """When each curve reaches 63 %, in s, (DRAWS,)."""
+    delays: Vector
+    """Dead time of each curve, in s, (DRAWS,)."""
+    settlings: Vector
+    """From when on each curve stays within the band, in s, (DRAWS,)."""
+    none: float
+    """Probability that there is no dead time."""
+
+    @property
+    def dead_time(self) -> float:
+        """Dead time in s; 0.0 where none is almost certain to be there."""
+        return float(np.median(self.delays[self.delays > 0])) if self.none < STRICT else 0.0
+
+    @property
+    def crossing(self) -> float:
+        """When the answer reaches 63 %, in s."""
+        return float(np.median(self.crossings))
+
+    @property
+    def settling(self) -> float:
+        """From when on the answer stays within the band, in s."""
+        return float(np.median(self.settlings))
+
+    @property
+    def settling_std(self) -> float:
+        """Half of the distance from `settling` within which 95 % of the curves settle, in s."""
+        return _half_of_95(self.settlings - self.settling)
+
+    @property
+    def tau_std(self) -> float:
+        """Half of the like distance of the 63 % time less the dead time, in s.
+
+        From that which is reported: a dead time that is not claimed enters it.
+        """
+        return _half_of_95((self.crossings - self.delays) - (self.crossing - self.dead_time))
+
+    @property
+    def dead_time_interval(self) -> tuple[float, float]:
+        """The shortest that has the dead times of 95 % of the curves, in s."""
+        delays = np.sort(self.delays)
+        n = int(np.ceil(0.95 * delays.size)) - 1
+        first = int(np.argmin(delays[n:] - delays[: delays.size - n]))
+        return float(delays[first]), float(delays[first + n])
+
+
+def _half_of_95(error: Vector) -> float:
+    return float(np.quantile(np.abs(error), 0.95)) / 2
+
+
+def step_answer(
+    k: NDArray[np.int_],
+    y: Vector,
+    weight: Vector,
+    Ts: float,
+    *,
+    integrates: bool,
+    band: float,
+    least_variance: float = 0.0,
+) -> Answer:
+    """Return the answer to a step at k = 0.
+
+    Parameters
+    ----------
+    k : array of int, shape (N,)
+        Samples from the step on, negative before it.
+    y : ndarray, shape (N,)
+        Response over its final value, NaN where it is not known. Of an integrating output its
+        angle, of which the rate has the final value.
+    weight : ndarray, shape (N,)
+        By what the variance of each sample's noise is divided.
+    Ts : float
+        Sampling time, in s.
+    integrates : bool
+        The rate of y is looked at.
+    band : float
+        About 1, in which the answer has settled.
+    least_variance : float, default 0
+        Least variance of the noise in y, where the weight is largest.
+
+    References
+    ----------
+    .. [1] C. F. Ansley and R. Kohn, "Estimation, filtering, and smoothing in state space models
+       with incompletely specified initial conditions", Annals of Statistics 13 (1985) 1286-1316.
+    .. [2] G. Pillonetto, F. Dinuzzo, T. Chen, G. De Nicolao, L. Ljung, "Kernel methods in system
+       identification, machine learning and function estimation", Automatica 50 (2014) 657-682.
+    """
+    record = _Record(k, y, weight, Ts, integrates=integrates, least_variance=least_variance)
+    splines, shares, none = _weighed(record)
+    counts = np.diff(np.floor(np.cumsum(shares) * DRAWS + 0.5).astype(int), prepend=0)
+    rng = _rng()
+    size = record.t.size
+    total, squares = np.zeros(size), np.zeros(size)
+    read: list[tuple[Vector, Vector, Vector]] = []
+    for spline, count in zip(splines, counts, strict=True):
+        for curves in record.drawn(spline, int(count), rng):
+            total += curves.sum(axis=1)
+            squares += (curves**2).sum(axis=1)
+            delays = np.full(curves.shape[1], record.dt * spline.delay)
+            read.append((_reached(record.t, curves), delays, _settled(record.t, curves, band)))
+    crossings, delays, settlings = (np.concatenate(each) for each in zip(*read, strict=True))
+    mean = total / DRAWS
+    return Answer(
+        t=record.t,
+        y=mean,
+        std=np.sqrt(np.maximum(squares / DRAWS - mean**2, 0.0)),
+        crossings=crossings,
+        delays=delays,
+        settlings=settlings,
+        none=none,
+    )
+
+
+def _reached(t: Vector, curves: Vector) -> Vector:
+    """Return when each curve (n, draws), which ends at 1, first reaches 63 %."""
+    i = np.argmax(curves >= SHARE, axis=0)
+    here, columns = curves[i, np.arange(i.size)], np.arange(i.size)
+    before = np.where(i > 0, curves[i - 1, columns], 0.0)
+    since = np.where(i > 0, t[i - 1], 0.0)
+    share = (SHARE - before) / np.where(here > before, here - before, 1.0)
+    return np.asarray(since + share * (t[i] - since))
+
+
+def _settled(t: Vector, curves: Vector, band: float) -> Vector:
+    """Return from when on each curve (n, draws), which ends at 1, stays within the band."""
+    last = t.size - 1 - np.argmax(np.abs(curves - 1)[::-1] > band, axis=0)
+    return np.asarray((t[last] + t[np.minimum(last + 1, t.size - 1)]) / 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Spline:
+    """The likely curves of one setting: a mean, and the scatter about it."""
+
+    delay: int
+    """Cells up to the onset."""
+    z: Vector
+    """Mean from the onset on, (M - delay,)."""
+    factor: Vector
+    """Banded Cholesky factor of their precision, times the noise's variance."""
+    lines: Vector
+    """What the level before, and the speed, take from z, each of 1."""
+    lines_cov: Vector
+    """Covariance of both, over the noise's variance."""
+    variance: float
+    """Of the noise."""
+    criterion: float
+    """-2 log of the restricted likelihood, but for a constant."""
+
+
+class _Record:
+    """The samples, and the grid of time that the curves are on."""
+
+    def __init__(
+        self,
+        k: NDArray[np.int_],
+        y: Vector,
+        weight: Vector,
+        Ts: float,
+        *,
+        integrates: bool,
+        least_variance: float,
+    ) -> None:
+        # The level comes from the later half of what is before the step, as the answer's does.
+        known = np.isfinite(y) & (k >= k[0] // 2)
+        k, self._y, self._w = k[known], y[known], weight[known] / weight.max()
+        self._cells = int(np.clip(_CELLS // k[-1], 1, _FINEST))
+        self._order = 3 if integrates else 2
+        self._X = np.vander(k / k[-1], self._order - 1, increasing=True)
+        self._after = k > 0
+        self._at = self._cells * k[self._after] - 1
+        self._least = max(least_variance, (_EXACT * float(np.max(np.abs(self._y)))) ** 2)
+        self.dt = Ts / self._cells
+        self.size = self._cells * int(k[-1])
+        grid = np.arange(self.size + (not integrates), dtype=np.float64)
+        self.t: Vector = self.dt * (grid + 0.5 * integrates)
+
+    def spline(self, delay: int, smooth: float, horizon: float) -> _Spline:
+        """Return the likely curves of a setting, `horizon` of the time after the step."""
+        d, M, m = self._order, self.size - delay, self._cells
+        i = np.arange(M)
+        rough = np.exp(np.minimum(i / (horizon * self.size), 50.0)) * ((i + 1) / m) ** 2
+        cost = np.minimum(np.exp(smooth) * m ** (2 * d - 1) * rough, _LARGEST)
+        here = self._at >= delay
+        at, after = self._at[here] - delay, np.flatnonzero(self._after)[here]
+        w, X = self._w[after], self._X[after]
+        A = _penalty(cost, d)
+        A[-1, at] += w
+        seen = np.zeros((M, d))
+        seen[at, 0], seen[at, 1:] = w * self._y[after], w[:, None] * X
+        factor = cholesky_banded(A, check_finite=False)
+        solved = cho_solve_banded((factor, False), seen, check_finite=False)
+        # What rounding leaves of the equations is solved for once more: it is that of A's large
+        # elements, where the noise is small.
+        rest = seen - _penalised(solved, cost, d)
+        rest[at] -= w[:, None] * solved[at]
+        solved += cho_solve_banded((factor, False), rest, check_finite=False)
+        weighted = self._w[:, None] * self._X
+        left = self._X.T @ weighted - seen[:, 1:].T @ solved[:, 1:]
+        lines_cov = np.linalg.inv(left)
+        level = lines_cov @ (weighted.T @ self._y - solved[:, 1:].T @ seen[:, 0])
+        z = solved[:, 0] - solved[:, 1:] @ level
+        off = self._y - self._X @ level
+        off[after] -= z[at]
+        squares = float(off @ (self._w * off)) + _cost(z, cost, d)
+        freedom = self._y.size - d  # the jump at the onset, and the line
+        variance = max(squares / freedom, self._least)
+        log_det = 2 * np.sum(np.log(factor[-1])) + np.linalg.slogdet(left)[1]
+        log_det -= np.sum(np.log(cost[d - 1 :])) + (np.log(cost[0]) if d == 3 else 0.0)
+        criterion = float(log_det + freedom * np.log(variance) + squares / variance)
+        return _Spline(
+            delay=delay,
+            z=z,
+            factor=factor,
+            lines=solved[:, 1:],
+            lines_cov=lines_cov,
+            variance=variance,
+            criterion=criterion if np.isfinite(criterion) else np.inf,
+        )
+
+    def drawn(self, of: _Spline, count: int, rng: np.random.Generator) -> Iterator[Vector]:
+        """Yield curves (n, some) over their final values, `count` in all."""
+        most = max(1, _AT_ONCE // self.size)
+        std, root = np.sqrt(of.variance), np.linalg.cholesky(of.lines_cov)
+        for first in range(0, count, most):
+            n = min(most, count - first)
+            noise = rng.standard_normal((of.z.size, n))
+            own = solve_banded((0, self._order), of.factor, noise, check_finite=False)
+            own -= of.lines @ (root @ rng.standard_normal((self._order - 1, n)))
+            z = np.zeros((self.size + 1, n))
+            z[of.delay + 1 :] = of.z[:, None] + std * own
+            y = np.diff(z, axis=0) / self.dt if self._order == 3 else z
+            # Of a loud record some curve may end near 0, which is no final value.
+            yield y / np.maximum(y[-1], 0.1)
+
+
+def _penalty(cost: Vector, d: int) -> Vector:
+    """Return sum_j cost_j (D^d z)_j² as a banded matrix (d + 1, M), for z = 0 at and before 0.
+
+    For d = 3 with a row more: the rate is 0 at the onset, for a parabola from there.
+    """
+    row = np.array([-1.0, 3.0, -3.0, 1.0]) if d == 3 else np.array([1.0, -2.0, 1.0])
+    banded = np.zeros((d + 1, cost.size))
+    for a in range(d + 1):
+        first = d if a == 0 else d - 1  # the 0 at the onset is no unknown
+        for b in range(a, d + 1):
+            banded[d - (b - a), first - d + b : cost.size - d + b] += row[a] * row[b] * cost[first:]
+    if d == 3:
+        banded[3, :2] += cost[0] * np.array([16.0, 1.0])
+        banded[2, 1] -= 4 * cost[0]
+    return banded
+
+
+def _penalised(z: Vector, cost: Vector, d: int) -> Vector:
+    """Return P z of `_penalty` for columns z (M, n), by differences of z."""
+    rough = cost[d - 1 :, None] * np.diff(np.vstack([np.zeros_like(z[:1]), z]), d, axis=0)
+    # The adjoint of a difference, d times.
+    for _ in range(d):
+        rough = -np.diff(rough, axis=0, prepend=0.0, append=0.0)
+    rough = rough[1:]
+    if d == 3:
+        first = cost[0] * (4 * z[0] - z[1])
+        rough[0] += 4 * first
+        rough[1] -= first
+    return rough
+
+
+def _cost(z: Vector, cost: Vector, d: int) -> float:
+    """Return z' P z of `_penalty`."""
+    total = float(cost[d - 1 :] @ np.diff(np.append(0.0, z), d) ** 2)
+    return total + (float(cost[0] * (4 * z[0] - z[1]) ** 2) if d == 3 else 0.0)
+
+
+class _Search:
+    """The settings tried so far."""
+
+    def __init__(self, record: _Record) -> None:
+        self._record = record
+        self.found: dict[Setting, _Spline] = {}
+
+    def criterion(self, at: Setting) -> float:
+        """Return that of a setting."""
+        if at not in self.found:
+            delay, i, j = at
+            self.found[at] = self._record.spline(delay, _SMOOTH[i], _HORIZONS[j])
+        return self.found[at].criterion
+
+    @property
+    def best(self) -> Setting:
+        """The most likely setting."""
+        return min(self.found, key=self.criterion)
+
+    def climb(self, at: Setting) -> Setting:
+        """Return the most likely setting of its delay, by steps to neighbours from `at` on."""
+        while (best := min((at, *_near(at)), key=self.criterion)) != at:
+            at = best
+        return at
+
+    def spread(self) -> None:
+        """Try the neighbours of all that are likely."""
+        limit = self.criterion(self.best) + _UNLIKELY
+        tried = [at for at in self.found if self.criterion(at) < limit]
+        while tried:
+            new = [at for at in _near(tried.pop()) if at not in self.found]
+            tried += [at for at in new if self.criterion(at) < limit]
+
+
+def _near(at: Setting) -> Iterator[Setting]:
+    delay, i, j = at
+    for x in range(max(i - 1, 0), min(i + 2, _SMOOTH.size)):
+        for v in range(max(j - 1, 0), min(j + 2, _HORIZONS.size)):
+            yield delay, x, v
+
+
+def _weighed(record: _Record) -> tuple[list[_Spline], Vector, float]:
+    """Return the likely splines with their probabilities, and that of no dead time."""
+    search = _Search(record)
+    starts = [(0, i, j) for i in range(0, _SMOOTH.size, 5) for j in (1, 4, 7)]
+    best = search.climb(min(starts, key=search.criterion))
+    (curves,) = record.drawn(search.found[best], min(DRAWS // 2, _AT_ONCE // record.size), _rng())
+    latest = int(np.quantile(np.argmax(curves >= SHARE, axis=0), 0.99)) + 1
+    latest = min(latest, record.size // 2)
+    at = best
+    for delay in _spaced(1, latest):
+        at = search.climb((delay, *at[1:]))
+    at = search.best
+    width = 1.5 * latest / _DELAYS
+    for delay in _spaced(max(at[0] - width, 1), min(at[0] + width, latest)):
+        search.climb((delay, *at[1:]))
+    search.spread()
+    least = search.criterion(search.best)
+    weights = {at: np.exp((least - found.criterion) / 2) for at, found in search.found.items()}
+    delays = np.array(sorted({at[0] for at in weights}))
+    widths = np.gradient(delays.astype(np.float64)) / latest if delays.size > 1 else np.ones(1)
+    prior = dict(zip(delays, (1 - NONE) * widths, strict=True)) | {0: NONE}
+    shares = np.array([prior[at[0]] * weight for at, weight in weights.items()])
+    shares /= shares.sum()
+    none = float(sum(s for at, s in zip(weights, shares, strict=True) if at[0] == 0))
+    kept = shares > _NEGLIGIBLE * shares.max()
+    splines = [found for found, here in zip(search.found.values(), kept, strict=True) if here]
+    return splines, shares[kept] / shares[kept].sum(), none
+
+
+def _spaced(first: float, last: float) -> list[int]:
+    return sorted({round(x) for x in np.linspace(first, last, _DELAYS)})
+
+
+def _rng() -> np.random.Generator:
+    return np.random.default_rng(1)
