@@ -67,7 +67,7 @@ class Examples:
         u = np.tile(np.repeat([0.5, 4.5], 100), 5)
         y = self.plant.angle(u) + 1e-3 * np.random.default_rng(1).standard_normal(u.size)
         found = armrig.step_analysis(Dataset(u=u, y=y, Ts=0.01, output="theta_1", unit="rad"))
-        return replace(found, window=5, dead_time=0.03)
+        return replace(found, dead_time=0.03)
 
     @property
     def periods(self) -> Dataset:

@@ -127,7 +127,8 @@ class StepAnalysis:
             return "noise hides whether it overshoots"
         # Of 3 standard deviations, not 2: it is the largest of many.
         if self.overshoot <= 3 * self.overshoot_std:
-            return f"no overshoot seen (± {100 * self.overshoot_std:.2g} %)"
+            about = f" (± {100 * self.overshoot_std:.2g} %)" if self.overshoot_std else ""
+            return f"no overshoot seen{about}"
         return f"overshoot {with_std(100 * self.overshoot, 100 * self.overshoot_std)} %"
 
 
@@ -191,9 +192,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     lag, lag_std = _lag(own, k, data, steps, (gain, gain_std), integrates=integrates)
     unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
     hidden = _hidden(own, k, crossing, data.Ts)
-    top = int(np.argmax(answer.y))
-    above_std = float(answer.std[top])
-    above = max(float(answer.y[top]) - 1, 0.0) if above_std < _LOUD else float("nan")
+    above, above_std = answer.overshoot
+    above = above if above_std < _LOUD else float("nan")
     return StepAnalysis(
         t=t,
         y=y,

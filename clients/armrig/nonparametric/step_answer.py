@@ -60,6 +60,8 @@ class Answer:
     """Dead time of each curve, in s, (DRAWS,)."""
     settlings: Vector
     """From when on each curve stays within the band, in s, (DRAWS,)."""
+    peaks: Vector
+    """Largest value of each curve, (DRAWS,)."""
     none: float
     """Probability that there is no dead time."""
 
@@ -80,16 +82,22 @@ class Answer:
 
     @property
     def settling_std(self) -> float:
-        """Half of the distance from `settling` within which 95 % of the curves settle, in s."""
-        return _half_of_95(self.settlings - self.settling)
+        """Distance from `settling` within which 68.3 % of the curves settle, in s."""
+        return _deviation(self.settlings - self.settling)
+
+    @property
+    def overshoot(self) -> tuple[float, float]:
+        """Largest value less the final one, 1, and its deviation."""
+        above = float(np.max(self.y)) - 1
+        return max(above, 0.0), _deviation(self.peaks - 1 - above)
 
     @property
     def tau_std(self) -> float:
-        """Half of the like distance of the 63 % time less the dead time, in s.
+        """The like distance of the 63 % time less the dead time, in s.
 
         From that which is reported: a dead time that is not claimed enters it.
         """
-        return _half_of_95((self.crossings - self.delays) - (self.crossing - self.dead_time))
+        return _deviation((self.crossings - self.delays) - (self.crossing - self.dead_time))
 
     @property
     def dead_time_interval(self) -> tuple[float, float]:
@@ -100,8 +108,9 @@ class Answer:
         return float(delays[first]), float(delays[first + n])
 
 
-def _half_of_95(error: Vector) -> float:
-    return float(np.quantile(np.abs(error), 0.95)) / 2
+def _deviation(error: Vector) -> float:
+    """Return within what 68.3 % of the errors are: few large ones do not make it large."""
+    return float(np.quantile(np.abs(error), 0.683))
 
 
 def step_answer(
@@ -147,14 +156,15 @@ def step_answer(
     rng = _rng()
     size = record.t.size
     total, squares = np.zeros(size), np.zeros(size)
-    read: list[tuple[Vector, Vector, Vector]] = []
+    read: list[tuple[Vector, ...]] = []
     for spline, count in zip(splines, counts, strict=True):
         for curves in record.drawn(spline, int(count), rng):
             total += curves.sum(axis=1)
             squares += (curves**2).sum(axis=1)
             delays = np.full(curves.shape[1], record.dt * spline.delay)
-            read.append((_reached(record.t, curves), delays, _settled(record.t, curves, band)))
-    crossings, delays, settlings = (np.concatenate(each) for each in zip(*read, strict=True))
+            settled = _settled(record.t, curves, band)
+            read.append((_reached(record.t, curves), delays, settled, curves.max(axis=0)))
+    crossings, delays, settlings, peaks = (np.concatenate(x) for x in zip(*read, strict=True))
     mean = total / DRAWS
     return Answer(
         t=record.t,
@@ -163,6 +173,7 @@ def step_answer(
         crossings=crossings,
         delays=delays,
         settlings=settlings,
+        peaks=peaks,
         none=none,
     )
 
