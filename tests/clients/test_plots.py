@@ -383,6 +383,18 @@ def test_a_test_of_residuals_and_a_comparison_show_themselves(done: Study) -> No
     assert tested.axes[0].get_title("right") == compared.axes[0].get_title("right") != ""
 
 
+def test_residuals_name_the_levels_of_band_and_test(done: Study) -> None:
+    """A bar that leaves its band of 99 % contradicts no joint test at 1 %: both are named."""
+    ax = plots.plot_residuals(done.best.fit, done.validation, ax=Figure().add_subplot())
+
+    for panel in ax.figure.axes:
+        legend = panel.get_legend()
+        assert legend is not None
+        assert said(panel) == ["99 % band of each lag"]
+        read = " ".join(legend.get_title().get_text().replace("\xa0", " ").split())
+        assert "(joint test, level 1 %)" in read
+
+
 def test_identical_errors_need_no_logarithm(done: Study) -> None:
     """The errors' scale is linear where no model is far worse than another."""
     oe = done.best.fit

@@ -19,7 +19,7 @@ from armrig.report.figures import STYLE, WIDTH
 from armrig.report.handout_study import METHODS, HandoutStudy
 
 _LOWER, _HEIGHT = 1.35, 1.55
-_HIGHER = 1.95
+_HIGHER, _LEGENDS = 1.95, 1.75
 """Where two panels stand one below the other, or a panel has many names."""
 Draw = Callable[[Axes], object]
 
@@ -98,7 +98,7 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         names = [m.name for m in black.models]
         models = [m.model for m in black.models]
         fit, data = black.best.fit, black.validation
-        found["residuals"] = (_HEIGHT, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
+        found["residuals"] = (_LEGENDS, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
         found["compare"] = (
             _HIGHER,
             [lambda ax: plots.plot_compare(data, *models, labels=names, ax=ax)],

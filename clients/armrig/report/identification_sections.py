@@ -146,8 +146,8 @@ def _black_box(study: HandoutStudy) -> Section:
             header=("model", "coefficients", "rms error", "p white", "p dynamics"), rows=tuple(rows)
         ),
         figure="residuals",
-        caption=f"Residuals of the {best.name} model on validation data, with 99 % bands: "
-        "correlation with themselves (left) and with the input.",
+        caption=f"Residuals of the {best.name} model on validation data: correlation "
+        "with themselves (left) and with the input.",
     )
 
 

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, GREY, VERMILION, finish, legend, panels, sign, stems
 from armrig.numerics.quantities import NBSP, p_relation
-from armrig.numerics.whiteness import Whiteness
+from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BAND_99_PERCENT = 2.58
 """Two-sided quantile of the normal distribution."""
+BAND = "99 % band of each lag"
+_JOINT = f"joint test, level {100 * WHITE_LEVEL:g}{NBSP}%"
 
 
 class ResidualTest(Protocol):
@@ -66,14 +68,16 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     """Show the residuals' autocorrelation and, below, their correlation with the input.
 
     Grey bands hold 99 % of each lag's values: if the residuals are white, and if the input has
-    nothing to do with them. Negative lags point to feedback, positive ones to missing dynamics.
+    nothing to do with them. Of 100 such lags one leaves its band, so the verdict is that of a test
+    of all lags together. Negative lags point to feedback, positive ones to missing dynamics.
     """
     ax, below = panels(ax, 0.5, sharex=False)
-    ax.axhspan(-test.autocorrelation_band, test.autocorrelation_band, color=GREY, alpha=0.25, lw=0)
+    shade: dict[str, Any] = {"color": GREY, "alpha": 0.25, "lw": 0, "label": BAND}
+    ax.axhspan(-test.autocorrelation_band, test.autocorrelation_band, **shade)
     stems(ax, test.lags[1:], test.autocorrelation[1:], BLUE)
     ax.set_ylabel("$r_e$(lag)")
     band = BAND_99_PERCENT * test.cross_std
-    below.fill_between(test.cross_lags, -band, band, step="mid", color=GREY, alpha=0.25, lw=0)
+    below.fill_between(test.cross_lags, -band, band, step="mid", **shade)
     stems(below, test.cross_lags, test.cross_correlation, VERMILION)
     below.axvline(-0.5, color=GREY, lw=0.6, ls=":")
     below.set_ylabel("$r_{eu}$(lag)")
@@ -89,9 +93,18 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     finish(below)
     legend(
         below,
-        f"no feedback: {_p(test.feedback)}; no dynamics missing: {_p(test.missing_dynamics)}",
+        f"no feedback: {_p(test.feedback)}; no dynamics missing: {_p(test.missing_dynamics)} "
+        f"({_JOINT})",
     )
-    return sign(ax, test.source, above=legend(ax, f"residuals {test.white}"))
+    return sign(ax, test.source, above=legend(ax, _verdict(test.white)))
+
+
+def _verdict(found: Whiteness) -> str:
+    """Say whether the residuals are white, and at which level."""
+    if np.isnan(found.p_value):
+        return f"residuals {found}"
+    verdict = "coloured" if found.coloured else "white"
+    return f"residuals {verdict}: {_p(found.p_value)} ({_JOINT})"
 
 
 def _p(p: float) -> str:
