@@ -21,6 +21,8 @@ from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
 from armrig.recordings.loading import load
+from armrig.recordings.overview import overview
+from armrig.recordings.overview_figure import plot_overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from armrig.validation.comparison import compare
@@ -29,7 +31,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
@@ -191,6 +193,18 @@ def test_missing_samples_are_shaded(recording: Recording) -> None:
         shades = [patch for patch in panel.patches if isinstance(patch, Rectangle)]
         assert [patch.get_x() for patch in shades] == pytest.approx(begin)
         assert [patch.get_x() + patch.get_width() for patch in shades] == pytest.approx(end)
+
+
+@pytest.mark.parametrize("kind", ["data", "compare", "overview"])
+def test_the_shading_has_one_name(kind: str, done: Study, recording: Recording) -> None:
+    """In the legend once, however many stretches there are, and in a colour that no line has."""
+    plot = PLOTS.get(kind, lambda s, r, ax: plot_overview(overview(r), ax=ax))
+    ax = plot(done, recording, Figure().add_subplot())
+
+    assert said(ax).count("dead band or missing sample") == 1
+    faces = [to_hex(patch.get_facecolor()) for panel in ax.figure.axes for patch in panel.patches]
+    assert len(faces) > 3
+    assert set(faces) == {plots.ORANGE.lower()}
 
 
 def test_the_histogram_tells_its_percentiles(recording: Recording) -> None:

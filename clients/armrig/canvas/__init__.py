@@ -26,7 +26,6 @@ from armrig.canvas.colours import (
 )
 from armrig.canvas.layout import (
     MISSING,
-    Sampled,
     axes,
     figure_of,
     finish,
@@ -58,7 +57,6 @@ __all__ = [
     "SKY",
     "VERMILION",
     "WIDTHS",
-    "Sampled",
     "axes",
     "bare_minor",
     "decibel_ticks",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from armrig.canvas.colours import INK
+from armrig.canvas.colours import INK, ORANGE
 from armrig.numerics.stretches import stretches
 
 if TYPE_CHECKING:
@@ -18,18 +18,6 @@ if TYPE_CHECKING:
 
 MISSING = "#BBBBBB"
 _WIDE = 2.0  # width over height, from which on two panels stand side by side
-
-
-class Sampled(Protocol):
-    """What has a value at each sample, some of them missing: a `Dataset`, for example."""
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """(N,), False where the value is missing."""
-
-    @property
-    def Ts(self) -> float:
-        """Sampling time, in s."""
 
 
 def axes(ax: Axes | None) -> Axes:
@@ -111,11 +99,23 @@ def save(figure: Figure, path: Path, **options: Any) -> None:
         figure.savefig(path, metadata=undated.get(path.suffix.lower()), **options)
 
 
-def shade(ax: Axes, data: Sampled) -> None:
-    """Shade the time in which y is missing."""
-    for gap in stretches(~data.valid):
-        begin, end = (gap.start - 0.5) * data.Ts, (gap.stop - 0.5) * data.Ts
-        ax.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
+def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) -> None:
+    """Shade the time in which an angle is not valid, and name it for the legend.
+
+    Parameters
+    ----------
+    valid : ndarray of bool (N,)
+        False where the value is missing.
+    Ts, first : float
+        Sampling time, and time of the first sample, in s.
+    """
+    # Not grey as the grid; a line of its own keeps three samples of thousands visible.
+    look: dict[str, Any] = {"facecolor": ORANGE, "edgecolor": ORANGE, "alpha": 0.35, "lw": 0.5}
+    label = "dead band or missing sample"
+    for gap in stretches(~valid):
+        begin, end = (first + (k - 0.5) * Ts for k in (gap.start, gap.stop))
+        ax.axvspan(begin, end, label=label, zorder=0.5, **look)
+        label = "_"
 
 
 def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:

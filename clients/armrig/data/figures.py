@@ -12,10 +12,10 @@ from armrig.canvas import (
     BLUE,
     INK,
     NAMES,
-    Sampled,
     bare_minor,
     finish,
     hertz,
+    legend,
     named,
     panels,
     shade,
@@ -32,7 +32,7 @@ _RAMP = 0.95  # share of the variance that a straight line explains, from which 
 _CHANGES = 5  # of the input; one that changes less often is a step
 
 
-class Signals(Sampled, Protocol):
+class Signals(Protocol):
     """Input and output at N instants; a `Dataset` is one. Its fields say more."""
 
     @property
@@ -44,8 +44,16 @@ class Signals(Sampled, Protocol):
         """Output (N,), NaN where it is missing."""
 
     @property
+    def valid(self) -> NDArray[np.bool_]:
+        """(N,), False where the output is missing."""
+
+    @property
     def t(self) -> Vector:
         """Time (N,), in s."""
+
+    @property
+    def Ts(self) -> float:
+        """Sampling time, in s."""
 
     @property
     def output(self) -> str:
@@ -103,8 +111,6 @@ def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     """
     data = _signals(source)
     ax, below = panels(ax, 0.28)
-    for panel in (ax, below):
-        shade(panel, data)
     ramp, label = without_ramp(data)
     ax.plot(data.t, data.y - ramp, color=BLUE, lw=0.9)
     ax.set_ylabel(label)
@@ -112,8 +118,10 @@ def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     below.set_ylabel(named("$u$", data.input_unit))
     below.set_xlabel("$t$ [s]")
     below.margins(y=0.15)
+    for panel in (ax, below):
+        shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
-    return sign(ax, data.source)
+    return sign(ax, data.source, above=legend(ax))
 
 
 def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, INK, MISSING, NAMES, VERMILION, finish, rows, sign
-from armrig.numerics.stretches import stretches
+from armrig.canvas import BLUE, INK, NAMES, VERMILION, finish, legend, rows, shade, sign
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +31,8 @@ class Overview(Protocol):
 def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     """Show u, theta_1, its rate and alpha against time.
 
-    Shaded is where a sample is missing or shows no angle; outliers are ringed.
+    Shaded is where a sample is missing or shows no angle, at u of either angle; outliers are
+    ringed.
     """
     rec = found.recording
     if not rec.N:
@@ -42,6 +42,7 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     ax, first, last = every[0], float(rec.t[0]), float(rec.t[-1])
     rate = np.diff(rec.theta_1, prepend=np.nan) / rec.Ts
     ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
+    shade(ax, rec.valid & rec.valid_alpha, rec.Ts, first=first)
     signals = (
         ("theta_1", rec.theta_1, rec.valid, f"{NAMES['theta_1']} [rad]"),
         ("velocity", rate, rec.valid, f"{NAMES['velocity']} [rad/s]"),
@@ -51,13 +52,11 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     for panel, (name, y, valid, label) in zip(every[1:], signals, strict=True):
         panel.plot(rec.t, y, color=BLUE, lw=0.7)
         panel.set_ylabel(label)
-        for gap in stretches(~valid):
-            begin, end = (first + (k - 0.5) * rec.Ts for k in (gap.start, gap.stop))
-            panel.axvspan(begin, end, color=MISSING, alpha=0.5, lw=0)
+        shade(panel, valid, rec.Ts, first=first)
         _ring(panel, found, name, y)
     every[-1].set_xlabel("$t$ [s]")
     finish(*every, xlim=(first, last if last > first else first + 1.0))
-    return sign(ax, rec.sha256)
+    return sign(ax, rec.sha256, above=legend(ax))
 
 
 def _ring(panel: Axes, found: Overview, name: str, y: np.ndarray) -> None:

@@ -50,8 +50,6 @@ def plot_comparison(
     `armrig.data.figures.without_ramp`.
     """
     ax, below = panels(ax, 0.38)
-    for panel in (ax, below):
-        shade(panel, data)
     names = labels or [row.name for row in compared]
     best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
     reference = compared[best].y
@@ -76,6 +74,8 @@ def plot_comparison(
     ax.set_ylabel(label)
     below.set_ylabel(f"minus {names[best]}\n[{data.unit or '–'}]")
     below.set_xlabel("$t$ [s]")
+    for panel in (ax, below):
+        shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
     return sign(ax, data.source, above=legend(ax))
 

@@ -107,8 +107,6 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     Coulomb friction is left out of the simulation here; its error shows what it does.
     """
     ax, below = panels(ax, 0.38)
-    for panel in (ax, below):
-        shade(panel, data)
     names = tuple(n for n in fit.names if n != COULOMB)
     problem = GreyBox(physics=fit.physics, names=names, experiments=tuple(data.experiments()))
     e = np.full(data.N, np.nan)
@@ -124,6 +122,8 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     ax.set_ylabel(label)
     below.set_ylabel(f"error [{data.unit or '–'}]")
     below.set_xlabel("$t$ [s]")
+    for panel in (ax, below):
+        shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
     return sign(ax, data.source, above=legend(ax))
 
