@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass, replace
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from pkgutil import walk_packages
 
@@ -345,6 +346,10 @@ def test_a_ramp_is_shown_without_its_slope(done: Study, recording: Recording) ->
     shown = np.asarray(ax.lines[0].get_ydata(), dtype=np.float64)
     np.testing.assert_allclose(shown, recording.theta_1 - slope * recording.t, atol=1e-9)
     assert f"{slope:.3g} $t$ [rad]" in ax.get_ylabel()
+    legend = ax.get_legend()
+    assert legend is not None
+    explained = legend.get_title().get_text().replace("\xa0", " ")
+    assert explained == rf"$\theta_1$ less its mean rate, {slope:.3g} rad/s"
 
 
 def test_a_step_keeps_its_ramp(done: Study) -> None:
@@ -407,6 +412,22 @@ def test_residuals_name_the_levels_of_band_and_test(done: Study) -> None:
         assert said(panel) == ["99 % band of each lag"]
         read = " ".join(legend.get_title().get_text().replace("\xa0", " ").split())
         assert "(joint test, level 1 %)" in read
+
+
+def test_a_stretched_axis_says_so_and_its_numbers_stand_apart(done: Study) -> None:
+    """The label gives where the logarithm begins, and no number covers another in a low panel."""
+    figure = Figure(figsize=(6.4, 2.6), layout="constrained")
+    models = _models(done)
+    far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
+    plots.plot_compare(done.validation, far, *models, ax=figure.add_subplot())
+    FigureCanvasAgg(figure).draw()
+
+    below = figure.axes[1]
+    heights = [text.get_window_extent() for text in below.get_yticklabels()]
+    assert below.get_yscale() == "symlog"
+    assert "log\nbeyond ±" in below.get_ylabel()
+    assert len(heights) >= 3
+    assert all(low.y1 <= high.y0 for low, high in pairwise(heights))
 
 
 def test_identical_errors_need_no_logarithm(done: Study) -> None:

@@ -21,7 +21,7 @@ from armrig.canvas import (
     shade,
     sign,
 )
-from armrig.numerics.quantities import minus
+from armrig.numerics.quantities import NBSP, minus
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,14 +83,16 @@ class HasSignals(Protocol):
         """Return its signals."""
 
 
-def without_ramp(data: Signals) -> tuple[Vector, str]:
+def without_ramp(data: Signals) -> tuple[Vector, str, tuple[str, ...]]:
     """Return the ramp that hides what else an output does, (N,), and the label of what is left.
+
+    Last are the lines for the legend that explain the label: none where nothing is taken off.
 
     An angle that turns on for 140 rad shows nothing but that it turns. Where a straight line
     explains nearly all of y its slope is taken off, and the label says so; the answer to a step
     keeps it, for there the slope is the answer.
     """
-    none = np.zeros(data.t.size), named(data.output, data.unit)
+    none = np.zeros(data.t.size), named(data.output, data.unit), ()
     seen = data.valid
     if np.count_nonzero(seen) < 3 or np.count_nonzero(np.diff(data.u)) < _CHANGES:
         return none
@@ -100,7 +102,8 @@ def without_ramp(data: Signals) -> tuple[Vector, str]:
         return none
     name, digits = NAMES.get(data.output, data.output), minus(f"{abs(slope):.3g}")
     label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$ [{data.unit or '–'}]"
-    return slope * data.t, label
+    rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{data.unit}/s' if data.unit else 'per s'}"
+    return slope * data.t, label, (f"{name} less its mean rate, {rate}",)
 
 
 def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
@@ -111,7 +114,7 @@ def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     """
     data = _signals(source)
     ax, below = panels(ax, 0.28)
-    ramp, label = without_ramp(data)
+    ramp, label, notes = without_ramp(data)
     ax.plot(data.t, data.y - ramp, color=BLUE, lw=0.9)
     ax.set_ylabel(label)
     below.step(data.t, data.u, where="post", color=INK, lw=0.7)
@@ -121,7 +124,7 @@ def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     for panel in (ax, below):
         shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
-    return sign(ax, data.source, above=legend(ax))
+    return sign(ax, data.source, above=legend(ax, *notes))
 
 
 def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
@@ -162,7 +165,7 @@ def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes
     """
     data = _signals(source)
     ax, below = panels(ax, 0.5, sharex=False)
-    ramp, label = without_ramp(data)
+    ramp, label, notes = without_ramp(data)
     for panel, values, colour, name in (
         (ax, (data.y - ramp)[data.valid], BLUE, label),
         (below, data.u, INK, named("$u$", data.input_unit)),
@@ -173,7 +176,7 @@ def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes
         panel.set_xlabel(name)
         panel.set_ylabel("samples")
         finish(panel)
-    return sign(ax, data.source)
+    return sign(ax, data.source, above=legend(ax, *notes))
 
 
 def squared(unit: str) -> str:

@@ -100,7 +100,7 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         fit, data = black.best.fit, black.validation
         found["residuals"] = (_LEGENDS, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
         found["compare"] = (
-            _HIGHER,
+            2.45,
             [lambda ax: plots.plot_compare(data, *models, labels=names, ax=ax)],
         )
     if grey is not None and chassis is not None:

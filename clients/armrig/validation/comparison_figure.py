@@ -45,15 +45,15 @@ def plot_comparison(
     """Show measured output and models, and what tells the models apart.
 
     Below are data and other models less the best model, which has the least rms error: the data as
-    dots, so that what hides in their noise shows. The scale is linear up to three times that error
-    and logarithmic beyond. What is a ramp and little else is shown without it: see
-    `armrig.data.figures.without_ramp`.
+    dots, so that what hides in their noise shows. Where another model is far worse, the scale is
+    linear up to about three times the best error and logarithmic beyond, as its label says.
+    What is a ramp and little else is shown without it: see `armrig.data.figures.without_ramp`.
     """
-    ax, below = panels(ax, 0.38)
+    ax, below = panels(ax, 0.42)
     names = labels or [row.name for row in compared]
     best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
     reference = compared[best].y
-    ramp, label = without_ramp(data)
+    ramp, label, notes = without_ramp(data)
     ax.plot(data.t, data.y - ramp, color=MISSING, lw=4.5, label="measured")
     for i, (row, name, pen) in enumerate(zip(compared, names, pens(len(names)), strict=True)):
         text = f"{name}, rms error {error(row.rms_error, data.unit)}"
@@ -62,7 +62,7 @@ def plot_comparison(
             below.plot(data.t, row.y - reference, **(pen | {"lw": 0.6 * pen["lw"]}))
     below.plot(data.t, data.y - reference, ".", color=GREY, ms=1.2, zorder=3)
     below.axhline(0, color=INK, lw=0.6)
-    _limit_errors(below, data, compared, best)
+    linear = _limit_errors(below, data, compared, best)
     # Not autoscaled: where nothing was measured a model's initial transient may be anywhere.
     shown = np.concatenate([(y - ramp)[data.valid] for y in (data.y, *(r.y for r in compared))])
     measured, all_ = _range(data.y - ramp), _range(shown[np.isfinite(shown)])
@@ -72,28 +72,35 @@ def plot_comparison(
         min(all_[1], measured[1] + span) + 0.05 * span,
     )
     ax.set_ylabel(label)
-    below.set_ylabel(f"minus {names[best]}\n[{data.unit or '–'}]")
+    stretched = f", log\nbeyond ±{linear:g}" if linear else ""
+    below.set_ylabel(f"minus {names[best]}\n[{data.unit or '–'}]{stretched}")
     below.set_xlabel("$t$ [s]")
     for panel in (ax, below):
         shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
-    return sign(ax, data.source, above=legend(ax))
+    return sign(ax, data.source, above=legend(ax, *notes))
 
 
-def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Compared], best: int) -> None:
-    """Make the scale logarithmic beyond the best model's errors where another's are far larger."""
+def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Compared], best: int) -> float:
+    """Make the scale logarithmic beyond the best model's errors where another's are far larger.
+
+    Returns from where on; 0 if the scale stays linear.
+    """
     sizes = [r.rms_error for r in rows if np.isfinite(r.rms_error) and r.rms_error > 0]
     if not sizes or max(sizes) <= 8 * min(sizes):
-        return
-    linear = 3 * min(sizes)
+        return 0.0
+    linear = float(f"{3 * min(sizes):.1g}")
     others = [np.abs(row.y - rows[best].y)[data.valid] for row in rows]
     largest = max(float(np.nanmax(e, initial=linear)) for e in others if np.isfinite(e).any())
     ax.set_yscale("symlog", linthresh=linear, linscale=1.0)
     ax.set_ylim(-2 * largest, 2 * largest)
-    decades = {np.ceil(np.log10(linear)), np.floor(np.log10(largest))}
-    ticks = [sign * 10.0**d for d in sorted(decades) for sign in (-1, 1)]
-    ax.set_yticks([0, *ticks], [minus(f"{v:g}") for v in (0, *ticks)])
-    ax.minorticks_off()
+    # Numbers at 0 and at the ends alone: the panel may be as low as three lines of text.
+    highest = max(10.0 ** np.floor(np.log10(largest)), linear)
+    ticks = (-highest, 0, highest)
+    ax.set_yticks(ticks, [minus(f"{v:g}") for v in ticks])
+    decades = 10.0 ** np.arange(np.ceil(np.log10(linear)), np.log10(highest))
+    ax.set_yticks([*-decades, -linear, linear, *decades], minor=True)
+    return linear
 
 
 def _size(x: float) -> float:

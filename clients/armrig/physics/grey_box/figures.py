@@ -114,7 +114,7 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     estimates = ", ".join(
         f"{symbol(n)} = {scaled(fit.values[n], fit.std[n], UNITS.get(n, ''))}" for n in fit.names
     )
-    ramp, label = without_ramp(data)
+    ramp, label, notes = without_ramp(data)
     ax.plot(data.t, data.y - ramp, color=MISSING, lw=3.0, label="measured")
     ax.plot(data.t, data.y - e - ramp, color=BLUE, lw=1.0, label=f"grey box, {estimates}")
     below.plot(data.t, e, color=BLUE, lw=0.6)
@@ -125,7 +125,7 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     for panel in (ax, below):
         shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
-    return sign(ax, data.source, above=legend(ax))
+    return sign(ax, data.source, above=legend(ax, *notes))
 
 
 def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
