@@ -87,7 +87,7 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         "loop": study.loop,
         "delay": study.delay,
     }
-    heights = {"sampling": _HIGHER, "structure": _HIGHER}
+    heights = {"sampling": _HIGHER, "structure": _HIGHER, "loop": _LOWER}
     found = {
         name: (heights.get(name, _HEIGHT), [_drawing(value)])
         for name, value in values.items()

@@ -17,6 +17,7 @@ from armrig.numerics.quantities import (
     percent,
     places,
     plural,
+    power,
     scaled,
     with_std,
 )
@@ -260,6 +261,11 @@ def _split(study: HandoutStudy) -> Section:
         for s in found.splits
     )
     first, last = found.splits[0], found.splits[-1]
+    crosses = ""
+    if last.k > 2:
+        scatter, low, high = map(power, (last.scatter, *last.scatter_interval))
+        crosses = f"; the {last.k} parts scatter by {scatter} kg m², 95 % interval {low} to {high} "
+        crosses += f"(χ² with {last.k - 1} degrees of freedom)"
     return Section(
         number="3.6",
         answer=(
@@ -271,7 +277,8 @@ def _split(study: HandoutStudy) -> Section:
         ),
         table=Table(header=("", "samples each", "J [kg m²]"), rows=rows),
         figure="split",
-        caption="Left: each estimate with ±2 σ; band: all of them together. Right: σ against N.",
+        caption="Left: each estimate with ±2 σ; band: all of them together. Right: σ against N"
+        f"{crosses}.",
     )
 
 

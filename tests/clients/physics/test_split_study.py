@@ -9,6 +9,8 @@ from armrig.data.dataset import Dataset
 from armrig.physics.grey_box.split_study import Split
 from armrig.physics.systems import ArmParameters
 from chassis_data import Make, Ts, angle
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
 
 def test_the_standard_deviation_follows_the_law(make: Make) -> None:
@@ -50,6 +52,21 @@ def test_pooling_and_the_test_of_the_parts_by_hand() -> None:
     assert split.chi2 == pytest.approx(0.36 + 1.44)
     assert split.p_value == pytest.approx(0.17971, abs=1e-5)
     assert split.scatter == pytest.approx(3 / 2**0.5)
+
+
+def test_the_scatter_of_few_parts_has_an_interval(make: Make) -> None:
+    """Of four parts three degrees of freedom: 0.57 to 3.73 of the scatter, drawn and written."""
+    study = armrig.split_study(make(), (1, 4))
+
+    whole, parts = study.splits
+    ratio = np.array(parts.scatter_interval) / parts.scatter
+    np.testing.assert_allclose(ratio, [np.sqrt(3 / 9.348404), np.sqrt(3 / 0.2157953)])
+    assert np.isnan(whole.scatter_interval).all()
+    low, high = parts.scatter_interval
+    assert f"(95 % interval {low:.2g} to {high:.2g})" in study.explain()
+    below = study.plot(ax=Figure().add_subplot()).axes[1]
+    [(bar,)] = [c.get_segments() for c in below.collections if isinstance(c, LineCollection)]
+    np.testing.assert_allclose(bar[:, 1] / bar[0, 1], [1.0, high / low])
 
 
 def test_a_rig_that_changes_half_way_is_noticed() -> None:

@@ -84,6 +84,10 @@ class Parts(Protocol):
     def scatter(self) -> float:
         """Standard deviation of the estimates among each other."""
 
+    @property
+    def scatter_interval(self) -> tuple[float, float]:
+        """Its 95 % interval."""
+
 
 class Study(Protocol):
     """What is shown of estimates from ever smaller parts of the data."""
@@ -129,7 +133,11 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
 
 
 def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
-    """Show each part's estimate with ±2 standard deviations and, below, those against N."""
+    """Show each part's estimate with ±2 standard deviations and, below, those against N.
+
+    The cross is the scatter of the parts: of four parts it has three degrees of freedom, so its
+    95 % interval is wide.
+    """
     ax, below = panels(axes(ax), 0.5, sharex=False)
     unit = UNITS.get(study.parameter, "")
     size, of_std = (
@@ -160,14 +168,19 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     below.plot(N, reported, "o", color=BLUE, ms=4, label="reported")
     several = [s for s in study.splits if s.k > 2]
     if several:
-        below.plot(
+        scatter = np.array([s.scatter for s in several]) / of_std
+        interval = np.array([s.scatter_interval for s in several]).T / of_std
+        below.errorbar(
             [float(s.N.mean()) for s in several],
-            [s.scatter / of_std for s in several],
-            "x",
+            scatter,
+            np.abs(interval - scatter),
+            fmt="x",
             color=VERMILION,
             ms=7,
             mew=1.5,
-            label="scatter of the parts",
+            lw=1.0,
+            capsize=3,
+            label="scatter of parts, 95 %",
         )
     below.set_xscale("log")
     below.set_yscale("log")

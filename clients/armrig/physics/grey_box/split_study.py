@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 _LEVEL = 0.01  # below this p value the parts are called different
+_OUTSIDE = 0.05  # of the interval of a scatter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,6 +54,22 @@ class Split:
     def scatter(self) -> float:
         """Standard deviation of the estimates among each other, nan for one part."""
         return float(np.std(self.values, ddof=1)) if self.k > 1 else float("nan")
+
+    @property
+    def scatter_interval(self) -> tuple[float, float]:
+        """95 % interval of the deviation that `scatter` estimates, nan for one part.
+
+        scatter² (k - 1) over that variance is chi-squared with k - 1 degrees of freedom.
+        """
+        from scipy.special import chdtri
+
+        if self.k == 1:
+            return float("nan"), float("nan")
+        low, high = (
+            self.scatter * sqrt((self.k - 1) / float(chdtri(self.k - 1, tail)))
+            for tail in (_OUTSIDE / 2, 1 - _OUTSIDE / 2)
+        )
+        return low, high
 
     @property
     def chi2(self) -> float:
@@ -135,7 +152,9 @@ class SplitStudy:
             )
             if scatter:
                 reported = sqrt(float(np.mean(s.std**2)))
-                line += f"; they scatter by {s.scatter:.2g}, where {reported:.2g} is reported"
+                low, high = s.scatter_interval
+                line += f"; they scatter by {s.scatter:.2g} (95 % interval {low:.2g} to "
+                line += f"{high:.2g}), where {reported:.2g} is reported"
             lines.append(f"{line}.")
         if any(s.p_value < _LEVEL for s in self.splits):
             lines.append(
