@@ -525,6 +525,22 @@ def test_the_step_of_models_that_integrate_is_their_rate(done: Study) -> None:
     assert mixed.get_ylabel() == r"$\theta_1$ [rad/V]"
 
 
+@pytest.mark.parametrize("integrator", [True, False])
+def test_a_step_response_begins_at_zero(integrator: bool, done: Study) -> None:
+    """Curve and band, at the step; with a direct term, too."""
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(300)
+    data = Dataset(u=u, y=filtered([0.5], [1, -0.5], u) + rng.standard_normal(300), Ts=0.01)
+    model = done.best.fit if integrator else oe(data, nb=1, nf=1, nk=0)
+    ax = plots.plot_step(model, ax=Figure().add_subplot())
+
+    assert ax.lines[0].get_xydata()[0].tolist() == [0.0, 0.0]  # type: ignore[index]
+    corners = np.asarray(ax.collections[0].get_paths()[0].vertices)
+    assert [0.0, 0.0] in corners.tolist()
+    assert ax.get_xlim()[0] == 0.0
+    assert ax.get_ylim()[0] <= 0.0
+
+
 def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
     """Two columns of three names: the first has two of them."""
     assert _fits([10.0, 50.0, 10.0], 2, 60.0, 0.0)

@@ -99,7 +99,8 @@ def plot_step(
 ) -> Axes:
     """Show the answer to a unit step, with 95 % bands, linearised or, where that is poor, by draws.
 
-    Of models that all integrate the rate is shown: the output itself is a ramp.
+    Each curve begins at 0, at the step. Of models that all integrate the rate is shown: the output
+    itself is a ramp.
 
     Parameters
     ----------
@@ -112,14 +113,17 @@ def plot_step(
     rate = all(integrates(model) for model in models)
     for model, name, pen in zip(models, labels_of(models, labels), pens(len(models)), strict=True):
         answer = model.step_response(n or max(50, round(1 / model.Ts)), rate=rate)
-        curves.append(answer.y)
+        # From rest: a rate's first value is that of half a sample after the step.
+        t, y = np.append(0.0, answer.t), np.append(0.0, answer.y)
+        curves.append(y)
         if np.nan_to_num(answer.std).any():
             draws = drawn(model)
             band = step_band(model, answer, draws)
             sampled |= {name: draws} if band.method == "sampled" else {}
             name = with_method(name, band)
-            ax.fill_between(answer.t, band.low, band.high, color=pen["color"], alpha=0.25, lw=0)
-        ax.plot(answer.t, answer.y, label=name, **pen)
+            edges = np.append(0.0, band.low), np.append(0.0, band.high)
+            ax.fill_between(t, *edges, color=pen["color"], alpha=0.25, lw=0)
+        ax.plot(t, y, label=name, **pen)
     ax.set_xlabel("$t$ [s]")
     name = NAMES.get(models[0].output, models[0].output)
     if rate:
