@@ -188,7 +188,9 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     "armrig bench": lambda e: saved(bench),
     "armrig info": lambda e: saved(lambda to: _plot_timing(e.first, to / "a.svg")),
     "write_plot": lambda e: saved(
-        lambda to: write_plot(to / "a.svg", *2 * [lambda ax: ax.plot(0, 0)], height=2.0)
+        lambda to: write_plot(
+            to / "a.svg", a=lambda ax: ax.plot(0, 0), b=lambda ax: ax.plot(0, 0), height=2.0
+        )
     ),
     "plot_data, samples lost": lambda e: second_order(N=40, lost=slice(10, 13)).plot(ax=ax()),
     "plot_data, placed": lambda e: second_order(N=40).plot(

@@ -128,7 +128,7 @@ def calibrate(
     found = _estimated(measured, meter_std, base)
     _write(path, found, base, measured.recordings())
     if measured.turns is not None:
-        write_plot(plot, partial(found.plot, measured.turns), height=6.0)
+        write_plot(plot, calibration=partial(found.plot, measured.turns), height=6.0)
     if not json:
         _print(path, found)
     used = take_into_use(path, wanted=use, asks=not yes, rig=rig, connect=connect)

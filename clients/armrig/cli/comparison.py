@@ -205,10 +205,10 @@ def _plot_comparison(compared: _Compared, table: ComparisonTable, plot: Path | N
     with_spectral = [*names, *("spectral analysis, 95 %" for _ in beside)]
     write_plot(
         plot,
-        lambda ax: plot_compare(data, *fits, labels=names, table=table, ax=ax),
-        lambda ax: plot_bode(*fits, *beside, labels=with_spectral, ax=ax),
-        lambda ax: plot_step(*fits, labels=names, ax=ax),
-        lambda ax: plot_poles_zeros(*fits, labels=names, ax=ax),
+        compare=lambda ax: plot_compare(data, *fits, labels=names, table=table, ax=ax),
+        bode=lambda ax: plot_bode(*fits, *beside, labels=with_spectral, ax=ax),
+        step=lambda ax: plot_step(*fits, labels=names, ax=ax),
+        poles=lambda ax: plot_poles_zeros(*fits, labels=names, ax=ax),
         height=4.2,
     )
 

@@ -79,8 +79,9 @@ def check(
         loop, late = _told(partial(open_loop, level=level), data), _told(delay, data)
     if isinstance(loop, str) and isinstance(late, str):
         raise ValueError(loop)
-    drawn = [found for found in (loop, late) if not isinstance(found, str)]
-    write_plot(plot, *(partial(_draw, one) for one in drawn))
+    drawn = {"open_loop": loop, "delay": late}
+    shown = {k: partial(_draw, one) for k, one in drawn.items() if not isinstance(one, str)}
+    write_plot(plot, height=3.6, **shown)
     if json:
         print_json(
             source_facts(data) | {"open_loop": _loop_facts(loop), "delay": _delay_facts(late)}

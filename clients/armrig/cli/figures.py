@@ -1,18 +1,42 @@
-"""Figures that commands write: one axes below the other."""
+"""Figures that commands write: one with all axes, or in a folder a file for each subject."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import ceil
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armrig.cli.options import tell
 from armrig.cli.output_file import check_output
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Draw = Callable[..., Any]
+"""Draws into `ax`."""
+_EACH = "*"  # for the subject, in the name of the files in a folder
+_WIDTH, _HEIGHT = 6.3, 8.0  # in inches: the text of an A4 page, and a screen
+_DPI = 200
+
+
+def figure_path(text: str | Path) -> Path:
+    """Return the path of a figure; of a folder, or of what ends with "/", FOLDER/*.png."""
+    path = Path(text)
+    return path / f"{_EACH}.png" if str(text).endswith("/") or path.is_dir() else path
+
+
 Plot = Annotated[
-    Path | None, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")
+    Path | None,
+    typer.Option(
+        "-o",
+        "--plot",
+        metavar="FIGURE",
+        parser=figure_path,
+        help="Figure to write; FOLDER/ takes a file for each subject.",
+    ),
 ]
 
 
@@ -22,24 +46,59 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
         return
     from armrig.rig.bench.results import check_figure
 
-    check_output(path, inputs)
+    folder = path.parent
+    if path.stem != _EACH:
+        check_output(path, inputs)
+    elif folder.exists() and not folder.is_dir():
+        msg = f"{folder}/: is a file; give a folder, or leave the / out"
+        raise ValueError(msg)
+    elif not folder.is_dir():
+        check_output(folder, ())
     check_figure(path)
 
 
-def write_plot(path: Path | None, *draw: Callable[..., Any], height: float = 3.6) -> None:
-    """Write a figure with axes for each that draws into `ax`, and say where it is."""
-    if path is None:
-        return
-    from matplotlib.figure import Figure
+def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[Path]:
+    """Write a figure with axes for each subject, say where it is, and return the files.
 
+    Parameters
+    ----------
+    path : Path, optional
+        Of one figure, or of a folder, by `figure_path`: then each subject has a file of its name.
+    height : float
+        Of the axes of one subject, in inches.
+    **draw
+        Subject -> what draws it into `ax`.
+    """
+    if path is None:
+        return []
     from armrig.canvas import save
     from armrig.cli.spinner import spinner
 
-    # As wide as the text of an A4 page.
-    figure = Figure(figsize=(6.3, height * len(draw)), layout="constrained")
-    below = figure.subplots(len(draw), squeeze=False)[:, 0]
+    figures = {path: list(draw.values())}
+    if path.stem == _EACH:
+        path.parent.mkdir(exist_ok=True)
+        names = (subject.replace("_", "-") for subject in draw)
+        figures = {
+            path.with_stem(name): [one] for name, one in zip(names, draw.values(), strict=True)
+        }
     with spinner("drawing"):
-        for ax, one in zip(below, draw, strict=True):
-            one(ax=ax)
-        save(figure, path, dpi=200)
-    tell(f"figure: {path}")
+        for file, subjects in figures.items():
+            save(_drawn(subjects, height), file, dpi=_DPI)
+    tell(f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}")
+    return list(figures)
+
+
+def _drawn(subjects: Sequence[Draw], height: float) -> Figure:
+    """Return a figure of all subjects, in as many columns as keep it on a screen."""
+    from matplotlib.figure import Figure
+
+    columns = ceil(len(subjects) * height / (1.1 * _HEIGHT))
+    rows = ceil(len(subjects) / columns)
+    size = (_WIDTH * columns, min(height * rows, _HEIGHT))
+    figure = Figure(figsize=size, layout="constrained")
+    places = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, one in zip(places, subjects, strict=False):
+        one(ax=ax)
+    for ax in places[len(subjects) :]:
+        ax.remove()
+    return figure

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.chosen_recording import DataFile, File
-from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.figures import Plot, check_plot, figure_path, write_plot
 from armrig.cli.next_step import AFTER, kind_of, say_next, step_again, typed, validation_beside
 from armrig.cli.options import (
     CalibrationFile,
@@ -34,7 +34,12 @@ if TYPE_CHECKING:
     from armrig.recordings.usability import Finding
     from armrig.validation.structure_hints import StructureHints
 
-Drawing = Annotated[Path, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure to write.")]
+Drawing = Annotated[
+    Path,
+    typer.Option(
+        "-o", "--plot", metavar="FIGURE", parser=figure_path, help="Figure to write, or FOLDER/."
+    ),
+]
 
 
 def plot(
@@ -57,9 +62,9 @@ def plot(
     [recording] = loaded([file], calibration, start, stop)
     with spinner("looking for outliers and drift"):
         found = overview(recording)
-    write_plot(figure, lambda ax: found.plot(ax=ax), height=7.0)
+    [written] = write_plot(figure, signals=lambda ax: found.plot(ax=ax), height=7.0)
     if json:
-        print_json(found.facts() | {"figure": str(figure)})
+        print_json(found.facts() | {"figure": str(written)})
         return
     print_table(*found.rows())
     after = f"plot {kind_of(file)}"
@@ -105,12 +110,12 @@ def sampling(
     if steps is not None:  # what the choice says of them is said once
         said = set(choice.notes)
         steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
-    shown = [choice] if steps is None else [steps, choice]
-    write_plot(plot, *(_drawing(one) for one in shown), height=5.0)
+    shown = {"sampling": choice} if steps is None else {"step": steps, "sampling": choice}
+    write_plot(plot, height=5.0, **{name: _drawing(one) for name, one in shown.items()})
     if json:
         print_json(source_facts(data) | _sampling_facts(choice))
         return
-    say("\n".join(repr(one) for one in reversed(shown)))
+    say("\n".join(repr(one) for one in reversed(shown.values())))
     if signals.read and (again := step_again(signals.read[0])):
         say_next("step hidden", again=again)
     elif from_recording(data):
@@ -219,9 +224,9 @@ def _options(found: StructureHints) -> str:
 def _draw_hints(found: StructureHints, data: Dataset, plot: Path | None) -> None:
     write_plot(
         plot,
-        lambda ax: found.response.plot(ax=ax),
-        lambda ax: data.plot("spectrum", ax=ax),
-        lambda ax: found.plot(ax=ax),
+        impulse=lambda ax: found.response.plot(ax=ax),
+        spectra=lambda ax: data.plot("spectrum", ax=ax),
+        structure=lambda ax: found.plot(ax=ax),
         height=5.0,
     )
 

@@ -451,10 +451,11 @@ def _plot_model(found: _Found, plot: Path | None) -> None:
     fit, searched = found.fit, found.search
     write_plot(
         plot,
-        *([] if searched is None else [lambda ax: plot_search(searched, ax=ax)]),
-        lambda ax: plot_bode(fit, ax=ax),
-        lambda ax: plot_step(fit, ax=ax),
-        lambda ax: plot_poles_zeros(fit, ax=ax),
+        height=3.6,
+        **({} if searched is None else {"search": lambda ax: plot_search(searched, ax=ax)}),
+        bode=lambda ax: plot_bode(fit, ax=ax),
+        step=lambda ax: plot_step(fit, ax=ax),
+        poles=lambda ax: plot_poles_zeros(fit, ax=ax),
     )
 
 

@@ -166,11 +166,13 @@ def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
         steps = [{row.method: row.h for row in solved.rows if row.h == h} for h in given]
     write_plot(
         plot,
-        *(
-            partial(plot_solution, solved.problem, h, state=_STATE, label="speed [rad/s]")
-            for h in steps
-        ),
         height=4.0,
+        **{
+            f"solution_{k}": partial(
+                plot_solution, solved.problem, h, state=_STATE, label="speed [rad/s]"
+            )
+            for k, h in enumerate(steps, 1)
+        },
     )
 
 

@@ -171,6 +171,6 @@ def _draw(compared: dict[str, ArmParameters], plot: Path | None) -> None:
 
     write_plot(
         plot,
-        lambda ax: plot_physical_step(compared, ax=ax),
-        lambda ax: plot_sensitivities(ax=ax),
+        step=lambda ax: plot_physical_step(compared, ax=ax),
+        sensitivities=lambda ax: plot_sensitivities(ax=ax),
     )

@@ -84,7 +84,7 @@ def greybox(
             data, _model(model), tuple(free or ("J_1",)), fixed, signal, friction=friction
         )
     fit.require_result()
-    write_plot(plot, lambda ax: fit.plot(data, ax=ax), height=4.5)
+    write_plot(plot, greybox=lambda ax: fit.plot(data, ax=ax), height=4.5)
     if json:
         print_json({"recording": data.source, "model": model} | _grey_facts(fit))
         return
@@ -162,7 +162,7 @@ def split(
 
     with spinner("estimating") as progress:
         study = split_study(data, cuts, estimate, progress=progress)
-    write_plot(plot, lambda ax: study.plot(ax=ax), height=5.0)
+    write_plot(plot, split=lambda ax: study.plot(ax=ax), height=5.0)
     if json:
         print_json({"recording": data.source} | _split_facts(study))
         return
@@ -235,7 +235,9 @@ def simulate(
     labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):
         table = compare(data, *fits, labels=labels)
-    write_plot(plot, lambda ax: plot_compare(data, *fits, labels=labels, table=table, ax=ax))
+    write_plot(
+        plot, compare=lambda ax: plot_compare(data, *fits, labels=labels, table=table, ax=ax)
+    )
     if json:
         print_json({"recording": data.source, "models": [row_facts(row) for row in table.rows]})
         return
@@ -251,7 +253,7 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
     from armrig.physics.step_response import characteristics
 
     found = characteristics(list(compared.values())[-1])
-    write_plot(plot, lambda ax: plot_physical_step(compared, ax=ax))
+    write_plot(plot, step=lambda ax: plot_physical_step(compared, ax=ax))
     if json:
         roots = {
             name: [[z.real, z.imag] for z in getattr(found, name).tolist()]

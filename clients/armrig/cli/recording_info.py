@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from armrig.cli.chosen_recording import File
-from armrig.cli.figures import check_plot
+from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     CalibrationFile,
@@ -19,7 +19,6 @@ from armrig.cli.options import (
     Verbose,
     print_json,
     print_table,
-    tell,
 )
 
 if TYPE_CHECKING:
@@ -39,17 +38,14 @@ def info(
     stop: To = None,
     json: Json = False,
     verbose: Verbose = False,
-    plot: Annotated[
-        Path | None, typer.Option("-o", "--plot", metavar="FIGURE", help="Figure of the timing.")
-    ] = None,
+    plot: Plot = None,
 ) -> None:
     """Say what a recording holds and how well it was sampled."""
     from armrig.recordings.loading import load
 
     check_plot(plot, [file])
     recording = load(file, calibration, start=start, stop=stop)
-    if plot is not None:
-        _plot_timing(recording, plot)
+    _plot_timing(recording, plot)
     if json:
         print_json(_recording_facts(recording))
     else:
@@ -188,18 +184,17 @@ def _lateness(spread: Any, pacing: str) -> str:
     return f"{text}; of the host's request for each sample"
 
 
-def _plot_timing(recording: Any, path: Path) -> None:
-    from matplotlib.figure import Figure
+def _plot_timing(recording: Any, path: Path | None) -> None:
+    if path is None:
+        return
+    from armrig.recordings.figures import plot_timing
 
-    from armrig.canvas import save
-    from armrig.plots import plot_timing
-
-    figure = Figure(figsize=(6.3, 2.8), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    plot_timing(recording, quantity="jitter", ax=left)
-    plot_timing(recording, quantity="lateness", ax=right)
-    save(figure, path, dpi=200)
-    tell(f"figure: {path}")
+    write_plot(
+        path,
+        jitter=lambda ax: plot_timing(recording, quantity="jitter", ax=ax),
+        lateness=lambda ax: plot_timing(recording, quantity="lateness", ax=ax),
+        height=2.8,
+    )
 
 
 def replay(file: File, json: Json = False) -> None:

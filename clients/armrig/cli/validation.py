@@ -147,10 +147,10 @@ def _plot_validation(validated: _Validated, lags: int | None, plot: Path | None)
     beside = spectral_beside(data)
     write_plot(
         plot,
-        lambda ax: plot_compare(data, fit, table=validated.simulated, ax=ax),
-        lambda ax: plot_residuals(fit, data, lags=lags, ax=ax),
-        lambda ax: plot_bode(fit, *beside, ax=ax),
-        lambda ax: plot_poles_zeros(fit, ax=ax),
+        compare=lambda ax: plot_compare(data, fit, table=validated.simulated, ax=ax),
+        residuals=lambda ax: plot_residuals(fit, data, lags=lags, ax=ax),
+        bode=lambda ax: plot_bode(fit, *beside, ax=ax),
+        poles=lambda ax: plot_poles_zeros(fit, ax=ax),
     )
 
 

@@ -6,9 +6,12 @@ import hashlib
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from armrig.cli import main
+from armrig.cli.figures import write_plot
+from matplotlib.image import imread
 from told import told
 
 
@@ -76,6 +79,57 @@ def test_a_report_never_replaces_what_is_no_report(
 
     assert f"-o {tmp_path / name}: " in told(capsys)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_folder_takes_a_figure_for_each_subject(
+    there: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of an existing folder the slash at the end may be left out; each file is named and said."""
+    folder = tmp_path / "figures"
+    if there:
+        folder.mkdir()
+
+    assert main(["model", "-o", f"{folder}{'' if there else '/'}"]) == 0
+
+    files = [folder / "step.png", folder / "sensitivities.png"]
+    assert sorted(folder.iterdir()) == sorted(files)
+    assert f"figures: {files[0]}, {files[1]}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("path", "refusal"),
+    [
+        ("nowhere/figures/", "nowhere/figures: there is no directory nowhere; make it first"),
+        ("a.txt/", "a.txt/: is a file; give a folder, or leave the / out"),
+    ],
+)
+def test_a_folder_that_cannot_be_made_is_refused(
+    path: str,
+    refusal: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Before any work."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.txt").touch()
+
+    assert main(["model", "-o", path]) == 1
+
+    assert refusal in told(capsys)
+
+
+@pytest.mark.parametrize(("n", "height"), [(1, 7.0), (2, 3.6), (3, 5.0), (4, 4.2), (5, 3.6)])
+def test_one_figure_stays_on_a_screen(n: int, height: float, tmp_path: Path) -> None:
+    """At most 1600 pixels high: more subjects take more columns."""
+    drawn: dict[str, Any] = {f"panel_{k}": lambda ax: ax.plot(0, 0) for k in range(n)}
+
+    [path] = write_plot(tmp_path / "a.png", height=height, **drawn)
+
+    pixels = imread(path)
+    assert pixels.shape[0] <= 1600
+    assert pixels.shape[1] in {1260, 2520, 3780}
 
 
 def test_a_figure_never_replaces_a_recording(

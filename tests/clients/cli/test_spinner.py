@@ -65,7 +65,7 @@ def test_a_figure_that_takes_long_shows_that_it_is_drawn(
     """On a terminal, as an estimation does."""
     monkeypatch.setenv("FORCE_COLOR", "1")
 
-    write_plot(tmp_path / "slow.png", lambda **_: time.sleep(AFTER_S + 0.3))
+    write_plot(tmp_path / "slow.png", slow=lambda **_: time.sleep(AFTER_S + 0.3))
 
     assert "drawing …" in capsys.readouterr().err
 
