@@ -82,14 +82,18 @@ class Answer:
 
     @property
     def settling_std(self) -> float:
-        """Distance from `settling` within which 68.3 % of the curves settle, in s."""
-        return _deviation(self.settlings - self.settling)
+        """Distance from `settling` within which 68.3 % of the curves settle, in s.
+
+        A time is known to a cell of the grid at best.
+        """
+        cell = float(self.t[1] - self.t[0])
+        return float(np.hypot(_deviation(self.settlings - self.settling), cell / np.sqrt(12)))
 
     @property
     def overshoot(self) -> tuple[float, float]:
         """Largest value less the final one, 1, and its deviation."""
         above = float(np.max(self.y)) - 1
-        return max(above, 0.0), _deviation(self.peaks - 1 - above)
+        return max(above, 0.0), float(np.sqrt(np.mean((self.peaks - 1 - above) ** 2)))
 
     @property
     def tau_std(self) -> float:
