@@ -237,7 +237,7 @@ def test_a_second_rig_is_reached_through_the_lab_s_router(lab: Lab) -> None:
 
     wait_for(lambda: "router at tls/0.0.0.0:7447" in lab.said("armrig-router"))
     assert "0.0.0.0:7447: 2 rigs, 1 may drive and 1 may watch" in lab.said("armrig-router")
-    put_key = PUT.replace("rig-1.pem access.toml", "rig-2.pem")
+    put_key = PUT.splitlines()[0].replace("rig-1.pem", "rig-2.pem")
     lab.script("cp /home/alice/pki/rig-2.pem .\n" + put_key)
     lab.script(EMULATE.replace("rig-1", "rig-2"))
     wait_for(machine.path("/run/rig-2/tty").is_symlink)

@@ -325,8 +325,7 @@ def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[
 def hint(fit: Fit) -> str:
     """Return what to try next, or nothing."""
     integrates = fit.output in INTEGRATING_OUTPUTS
-    searched = fit.converged and fit.agreed
-    if fit.structure == "oe" and integrates and not fit.integrator and not searched:
+    if fit.structure == "oe" and integrates and not fit.integrator:
         return f"the angle {fit.output} integrates: try --integrator"
     return ""
 

@@ -122,7 +122,7 @@ def test_a_part_of_a_recording_is_drawn_at_its_times(tmp_path: Path) -> None:
     figure = overview(rec).plot()
 
     assert figure.axes[0].get_xlim() == pytest.approx((1.0, 1.99))
-    [shade] = [p for p in figure.axes[1].patches if p.get_alpha() == 0.5]
+    [shade] = [p for p in figure.axes[1].patches if p.get_alpha() == 0.35]
     box = shade.get_window_extent().transformed(figure.axes[1].transData.inverted())
     assert (box.x0, box.x1) == pytest.approx((1.495, 1.595))
 
