@@ -44,8 +44,8 @@ def test_the_true_structure_is_chosen_by_prediction(
 ) -> None:
     """Not a larger one that is better by chance, not a smaller one that is worse."""
     found = search(
-        _data(1, C, D),
-        _data(2, C, D),
+        _data(9, C, D),
+        _data(10, C, D),
         families=("arx", "iv4", "oe", "bj"),
         orders=range(1, 4),
         horizon=1,
