@@ -2,13 +2,25 @@
 
 A result's `.plot()` draws the same and returns the whole figure, to be saved:
 `armrig.delay(data).plot().savefig("delay.svg")`; its panels are `.axes`. For several in one figure
-give each its own axes: `.plot(ax=ax)`.
+give each its own axes, `.plot(ax=ax)`, and mark all panels in the end, `letter(figure)`.
 
 Colours are Okabe and Ito's, told apart by the colour-blind; line styles tell the same in black and
 white. A second panel, where a figure has one, takes its place from the lower part of `ax`.
 """
 
-from armrig.canvas import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, SKY, VERMILION, finish, sign
+from armrig.canvas import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILION,
+    finish,
+    letter,
+    sign,
+)
 from armrig.data.figures import plot_data, plot_spectrum, plot_values
 from armrig.estimation.figures import plot_orders
 from armrig.excitation.figures import plot_input
@@ -48,6 +60,7 @@ __all__ = [
     "VERMILION",
     "beside_the_handout",
     "finish",
+    "letter",
     "plot_bode",
     "plot_calibration",
     "plot_compare",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass, replace
 from importlib import import_module
@@ -15,6 +16,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
+from armrig.canvas import save
 from armrig.canvas.captions import _fits
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
@@ -539,6 +541,57 @@ def test_a_step_response_begins_at_zero(integrator: bool, done: Study) -> None:
     assert [0.0, 0.0] in corners.tolist()
     assert ax.get_xlim()[0] == 0.0
     assert ax.get_ylim()[0] <= 0.0
+
+
+def letters(figure: Figure) -> dict[str, str]:
+    """Return the label of the y axis of each panel that has a letter."""
+    marked = [(ax, text.get_text()) for ax in figure.axes for text in ax.texts]
+    return {mark: ax.get_ylabel() for ax, mark in marked if re.fullmatch(r"\([a-z]\)", mark)}
+
+
+def test_the_panels_of_a_result_have_letters(done: Study, recording: Recording) -> None:
+    """From top to bottom; a figure of one panel has none, nor has one that a person arranged."""
+    tested = residuals(done.best.fit, done.validation)
+    figure = Figure()
+    mine, other = figure.subplots(1, 2)
+    tested.plot(ax=mine)
+    alone = plots.plot_step(done.best.fit, ax=Figure().add_subplot()).figure.figure
+    plots.letter(alone)
+
+    shown = letters(tested.plot(ax=Figure().add_subplot()))
+    assert shown == {"(a)": "$r_e$(lag)", "(b)": "$r_{eu}$(lag)"}
+    assert letters(figure) == letters(alone) == {}
+    assert other in figure.axes
+
+
+def test_the_letters_of_several_results_go_on_from_one_to_the_next(recording: Recording) -> None:
+    """Each result's panels follow each other; a second call marks none twice."""
+    figure = Figure()
+    for ax, name in zip(figure.subplots(1, 2), ("theta_1", "alpha"), strict=True):
+        recording.dataset(name).plot(ax=ax)
+
+    for _ in range(2):
+        plots.letter(figure)
+
+    assert sorted(letters(figure)) == ["(a)", "(b)", "(c)", "(d)"]
+    assert letters(figure)["(b)"] == letters(figure)["(d)"] == "$u$ [V]"
+    assert sum(len(ax.texts) for ax in figure.axes) == 4
+
+
+def test_a_figure_that_is_written_has_letters(recording: Recording, tmp_path: Path) -> None:
+    """Once in the file, above the axes and left of them, where no number and no name is."""
+    figure = Figure(layout="constrained")
+    plots.plot_bode(oe(recording.dataset(), nb=2, nf=2, integrator=True), ax=figure.add_subplot())
+
+    save(figure, tmp_path / "a.png")
+
+    assert list(letters(figure)) == ["(a)", "(b)"]
+    for ax in figure.axes:
+        [mark] = [text.get_window_extent() for text in ax.texts]
+        ticks = [text for axis in (ax, *ax.child_axes) for text in axis.findobj(Text)]
+        others = [text for text in ticks if text.get_text() and text not in ax.texts]
+        assert mark.x1 <= ax.bbox.x0
+        assert not any(mark.overlaps(text.get_window_extent()) for text in others)
 
 
 def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 from armrig.canvas.colours import INK, ORANGE
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 MISSING = "#BBBBBB"
+_LETTER = "_letter"
 _WIDE = 2.0  # width over height, from which on two panels stand side by side
 
 
@@ -30,8 +32,49 @@ def axes(ax: Axes | None) -> Axes:
 
 
 def figure_of(ax: Axes) -> Figure:
-    """Return the whole figure in which axes lie: what a result's `.plot()` gives, to be saved."""
-    return ax.figure.figure
+    """Return the whole figure in which axes lie: what a result's `.plot()` gives, to be saved.
+
+    Its panels have letters if they are of this result alone: a figure of several is its maker's.
+    """
+    figure = ax.figure.figure
+    if len({_group(one) for one in figure.axes}) == 1:
+        letter(figure)
+    return figure
+
+
+def letter(figure: Figure) -> None:
+    """Mark the panels of a figure by (a), (b), …, each result's from top to bottom.
+
+    A figure of one panel has no letter. A second call marks them again.
+    """
+    for old in figure.findobj(lambda artist: artist.get_label() == _LETTER):
+        old.remove()
+    every = sorted(figure.axes, key=_reading_order)
+    for ax, mark in zip(every if len(every) > 1 else (), ascii_lowercase, strict=False):
+        # Between the axis' label and the names of the curves; above the frequencies in Hz.
+        ax.annotate(
+            f"({mark})",
+            (0.0, 1.0),
+            xycoords="axes fraction",
+            xytext=(-4.0, 18.0 if ax.child_axes else 3.0),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize="small",
+            fontweight="bold",
+            label=_LETTER,
+        )
+
+
+def _reading_order(ax: Axes) -> tuple[int, float, float]:
+    box = ax.get_position()
+    return _group(ax), -round(float(box.y1), 3), round(float(box.x0), 3)
+
+
+def _group(ax: Axes) -> int:
+    """Return the number of the place that axes and their panels have in their figure."""
+    place = ax.get_subplotspec()
+    return place.get_topmost_subplotspec().num1 if place is not None else 0
 
 
 def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
@@ -91,9 +134,13 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
 
 
 def save(figure: Figure, path: Path, **options: Any) -> None:
-    """Write a figure so that the same figure gives the same bytes: without date or random ids."""
+    """Write a figure, its panels with letters.
+
+    The same figure gives the same bytes: without date or random ids.
+    """
     import matplotlib as mpl
 
+    letter(figure)
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
     with mpl.rc_context({"svg.hashsalt": "armrig"}):
         figure.savefig(path, metadata=undated.get(path.suffix.lower()), **options)

@@ -17,6 +17,7 @@ from armrig.canvas import (
     finish,
     hertz,
     legend,
+    letter,
     panels,
     pens,
     sign,
@@ -145,6 +146,7 @@ def plot_fit(model: Model) -> Figure:
     plot_bode(model, ax=figure.add_subplot(grid[:, 0]))
     plot_step(model, ax=figure.add_subplot(grid[0, 1]))
     plot_poles_zeros(model, ax=figure.add_subplot(grid[1, 1]))
+    letter(figure)
     return figure
 
 

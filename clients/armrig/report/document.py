@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 from armrig.numerics.quantities import error, percent
@@ -118,33 +119,39 @@ def _step_caption(study: Study) -> str | None:
     steps = [r for r in study.recordings if kind_of(r) == STEP]
     if not steps:
         return None
-    return f"Chassis angle after a step of the motor's voltage (recording {steps[0].short_hash})."
+    return (
+        f"(a) Chassis angle after a step of the motor's voltage (b); recording "
+        f"{steps[0].short_hash}."
+    )
 
 
 def _captions(study: Study) -> dict[str, str]:
     estimation, validation = study.estimation.source[:12], study.validation.source[:12]
+    marks = ascii_lowercase[: 2 * len(study.estimated)]
     halves = ": first and second half of one recording" if study.halves else ""
     return {
-        "data": f"Estimation data (left, recording {estimation}) and validation data (right, "
+        "data": f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
         f"recording {validation}){halves}: chassis angle with its turns counted, less the ramp of "
-        "its mean speed, and the voltage that the device applied. Shaded: dead band, or a missing "
-        "sample.",
+        "its mean speed (a, c), and the voltage that the device applied (b, d). Shaded: "
+        "dead band, or a missing sample.",
         "fits": f"Simulation of the validation data (recording {validation}). "
         f"{study.note[0].upper()}{study.note[1:]}.",
-        "compare": f"Angle measured and simulated on the validation data (recording {validation}), "
-        "less the ramp of its mean speed; below, data (dots) and models less the best model, on a "
-        "scale that is linear in the middle and logarithmic beyond.",
+        "compare": "(a) Angle measured and simulated on the validation data (recording "
+        f"{validation}), less the ramp of its mean speed; (b) data (dots) and models less the best model, on a "
+        "scale that is linear in the middle and, where another model is far off, logarithmic "
+        "beyond.",
         "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
         f"{validation}). The models are simulated from the beginning of the data, as above.",
         "bode": "Frequency response from voltage to angle, with 95 % bands, linearised or, where "
         "that is poor, sampled from the covariance of the parameters; dots: spectral analysis of "
         f"the estimation data, 95 % bars. Recording {estimation}. Phase modulo 360°.",
-        "step_poles": "Left: answer to a unit step with 95 % bands. Right: poles (×) and zeros "
+        "step_poles": "(a) Answer to a unit step with 95 % bands; (b) poles (×) and zeros "
         "(○) with 95 % regions (bars for real roots, ellipses, dotted where sampled); a square "
         "holds a pole and a zero that cannot be told apart (1 %). "
         f"Models from recording {estimation}.",
         "tests": f"Tests of the one-step residuals on the validation data (recording {validation}),"
         " with the uncertainty of the estimated models allowed for.",
-        "residuals": "Correlation of the residuals with themselves (above) and with the input "
-        f"(below) on recording {validation}. Grey: 99 % of the values if the hypothesis is true.",
+        "residuals": f"Correlation of the residuals with themselves ({', '.join(marks[::2])}) "
+        f"and with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: 99 % of "
+        "the values if the hypothesis is true.",
     }

@@ -27,7 +27,7 @@ STYLE: Any = {
     "axes.unicode_minus": True,
 }
 WIDTH = 6.4
-_RESIDUALS = 3.8  # height of one row of residual tests
+_RESIDUALS = 3.4  # height of one row of residual tests
 DETAIL_S = 4.0
 
 

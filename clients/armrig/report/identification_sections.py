@@ -75,8 +75,8 @@ def _sampling(study: HandoutStudy) -> Section:
             f"{number(1e3 * low)} to {number(1e3 * high)} ms.{other}",
         ),
         figure="sampling",
-        caption="Left: rate of θ₁ after a step, over its final value, at the recommended instants. "
-        "Right: frequency response and the power of the output.",
+        caption="(a) Rate of θ₁ after a step, over its final value, at the recommended instants; "
+        "(b) frequency response and the power of the output.",
     )
 
 
@@ -105,7 +105,7 @@ def _hints(study: HandoutStudy) -> Section:
             f"{found.order - found.integrator} stand out.",
         ),
         figure="structure",
-        caption="Spectral analysis with slopes, resonances and the Hankel singular values.",
+        caption="(a) Spectral analysis with slopes and resonances; (b) Hankel singular values.",
     )
 
 
@@ -148,7 +148,7 @@ def _black_box(study: HandoutStudy) -> Section:
         ),
         figure="residuals",
         caption=f"Residuals of the {best.name} model on validation data: correlation "
-        "with themselves (left) and with the input.",
+        "with themselves (a) and with the input (b).",
     )
 
 
@@ -200,7 +200,7 @@ def _comparison(study: HandoutStudy) -> Section:
             rows=tuple(rows),
         ),
         figure="compare",
-        caption="Validation data and models, less the ramp of the mean speed; below, less the "
+        caption="(a) Validation data and models, less the ramp of the mean speed; (b) less the "
         "best model.",
     )
 
@@ -243,8 +243,8 @@ def _grey_box(study: HandoutStudy) -> Section:
             f"what makes the simulated angle fit {found.N} samples best.{fixed_ones}",
         ),
         figure="greybox",
-        caption="Measured and simulated angle of the chassis alone, less the ramp of its mean "
-        "speed, and the error.",
+        caption="(a) Measured and simulated angle of the chassis alone, less the ramp of its mean "
+        "speed; (b) the error.",
     )
 
 
@@ -277,7 +277,7 @@ def _split(study: HandoutStudy) -> Section:
         ),
         table=Table(header=("", "samples each", "J [kg m²]"), rows=rows),
         figure="split",
-        caption="Left: each estimate with ±2 σ; band: all of them together. Right: σ against N"
+        caption="(a) Each estimate with ±2 σ; band: all of them together. (b) σ against N"
         f"{crosses}.",
     )
 
@@ -320,5 +320,5 @@ def _delay(study: HandoutStudy) -> Section:
             f"response of θ₁'s rate is {sizes}.",
         ),
         figure="delay",
-        caption="Impulse response (left) and the loss by nk.",
+        caption="(a) Impulse response; (b) the loss by nk.",
     )

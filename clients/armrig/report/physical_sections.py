@@ -167,10 +167,10 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
         ),
         table=_errors(study, name, _steps(advice.h, limit)),
         figure="integrators" if first else "solution" if number_ == "4.4" else "",
-        caption="Left: regions of stability, and the arm's hλ at forward Euler's limit. Right: "
+        caption="(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
         "error against step, with the observed orders."
         if first
-        else "The speed by each method at h = 20 ms, and the errors.",
+        else "(a) The speed by each method at h = 20 ms; (b) the errors.",
     )
 
 

@@ -112,7 +112,7 @@ def write_figure(result: Result, path: Path) -> None:
     """Write the share of times above each time: lateness, and the way to a subscriber."""
     from matplotlib.figure import Figure
 
-    from armrig.canvas import BLUE, GREEN, INK, ORANGE, VERMILION, finish
+    from armrig.canvas import BLUE, GREEN, INK, ORANGE, VERMILION, finish, letter
 
     late = (
         (targets.REFERENCE, INK, "-"),
@@ -141,4 +141,5 @@ def write_figure(result: Result, path: Path) -> None:
     m = result.machine
     load = f"load {m.load:g}, {result.plan.burners} burners"
     figure.suptitle(f"{m.kernel}, {m.cpus} × {m.processor}, {load}", fontsize="small")
+    letter(figure)
     figure.savefig(path, dpi=150)
