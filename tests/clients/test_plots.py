@@ -578,6 +578,14 @@ def test_the_letters_of_several_results_go_on_from_one_to_the_next(recording: Re
     assert sum(len(ax.texts) for ax in figure.axes) == 4
 
 
+def test_two_scales_of_one_panel_have_one_letter(recording: Recording) -> None:
+    """The coherence stands over the magnitude, with an axis of its own on the right."""
+    figure = armrig.spa(recording.dataset(), integrator=True).plot(ax=Figure().add_subplot())
+
+    assert len(figure.axes) == 3
+    assert list(letters(figure)) == ["(a)", "(b)"]
+
+
 def test_a_figure_that_is_written_has_letters(recording: Recording, tmp_path: Path) -> None:
     """Once in the file, above the axes and left of them, where no number and no name is."""
     figure = Figure(layout="constrained")

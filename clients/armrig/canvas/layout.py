@@ -49,8 +49,11 @@ def letter(figure: Figure) -> None:
     """
     for old in figure.findobj(lambda artist: artist.get_label() == _LETTER):
         old.remove()
-    every = sorted(figure.axes, key=_reading_order)
-    for ax, mark in zip(every if len(every) > 1 else (), ascii_lowercase, strict=False):
+    panels: dict[tuple[int, float, float], Axes] = {}
+    for ax in figure.axes:
+        panels.setdefault(_reading_order(ax), ax)  # a second scale has the place of the first
+    every = [panels[place] for place in sorted(panels)] if len(panels) > 1 else []
+    for ax, mark in zip(every, ascii_lowercase, strict=False):
         # Between the axis' label and the names of the curves; above the frequencies in Hz.
         ax.annotate(
             f"({mark})",

@@ -137,9 +137,9 @@ def _captions(study: Study) -> dict[str, str]:
         "fits": f"Simulation of the validation data (recording {validation}). "
         f"{study.note[0].upper()}{study.note[1:]}.",
         "compare": "(a) Angle measured and simulated on the validation data (recording "
-        f"{validation}), less the ramp of its mean speed; (b) data (dots) and models less the best model, on a "
-        "scale that is linear in the middle and, where another model is far off, logarithmic "
-        "beyond.",
+        f"{validation}), less the ramp of its mean speed; (b) data (dots) and models less the best "
+        "model, on a scale that is linear in the middle and, where another model is far off, "
+        "logarithmic beyond.",
         "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
         f"{validation}). The models are simulated from the beginning of the data, as above.",
         "bode": "Frequency response from voltage to angle, with 95 % bands, linearised or, where "
