@@ -35,7 +35,7 @@ Plot = Annotated[
         "--plot",
         metavar="FIGURE",
         parser=figure_path,
-        help="Figure to write; FOLDER/ takes a file for each subject.",
+        help="Figure, or FOLDER/ for a file each.",
     ),
 ]
 

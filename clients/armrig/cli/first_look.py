@@ -36,9 +36,7 @@ if TYPE_CHECKING:
 
 Drawing = Annotated[
     Path,
-    typer.Option(
-        "-o", "--plot", metavar="FIGURE", parser=figure_path, help="Figure to write, or FOLDER/."
-    ),
+    typer.Option("-o", "--plot", metavar="FIGURE", parser=figure_path, help="Figure, or FOLDER/."),
 ]
 
 
