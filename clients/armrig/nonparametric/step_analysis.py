@@ -32,6 +32,8 @@ SHORTEST_GAP, SMALL_GAP = 2, 0.1
 BAND = 0.05  # about the final value, in which the answer has settled
 _SURE = 5  # standard deviations of a slope before the step
 _UNSETTLED = 0.005  # share of the answer still to come before the step, from which on it is told
+_BETWEEN = 0.1
+"""Error of a curve between samples over Ts²/tau, seen without noise at 2 to 4 samples in tau."""
 _LOUD = 0.03  # deviation of the highest value from which on it may be noise
 
 
@@ -202,7 +204,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         dead_time=L,
         dead_time_interval=(low, high),
         tau=crossing - L,
-        tau_std=answer.tau_std,
+        tau_std=float(np.hypot(answer.tau_std, _BETWEEN * data.Ts**2 / crossing)),
         equivalent_time=lag - L,
         equivalent_time_std=float(np.hypot(lag_std, L_std)),
         smooth_t=answer.t,

@@ -72,7 +72,7 @@ def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_random_walk_is_never_called_white(seed: int) -> None:
-    """Of seeds 0 and 1 M is indefinite, and M^+ gave p = 0.74 and 0.999."""
+    """Of seed 1 M is indefinite, and M^+ gave p = 0.999."""
     rng = np.random.default_rng(seed)
     u = telegraph(10_000, 0.1, 0.0, 5.0, seed=rng) - (2.5 if seed else 0.0)
     y = filtered([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.3 * np.cumsum(rng.standard_normal(u.size))
@@ -82,7 +82,7 @@ def test_a_random_walk_is_never_called_white(seed: int) -> None:
     tested = armrig.residuals(fit, data)
 
     assert fit.whiteness < 1e-10
-    assert fit.whiteness_test == ("portmanteau test" if seed == 2 else "Ljung-Box test")
+    assert fit.whiteness_test == ("Ljung-Box test" if seed == 1 else "portmanteau test")
     assert fit.trusted_covariance is fit.covariance_robust
     assert "coloured (p < 0.001" in repr(fit)
     assert (tested.whiteness, tested.whiteness_test) == (fit.whiteness, fit.whiteness_test)
