@@ -173,7 +173,8 @@ def slope(plant: Plant, omega: Vector, *, rate: bool) -> float:
 
 def false_lines(plant: Plant, h: armrig.StructureHints) -> Iterator[tuple[str, bool]]:
     """Yield each line that is said, and whether it is false."""
-    yield "integrator", h.integrator != plant.integrator
+    if h.integrator_shown:
+        yield "integrator", h.integrator != plant.integrator
     if h.low_slope is not None:
         off = abs(h.low_slope - slope(plant, h.low_band, rate=False))
         yield "low slope", off > max(SLOPE, 3 * h.low_slope_std)

@@ -235,6 +235,7 @@ def _hint_facts(found: StructureHints) -> dict[str, Any]:
         "orders": {"nb": found.nb, "nf": found.nf, "nk": found.nk},
         "structures": [dict(s) for s in found.structures],
         "integrator": found.integrator,
+        "integrator_shown": found.integrator_shown,
         "low_slope": found.low_slope,
         "low_slope_std": found.low_slope_std,
         "high_slope": found.high_slope,

@@ -273,10 +273,11 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
     s = hints.spectrum
     known = np.isfinite(s.G) & (s.omega > 0)
     w, magnitude = s.omega[known], s.magnitude[known]
+    trusted = max(hints.trusted, float(w[0]))
     ax.plot(w, decibels(magnitude), color=BLUE, lw=1.1, label="$|G|$")
     for slope, at, name, dash in (
         (hints.low_slope, float(w[0]), "low", "--"),
-        (hints.high_slope, hints.trusted / 2, "high", "-."),
+        (hints.high_slope, trusted / 2, "high", "-."),
     ):
         if slope is None:
             continue
@@ -293,10 +294,10 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
         if x.size:
             at_marks = decibels(np.interp(x, w, magnitude))
             ax.plot(x, at_marks, marker, color=VERMILION, ms=6, ls="none", label=name)
-    unexplained = (hints.trusted, max(float(w[-1]), hints.trusted))
+    unexplained = (trusted, max(float(w[-1]), trusted))
     ax.axvspan(*unexplained, color=GREY, alpha=0.2, lw=0, label="unexplained by the input")
     ax.set_xscale("log")
-    seen = decibels(magnitude[w <= hints.trusted])
+    seen = decibels(magnitude[w <= trusted])
     ax.set_ylim(float(seen.min()) - 12, float(decibels(magnitude).max()) + 12)
     decibel_ticks(ax)
     ax.set_xlabel(r"$\omega$ [rad/s]")

@@ -85,6 +85,7 @@ def _hints(study: HandoutStudy) -> Section:
     if found is None:
         return _lacking(study, "3.2", "hints", _BLACKBOX)
     integrator = "one of them an integrator, " if found.integrator else ""
+    apart = found.integrator and found.integrator_shown
     shown = ", ".join(f"{v:.2g}" for v in found.singular_values[:5])
     peaks, dips = (
         f"{', '.join(number(w) for w in marks)} rad/s" if marks else "none"
@@ -102,7 +103,7 @@ def _hints(study: HandoutStudy) -> Section:
             f"{slope}Resonances, two "
             f"poles each: {peaks}; antiresonances, two zeros each: {dips}. Of the Hankel "
             f"singular values {shown} … uncertainty makes {found.threshold:.2g}: "
-            f"{found.order - found.integrator} stand out.",
+            f"{found.order - apart} stand out.",
         ),
         figure="structure",
         caption="(a) Spectral analysis with slopes and resonances; (b) Hankel singular values.",

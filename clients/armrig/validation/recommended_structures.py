@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 RECOMMENDED = 3
+BARE = 2.0  # difference of description length that hardly counts (Kass, Raftery 1995, BIC)
 HIGHEST = 7  # order that is tried
 _FIRST = (3, 6)  # orders of the models of which one leaves the first noise
 _LATEST = 30  # lag at which u is looked for
@@ -105,6 +107,8 @@ class Recommendation:
 
     structures: tuple[Recommended, ...]
     """Best first."""
+    shown: bool
+    """The description length says of the integrator what was given."""
     B: Vector
     """Of the model of the first, from lag 0 on."""
     F: Vector
@@ -135,33 +139,58 @@ def recommended(
     integrates : bool
         y is the sum of its rate.
     decide : bool
-        Whether the data may say otherwise, by the description length.
+        Whether the description length may say otherwise: then one of each is recommended.
     """
     data = _busiest(data)
     nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_LAGS]
     parts = [*data.experiments()]
-    first = [m for n in _FIRST for m in _fits(parts, n, nks, integrates=integrates)]
+    kinds = (False, True) if decide else (integrates,)
+    first = [m for i in kinds for n in _FIRST for m in _fits(parts, n, nks, integrates=i)]
     if not first:
         msg = "u excites no model of third order: record with a richer input (telegraph, PRBS)"
         raise ValueError(msg)
-    best = min(first, key=_bits)
-    D, _ = autoregression(np.concatenate(best.residuals()))
-    parts = _filtered(data, D)
-    ranked = _scanned(parts, nks, range(1, HIGHEST + 1), integrates=integrates)
-    if decide:
-        other = _scanned(parts, nks, range(1, HIGHEST + 1), integrates=not integrates)
-        if not ranked or (other and other[0].bits < ranked[0].bits):
-            ranked, integrates = other, not integrates
-    C, _ = autoregression(np.concatenate(ranked[0].fitted.residuals()))
+    D, _ = autoregression(np.concatenate(min(first, key=_bits).residuals()))
+    parts, orders = _filtered(data, D), range(1, HIGHEST + 1)
+    scans = [s for i in kinds if (s := _scanned(parts, nks, orders, integrates=i))]
+    C, _ = autoregression(np.concatenate(_joined(scans)[0].fitted.residuals()))
     if C.size > 1:
-        D, n, k = np.convolve(D, C), ranked[0].structure.nf, ranked[0].structure.nk
+        D = np.convolve(D, C)
         parts = _filtered(data, D)
-        orders = range(max(n - 1, 1), min(n + 1, HIGHEST) + 1)
-        ranked = _scanned(parts, [k], orders, integrates=integrates) or ranked
+        scans = [_again(parts, ranked) for ranked in scans]
+    ranked = _joined(scans)
     best = ranked[0].fitted
+    other = min((t.bits for t in ranked if t.structure.integrator != integrates), default=np.inf)
+    shown = other - ranked[0].bits >= BARE
     return Recommendation(
-        structures=tuple(t.structure for t in ranked[:RECOMMENDED]), B=best.B, F=best.F, whitening=D
+        structures=tuple(t.structure for t in _chosen(scans, shown=shown)),
+        shown=shown,
+        B=best.B,
+        F=best.F,
+        whitening=D,
     )
+
+
+def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
+    """Return at most three: the shortest two, or one with and one without an integrator.
+
+    After the shortest two the shortest with nb = nf comes, which a plant under a hold has.
+    """
+    ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
+    two = ranked[:2] if shown else _joined([s[:1] for s in scans])
+    full = [t for t in ranked if shown and t.structure.nb == t.structure.nf]
+    return [*dict.fromkeys([*two, *full[:1], *ranked])][:RECOMMENDED]
+
+
+def _joined(scans: Iterable[list[Tried]]) -> list[Tried]:
+    """Return the structures of all, least description length first."""
+    return sorted(chain.from_iterable(scans), key=lambda t: t.bits)
+
+
+def _again(parts: Sequence[Dataset], ranked: list[Tried]) -> list[Tried]:
+    """Return structures near the first, of data that are filtered once more."""
+    s = ranked[0].structure
+    orders = range(max(s.nf - 1, 1), min(s.nf + 1, HIGHEST) + 1)
+    return _scanned(parts, [s.nk], orders, integrates=s.integrator) or ranked
 
 
 def _busiest(data: Dataset) -> Dataset:

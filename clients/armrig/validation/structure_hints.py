@@ -42,9 +42,12 @@ class StructureHints:
     """Orders, integrator and delay suggested by estimates without a structure."""
 
     structures: tuple[Recommended, ...]
-    """At most three, of least description length, best first."""
+    """At most three: the two of least description length, or one with and one without an
+    integrator, best first; then the one of least description length with nb = nf."""
     integrator: bool
     """The first structure has a pole at 1: y is the sum of its rate."""
+    integrator_shown: bool
+    """Description length and step answer agree on it; else the structures hold one of each."""
     low_slope: float | None
     """Of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None where
     the first structure has another."""
@@ -58,7 +61,7 @@ class StructureHints:
     high_band: Vector
     """Frequencies that it was read at, in rad/s."""
     relative_degree: int
-    """Poles less zeros, from the high slope; 0 where it does not fall."""
+    """Poles less zeros, from the high slope; 0 where it does not fall, or there is none."""
     resonances: tuple[float, ...]
     """Frequencies of peaks (of the rate's |G|, if y integrates), in rad/s, that the first
     structure has, too."""
@@ -74,9 +77,9 @@ class StructureHints:
     threshold: float
     """What the response's uncertainty alone makes of them (95 %), over the largest."""
     order: int
-    """Singular values above the threshold, and one for an integrator; no more than nf."""
+    """Singular values above the threshold, and one for an integrator shown; no more than nf."""
     trusted: float
-    """Highest frequency at which u explains y, in rad/s."""
+    """Highest frequency at which u explains y, in rad/s; 0 where it does at fewer than three."""
     spectrum: SpectralEstimate
     """Frequency response of y."""
     response: ImpulseResponse
@@ -125,12 +128,15 @@ def structure_hints(
     """Recommend at most three structures, and say what speaks for them.
 
     The structures are those of output-error models of least description length
-    (`recommended`), after the noise's colour was taken from u and y. What estimates without a
+    (`recommended`), after the noise's colour was taken from u and y; the third has nb = nf, as a
+    plant under a hold has. What estimates without a
     structure show stands with them, where the first structure shows the same:
 
     - Integrator: the rate's answer to a step stays up, and the description is shorter with a pole
-      at 1. theta_1 is known to integrate, and is taken so unless that answer surely returns to 0:
-      another rig has the arm's names. The slope of |G| at low frequency is -20 dB a decade then.
+      at 1. Where only one of these holds, or the descriptions are as good as equally long, a
+      structure with it and one without are recommended.
+      theta_1 is known to integrate, and is taken so unless that answer surely returns to 0: another
+      rig has the arm's names. The slope of |G| at low frequency is -20 dB a decade then.
     - Order: singular values of the Hankel matrix of the regularised impulse response above what
       draws from its own uncertainty make.
     - Poles less zeros: the slope at the highest frequencies at which u explains y (coherence above
@@ -154,33 +160,33 @@ def structure_hints(
     Raises
     ------
     ValueError
-        There are too few samples, or u explains y at hardly any frequency.
+        There are too few samples, or u explains y at hardly any frequency and `delay` finds none.
 
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 16.2 and 16.3.
     .. [2] S. Y. Kung, Proc. 12th Asilomar Conf., 1978, 705-714 (Hankel singular values).
     """
-    rate = spa(data, "log", integrator=True).rate()
-    slope, slope_std, low = _low_slope(rate, explained(rate))
     integrates, known = integrator, data.output in INTEGRATING_OUTPUTS
     of_rate = None
     if integrates is None:
         of_rate = long_enough(data, LAGS, integrator=True)
         integrates = not _returns(of_rate) if known else _stays(of_rate)
     late = _delay(data, integrates=integrates)
+    rate = spa(data, "log", integrator=True).rate()
+    slope, slope_std, low = _low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
-    decide = integrates and integrator is None and not known
+    decide = integrator is None and not known
     best = recommended(data, lags, integrates=integrates, decide=decide)
     first = best.structures[0]
     integrates, nk = first.integrator, first.nk
     spectrum = spa(data, "log", delay=max(nk - 1, 0), integrator=integrates)
-    believed = explained(spectrum)
+    believed = _believed(spectrum, needed=late is None)
     response = of_rate if integrates else None
     response = response or long_enough(data, LAGS, integrator=integrates)
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
-    order = int(np.count_nonzero(values > threshold)) + integrates
+    order = int(np.count_nonzero(values > threshold)) + (integrates and best.shown)
     high = spectrum.omega[_high(spectrum, believed)]
     fall = _high_slope(spectrum, believed)
     at = nk - 0.5
@@ -191,12 +197,13 @@ def structure_hints(
     return StructureHints(
         structures=best.structures,
         integrator=integrates,
+        integrator_shown=best.shown,
         low_slope=_agreed(slope - 20, best, low, data.Ts),
         low_slope_std=slope_std,
         low_band=low,
         high_slope=_agreed(fall, best, high, data.Ts),
         high_band=high,
-        relative_degree=max(0, round(-fall / 20)),
+        relative_degree=max(0, round(-fall / 20)) if high.size else 0,
         resonances=_confirmed(peaks, best, data.Ts, dips=False),
         antiresonances=_confirmed(dips, best, data.Ts, dips=True),
         phase_delay=excess if seen and abs(excess / data.Ts - at) <= 0.5 else None,
@@ -204,7 +211,7 @@ def structure_hints(
         singular_values=values,
         threshold=threshold,
         order=min(order, first.nf),
-        trusted=float(spectrum.omega[believed][-1]),
+        trusted=float(np.max(spectrum.omega[believed], initial=0.0)),
         spectrum=spectrum,
         response=response,
     )
@@ -216,6 +223,16 @@ def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
         return delay(data, integrator=integrates)
     except ValueError:
         return None
+
+
+def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
+    """Return the indices at which u explains y, none where it does at too few, or refuse."""
+    try:
+        return explained(estimate)
+    except ValueError:
+        if needed:
+            raise
+        return np.zeros(0, dtype=np.int_)
 
 
 def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
@@ -263,6 +280,8 @@ def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
 
 def _slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
     """Return the slope in dB a decade of a straight line, and its standard deviation."""
+    if not omega.size:
+        return float("nan"), float("nan")
     x, y = np.log10(omega), 20 * np.log10(magnitude)
     x = x - x.mean()
     slope = float(x @ y / (x @ x))
@@ -272,7 +291,7 @@ def _slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
 
 def _low_slope(rate: SpectralEstimate, believed: NDArray[np.int_]) -> tuple[float, float, Vector]:
     """Return the slope over the lowest half decade, its deviation, and the frequencies."""
-    low = believed[rate.omega[believed] <= rate.omega[believed[0]] * np.sqrt(10)]
+    low = believed[rate.omega[believed] <= rate.omega[believed[:1]] * np.sqrt(10)]
     low = low if low.size >= 3 else believed[:3]
     return *_slope(rate.omega[low], rate.magnitude[low]), rate.omega[low]
 
@@ -286,7 +305,7 @@ def _high_slope(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> float
 def _high(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
     """Return the indices of the last third of a decade."""
     omega = spectrum.omega[believed]
-    top = min(float(omega[-1]), 0.6 * np.pi / spectrum.Ts)
+    top = np.minimum(omega[-1:], 0.6 * np.pi / spectrum.Ts)
     high = believed[(omega <= top) & (omega >= top / 10 ** (1 / 3))]
     return high if high.size >= 3 else believed[-3:]
 
@@ -311,6 +330,8 @@ def _phase_delay(
     slope changes little (H. W. Bode, *Network Analysis and Feedback Amplifier Design*, 1945).
     """
     high = _high(spectrum, believed)
+    if not high.size:
+        return float("nan")
     expected = np.pi / 2 * slope / 20
     omega = spectrum.omega[high]
     excess = np.angle(sign * spectrum.G[high] * np.exp(1j * (omega * shown - expected)))
@@ -329,6 +350,8 @@ def _extremes(
     """
     from scipy.signal import find_peaks
 
+    if not believed.size:
+        return (), ()
     omega = np.geomspace(believed[0], believed[-1], 300)
     g, _ = response.decaying
     turn = np.exp(-1j * np.outer(omega, response.lags) * response.Ts)
@@ -405,10 +428,11 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         what = "the rate" if h.integrator else "y"
         yield f"shape of {what}: {_extremes_told(h)}"
     shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
+    with_integrator = h.integrator and h.integrator_shown
     yield (
         f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
-        + _standing(h.order - h.integrator)
-        + (", and the integrator" if h.integrator else "")
+        + _standing(h.order - with_integrator)
+        + (", and the integrator" if with_integrator else "")
     )
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
@@ -428,15 +452,17 @@ def _reasons(h: StructureHints) -> Iterator[str]:
 def _others(h: StructureHints) -> Iterator[str]:
     others = [_named(s) for s in h.structures[1:]]
     if others:
-        yield f"nearly as short a description: {', '.join(others)}"
+        yield f"try also: {', '.join(others)}"
 
 
 def _about_integrator(h: StructureHints) -> Iterator[str]:
     verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
+    if not h.integrator_shown:
+        verdict = "not shown, a slow pole looks the same: try both"
     if h.low_slope is None:
         yield f"integrator: {verdict}"
         return
-    if not h.integrator and h.low_slope < -10:
+    if h.integrator_shown and not h.integrator and h.low_slope < -10:
         verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
     yield (
         f"integrator: |G| has a slope of {minus(f'{h.low_slope:.1f}')} ± {h.low_slope_std:.1f} dB "
