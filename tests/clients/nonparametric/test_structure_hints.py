@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.nonparametric.impulse import impulse_response
 from armrig.numerics.polynomial import filtered
+from armrig.validation.recommended_structures import Recommended, Tried, _chosen
 from armrig.validation.structure_hints import _extremes, structure_hints
 from numpy.typing import NDArray
 from sampling import sampled
@@ -244,3 +246,50 @@ def test_the_true_structure_is_recommended_in_coloured_noise() -> None:
     found = structure_hints(Dataset(u=u, y=y, Ts=1.0), integrator=False)
 
     assert (2, 3, 2) in [(s.nb, s.nf, s.nk) for s in found.structures]
+
+
+def test_where_nothing_tells_a_slow_pole_from_one_at_1_both_are_recommended() -> None:
+    """And no line claims either."""
+    rng = np.random.default_rng(2)
+    u = telegraph(300, 0.05, seed=2)
+    y = filtered([0.0, 0.1], [1.0, -0.98], u - u.mean())
+    data = Dataset(u=u, y=y + 0.01 * np.std(y) * rng.standard_normal(300), Ts=1.0)
+
+    found = structure_hints(data)
+
+    assert not found.integrator_shown
+    assert {s.integrator for s in found.structures[:2]} == {True, False}
+    assert (1, 1, 1, False) in [(s.nb, s.nf, s.nk, s.integrator) for s in found.structures]
+    assert "not shown, a slow pole looks the same: try both" in found.explain()
+    assert "and the integrator" not in found.explain()
+
+
+def test_a_spectrum_that_u_does_not_explain_leaves_the_structures() -> None:
+    """Twenty samples of delay are more than the window spans; `delay` finds them."""
+    rng = np.random.default_rng(21)
+    u = np.repeat(rng.choice([-1.0, 1.0], 1000), 2)[:1000]
+    F = np.real(np.poly(0.99 * np.exp([2j, -2j])))
+    y = filtered([0.0] * 21 + [0.1], F, u)
+    y += 0.01 * np.std(y) * rng.standard_normal(1000)
+
+    found = structure_hints(Dataset(u=u, y=y, Ts=1.0), integrator=False)
+
+    assert (1, 2, 21) in [(s.nb, s.nf, s.nk) for s in found.structures]
+    assert found.low_slope is None
+    replace(found, trusted=0.0, high_slope=None).plot()
+
+
+def _tried(nb: int, nf: int, bits: float, *, integrator: bool = False) -> Tried:
+    structure = Recommended(nb=nb, nf=nf, nk=1, integrator=integrator)
+    return Tried(structure=structure, bits=bits, fitted=cast("Any", None))
+
+
+def test_after_the_shortest_two_the_shortest_of_a_plant_under_a_hold_comes() -> None:
+    """Its first or last b may be too small to shorten the description: nb = nf."""
+    free = [_tried(1, 3, 0), _tried(2, 3, 1), _tried(1, 4, 2), _tried(3, 3, 3), _tried(4, 4, 4)]
+    fixed = [_tried(2, 2, 5, integrator=True), _tried(2, 4, 6, integrator=True)]
+
+    shown, both = (_chosen([fixed, free], shown=shown) for shown in (True, False))
+
+    assert shown == [free[0], free[1], free[3]]
+    assert both == [free[0], fixed[0], free[1]]
