@@ -125,6 +125,9 @@ def check_length(places: Sequence[tuple[str, float]]) -> None:
         Where each section begins, and last where the document ends: page, from 1, and the share of
         it that is above.
     """
+    if not places:
+        msg = f"{TEMPLATE}: has no #mark of a section, which tells how long it is: leave them in"
+        raise ReportError(msg)
     pages = int(places[-1][1])
     if pages <= MOST_PAGES:
         return

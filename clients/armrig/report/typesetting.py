@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import matplotlib as mpl
@@ -97,13 +99,48 @@ def source_folder(folder: Path | None) -> Iterator[Path]:
 def compiled(source: Path) -> tuple[bytes, Places]:
     """Return the PDF of a Typst file, and where its sections begin.
 
-    The compiler reads files in the folder of the source alone.
+    The compiler reads files in the folder of the source alone, and packages of Typst.
 
     Raises
     ------
     ReportError
-        The compiler refuses.
+        The compiler refuses, a link leads out of the folder, or a mark of a section is another one
+        than the template's.
     """
+    _check_links(source.parent)
+    pdf, told = _interruptible(lambda: _compiled(source))
+    try:
+        return pdf, [(str(name), float(page)) for name, page in json.loads(told)]
+    except (TypeError, ValueError) as err:
+        msg = f"{source}: a <place> there is not the template's: leave #mark as it was written"
+        raise ReportError(msg) from err
+
+
+def _check_links(folder: Path) -> None:
+    """Refuse a link that leads out of a folder: the compiler follows it."""
+    inside = folder.resolve()
+    for path in folder.rglob("*"):
+        if path.is_symlink() and not path.resolve().is_relative_to(inside):
+            msg = f"{path}: a link that leads out of the folder: give a copy of its file"
+            raise ReportError(msg)
+
+
+def _interruptible(work: Callable[[], tuple[bytes, str]]) -> tuple[bytes, str]:
+    """Return what a thread returns; Ctrl-C, which the compiler never sees, ends the wait."""
+    done: Future[tuple[bytes, str]] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as err:
+            done.set_exception(err)
+
+    Thread(target=run, daemon=True).start()
+    return done.result()
+
+
+def _compiled(source: Path) -> tuple[bytes, str]:
+    """Return the PDF of a Typst file, and its marks as JSON."""
     fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
     try:
         compiler = typst.Compiler(
@@ -115,10 +152,9 @@ def compiled(source: Path) -> tuple[bytes, Places]:
         pdf = compiler.compile()
         if not isinstance(pdf, bytes):  # never: a list is of pictures, None of a file
             raise ReportError(source.name)
-        places = json.loads(compiler.query("<place>", field="value"))
+        return pdf, compiler.query("<place>", field="value")
     except RuntimeError as err:
         line = re.search(r":(\d+):\d+\n", str(getattr(err, "diagnostic", "")))
         at = f"{source}, line {line[1]}" if line else str(source)
         msg = f"{at}: the report cannot be typeset: {err}"
         raise ReportError(msg) from err
-    return pdf, [(str(name), float(page)) for name, page in places]

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 from dataclasses import replace
 from pathlib import Path
+from threading import Event, current_thread, main_thread
 
 import armrig
 import msgspec
@@ -341,6 +344,57 @@ def test_a_source_reads_nothing_outside_its_folder(text: str, message: str, tmp_
 
     with pytest.raises(ReportError, match=rf"{TEMPLATE}, {message}"):
         compiled(folder / TEMPLATE)
+
+
+def test_a_link_out_of_the_source_is_refused(tmp_path: Path) -> None:
+    """Typst follows it: a folder of somebody else would put a file of ours into the report."""
+    (tmp_path / "secret").write_text("12345")
+    folder = tmp_path / "source"
+    folder.mkdir()
+    (folder / TEMPLATE).write_text('#read("notes")')
+    (folder / "notes").symlink_to(tmp_path / "secret")
+
+    with pytest.raises(ReportError, match="notes: a link that leads out of the folder"):
+        compiled(folder / TEMPLATE)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Nothing", "has no #mark of a section"),
+        ("#metadata(3) <place>", "a <place> there is not the template's"),
+        ('#metadata("abc") <place>', "a <place> there is not the template's"),
+        ('#metadata(("2.1", float.nan)) <place>', "a <place> there is not the template's"),
+    ],
+)
+def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Path) -> None:
+    """A student may have taken them away with a section."""
+    (tmp_path / TEMPLATE).write_text(text)
+
+    with pytest.raises(ReportError, match=message):
+        check_length(compiled(tmp_path / TEMPLATE)[1])
+
+
+def test_ctrl_c_ends_a_compiler_that_never_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sees no signal; a source may contain a loop."""
+    threads, is_over = [], Event()
+
+    def compile_for_ever(_: object) -> None:
+        threads.append(current_thread())
+        os.kill(os.getpid(), signal.SIGINT)
+        is_over.wait(30)
+
+    monkeypatch.setattr(
+        "typst.Compiler", lambda *_, **__: type("Deaf", (), {"compile": compile_for_ever})()
+    )
+
+    with pytest.raises(KeyboardInterrupt):
+        compiled(tmp_path / TEMPLATE)
+    is_over.set()
+
+    assert threads != [main_thread()]
 
 
 def test_a_folder_with_files_is_no_folder_for_a_source(
