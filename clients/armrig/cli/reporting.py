@@ -8,6 +8,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import recording_path
 from armrig.cli.next_step import opener, say_next
@@ -154,9 +155,10 @@ def _write_questions(path: Path) -> None:
     """Write a file with the handout's questions."""
     from armrig.report.questions import questions_toml
 
+    text = questions_toml(printable(quote(str(path))))
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(questions_toml(quote(str(path))))
+            file.write(text)
     except FileExistsError:
         msg = f"--questions {path}: is there already, and may contain answers; give another name"
         raise ValueError(msg) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 from armrig.cli import main
 from armrig.cli.figures import write_plot
+from armrig.report.answers import read_answers
 from matplotlib.image import imread
 from told import told
 
@@ -177,6 +179,19 @@ def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
     assert capsys.readouterr().out.startswith("reasons.toml\nreport.pdf\n{")
     assert Path("again.pdf").read_bytes() == Path("report.pdf").read_bytes()
     assert json.loads(Path("source/data.json").read_text())["students"][0]["name"] == "Ada"
+
+
+def test_questions_are_text_whatever_the_name_of_their_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A line break in it would be no comment, and its bytes need be no text."""
+    monkeypatch.chdir(tmp_path)
+    names = ["a\nb.toml", os.fsdecode(b"a\xff.toml")]
+
+    codes = [main(["report", "--handout", "--questions", name]) for name in names]
+
+    assert codes == [0, 0]
+    assert all(read_answers(Path(name)).reasons == {} for name in names)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import os
 import re
 import signal
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event, current_thread, main_thread
 
@@ -29,7 +30,7 @@ from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.questions import QUESTIONS
 from armrig.report.section import Section
-from armrig.report.typesetting import ReportError, compiled
+from armrig.report.typesetting import ReportError, compiled, typeset
 from armrig_core.arm import ArmParameters
 from made_recordings import of_the_arm, written
 from pages import script
@@ -373,6 +374,16 @@ def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Pat
 
     with pytest.raises(ReportError, match=message):
         check_length(compiled(tmp_path / TEMPLATE)[1])
+
+
+@pytest.mark.parametrize("text", ["K_m", "x_hat_1", "K__", "a_b_c.mcap"])
+def test_a_name_with_underlines_is_typeset(text: str, tmp_path: Path) -> None:
+    """In a reason, or as a file's: what follows the first one stands lower."""
+    values = {"version": "1", "sections": [], "students": [], "recordings": [], "remarks": [text]}
+
+    _, places = typeset(tmp_path, TEMPLATE, values, datetime(2026, 1, 1, tzinfo=UTC))
+
+    assert places
 
 
 def test_ctrl_c_ends_a_compiler_that_never_ends(
