@@ -162,6 +162,8 @@ class Retention:
     def _outcome(self, stream: IO[bytes]) -> str:
         """Read a whole file; return the outcome in it."""
         told = dict(self._metadata(stream))
+        if manifest_of(told.get(RUN, {})).rig != self.rig:
+            raise DamageError("a part of it is of another rig")
         if OUTCOME not in told:
             raise DamageError("it does not say how its run ended")
         return outcome_of(told[OUTCOME]).outcome

@@ -140,6 +140,18 @@ def test_a_run_that_does_not_say_how_it_ended_stays(
     assert _names(tmp_path) == {"1-a.part-0001.mcap", "1-b.mcap"}
 
 
+def test_a_run_with_a_part_of_another_rig_stays(tmp_path: Path) -> None:
+    """Somebody gave a file a new name."""
+    _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=CONTINUED)
+    _run(tmp_path, "1-a.part-0002.mcap", 40, rig="2")
+    _run(tmp_path, "1-b.mcap", 1)
+
+    (report,) = _retention(tmp_path).apply(NOW_S)
+
+    assert not report.is_removed
+    assert report.text.endswith("a part of it is of another rig")
+
+
 def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
     """Unfinished runs, other rigs, other users' files, links, folders, notes."""
     _run(tmp_path, "1-a.mcap.active", 40)
